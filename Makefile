@@ -1,0 +1,42 @@
+# Two commands on a fresh machine: `make demo` and `make test`. Everything else is for contributors.
+PYTHON ?= python3
+VENV ?= .venv
+RUN := $(VENV)/bin
+OUT ?= out/demo
+# One thread for each numerical library: on few cores more of them only get in each other's way.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test test-all lint bench setup clean
+.DEFAULT_GOAL := test
+
+setup: $(VENV)/.ready
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
+		{ echo "Python 3.11, 3.12 or 3.13 is needed (set PYTHON=...), found $$($(PYTHON) --version)"; exit 2; }
+	@test -x $(RUN)/python || $(PYTHON) -m venv $(VENV) || \
+		{ echo "Could not make a virtual environment; on Debian: apt install python3-venv"; exit 2; }
+	$(RUN)/python -m pip install --quiet --upgrade pip
+	$(RUN)/python -m pip install --quiet -c constraints.txt -e '.[jaxopt]' --group test --group lint
+	@touch $@
+
+demo: setup
+	$(RUN)/wrapjax demo --out $(OUT) --force
+
+test: setup
+	$(RUN)/python -m pytest -m "not slow and not gpu"
+
+test-all: setup
+	$(RUN)/python -m pytest
+
+lint: setup
+	$(RUN)/ruff check .
+	$(RUN)/ruff format --check .
+	$(RUN)/mypy
+
+bench: setup
+	$(RUN)/python -m benchmarks
+
+clean:
+	rm -rf $(VENV) out .pytest_cache .ruff_cache .mypy_cache

@@ -1,0 +1,124 @@
+"""Writing files whole or not at all, and naming cached results by their content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wrapjax.errors import InputError, Problem
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` fill a temporary file beside ``path``, then move it into place.
+
+    A reader sees the old file or the new one, never a part of either.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) whole or not at all."""
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8") and None)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write strict JSON (NaN and infinity become null) whole or not at all."""
+    write_text(path, json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+
+
+def _plain(content: Any) -> Any:
+    """NumPy scalars, arrays and dataclass-free containers as plain JSON values."""
+    if isinstance(content, dict):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_plain(value) for value in content]
+    if isinstance(content, np.ndarray):
+        return _plain(content.tolist())
+    if isinstance(content, np.generic):
+        return _plain(content.item())
+    if isinstance(content, float) and not np.isfinite(content):
+        return None
+    if isinstance(content, Path):
+        return str(content)
+    return content
+
+
+@contextmanager
+def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Fill a folder under a temporary name; it appears at ``path`` only when complete.
+
+    A folder that exists is refused unless ``force``, and even then it is replaced only after the
+    new one has been written whole.
+    """
+    path = Path(path)
+    if path.exists() and not force:
+        raise InputError(
+            Problem(str(path), "exists already and is not overwritten", hint="use --force to replace it")
+        )
+    if path.exists() and not path.is_dir():
+        raise InputError(Problem(str(path), "is a file, where a folder was expected"))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    except OSError as error:
+        raise InputError(Problem(str(path), f"cannot be created ({error.strerror})")) from error
+    try:
+        yield temporary
+        os.chmod(temporary, 0o755)
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+            os.replace(path, old / path.name)
+            os.replace(temporary, path)
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            os.replace(temporary, path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
+    """Name content by its SHA-256 (hex, 32 digits). A `Path` stands for the bytes of its file."""
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Path):
+            piece = part.read_bytes()
+        elif isinstance(part, bytes):
+            piece = part
+        elif isinstance(part, np.ndarray):
+            array = np.ascontiguousarray(part)
+            piece = f"{array.dtype.str}{array.shape}".encode() + array.tobytes()
+        else:
+            piece = repr(part).encode()
+        digest.update(len(piece).to_bytes(8, "little"))
+        digest.update(piece)
+    return digest.hexdigest()[:32]
+
+
+def cache_folder(kind: str) -> Path:
+    """The user's cache folder for one kind of result, made if needed.
+
+    ``WRAPJAX_CACHE`` overrides the place; the default follows the XDG convention.
+    """
+    base = os.environ.get("WRAPJAX_CACHE")
+    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "wrapjax"
+    folder = root / kind
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
