@@ -1,0 +1,52 @@
+"""Settings and fixtures that every test shares."""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory):
+    """Keep the user's cache out of the tests and the tests out of the user's cache."""
+    previous = os.environ.get("WRAPJAX_CACHE")
+    os.environ["WRAPJAX_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    if previous is None:
+        del os.environ["WRAPJAX_CACHE"]
+    else:
+        os.environ["WRAPJAX_CACHE"] = previous
+
+
+def _folder_from(variable: str) -> Path:
+    value = os.environ.get(variable)
+    if not value:
+        pytest.skip(f"{variable} is not set: recorded data are not part of the project")
+    return Path(value)
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of recorded subjects."""
+    return _folder_from("WRAPJAX_DATA")
+
+
+@pytest.fixture(scope="session")
+def s1_left(data_folder) -> Path:
+    """A post-stroke adult, left leg: 34 muscles, 16 channels, 8 gait cycles."""
+    return data_folder / "s1_left"
+
+
+@pytest.fixture(scope="session")
+def golden_folder() -> Path:
+    """A peer's own input and output vectors."""
+    return _folder_from("WRAPJAX_GOLDEN")
