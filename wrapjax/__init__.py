@@ -1,0 +1,1 @@
+"""Calibrate EMG-driven musculoskeletal models with exact gradients."""

@@ -1,0 +1,7 @@
+"""Muscle paths: length, rate and moment arms as functions of joint angles."""
+
+from wrapjax.geometry.paths import PathState as PathState
+from wrapjax.geometry.poses import random_poses as random_poses
+from wrapjax.geometry.poses import smooth_poses as smooth_poses
+from wrapjax.geometry.surrogate import PathSurrogate as PathSurrogate
+from wrapjax.geometry.surrogate import fit_surrogate as fit_surrogate

@@ -1,0 +1,195 @@
+"""Polynomials that stand in for muscle paths: the outer level of Ao, Fregly et al.
+
+Length, rate and moment arms of a muscle share one set of coefficients (the paper's equations 1 to 3):
+
+    L = sum_k c_k x^p_k,    v = dL/dt,    r_j = -dL/dq_j,    x = (q - center) / half_range
+
+so that velocity and moment arms are consistent with length by construction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from wrapjax.geometry.paths import PathState
+from wrapjax.geometry.polynomial import monomial_exponents, monomial_gradients, monomials
+
+#: Highest total degree of the outer level.
+DEGREE = 5
+
+
+class PathSurrogate(eqx.Module):
+    """The paths of all muscles as polynomials, padded to one shape.
+
+    A muscle that spans fewer coordinates than the widest has unused slots, of exponent zero; one
+    with fewer terms has padding, outside ``used``, of coefficient zero.
+    """
+
+    muscles: tuple[str, ...] = eqx.field(static=True)
+    coordinates: tuple[str, ...] = eqx.field(static=True)
+    #: Which coordinate stands in which slot.
+    spans: Int[Array, "muscle slot"]
+    #: Whether a slot is in use.
+    spanned: Bool[Array, "muscle slot"]
+    exponents: Int[Array, "muscle term slot"]
+    used: Bool[Array, "muscle term"]
+    coefficients: Float[Array, "muscle term"]
+    center: Float[Array, " coordinate"]
+    half_range: Float[Array, " coordinate"]
+
+    def __call__(
+        self,
+        angles: Float[Array, "trial coordinate frame"],
+        velocities: Float[Array, "trial coordinate frame"],
+        coefficients: Float[Array, "muscle term"] | None = None,
+    ) -> PathState:
+        """Evaluate all paths at all frames.
+
+        Parameters
+        ----------
+        angles, velocities
+            In rad and rad/s, axis ``coordinate`` as in ``coordinates``.
+        coefficients
+            Others than the fitted ones, in m.
+        """
+        if coefficients is None:
+            coefficients = self.coefficients
+        trials, _, frames = angles.shape
+        poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
+        rates = jnp.moveaxis(velocities, 1, -1).reshape(trials * frames, -1)
+        length, slope = jax.vmap(self._path, in_axes=(0, 0, 0, 0, None))(
+            self.spans, self.spanned, self.exponents, coefficients, poses
+        )
+        shape = (len(self.muscles), trials, frames)
+        return PathState(
+            length=length.reshape(shape),
+            velocity=jnp.sum(slope * rates[None], axis=-1).reshape(shape),
+            moment_arm=jnp.moveaxis(-slope.reshape(*shape, -1), -1, 2),
+        )
+
+    def _path(
+        self,
+        spans: Int[Array, " slot"],
+        spanned: Bool[Array, " slot"],
+        exponents: Int[Array, "term slot"],
+        coefficients: Float[Array, " term"],
+        poses: Float[Array, "pose coordinate"],
+    ) -> tuple[Float[Array, " pose"], Float[Array, "pose coordinate"]]:
+        """Length of one muscle, and its derivative by every coordinate."""
+        scaled = ((poses - self.center) / self.half_range)[:, spans]
+        length = monomials(exponents, scaled) @ coefficients
+        by_slot = (monomial_gradients(exponents, scaled) @ coefficients).T / self.half_range[spans]
+        slope = jnp.zeros_like(poses).at[:, spans].add(by_slot * spanned)
+        return length, slope
+
+
+def fit_surrogate(
+    muscles: Sequence[str],
+    coordinates: Sequence[str],
+    spanned: dict[str, tuple[str, ...]],
+    poses: Float[np.ndarray, "pose coordinate"],
+    length: Float[np.ndarray, "pose muscle"],
+    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
+    *,
+    degree: int = DEGREE,
+    tolerance: float = 0.05,
+) -> PathSurrogate:
+    """Fit length and every moment arm of each muscle at once, with shared coefficients.
+
+    All terms up to ``degree`` are candidates. Terms are then dropped one at a time, always the one
+    whose loss raises the squared error least, while the training error stays within ``tolerance`` of
+    what all terms reach (backward elimination; the paper does not give its own rule, only that 41 of
+    the iliacus' 56 terms were kept). The constant is never dropped.
+
+    Parameters
+    ----------
+    muscles, coordinates
+        Names of the axes.
+    spanned
+        The coordinates that each muscle depends on.
+    poses
+        In rad.
+    length, moment_arm
+        In m; rows of both count alike in the least squares.
+    degree
+        Highest total degree.
+    tolerance
+        Allowed relative rise of the root mean square error by pruning.
+    """
+    center = 0.5 * (poses.max(axis=0) + poses.min(axis=0))
+    half_range = np.maximum(0.5 * (poses.max(axis=0) - poses.min(axis=0)), 1e-3)
+    scaled = (poses - center) / half_range
+    fits = []
+    for index, muscle in enumerate(muscles):
+        slots = [coordinates.index(name) for name in spanned[muscle] if name in coordinates]
+        exponents = monomial_exponents(len(slots), degree)
+        values = np.asarray(monomials(jnp.asarray(exponents), jnp.asarray(scaled[:, slots])))
+        slopes = np.asarray(monomial_gradients(jnp.asarray(exponents), jnp.asarray(scaled[:, slots])))
+        design = np.concatenate([values, *(-slopes / half_range[slots][:, None, None])])
+        target = np.concatenate([length[:, index], *moment_arm[:, slots, index].T])
+        keep, coefficients = _fit_pruned(design, target, tolerance)
+        fits.append((slots, exponents[keep], coefficients))
+    width = max(len(slots) for slots, _, _ in fits)
+    terms = max(len(exponents) for _, exponents, _ in fits)
+    count = len(fits)
+    spans = np.zeros((count, width), dtype=np.int64)
+    in_use = np.zeros((count, width), dtype=bool)
+    padded_exponents = np.zeros((count, terms, width), dtype=np.int64)
+    padded_coefficients = np.zeros((count, terms))
+    used = np.zeros((count, terms), dtype=bool)
+    for index, (slots, exponents, coefficients) in enumerate(fits):
+        spans[index, : len(slots)] = slots
+        in_use[index, : len(slots)] = True
+        padded_exponents[index, : len(exponents), : len(slots)] = exponents
+        padded_coefficients[index, : len(exponents)] = coefficients
+        used[index, : len(exponents)] = True
+    return PathSurrogate(
+        muscles=tuple(muscles),
+        coordinates=tuple(coordinates),
+        spans=jnp.asarray(spans),
+        spanned=jnp.asarray(in_use),
+        exponents=jnp.asarray(padded_exponents),
+        used=jnp.asarray(used),
+        coefficients=jnp.asarray(padded_coefficients),
+        center=jnp.asarray(center),
+        half_range=jnp.asarray(half_range),
+    )
+
+
+def _fit_pruned(
+    design: Float[np.ndarray, "row term"], target: Float[np.ndarray, " row"], tolerance: float
+) -> tuple[Int[np.ndarray, " kept"], Float[np.ndarray, " kept"]]:
+    """Least squares with backward elimination; the first column is never dropped.
+
+    Dropping column k raises the squared error by ``c_k**2 / S_kk`` with ``S = (A'A)^-1``, and the
+    remaining coefficients and S follow by one rank-one update.
+    """
+    q, r = np.linalg.qr(design)
+    coefficients = np.linalg.solve(r, q.T @ target)
+    inverse = np.linalg.inv(r)
+    inverse = inverse @ inverse.T
+    full_error = float(np.sum((target - design @ coefficients) ** 2))
+    # A path that is itself a polynomial leaves only round-off, which must not keep all terms.
+    floor = len(target) * (1e-7) ** 2
+    budget = (1.0 + tolerance) ** 2 * max(full_error, floor) - full_error
+    keep = np.arange(design.shape[1])
+    spent = 0.0
+    while len(keep) > 1:
+        rise = coefficients[1:] ** 2 / np.diag(inverse)[1:]
+        drop = 1 + int(np.argmin(rise))
+        if spent + rise[drop - 1] > budget:
+            break
+        spent += float(rise[drop - 1])
+        column = inverse[:, drop]
+        coefficients = np.delete(coefficients - column * (coefficients[drop] / column[drop]), drop)
+        inverse = inverse - np.outer(column, column) / column[drop]
+        inverse = np.delete(np.delete(inverse, drop, axis=0), drop, axis=1)
+        keep = np.delete(keep, drop)
+    # The updates lose digits term by term: solve once more with what is left.
+    return keep, np.linalg.lstsq(design[:, keep], target, rcond=None)[0]

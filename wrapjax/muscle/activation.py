@@ -1,0 +1,77 @@
+"""Activation dynamics and the nonlinear relation of activation to force."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+#: Deactivation takes this many times as long as activation (He et al. 1991, doi:10.1109/10.84276).
+DEACTIVATION_RATIO = 4.0
+
+# Rational fit of the isometric EMG-force curve, with G(0) = 0 and G(1) = 1
+# (Meyer et al. 2017, doi:10.1371/journal.pone.0179698, equation 8).
+_G1 = 29.280183270562596
+_G2 = 4.107869238218326
+_G3 = 1.000004740962477
+_G4 = -7.623282868703527
+_G5 = 17.227022969058535
+_G6 = 0.884220539986325
+
+
+def neural_activation(
+    excitation: Float[Array, "trial padded_frame"],
+    activation_time_constant: Float[Array, ""],
+    step: Float[Array, " trial"],
+) -> Float[Array, "trial padded_frame"]:
+    """Integrate first-order activation dynamics from rest.
+
+    ``da/dt = (c1 e + c2)(e - a)`` with ``c2 = 1/(4 ta)`` and ``c1 = 1/ta - c2``, discretised by the
+    implicit second-order backward difference; the first two frames are at rest.
+
+    Parameters
+    ----------
+    excitation
+        Excitation in 0 to 1, padding included.
+    activation_time_constant
+        ta in s.
+    step
+        Time step of each cycle in s.
+
+    Returns
+    -------
+    Array
+        Neural activation. It can undershoot zero by the order of the discretisation error.
+    """
+    fast = 1.0 / activation_time_constant
+    slow = fast / DEACTIVATION_RATIO
+    gain = 2.0 * step[:, None] * ((fast - slow) * excitation + slow)
+
+    def advance(previous, inputs):
+        last, before_last = previous
+        g, e = inputs
+        now = (g * e + 4.0 * last - before_last) / (g + 3.0)
+        return (now, last), now
+
+    rest = jnp.zeros_like(excitation[:, 0])
+    _, rest_of_frames = jax.lax.scan(advance, (rest, rest), (gain[:, 2:].T, excitation[:, 2:].T))
+    return jnp.concatenate([jnp.stack([rest, rest], axis=1), rest_of_frames.T], axis=1)
+
+
+def muscle_activation(
+    neural: Float[Array, "*shape"], nonlinearity: Float[Array, ""]
+) -> Float[Array, "*shape"]:
+    """Mix neural activation with its saturating image.
+
+    ``(1 - c) a + c G(a)``, with G the isometric EMG-force curve of Meyer et al. 2017,
+    doi:10.1371/journal.pone.0179698.
+
+    Parameters
+    ----------
+    neural
+        Neural activation, not negative.
+    nonlinearity
+        c, between 0 (linear) and 0.35.
+    """
+    saturating = _G4 / (_G1 * (neural + _G6) ** _G5 + _G2) + _G3
+    return (1.0 - nonlinearity) * neural + nonlinearity * saturating

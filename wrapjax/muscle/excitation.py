@@ -1,0 +1,66 @@
+"""From EMG envelopes to muscle excitations: scale and electromechanical delay."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
+
+
+class EmgSpline(eqx.Module):
+    """Cubic splines through sampled EMG envelopes, one set of uniform knots a gait cycle.
+
+    The knots are uniform within a cycle, so that a delay shifts every frame by the same fraction of
+    a step: looking a value up is one gather and one cubic.
+    """
+
+    coefficients: Float[Array, "*batch trial 4 interval"]
+    step: Float[Array, " trial"]
+
+    def at_delay(self, delay: Float[Array, ""]) -> Float[Array, "trial knot"]:
+        """Evaluate the envelopes at every knot's time less the delay.
+
+        Before the first knot the envelope holds its first value: extrapolating a cubic through the
+        start of a recording would invent bursts that nobody measured.
+
+        Parameters
+        ----------
+        delay
+            Electromechanical delay in s, not negative; one number for all cycles.
+        """
+        intervals = self.coefficients.shape[-1]
+        position = jnp.arange(intervals + 1.0) - (delay / self.step)[:, None]
+        position = jnp.clip(position, 0.0, float(intervals))
+        interval = jnp.clip(jnp.floor(position).astype(int), 0, intervals - 1)
+        fraction = position - interval
+        c3, c2, c1, c0 = jnp.moveaxis(
+            jnp.take_along_axis(self.coefficients, interval[:, None, :], axis=-1), 1, 0
+        )
+        return ((c3 * fraction + c2) * fraction + c1) * fraction + c0
+
+
+def fit_emg_spline(
+    time: Float[np.ndarray, "trial knot"], emg: Float[np.ndarray, "trial channel knot"]
+) -> EmgSpline:
+    """Fit the not-a-knot cubic spline of every cycle and channel.
+
+    Parameters
+    ----------
+    time
+        Times of the samples in s, uniform within a cycle.
+    emg
+        Envelopes, dimensionless.
+
+    Returns
+    -------
+    EmgSpline
+        With coefficients of shape ``(channel, trial, 4, interval)``, highest power first, in units
+        of one knot step.
+    """
+    knots = np.arange(emg.shape[-1], dtype=float)
+    pieces = CubicSpline(knots, emg, axis=-1, bc_type="not-a-knot").c  # (4, interval, trial, channel)
+    coefficients = np.transpose(pieces, (3, 2, 0, 1))
+    step = (time[:, -1] - time[:, 0]) / (emg.shape[-1] - 1)
+    return EmgSpline(jnp.asarray(coefficients), jnp.asarray(step))
