@@ -1,0 +1,230 @@
+"""Muscle lengths and moment arms by OpenSim at many poses: checked, parallel, and remembered."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.files import cache_folder, content_hash, write_whole
+from wrapjax.osim.loading import check_is_file
+from wrapjax.osim.model import ModelDescription, describe_model, unknown_names
+from wrapjax.osim.workers import analyse_chunks
+from wrapjax.progress import progress_bar
+
+#: Poses analysed, and remembered, at a time: about half a second of work for 34 muscles.
+CHUNK = 512
+#: Part of every cache key: raise it when the same question would get another answer.
+_FORMAT = 1
+#: How far (rad or m) a pose may be from where a locked coordinate is held.
+_LOCKED_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class PathGeometry:
+    """Lengths and moment arms of muscles at poses.
+
+    Parameters
+    ----------
+    muscles, coordinates
+        Names along the axes.
+    length
+        Muscle-tendon length, m.
+    moment_arm
+        OpenSim's moment arm, m, of the sign of -d(length)/d(coordinate); per rad, so dimensionless
+        about a translational coordinate. Zero where a muscle does not span a coordinate.
+    """
+
+    muscles: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    length: Float[np.ndarray, "pose muscle"]
+    moment_arm: Float[np.ndarray, "pose coordinate muscle"]
+
+
+def analyse_muscles(
+    model_file: Path | str,
+    muscles: Sequence[str],
+    coordinates: Sequence[str],
+    poses: Float[np.ndarray, "pose coordinate"],
+    *,
+    processes: int | None = None,
+    quiet: bool = False,
+) -> PathGeometry:
+    """Compute muscle-tendon lengths and moment arms with OpenSim.
+
+    Coordinates that are not given stay at the model's defaults; coupled ones (a patella, say) follow
+    their couplers. Results are kept in the user's cache, some hundred poses a file, so that the same
+    question is answered at once and interrupted work goes on where it stopped.
+
+    Parameters
+    ----------
+    model_file
+        OpenSim model (.osim).
+    muscles
+        Names of muscles of the model.
+    coordinates
+        Names of independent coordinates of the model.
+    poses
+        Coordinate values, rad (m for translations). A value outside a coordinate's range is used as
+        it is, clamped or not. A locked coordinate must be given where the model holds it.
+    processes
+        Number of worker processes; 1 for none. By default as many as there are cores, at most
+        eight, and none where so little is left to do that starting them would take longer.
+    quiet
+        Show no progress.
+
+    Returns
+    -------
+    PathGeometry
+
+    Raises
+    ------
+    InputError
+        If the model cannot be loaded, does not know a name, or cannot be put into such poses.
+    RuntimeError
+        If a worker process dies. What was finished until then is kept.
+
+    Notes
+    -----
+    The moment arm is OpenSim's: that of unit tension along the path. On a wrapped path it differs
+    from -dL/dq by some tenths of a millimeter, as OpenSim's path over one cylinder is not quite the
+    shortest, and by centimeters at worst where a path has two cylinders (OpenSim 4.6).
+
+    Examples
+    --------
+    >>> knee = np.radians([[10.0], [60.0]])
+    >>> analyse_muscles("model.osim", ["vasmed_l"], ["knee_angle_l"], knee).length  # doctest: +SKIP
+    """
+    muscles, coordinates = tuple(muscles), tuple(coordinates)
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    path = check_is_file(model_file)
+    _check_poses(path, coordinates, poses)
+    question = content_hash(path, repr(muscles), repr(coordinates), version("opensim"), _FORMAT)
+    chunks = {start: poses[start : start + CHUNK] for start in range(0, len(poses), CHUNK)}
+    files = {start: _cache_file(question, chunk) for start, chunk in chunks.items()}
+    length = np.zeros((len(poses), len(muscles)))
+    moment_arm = np.zeros((len(poses), len(coordinates), len(muscles)))
+
+    missing = {}
+    for start, chunk in chunks.items():
+        here = slice(start, start + CHUNK)
+        if not _recall(files[start], length[here], moment_arm[here]):
+            missing[start] = chunk
+    if missing or not chunks:
+        spans = _check_question(path, muscles, coordinates, poses)
+        done = len(poses) - sum(len(chunk) for chunk in missing.values())
+        with progress_bar("OpenSim muscle analysis, poses", len(poses), quiet=quiet) as advance:
+            for start, *found in analyse_chunks(path, coordinates, spans, missing, processes):
+                here = slice(start, start + CHUNK)
+                length[here], moment_arm[here] = found
+                _check_finite(path, muscles, poses[here], length[here], moment_arm[here])
+                _remember(files[start], length[here], moment_arm[here])
+                done += len(chunks[start])
+                advance(done)
+    return PathGeometry(muscles, coordinates, length, moment_arm)
+
+
+def _check_poses(
+    path: Path, coordinates: tuple[str, ...], poses: Float[np.ndarray, "pose coordinate"]
+) -> None:
+    if poses.shape[1:] != (len(coordinates),):
+        raise ValueError(f"poses of shape {poses.shape} do not fit {len(coordinates)} coordinates")
+    bad = np.argwhere(~np.isfinite(poses))
+    if len(bad):
+        raise InputError(
+            Problem(str(path), f"is {poses[pose, column]} in pose {pose}", place=coordinates[column])
+            for pose, column in bad[np.unique(bad[:, 1], return_index=True)[1]]
+        )
+
+
+def _check_question(
+    path: Path,
+    muscles: tuple[str, ...],
+    coordinates: tuple[str, ...],
+    poses: Float[np.ndarray, "pose coordinate"],
+) -> dict[str, tuple[str, ...]]:
+    """Check every name against the model, and return what each muscle spans."""
+    model = describe_model(path)
+    problems = unknown_names(path, "muscle", muscles, [muscle.name for muscle in model.muscles])
+    problems += unknown_names(path, "coordinate", coordinates, [entry.name for entry in model.coordinates])
+    if not problems:
+        problems += _cannot_be_posed(str(path), model, muscles, coordinates, poses)
+    if problems:
+        raise InputError(problems)
+    return {name: model.spanned_by(name) for name in muscles}
+
+
+def _cannot_be_posed(
+    file: str,
+    model: ModelDescription,
+    muscles: tuple[str, ...],
+    coordinates: tuple[str, ...],
+    poses: Float[np.ndarray, "pose coordinate"],
+) -> Iterator[Problem]:
+    for name, kind in model.constraints:
+        yield Problem(file, f"is a {kind}; only coordinate couplers can be followed", place=name)
+    for name in muscles:
+        kind = model.muscle(name).path_kind
+        if kind != "GeometryPath":
+            yield Problem(file, f"has a {kind}, where a GeometryPath was expected", place=name)
+    for column, name in enumerate(coordinates):
+        coordinate = model.coordinate(name)
+        if coordinate.coupled_to:
+            followed = ", ".join(coordinate.coupled_to)
+            yield Problem(file, f"follows {followed} and cannot be set", place=name, hint="leave it out")
+        elif coordinate.locked and len(poses):
+            held = coordinate.default_value
+            furthest = poses[np.argmax(np.abs(poses[:, column] - held)), column]
+            if abs(furthest - held) > _LOCKED_TOLERANCE:
+                message = f"is locked at {held:g}, and a pose has it at {furthest:g}"
+                yield Problem(file, message, place=name, hint="unlock it in the model or leave it out")
+
+
+def _check_finite(
+    path: Path,
+    muscles: tuple[str, ...],
+    poses: Float[np.ndarray, "pose coordinate"],
+    length: Float[np.ndarray, "pose muscle"],
+    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
+) -> None:
+    bad = np.argwhere(~(np.isfinite(length) & np.isfinite(moment_arm).all(axis=1)))
+    if len(bad):
+        pose, muscle = bad[0]
+        message = f"OpenSim finds no finite length or moment arm in the pose {poses[pose].tolist()}"
+        raise InputError(Problem(str(path), message, place=muscles[muscle]))
+
+
+def _cache_file(question: str, poses: Float[np.ndarray, "pose coordinate"]) -> Path:
+    return cache_folder("muscle_analysis") / f"{content_hash(question, poses)}.npz"
+
+
+def _recall(
+    file: Path,
+    length: Float[np.ndarray, "pose muscle"],
+    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
+) -> bool:
+    """Fill in what the cache remembers; say whether it does. A damaged file counts as absent."""
+    try:
+        with np.load(file) as remembered:
+            length[:], moment_arm[:] = remembered["length"], remembered["moment_arm"]
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
+        return False
+    return True
+
+
+def _remember(
+    file: Path,
+    length: Float[np.ndarray, "pose muscle"],
+    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
+) -> None:
+    # A full disk costs the memory, not the result.
+    with suppress(OSError):
+        write_whole(file, lambda whole: np.savez(whole, length=length, moment_arm=moment_arm))

@@ -1,0 +1,110 @@
+"""Share chunks of poses among this process and, where it pays, several others."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.osim.path_engine import PathEngine
+
+#: Starting workers, each of which imports OpenSim and loads the model, costs a few seconds.
+POOL_PAYS_AFTER_S = 6.0
+#: More workers than this gain little and hold a model each.
+MOST_WORKERS = 8
+
+Poses = Float[np.ndarray, "pose coordinate"]
+Lengths = Float[np.ndarray, "pose muscle"]
+MomentArms = Float[np.ndarray, "pose coordinate muscle"]
+
+_engine: PathEngine | None = None
+
+
+def analyse_chunks(
+    model_file: Path | str,
+    coordinates: Sequence[str],
+    spans: dict[str, tuple[str, ...]],
+    chunks: dict[int, Poses],
+    processes: int | None,
+) -> Iterator[tuple[int, Lengths, MomentArms]]:
+    """Yield key, lengths (m) and moment arms (m) of each chunk as it is finished, in any order.
+
+    Parameters
+    ----------
+    model_file, coordinates, spans
+        As `PathEngine` takes them.
+    chunks
+        Poses (rad or m) by any key.
+    processes
+        Number of workers; 1 for none. None: start here, and call workers if much is left to do.
+    """
+    waiting = list(chunks)
+    if processes is None or processes == 1:
+        engine = PathEngine(model_file, coordinates, spans)
+        while waiting:
+            started = time.monotonic()
+            key = waiting.pop(0)
+            yield key, *engine.analyse(chunks[key])
+            if processes is None:
+                left = (time.monotonic() - started) * len(waiting)
+                processes = min(_cores(), MOST_WORKERS) if left > POOL_PAYS_AFTER_S else 1
+            if processes > 1:
+                break
+    if waiting:
+        yield from _analyse_in_workers(
+            (model_file, tuple(coordinates), spans),
+            {key: chunks[key] for key in waiting},
+            min(processes or 1, len(waiting)),
+        )
+
+
+def _analyse_in_workers(
+    engine_arguments: tuple, chunks: dict[int, Poses], processes: int
+) -> Iterator[tuple[int, Lengths, MomentArms]]:
+    # Not by fork: JAX has threads running, and a fork of those may hang.
+    pool = ProcessPoolExecutor(
+        processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=engine_arguments
+    )
+    try:
+        keys = {pool.submit(_analyse_in_worker, poses): key for key, poses in chunks.items()}
+        for future in as_completed(keys):
+            yield keys[future], *future.result()
+    except BrokenProcessPool as error:
+        raise RuntimeError(
+            "a worker process of the muscle analysis died: killed, out of memory, or unable to start "
+            "because the calling script does not guard its work by `if __name__ == '__main__':`. "
+            "What was finished is kept; run it again, or with processes=1"
+        ) from error
+    finally:
+        # After Ctrl-C too: what is being analysed ends within a second, what is waiting is dropped.
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start_worker(
+    model_file: Path | str, coordinates: tuple[str, ...], spans: dict[str, tuple[str, ...]]
+) -> None:
+    global _engine
+    # Ctrl-C reaches the whole group of processes; only the parent answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _engine = PathEngine(model_file, coordinates, spans)
+
+
+def _analyse_in_worker(poses: Poses) -> tuple[Lengths, MomentArms]:
+    assert _engine is not None, "the pool starts every worker by _start_worker"
+    return _engine.analyse(poses)
+
+
+def _cores() -> int:
+    """Count the cores this process may use, where the system can say; else all."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count() or 1
