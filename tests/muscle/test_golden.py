@@ -70,9 +70,7 @@ def test_activation_nonlinearity(golden):
 
 def test_fiber_kinematics_and_passive_force(golden):
     state = fibers(golden, "paper")
-    np.testing.assert_allclose(
-        state.normalized_length, golden["normalized_fiber_length"], rtol=0, atol=1e-12
-    )
+    np.testing.assert_allclose(state.normalized_length, golden["normalized_fiber_length"], rtol=0, atol=1e-12)
     np.testing.assert_allclose(
         state.normalized_velocity, golden["normalized_fiber_velocity"], rtol=0, atol=1e-12
     )

@@ -82,10 +82,10 @@ class PathSurrogate(eqx.Module):
         poses: Float[Array, "pose coordinate"],
     ) -> tuple[Float[Array, " pose"], Float[Array, "pose coordinate"]]:
         """Length of one muscle, and its derivative by every coordinate."""
-        scaled = ((poses - self.center) / self.half_range)[:, spans]
+        scaled = ((poses - self.center[None]) / self.half_range[None])[:, spans]
         length = monomials(exponents, scaled) @ coefficients
-        by_slot = (monomial_gradients(exponents, scaled) @ coefficients).T / self.half_range[spans]
-        slope = jnp.zeros_like(poses).at[:, spans].add(by_slot * spanned)
+        by_slot = (monomial_gradients(exponents, scaled) @ coefficients).T / self.half_range[None, spans]
+        slope = jnp.zeros_like(poses).at[:, spans].add(by_slot * spanned[None])
         return length, slope
 
 

@@ -16,8 +16,10 @@ class EmgSpline(eqx.Module):
     a step: looking a value up is one gather and one cubic.
     """
 
-    coefficients: Float[Array, "*batch trial 4 interval"]
-    step: Float[Array, " trial"]
+    #: Highest power first, in units of one knot step.
+    coefficients: Float[Array, "*channel trial 4 interval"]
+    #: Time between knots in s.
+    step: Float[Array, "*channel trial"]
 
     def at_delay(self, delay: Float[Array, ""]) -> Float[Array, "trial knot"]:
         """Evaluate the envelopes at every knot's time less the delay.
@@ -56,11 +58,10 @@ def fit_emg_spline(
     Returns
     -------
     EmgSpline
-        With coefficients of shape ``(channel, trial, 4, interval)``, highest power first, in units
-        of one knot step.
+        Both fields with a leading axis ``channel``.
     """
     knots = np.arange(emg.shape[-1], dtype=float)
     pieces = CubicSpline(knots, emg, axis=-1, bc_type="not-a-knot").c  # (4, interval, trial, channel)
     coefficients = np.transpose(pieces, (3, 2, 0, 1))
     step = (time[:, -1] - time[:, 0]) / (emg.shape[-1] - 1)
-    return EmgSpline(jnp.asarray(coefficients), jnp.asarray(step))
+    return EmgSpline(jnp.asarray(coefficients), jnp.broadcast_to(step, coefficients.shape[:2]))

@@ -1,0 +1,15 @@
+"""The forward model, its parameter tree and the freedoms."""
+
+from wrapjax.model.forward import MuscleState as MuscleState
+from wrapjax.model.forward import Recording as Recording
+from wrapjax.model.forward import joint_moments as joint_moments
+from wrapjax.model.forward import muscle_state as muscle_state
+from wrapjax.model.forward import muscle_states as muscle_states
+from wrapjax.model.freedom import FreedParameter as FreedParameter
+from wrapjax.model.freedom import Freedom as Freedom
+from wrapjax.model.freedom import nga as nga
+from wrapjax.model.parameters import QUANTITIES as QUANTITIES
+from wrapjax.model.parameters import ModelParameters as ModelParameters
+from wrapjax.model.parameters import initial_parameters as initial_parameters
+from wrapjax.model.variables import Variables as Variables
+from wrapjax.model.variables import free_variables as free_variables

@@ -1,0 +1,80 @@
+"""From EMG and muscle paths to joint moments: the only forward model there is."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from wrapjax.geometry import PathState
+from wrapjax.model.parameters import ModelParameters
+from wrapjax.muscle import (
+    EmgSpline,
+    FiberState,
+    HillCurves,
+    muscle_activation,
+    neural_activation,
+    rigid_tendon_fiber,
+)
+
+
+class Recording(eqx.Module):
+    """What was recorded of all cycles, as the model takes it in; leaves lead with ``muscle``."""
+
+    emg: EmgSpline
+    path: PathState
+    #: Frames of EMG before and after each cycle.
+    padding: int = eqx.field(static=True)
+
+
+class MuscleState(eqx.Module):
+    """What a muscle does over all cycles."""
+
+    #: After delay and scale, padding trimmed.
+    excitation: Float[Array, "*muscle trial frame"]
+    activation: Float[Array, "*muscle trial frame"]
+    fiber: FiberState
+    #: Its part of every joint moment, N m.
+    moment: Float[Array, "*muscle trial coordinate frame"]
+
+
+def muscle_state(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
+    """Run one muscle over all cycles.
+
+    Parameters
+    ----------
+    curves
+        Normalised force curves.
+    parameters, recording
+        Of one muscle: the leading axis is taken off.
+    """
+    excitation = parameters.emg_scale * recording.emg.at_delay(parameters.electromechanical_delay)
+    neural = neural_activation(excitation, parameters.activation_time_constant, recording.emg.step)
+    inside = slice(recording.padding, neural.shape[-1] - recording.padding)
+    activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), parameters.activation_nonlinearity)
+    fiber = rigid_tendon_fiber(
+        curves,
+        activation,
+        recording.path.length,
+        recording.path.velocity,
+        max_isometric_force=parameters.max_isometric_force,
+        optimal_fiber_length=parameters.optimal_fiber_length,
+        tendon_slack_length=parameters.tendon_slack_length,
+        pennation_angle=parameters.pennation_angle,
+        max_fiber_velocity=parameters.max_fiber_velocity,
+    )
+    moment = recording.path.moment_arm * fiber.tendon_force[:, None, :]
+    return MuscleState(excitation[:, inside], activation, fiber, moment)
+
+
+def muscle_states(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
+    """Run every muscle over all cycles; leaves of the result lead with ``muscle``."""
+    return jax.vmap(muscle_state, in_axes=(None, 0, 0))(curves, parameters, recording)
+
+
+def joint_moments(
+    curves: HillCurves, parameters: ModelParameters, recording: Recording
+) -> Float[Array, "trial coordinate frame"]:
+    """Predict the joint moments of all cycles, in N m (sign of the model's coordinates)."""
+    return muscle_states(curves, parameters, recording).moment.sum(axis=0)

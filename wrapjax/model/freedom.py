@@ -1,0 +1,93 @@
+"""Freedoms: named selections from the parameter tree, with bounds and scales."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.model.parameters import QUANTITIES, ModelParameters
+
+
+@dataclass(frozen=True)
+class FreedParameter:
+    """One leaf of the parameter tree that may move.
+
+    Parameters
+    ----------
+    name
+        Leaf of `ModelParameters`.
+    lower, upper
+        Bounds in the leaf's own unit. They belong to the freedom and do not follow the parameters:
+        calibrating in several stages cannot creep past them.
+    scale
+        Size of one solver unit, so that all variables are of order one.
+    prior_mean, prior_sd
+        Where the parameter is expected and how far it may be from there at the cost of one
+        allowable error; an infinite deviation expects nothing.
+    """
+
+    name: str
+    lower: Float[np.ndarray, " muscle"]
+    upper: Float[np.ndarray, " muscle"]
+    scale: Float[np.ndarray, " muscle"]
+    prior_mean: Float[np.ndarray, " muscle"]
+    prior_sd: Float[np.ndarray, " muscle"]
+
+    def __post_init__(self):
+        if self.name not in QUANTITIES:
+            raise ValueError(f"'{self.name}' is no model parameter; there are {', '.join(QUANTITIES)}")
+        if not (self.lower <= self.upper).all():
+            raise ValueError(f"{self.name}: a lower bound is above its upper bound")
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """A named set of freed parameters."""
+
+    name: str
+    parameters: tuple[FreedParameter, ...]
+
+    def without(self, names: Sequence[str]) -> Freedom:
+        """Hold the named parameters at their values."""
+        kept = tuple(parameter for parameter in self.parameters if parameter.name not in names)
+        return Freedom(self.name, kept)
+
+
+def nga(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
+    """Free what needs no geometry: delay, activation, EMG scale, fiber and slack lengths.
+
+    Bounds, units and priors are the NMSM Pipeline's: delay 0 to 125 ms, activation time constant 7.5
+    to 35 ms (15 +- 20), nonlinearity 0 to 0.35 (0 +- 0.1), EMG scale 0.05 to 1 (0.3 +- 0.2), lengths
+    within 40 % of the reference (+- 0.1 m). One prior is added: nothing in the Pipeline's cost holds
+    the delay, which then runs to its upper bound.
+
+    Parameters
+    ----------
+    reference
+        The model's own parameters, about which the bounds of the lengths are set.
+    delay_sd
+        Spread of the prior on the delay about 50 ms, in s; infinite for the Pipeline's own cost.
+    """
+    ones = np.ones(len(reference.emg_scale))
+
+    def within(name: str, lower: float, upper: float, scale: float, mean: float, sd: float) -> FreedParameter:
+        return FreedParameter(name, lower * ones, upper * ones, scale * ones, mean * ones, sd * ones)
+
+    def about_reference(name: str) -> FreedParameter:
+        length = np.asarray(getattr(reference, name))
+        return FreedParameter(name, 0.6 * length, 1.4 * length, length, length, 0.1 * ones)
+
+    return Freedom(
+        "NGA",
+        (
+            within("electromechanical_delay", 0.0, 0.125, 0.1, 0.05, delay_sd),
+            within("activation_time_constant", 0.0075, 0.035, 0.01, 0.015, 0.02),
+            within("activation_nonlinearity", 0.0, 0.35, 1.0, 0.0, 0.1),
+            within("emg_scale", 0.05, 1.0, 1.0, 0.3, 0.2),
+            about_reference("optimal_fiber_length"),
+            about_reference("tendon_slack_length"),
+        ),
+    )

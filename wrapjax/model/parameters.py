@@ -1,0 +1,84 @@
+"""The one tree of everything that can be adjusted, with units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class ModelParameters(eqx.Module):
+    """Parameters of all muscles, SI units; every leaf has a leading axis ``muscle``."""
+
+    electromechanical_delay: Float[Array, "*muscle"]
+    activation_time_constant: Float[Array, "*muscle"]
+    activation_nonlinearity: Float[Array, "*muscle"]
+    emg_scale: Float[Array, "*muscle"]
+    optimal_fiber_length: Float[Array, "*muscle"]
+    tendon_slack_length: Float[Array, "*muscle"]
+    max_isometric_force: Float[Array, "*muscle"]
+    pennation_angle: Float[Array, "*muscle"]
+    max_fiber_velocity: Float[Array, "*muscle"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a parameter is: its unit, and a sentence for reports."""
+
+    unit: str
+    meaning: str
+
+
+#: Every leaf of `ModelParameters`.
+QUANTITIES: dict[str, Quantity] = {
+    "electromechanical_delay": Quantity("s", "time from EMG to muscle excitation"),
+    "activation_time_constant": Quantity(
+        "s", "time constant of activation; deactivation takes 4 times as long"
+    ),
+    "activation_nonlinearity": Quantity("1", "0: force linear in neural activation"),
+    "emg_scale": Quantity("1", "excitation at the channel's largest recorded EMG"),
+    "optimal_fiber_length": Quantity("m", "fiber length of largest active force"),
+    "tendon_slack_length": Quantity("m", "length of the unloaded tendon"),
+    "max_isometric_force": Quantity("N", "active force at optimal fiber length, full activation, at rest"),
+    "pennation_angle": Quantity("rad", "angle between fibers and tendon at optimal fiber length"),
+    "max_fiber_velocity": Quantity("1/s", "fastest shortening in optimal fiber lengths a second"),
+}
+
+#: Generic shortening velocity, optimal fiber lengths a second (Zajac 1989, Crit Rev Biomed Eng 17:359).
+MAX_FIBER_VELOCITY = 10.0
+
+
+def initial_parameters(
+    max_isometric_force: Float[Array, " muscle"],
+    optimal_fiber_length: Float[Array, " muscle"],
+    tendon_slack_length: Float[Array, " muscle"],
+    pennation_angle: Float[Array, " muscle"],
+) -> ModelParameters:
+    """Build the tree that calibration starts from.
+
+    Delay 50 ms, activation time constant 15 ms, nonlinearity 0.05 and EMG scale 0.5 are the NMSM
+    Pipeline's starting values; the rest is the model's.
+
+    Parameters
+    ----------
+    max_isometric_force
+        In N.
+    optimal_fiber_length, tendon_slack_length
+        In m.
+    pennation_angle
+        In rad.
+    """
+    ones = jnp.ones(jnp.shape(max_isometric_force))
+    return ModelParameters(
+        electromechanical_delay=0.05 * ones,
+        activation_time_constant=0.015 * ones,
+        activation_nonlinearity=0.05 * ones,
+        emg_scale=0.5 * ones,
+        optimal_fiber_length=jnp.asarray(optimal_fiber_length),
+        tendon_slack_length=jnp.asarray(tendon_slack_length),
+        max_isometric_force=jnp.asarray(max_isometric_force),
+        pennation_angle=jnp.asarray(pennation_angle),
+        max_fiber_velocity=MAX_FIBER_VELOCITY * ones,
+    )
