@@ -1,0 +1,169 @@
+"""Reading a TOML table key by key, collecting everything wrong on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from wrapjax.errors import InputError, Problem, nearest_name
+
+_TYPE_NAMES = {
+    bool: "true or false",
+    str: "text",
+    int: "a number",
+    float: "a number",
+    list: "a list",
+    dict: "a table",
+}
+
+
+@contextmanager
+def collecting(problems: list[Problem]) -> Iterator[None]:
+    """Add the problems of an `InputError` to the list and go on after the block."""
+    try:
+        yield
+    except InputError as error:
+        problems.extend(error.problems)
+
+
+def describe_value(value: Any) -> str:
+    """Say what was found: the value if it is short, and its kind."""
+    kind = _TYPE_NAMES.get(type(value), type(value).__name__)
+    shown = repr(value)
+    return f"{shown} ({kind})" if len(shown) <= 40 else kind
+
+
+class TableReader:
+    """Takes the known keys out of a TOML table; whatever is wrong or left over becomes a problem.
+
+    Every method returns None where the key is absent or unfit, so that reading goes on and the next
+    fault is found as well.
+
+    Parameters
+    ----------
+    table
+        The table, as `tomllib` gives it.
+    file
+        The file, as the user knows it.
+    place
+        Name of the table, such as ``[subject]``.
+    problems
+        The list to add to.
+    """
+
+    def __init__(self, table: Any, file: Path, place: str, problems: list[Problem]):
+        self.file = file
+        self.place = place
+        self.problems = problems
+        if not isinstance(table, dict):
+            self.problem("", f"expected a table, found {describe_value(table)}")
+            table = {}
+        self._table: dict[str, Any] = table
+        self._known: list[str] = []
+
+    def problem(self, key: str, message: str, hint: str = "") -> None:
+        """Report something wrong at a key of this table."""
+        place = f"{self.place} {key}".strip()
+        self.problems.append(Problem(str(self.file), message, place, hint))
+
+    def has(self, key: str) -> bool:
+        """Say whether the table holds the key."""
+        return key in self._table
+
+    def _take(self, key: str, required: bool, expected: str) -> Any:
+        self._known.append(key)
+        if key not in self._table:
+            if required:
+                self.problem(key, f"expected {expected}, found nothing")
+            return None
+        return self._table[key]
+
+    def text(self, key: str, *, required: bool = True, choices: tuple[str, ...] = ()) -> str | None:
+        """Take a text that is not empty, one of the choices where there are any."""
+        expected = " or ".join(f"'{choice}'" for choice in choices) or "text"
+        value = self._take(key, required, expected)
+        if value is None:
+            return None
+        if not isinstance(value, str) or not value.strip() or (choices and value not in choices):
+            hint = nearest_name(value, choices) if choices and isinstance(value, str) and value else ""
+            self.problem(key, f"expected {expected}, found {describe_value(value)}", hint)
+            return None
+        return value
+
+    def number(
+        self, key: str, *, lowest: float, highest: float, unit: str, required: bool = True
+    ) -> float | None:
+        """Take a number within limits."""
+        expected = f"a number from {lowest:g} to {highest:g} {unit}"
+        value = self._take(key, required, expected)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not lowest <= value <= highest:
+            self.problem(key, f"expected {expected}, found {describe_value(value)}")
+            return None
+        return float(value)
+
+    def boolean(self, key: str) -> bool | None:
+        """Take true or false; absent means unknown."""
+        value = self._take(key, False, "true or false")
+        if value is not None and not isinstance(value, bool):
+            self.problem(key, f"expected true or false, found {describe_value(value)}")
+            return None
+        return value
+
+    def names(self, key: str) -> tuple[str, ...] | None:
+        """Take a list of different names, at least one."""
+        expected = "a list of names"
+        value = self._take(key, True, expected)
+        if value is None:
+            return None
+        if (
+            not isinstance(value, list)
+            or not value
+            or not all(isinstance(name, str) and name for name in value)
+        ):
+            self.problem(key, f"expected {expected}, found {describe_value(value)}")
+            return None
+        twice = sorted({name for name in value if value.count(name) > 1})
+        for name in twice:
+            self.problem(key, f"'{name}' stands there more than once")
+        return None if twice else tuple(value)
+
+    def path(self, key: str, folder: Path, *, required: bool = True) -> Path | None:
+        """Take a path inside the folder; absolute ones and those that climb out are refused."""
+        value = self.text(key, required=required)
+        if value is None:
+            return None
+        windows = PureWindowsPath(value)
+        parts = {*PurePosixPath(value).parts, *windows.parts}
+        if PurePosixPath(value).is_absolute() or windows.drive or windows.root or ".." in parts:
+            self.problem(key, f"expected a path inside the subject's folder, found '{value}'")
+            return None
+        return folder / value
+
+    def table(self, key: str) -> Any:
+        """Take a table, empty where it is absent."""
+        value = self._take(key, True, f"a table [{key}]")
+        return {} if value is None else value
+
+    def tables(self, key: str) -> list[Any]:
+        """Take a list of tables (``[[key]]``), empty where it is absent."""
+        value = self._take(key, True, f"at least one table [[{key}]]")
+        if value is None:
+            return []
+        if not isinstance(value, list):
+            self.problem(key, f"expected tables [[{key}]], found {describe_value(value)}")
+            return []
+        return value
+
+    def raw(self, key: str) -> Any:
+        """Take a value of any kind, None where it is absent."""
+        return self._take(key, False, "")
+
+    def finish(self) -> None:
+        """Report the keys that nobody took."""
+        for key in self._table:
+            if key not in self._known:
+                self.problem(key, "is not a known key", nearest_name(key, self._known))
