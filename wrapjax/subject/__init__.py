@@ -1,0 +1,22 @@
+"""Subject folders: recorded walking, made ready for calculation."""
+
+from wrapjax.subject.folder import Subject, read_subject
+from wrapjax.subject.model_file import CoordinateInfo, ModelFile, MuscleParameters, read_model_file
+from wrapjax.subject.settings import TrialSettings
+from wrapjax.subject.storage import Storage, read_storage, write_storage
+from wrapjax.subject.trials import FRAMES, Trials
+
+__all__ = [
+    "FRAMES",
+    "CoordinateInfo",
+    "ModelFile",
+    "MuscleParameters",
+    "Storage",
+    "Subject",
+    "TrialSettings",
+    "Trials",
+    "read_model_file",
+    "read_storage",
+    "read_subject",
+    "write_storage",
+]

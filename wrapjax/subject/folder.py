@@ -1,0 +1,239 @@
+"""A subject folder, read whole: every problem in it is found before anything is calculated."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.subject.cycles import PADDING_SECONDS, cycle_times, padding_frames, resample
+from wrapjax.subject.emg import envelopes_of_raw, even_samples, normalise
+from wrapjax.subject.groups import activation_groups, fiber_length_groups
+from wrapjax.subject.model_file import ModelFile, MuscleParameters, read_model_file
+from wrapjax.subject.muscles import check_channels, check_muscle_parameters, of_side, read_muscle_parameters
+from wrapjax.subject.recordings import TIME_TOLERANCE, Signals, read_signals
+from wrapjax.subject.schema import collecting
+from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
+from wrapjax.subject.storage import read_storage
+from wrapjax.subject.trials import Trials
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One leg of a person: model, muscles and recorded gait cycles.
+
+    Parameters
+    ----------
+    name, mass_kg
+        The person.
+    side
+        ``l`` or ``r``.
+    paretic
+        Whether the leg is, None if unknown.
+    folder, model_file
+        Where the subject was read from.
+    other_leg
+        Folder of the other leg's subject, None if there is none.
+    muscles
+        Muscles that an EMG channel drives: channel by channel, in the order of each list.
+    muscle_channels
+        Position in ``trials.channels`` of the channel that drives each muscle.
+    activation_groups, fiber_length_groups
+        Groups of two or more driven muscles.
+    undriven_muscles
+        Muscles of this leg's model that no channel drives.
+    trials
+        The gait cycles.
+    recordings
+        The trials as the settings give them, with their files.
+    notes
+        What was repaired, or is worth knowing.
+    """
+
+    name: str
+    mass_kg: float
+    side: str
+    paretic: bool | None
+    folder: Path
+    model_file: Path
+    other_leg: Path | None
+    muscles: MuscleParameters
+    muscle_channels: tuple[int, ...]
+    activation_groups: tuple[tuple[str, ...], ...]
+    fiber_length_groups: tuple[tuple[str, ...], ...]
+    undriven_muscles: tuple[str, ...]
+    trials: Trials
+    recordings: tuple[TrialSettings, ...]
+    notes: tuple[str, ...]
+
+
+def read_subject(path: str | Path) -> Subject:
+    """Read a subject folder (or its ``subject.toml``).
+
+    Returns
+    -------
+    Subject
+        In SI units and radians.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in the folder, each problem naming file, place, what was expected and found.
+    """
+    path = Path(path)
+    folder = path.parent if path.name == SETTINGS_FILE else path
+    if not folder.is_dir():
+        found = "is a file, where a folder was expected" if folder.exists() else "does not exist"
+        raise InputError(
+            Problem(str(folder), found, hint=f"a subject is a folder that holds a {SETTINGS_FILE}")
+        )
+    problems: list[Problem] = []
+    notes: list[str] = []
+    settings = read_settings(folder, problems)
+    model = _read_model(settings, folder, problems)
+    muscles = _read_muscles(settings, model, folder, problems) if model is not None else None
+
+    read = functools.cache(read_storage)
+    infos = () if model is None else model.coordinates
+    signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
+    if not problems:
+        trials = _cut(settings, [entry for entry in signals if entry is not None], problems, notes)
+    if problems:
+        # Trials that share a file report the same problem each.
+        raise InputError(dict.fromkeys(problems))
+    assert model is not None and muscles is not None and settings.model_file is not None
+    channel_of = {name: index for index, names in enumerate(settings.channels.values()) for name in names}
+    return Subject(
+        name=settings.name,
+        mass_kg=settings.mass_kg,
+        side=settings.side,
+        paretic=settings.paretic,
+        folder=folder,
+        model_file=settings.model_file,
+        other_leg=settings.other_leg,
+        muscles=muscles,
+        muscle_channels=tuple(channel_of[name] for name in muscles.names),
+        activation_groups=activation_groups(model.groups, muscles.names, settings.side),
+        fiber_length_groups=fiber_length_groups(model.groups, muscles.names, settings.side),
+        undriven_muscles=tuple(
+            name for name in model.muscles.names if name not in channel_of and of_side(name, settings.side)
+        ),
+        trials=trials,
+        recordings=settings.trials,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _read_model(settings: Settings, folder: Path, problems: list[Problem]) -> ModelFile | None:
+    """Read the model and check the coordinates wanted from it."""
+    model = None
+    with collecting(problems):
+        if settings.model_file is not None:
+            model = read_model_file(settings.model_file)
+    if model is None:
+        return None
+    infos = {info.name: info for info in model.coordinates}
+    for name in settings.coordinates:
+        file, place = str(folder / SETTINGS_FILE), "[model] coordinates"
+        if name not in infos:
+            message = f"coordinate '{name}' is not in the model"
+            problems.append(Problem(file, message, place, nearest_name(name, tuple(infos))))
+        elif not of_side(name, settings.side):
+            problems.append(
+                Problem(file, f"expected coordinates of side '{settings.side}', found '{name}'", place)
+            )
+        elif infos[name].motion_type == "translational":
+            message = f"expected rotational coordinates, found '{name}', which is translational"
+            problems.append(Problem(file, message, place))
+    return model
+
+
+def _read_muscles(
+    settings: Settings, model: ModelFile, folder: Path, problems: list[Problem]
+) -> MuscleParameters | None:
+    """Read the parameters of the driven muscles, from the table where there is one, else from the model."""
+    driven = check_channels(settings.channels, model.muscles, settings.side, folder / SETTINGS_FILE, problems)
+    if settings.muscle_parameters is None:
+        assert settings.model_file is not None
+        return check_muscle_parameters(model.muscles, driven, settings.model_file, problems)
+    with collecting(problems):
+        table = read_muscle_parameters(settings.muscle_parameters)
+        for name in table.names:
+            if name not in model.muscles.names:
+                message = f"muscle '{name}' is not in the model"
+                hint = nearest_name(name, model.muscles.names)
+                problems.append(Problem(str(settings.muscle_parameters), message, hint=hint))
+        return check_muscle_parameters(table, driven, settings.muscle_parameters, problems)
+    return None
+
+
+def _cut(settings: Settings, signals: list[Signals], problems: list[Problem], notes: list[str]) -> Trials:
+    """Cut all recordings into cycles on the common grid."""
+    cycles = [cycle for entry in signals for cycle in entry.trial.cycles]
+    padding = padding_frames(cycles)
+    shared = tuple(
+        name for name in signals[0].coordinates if all(name in entry.coordinates for entry in signals)
+    )
+    names: list[str] = []
+    pieces: dict[str, list[np.ndarray]] = {"angles": [], "rates": [], "moments": [], "emg": []}
+    for entry in signals:
+        own = list(entry.trial.cycles)
+        times = cycle_times(own)
+        rows = [entry.coordinates.index(name) for name in shared]
+        angles, rates = resample(entry.angle_time, entry.angles[rows], times)
+        moments, _ = resample(entry.moment_time, entry.moments, times)
+        for key, piece in zip(
+            pieces, (angles, rates, moments, _cut_emg(entry, settings, padding, notes)), strict=True
+        ):
+            pieces[key].append(piece)
+        digits = max(2, len(str(len(own))))
+        several = [f"{entry.trial.name}/{order:0{digits}d}" for order in range(1, len(own) + 1)]
+        names += several if len(own) > 1 else [entry.trial.name]
+    emg = np.concatenate(pieces["emg"])
+    if settings.emg_kind == "raw":
+        emg = normalise(emg)
+    repeats = [len(entry.trial.cycles) for entry in signals]
+    return Trials(
+        names=tuple(names),
+        recordings=tuple(entry.trial.name for entry in signals for _ in entry.trial.cycles),
+        uses=tuple(entry.trial.use for entry in signals for _ in entry.trial.cycles),
+        speeds=np.repeat([entry.trial.speed for entry in signals], repeats),
+        coordinates=shared,
+        moment_coordinates=settings.coordinates,
+        channels=tuple(settings.channels),
+        time=cycle_times(cycles),
+        angles=np.concatenate(pieces["angles"]),
+        angular_velocities=np.concatenate(pieces["rates"]),
+        moments=np.concatenate(pieces["moments"]),
+        emg_time=cycle_times(cycles, padding),
+        emg=emg,
+    )
+
+
+def _cut_emg(entry: Signals, settings: Settings, padding: int, notes: list[str]) -> np.ndarray:
+    """Cut the EMG of one recording: envelopes, not negative, not yet normalised."""
+    own = list(entry.trial.cycles)
+    time, emg = entry.emg_time, entry.emg
+    if settings.emg_kind == "raw":
+        time, emg = even_samples(time, emg)
+        duration = float(np.median([end - start for start, end in own]))
+        emg = envelopes_of_raw(emg, (time.size - 1) / (time[-1] - time[0]), duration)
+    elif emg.min() < 0.0:
+        low = [channel for channel, signal in zip(settings.channels, emg, strict=True) if signal.min() < 0.0]
+        notes.append(
+            f"{entry.trial.emg}: negative values, down to {emg.min():.3g}, were set to 0 in {', '.join(low)}"
+        )
+        emg = np.maximum(emg, 0.0)
+    at = cycle_times(own, padding)
+    short = np.maximum(time[0] - at[:, 0], at[:, -1] - time[-1])
+    if short.max() > TIME_TOLERANCE:
+        notes.append(
+            f"trial '{entry.trial.name}': {(short > TIME_TOLERANCE).sum()} of {len(own)} cycles have less "
+            f"than {PADDING_SECONDS:g} s of EMG around them (up to {short.max():.3g} s short); "
+            "the edge value is held"
+        )
+    # The spline may undershoot between samples.
+    return np.maximum(resample(time, emg, at)[0], 0.0)

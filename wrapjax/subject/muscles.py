@@ -1,0 +1,142 @@
+"""Which muscles are driven, and with which parameters."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.subject.model_file import MuscleParameters
+
+#: Columns of a table of muscle parameters, with the greatest value that makes sense in the column's unit.
+#: A fiber of a metre, 50 kN of one muscle or a right angle of pennation mean another unit.
+CSV_COLUMNS = {
+    "max_isometric_force_N": 50_000.0,
+    "optimal_fiber_length_m": 1.0,
+    "tendon_slack_length_m": 1.0,
+    "pennation_rad": float(np.pi / 2),
+}
+_FIELDS = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length", "pennation_angle")
+
+
+def read_muscle_parameters(path: Path) -> MuscleParameters:
+    """Read muscle parameters from a CSV file: columns ``muscle`` and those of `CSV_COLUMNS`, others ignored.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in the file.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(Problem(str(path), "does not exist")) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(Problem(str(path), f"cannot be read as text ({error})")) from None
+    reader = csv.reader(text.splitlines())
+    labels = [label.strip() for label in next(reader, [])]
+    if not labels:
+        raise InputError(Problem(str(path), "is empty, where a table of muscle parameters was expected"))
+    missing = [label for label in ("muscle", *CSV_COLUMNS) if label not in labels]
+    if missing:
+        raise InputError(
+            Problem(
+                str(path), f"expected a column {label}, found none", "line 1", nearest_name(label, labels)
+            )
+            for label in missing
+        )
+    problems: list[Problem] = []
+    table: dict[str, list[float]] = {}
+    for number, cells in enumerate(reader, start=2):
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) != len(labels):
+            message = f"expected {len(labels)} cells, found {len(cells)}"
+            problems.append(Problem(str(path), message, f"line {number}"))
+            continue
+        row = dict(zip(labels, (cell.strip() for cell in cells), strict=True))
+        muscle = row["muscle"]
+        if not muscle or muscle in table:
+            found = f"'{muscle}' a second time" if muscle else "no name"
+            problems.append(
+                Problem(str(path), f"expected the name of a muscle, found {found}", f"line {number}")
+            )
+            continue
+        table[muscle] = []
+        for label in CSV_COLUMNS:
+            try:
+                table[muscle].append(float(row[label]))
+            except ValueError:
+                table[muscle].append(np.nan)
+                place = f"line {number}, column {label}, muscle {muscle}"
+                problems.append(Problem(str(path), f"expected a number, found '{row[label][:40]}'", place))
+    if not table and not problems:
+        problems.append(Problem(str(path), "expected a row a muscle, found none"))
+    if problems:
+        raise InputError(problems)
+    columns = np.array(list(table.values()), dtype=float)
+    return MuscleParameters(tuple(table), columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3])
+
+
+def check_channels(
+    channels: dict[str, tuple[str, ...]],
+    model: MuscleParameters,
+    side: str,
+    file: Path,
+    problems: list[Problem],
+) -> tuple[str, ...]:
+    """Report muscles that the model does not have or that are the other leg's; return the others.
+
+    Returns
+    -------
+    tuple of str
+        The driven muscles: channel by channel, in the order of each list.
+    """
+    driven = []
+    for channel, muscles in channels.items():
+        for muscle in muscles:
+            place = f"[emg.channels] {channel}"
+            if muscle not in model.names:
+                message = f"muscle '{muscle}' is not in the model"
+                problems.append(Problem(str(file), message, place, nearest_name(muscle, model.names)))
+            elif not of_side(muscle, side):
+                message = f"expected muscles of side '{side}', found '{muscle}'"
+                problems.append(Problem(str(file), message, place))
+            else:
+                driven.append(muscle)
+    return tuple(dict.fromkeys(driven))
+
+
+def of_side(name: str, side: str) -> bool:
+    """Say whether a muscle or coordinate may be of a leg: it does not carry the other one's suffix."""
+    return not name.endswith({"l": "_r", "r": "_l"}.get(side, "\0"))
+
+
+def check_muscle_parameters(
+    parameters: MuscleParameters, driven: tuple[str, ...], file: Path, problems: list[Problem]
+) -> MuscleParameters | None:
+    """Report driven muscles that are missing or have impossible values; return the driven ones, in order.
+
+    Returns
+    -------
+    MuscleParameters or None
+        None where anything is wrong.
+    """
+    before = len(problems)
+    for muscle in driven:
+        if muscle not in parameters.names:
+            message = f"expected a row for muscle '{muscle}', which an EMG channel drives, found none"
+            problems.append(Problem(str(file), message, hint=nearest_name(muscle, parameters.names)))
+            continue
+        row = parameters.names.index(muscle)
+        for field, (label, highest) in zip(_FIELDS, CSV_COLUMNS.items(), strict=True):
+            value = float(getattr(parameters, field)[row])
+            lowest_fits = value >= 0.0 if field == "pennation_angle" else value > 0.0
+            if not (lowest_fits and value < highest):
+                bound = "from 0" if field == "pennation_angle" else "above 0"
+                unit = label.rsplit("_", 1)[1]
+                message = f"expected {field} {bound} and below {highest:.6g} {unit}, found {value:g}"
+                problems.append(Problem(str(file), message, f"muscle {muscle}"))
+    return parameters.select(driven) if len(problems) == before else None
