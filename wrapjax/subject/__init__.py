@@ -1,5 +1,6 @@
 """Subject folders: recorded walking, made ready for calculation."""
 
+from wrapjax.subject.describe import Table, describe_subject, render_tables
 from wrapjax.subject.folder import Subject, read_subject
 from wrapjax.subject.model_file import CoordinateInfo, ModelFile, MuscleParameters, read_model_file
 from wrapjax.subject.settings import TrialSettings
@@ -13,10 +14,13 @@ __all__ = [
     "MuscleParameters",
     "Storage",
     "Subject",
+    "Table",
     "TrialSettings",
     "Trials",
+    "describe_subject",
     "read_model_file",
     "read_storage",
     "read_subject",
+    "render_tables",
     "write_storage",
 ]

@@ -6,15 +6,13 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.subject.cycles import PADDING_SECONDS, cycle_times, padding_frames, resample
-from wrapjax.subject.emg import envelopes_of_raw, even_samples, normalise
+from wrapjax.subject.cut import cut_trials
+from wrapjax.subject.emg import sampling_rate
 from wrapjax.subject.groups import activation_groups, fiber_length_groups
 from wrapjax.subject.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.subject.muscles import check_channels, check_muscle_parameters, of_side, read_muscle_parameters
-from wrapjax.subject.recordings import TIME_TOLERANCE, Signals, read_signals
+from wrapjax.subject.recordings import read_signals
 from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
 from wrapjax.subject.storage import read_storage
@@ -49,6 +47,8 @@ class Subject:
         The gait cycles.
     recordings
         The trials as the settings give them, with their files.
+    emg_rates
+        Rate of each recording's EMG in Hz.
     notes
         What was repaired, or is worth knowing.
     """
@@ -67,6 +67,7 @@ class Subject:
     undriven_muscles: tuple[str, ...]
     trials: Trials
     recordings: tuple[TrialSettings, ...]
+    emg_rates: tuple[float, ...]
     notes: tuple[str, ...]
 
 
@@ -99,8 +100,9 @@ def read_subject(path: str | Path) -> Subject:
     read = functools.cache(read_storage)
     infos = () if model is None else model.coordinates
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
+    read_all = [entry for entry in signals if entry is not None]
     if not problems:
-        trials = _cut(settings, [entry for entry in signals if entry is not None], problems, notes)
+        trials = cut_trials(settings, read_all, problems, notes)
     if problems:
         # Trials that share a file report the same problem each.
         raise InputError(dict.fromkeys(problems))
@@ -123,6 +125,7 @@ def read_subject(path: str | Path) -> Subject:
         ),
         trials=trials,
         recordings=settings.trials,
+        emg_rates=tuple(sampling_rate(entry.emg_time) for entry in read_all),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -168,72 +171,3 @@ def _read_muscles(
                 problems.append(Problem(str(settings.muscle_parameters), message, hint=hint))
         return check_muscle_parameters(table, driven, settings.muscle_parameters, problems)
     return None
-
-
-def _cut(settings: Settings, signals: list[Signals], problems: list[Problem], notes: list[str]) -> Trials:
-    """Cut all recordings into cycles on the common grid."""
-    cycles = [cycle for entry in signals for cycle in entry.trial.cycles]
-    padding = padding_frames(cycles)
-    shared = tuple(
-        name for name in signals[0].coordinates if all(name in entry.coordinates for entry in signals)
-    )
-    names: list[str] = []
-    pieces: dict[str, list[np.ndarray]] = {"angles": [], "rates": [], "moments": [], "emg": []}
-    for entry in signals:
-        own = list(entry.trial.cycles)
-        times = cycle_times(own)
-        rows = [entry.coordinates.index(name) for name in shared]
-        angles, rates = resample(entry.angle_time, entry.angles[rows], times)
-        moments, _ = resample(entry.moment_time, entry.moments, times)
-        for key, piece in zip(
-            pieces, (angles, rates, moments, _cut_emg(entry, settings, padding, notes)), strict=True
-        ):
-            pieces[key].append(piece)
-        digits = max(2, len(str(len(own))))
-        several = [f"{entry.trial.name}/{order:0{digits}d}" for order in range(1, len(own) + 1)]
-        names += several if len(own) > 1 else [entry.trial.name]
-    emg = np.concatenate(pieces["emg"])
-    if settings.emg_kind == "raw":
-        emg = normalise(emg)
-    repeats = [len(entry.trial.cycles) for entry in signals]
-    return Trials(
-        names=tuple(names),
-        recordings=tuple(entry.trial.name for entry in signals for _ in entry.trial.cycles),
-        uses=tuple(entry.trial.use for entry in signals for _ in entry.trial.cycles),
-        speeds=np.repeat([entry.trial.speed for entry in signals], repeats),
-        coordinates=shared,
-        moment_coordinates=settings.coordinates,
-        channels=tuple(settings.channels),
-        time=cycle_times(cycles),
-        angles=np.concatenate(pieces["angles"]),
-        angular_velocities=np.concatenate(pieces["rates"]),
-        moments=np.concatenate(pieces["moments"]),
-        emg_time=cycle_times(cycles, padding),
-        emg=emg,
-    )
-
-
-def _cut_emg(entry: Signals, settings: Settings, padding: int, notes: list[str]) -> np.ndarray:
-    """Cut the EMG of one recording: envelopes, not negative, not yet normalised."""
-    own = list(entry.trial.cycles)
-    time, emg = entry.emg_time, entry.emg
-    if settings.emg_kind == "raw":
-        time, emg = even_samples(time, emg)
-        duration = float(np.median([end - start for start, end in own]))
-        emg = envelopes_of_raw(emg, (time.size - 1) / (time[-1] - time[0]), duration)
-    elif emg.min() < 0.0:
-        low = [channel for channel, signal in zip(settings.channels, emg, strict=True) if signal.min() < 0.0]
-        notes.append(
-            f"{entry.trial.emg}: negative values, down to {emg.min():.3g}, were set to 0 in {', '.join(low)}"
-        )
-        emg = np.maximum(emg, 0.0)
-    at = cycle_times(own, padding)
-    short = np.maximum(time[0] - at[:, 0], at[:, -1] - time[-1])
-    if short.max() > TIME_TOLERANCE:
-        notes.append(
-            f"trial '{entry.trial.name}': {(short > TIME_TOLERANCE).sum()} of {len(own)} cycles have less "
-            f"than {PADDING_SECONDS:g} s of EMG around them (up to {short.max():.3g} s short); "
-            "the edge value is held"
-        )
-    # The spline may undershoot between samples.
-    return np.maximum(resample(time, emg, at)[0], 0.0)

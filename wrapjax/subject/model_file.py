@@ -280,7 +280,6 @@ def _motion_type(joint: Element, coordinate: Element, order: int) -> str:
         if coordinate.get("name") not in _text(axis, "coordinates").split():
             continue
         for function in (*axis.findall("LinearFunction"), *axis.findall("function/LinearFunction")):
-            slope = (_text(function, "coefficients").split() or ["0"])[0]
-            if abs(float(slope)) == 1.0:
+            if re.match(r"[-+]?1(\.0*)?(\s|$)", _text(function, "coefficients")):
                 return "rotational" if axis.get("name", "").startswith("rotation") else "translational"
     return "coupled"

@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import Problem, nearest_name
+from wrapjax.subject.columns import component_name, find_column
 from wrapjax.subject.model_file import CoordinateInfo, read_xml
 from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import Settings, TrialSettings
-from wrapjax.subject.storage import Storage, component_name, find_column, read_storage_header
+from wrapjax.subject.storage import Storage, read_storage_header
 
 #: A cycle may reach beyond the recording by this much, in s: times are often printed with few digits.
 TIME_TOLERANCE = 1e-5
@@ -258,7 +259,7 @@ def _check_emg(
     trial: TrialSettings,
     problems: list[Problem],
 ) -> None:
-    """Report raw EMG taken for envelopes, envelopes taken for raw EMG, and dead channels."""
+    """Report raw EMG taken for envelopes, envelopes taken for raw EMG, and EMG that is none."""
     path = trial.emg
     if settings.emg_kind == "raw":
         rate = (time.size - 1) / (time[-1] - time[0])
@@ -267,11 +268,11 @@ def _check_emg(
             problems.append(
                 Problem(str(path), message, hint='are these envelopes? Then write kind = "envelope"')
             )
+    if not np.ptp(emg, axis=1).any():
+        problems.append(Problem(str(path), "expected EMG, found every channel constant"))
     for channel, signal in zip(settings.channels, emg, strict=True):
         place = f"column {channel}"
-        if np.ptp(signal) == 0.0:
-            problems.append(Problem(str(path), f"expected EMG, found {signal[0]:g} throughout", place))
-        elif settings.emg_kind == "envelope":
+        if settings.emg_kind == "envelope":
             if signal.min() < -0.5 * signal.max() and signal.mean() < 0.2 * signal.std():
                 message = f"expected an envelope, found values from {signal.min():.3g} to {signal.max():.3g}"
                 problems.append(

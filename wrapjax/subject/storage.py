@@ -21,8 +21,6 @@ from wrapjax.files import write_text
 
 #: A header longer than this is no header. Real ones have 5 to 20 lines.
 MAX_HEADER_LINES = 200
-#: The last segment of a full path that says which quantity of a component a column holds.
-_QUANTITIES = ("value", "activation", "excitation")
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
 _KEY_VALUE = re.compile(r"\s*(\w+)\s*(?:=|\s)\s*(\S.*?)\s*$")
 
@@ -144,48 +142,6 @@ def write_storage(path: Path, storage: Storage) -> None:
     table = np.column_stack([storage.time, storage.values])
     body = ["\t".join(map(repr, row)) for row in table.tolist()]
     write_text(Path(path), "\n".join([*head, *body]) + "\n")
-
-
-def find_column(columns: tuple[str, ...], name: str, suffixes: tuple[str, ...] = ("",)) -> list[int]:
-    """Find the columns that hold a quantity of a component, by plain label or full path.
-
-    Parameters
-    ----------
-    columns
-        Labels of a file.
-    name
-        A component, such as ``hip_flexion_r``.
-    suffixes
-        What may follow the name in the label, such as ``("_moment",)``; earlier ones win.
-
-    Returns
-    -------
-    list of int
-        Positions of the columns that match: none, one, or several where the file is ambiguous.
-        ``/jointset/hip_r/hip_flexion_r/value`` matches; ``.../speed`` does not.
-    """
-    for suffix in suffixes:
-        wanted = name + suffix
-        found = [place for place, label in enumerate(columns) if component_name(label) == wanted]
-        if found:
-            return found
-    return []
-
-
-def component_name(label: str) -> str:
-    """Name the component that a column label is about: ``hip_flexion_r`` for its full path.
-
-    Returns the label itself where it is a plain name or holds another quantity (``.../speed``).
-    """
-    if "/" not in label:
-        return label
-    segments = [segment for segment in label.split("/") if segment]
-    if not segments:
-        return label
-    last = segments[-1]
-    if last in _QUANTITIES and len(segments) > 1:
-        return segments[-2]
-    return label if last == "speed" else last
 
 
 def _read_lines(path: Path, limit: int | None = None) -> list[str]:
