@@ -6,3 +6,4 @@ from wrapjax.calibrate.projected_lm import Iteration as Iteration
 from wrapjax.calibrate.projected_lm import ProjectedLM as ProjectedLM
 from wrapjax.calibrate.projected_lm import Solution as Solution
 from wrapjax.calibrate.projected_lm import Status as Status
+from wrapjax.calibrate.result import CalibrationResult as CalibrationResult

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.calibrate.penalties import AbstractPenalty
 from wrapjax.calibrate.problem import AbstractLeastSquares, Linearization
-from wrapjax.model import ModelParameters, MuscleState, Recording, Variables, muscle_state, muscle_states
+from wrapjax.model import ModelParameters, Recording, Variables, muscle_state, muscle_states
 from wrapjax.muscle import HillCurves
 
 #: Allowable error of a joint moment in N m (the NMSM Pipeline's default).
@@ -153,8 +153,3 @@ class Objective(AbstractLeastSquares):
 
     def _prior_rows(self, variables: Float[Array, " variable"]) -> Float[Array, " variable"]:
         return self._prior_weight() * (variables - self.variables.prior_mean)
-
-
-def reference_states(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
-    """States of all muscles before calibration, which some penalties refer to."""
-    return eqx.filter_jit(muscle_states)(curves, parameters, recording)

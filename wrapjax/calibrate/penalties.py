@@ -40,7 +40,7 @@ class MusclePenalty(AbstractPenalty):
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
-    center: Float[Array, "muscle #value"]
+    center: Float[Array, " muscle #value"]
     allowable_error: float = eqx.field(static=True)
 
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
@@ -61,7 +61,7 @@ class GroupPenalty(AbstractPenalty):
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
-    center: Float[Array, "muscle #value"]
+    center: Float[Array, " muscle #value"]
     allowable_error: float = eqx.field(static=True)
     #: Takes the group's mean off its members and everything off the others. A projection.
     deviation: Float[np.ndarray, "muscle muscle"]
@@ -82,7 +82,7 @@ class GroupPenalty(AbstractPenalty):
 def group_penalty(
     name: str,
     read: Reader,
-    center: Float[Array, "muscle #value"],
+    center: Float[Array, " muscle #value"],
     allowable_error: float,
     groups: Sequence[Sequence[int]],
 ) -> GroupPenalty:

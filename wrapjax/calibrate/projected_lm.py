@@ -103,6 +103,16 @@ class ProjectedLM:
     max_iterations: int = 500
     initial_damping: float = 1e-3
 
+    def compile(
+        self,
+        problem: AbstractLeastSquares,
+        start: Float[Array, " variable"] | Float[np.ndarray, " variable"],
+    ) -> None:
+        """Compile the kernels of `solve`, so that its time is that of solving alone."""
+        state = _begin(problem, jnp.asarray(start), jnp.asarray(self.initial_damping))
+        _measure(problem, state)
+        jax.block_until_ready(_advance(problem, state))
+
     def solve(
         self,
         problem: AbstractLeastSquares,

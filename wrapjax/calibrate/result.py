@@ -1,0 +1,68 @@
+"""What a calibration found, as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibrate.projected_lm import Solution
+from wrapjax.model import Freedom, ModelParameters, MuscleState
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """A calibrated model and how it behaves on every recorded cycle.
+
+    Parameters
+    ----------
+    method
+        Name of the freedom.
+    muscles, coordinates, trials
+        Names along the axes; ``uses`` says what each trial was for, ``speeds`` is in m/s (NaN: unknown).
+    time
+        Of every frame, in s.
+    initial, parameters
+        Before and after calibration.
+    freedom
+        What was free, with its bounds.
+    at_bounds
+        Variables that ended on a bound, as ``soleus_l.emg_scale``.
+    measured, modelled, initial_modelled
+        Joint moments in N m; the last before calibration.
+    states, initial_states
+        All muscles over all cycles.
+    cost_by_term
+        The parts of the cost at the solution.
+    solution
+        Status and history of the solver.
+    compile_seconds
+        Time that went into compiling, apart from solving.
+    """
+
+    method: str
+    muscles: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    trials: tuple[str, ...]
+    uses: tuple[str, ...]
+    speeds: Float[np.ndarray, " trial"]
+    time: Float[np.ndarray, "trial frame"]
+    initial: ModelParameters
+    parameters: ModelParameters
+    freedom: Freedom
+    at_bounds: tuple[str, ...]
+    measured: Float[np.ndarray, "trial coordinate frame"]
+    modelled: Float[np.ndarray, "trial coordinate frame"]
+    initial_modelled: Float[np.ndarray, "trial coordinate frame"]
+    states: MuscleState
+    initial_states: MuscleState
+    cost_by_term: dict[str, float]
+    solution: Solution
+    n_residuals: int
+    compile_seconds: float
+
+    @property
+    def solve_seconds(self) -> float:
+        """Time that went into solving, compiling apart."""
+        return self.solution.history[-1].seconds
