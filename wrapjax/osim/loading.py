@@ -5,12 +5,15 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from wrapjax.errors import InputError, Problem
 
 #: What OpenSim and Simbody wrap round the sentence that matters.
 _WRAPPING = re.compile(
-    r"std::exception in '.*?': |SimTK Exception thrown at \S+:\d+:|Error detected by Simbody method [^:]*(::\w+)*\(\): "
+    r"std::exception in '.*?': "
+    r"|SimTK Exception thrown at \S+:\d+:"
+    r"|Error detected by Simbody method \w+(::\w+)*\(\): "
 )
 _PLACE_IN_SOURCE = re.compile(r"\s*(Thrown at \S+ in .*\.|\(Required condition .*\))")
 
@@ -42,7 +45,8 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
     Returns
     -------
     model, state
-        ``opensim.Model`` and its initial ``State``. Hold on to the model as long as to the state.
+        ``opensim.Model`` and its ``State``, every coordinate at its default. Hold on to the model as
+        long as to the state.
 
     Raises
     ------
@@ -50,10 +54,15 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
         If the file is not there, is no XML, holds no model, or holds one that cannot be put together.
     """
     path = check_is_file(model_file)
+    _check_outermost_element(path)
     opensim = import_opensim()
     try:
         model = opensim.Model(str(path))
         state = model.initSystem()
+        # While it assembled the model, OpenSim may have moved coordinates a little.
+        for index in range(model.getCoordinateSet().getSize()):
+            coordinate = model.getCoordinateSet().get(index)
+            coordinate.setValue(state, coordinate.getDefaultValue(), False)
     except RuntimeError as error:
         reason = _reason(error)
         raise InputError(Problem(str(path), f"OpenSim cannot load it as a model ({reason})")) from error
@@ -61,6 +70,20 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
         # OpenSim takes any of its XML files, a tool's settings for example, as an empty model.
         raise InputError(Problem(str(path), "holds no bodies; an OpenSim model (.osim) was expected"))
     return model, state
+
+
+def _check_outermost_element(path: Path) -> None:
+    """Say in plain words what OpenSim says of a file that is not even its kind of XML."""
+    try:
+        with path.open("rb") as stream:
+            _, root = next(ElementTree.iterparse(stream, events=("start",)))
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(
+            Problem(str(path), f"is not XML ({error}); an OpenSim model was expected")
+        ) from error
+    if root.tag != "OpenSimDocument":
+        message = f"has <{root.tag}> as its outermost element, where <OpenSimDocument> was expected"
+        raise InputError(Problem(str(path), message))
 
 
 def _reason(error: RuntimeError) -> str:

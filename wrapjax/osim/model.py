@@ -187,7 +187,9 @@ class ModelDescription:
         bodies = {point.body for point in path.points} | {carrier[wrap.wrap] for wrap in path.wraps}
         chains = [set(self._joints_to_ground(body)) for body in bodies]
         # A joint below which all of the path lies, or none of it, moves the path as a whole.
-        between = set().union(*chains) - set.intersection(*chains) if chains else set()
+        between = {
+            joint for chain in chains for joint in chain if not all(joint in other for other in chains)
+        }
         moving = {name for joint in self.joints if joint.name in between for name in joint.coordinates}
         moving |= {name for point in path.points for name in point.moved_by}
         independent = self._independent(moving)

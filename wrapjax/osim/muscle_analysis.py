@@ -213,7 +213,7 @@ def _recall(
 ) -> bool:
     """Fill in what the cache remembers; say whether it does. A damaged file counts as absent."""
     try:
-        with np.load(file) as remembered:
+        with file.open("rb") as stream, np.load(stream) as remembered:
             length[:], moment_arm[:] = remembered["length"], remembered["moment_arm"]
     except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
         return False

@@ -58,8 +58,6 @@ class PathEngine:
         spanning = [[i for i, span in enumerate(spans.values()) if name in span] for name in coordinates]
         self._quick = [[i for i in row if quick[i]] for row in spanning]
         self._judged = [[i for i in row if not quick[i]] for row in spanning]
-        for coordinate in elements(coordinate_set):
-            coordinate.setValue(self._state, coordinate.getDefaultValue(), False)
 
     def analyse(
         self, poses: Float[np.ndarray, "pose coordinate"]

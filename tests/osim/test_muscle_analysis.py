@@ -1,0 +1,374 @@
+"""Defends: lengths and moment arms are OpenSim's own, however they are reached, shared out or remembered."""
+
+import multiprocessing
+
+import numpy as np
+import opensim
+import pytest
+
+from wrapjax.errors import InputError
+from wrapjax.osim import analyse_muscles, describe_model, muscle_analysis, workers
+from wrapjax.osim.loading import load_model
+
+COORDINATES = (
+    "hip_flexion_l",
+    "hip_adduction_l",
+    "hip_rotation_l",
+    "knee_angle_l",
+    "ankle_angle_l",
+    "subtalar_angle_l",
+)
+TRIALS = tuple(f"walk_0p{speed}_{number}" for speed in (5, 8) for number in (1, 2, 3, 4))
+
+
+def read_table(file):
+    """Column names and numbers of a .sto file."""
+    lines = file.read_text().splitlines()
+    start = next(number for number, line in enumerate(lines) if line.strip() == "endheader") + 1
+    return lines[start].split()[1:], np.loadtxt(lines[start + 1 :])[:, 1:]
+
+
+@pytest.fixture(scope="module")
+def muscles(s1_left):
+    return tuple(read_table(s1_left / "reference_geometry" / TRIALS[0] / "length.sto")[0])
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path))
+    return tmp_path / "muscle_analysis"
+
+
+def walking_poses(count, seed=0):
+    """Poses (rad) within what walking asks for."""
+    low, high = (-0.4, -0.2, -0.2, 0.02, -0.3, -0.2), (0.6, 0.2, 0.2, 1.1, 0.3, 0.2)
+    return np.random.default_rng(seed).uniform(low, high, (count, 6))
+
+
+def analyse_assembled(model_file, muscles, coordinates, poses):
+    """The slow way, by OpenSim's own functions alone: assemble each pose, ask for each moment arm.
+
+    Assembling moves the given coordinates too, by some 1e-7 rad: the poses reached are returned first.
+    """
+    model, _ = load_model(model_file)
+    found = [model.getCoordinateSet().get(name) for name in coordinates]
+    paths = [model.getMuscles().get(name) for name in muscles]
+    length = np.zeros((len(poses), len(paths)))
+    moment_arm = np.zeros((len(poses), len(found), len(paths)))
+    model.set_assembly_accuracy(1e-12)
+    state = model.initSystem()
+    reached = np.zeros_like(poses)
+    for row, pose in enumerate(poses):
+        for coordinate, value in zip(found, pose, strict=True):
+            coordinate.setValue(state, value, False)
+        model.assemble(state)
+        model.realizePosition(state)
+        reached[row] = [coordinate.getValue(state) for coordinate in found]
+        length[row] = [path.getLength(state) for path in paths]
+        moment_arm[row] = [[path.computeMomentArm(state, c) for path in paths] for c in found]
+    np.testing.assert_allclose(reached, poses, rtol=0, atol=1e-6)
+    return reached, length, moment_arm
+
+
+def test_agrees_with_the_geometry_that_the_laboratory_used(s1_left, muscles):
+    """Theirs is a sparse quintic fit to this model: 0.14 mm off in length, 0.02-0.37 mm in moment arm.
+
+    The largest differences are where a gluteus maximus lifts off its cylinder: OpenSim's moment arm
+    then jumps by 9 mm from one frame to the next, and a polynomial does not.
+    """
+    length_errors, arm_errors = [], []
+    for trial in TRIALS:
+        names, angles = read_table(s1_left / "trials" / trial / "angles.sto")
+        poses = np.radians(angles[:, [names.index(name) for name in COORDINATES]])
+        found = analyse_muscles(s1_left / "model.osim", muscles, COORDINATES, poses, quiet=True)
+        folder = s1_left / "reference_geometry" / trial
+        length_errors.append(found.length - read_table(folder / "length.sto")[1])
+        reference = [read_table(folder / f"moment_arm_{name}.sto")[1] for name in COORDINATES]
+        arm_errors.append(found.moment_arm - np.stack(reference, axis=1))
+    length_error = np.abs(np.concatenate(length_errors))
+    arm_error = np.abs(np.concatenate(arm_errors))
+    assert length_error.mean() < 0.15e-3
+    assert length_error.max() < 0.92e-3
+    np.testing.assert_array_less(arm_error.mean(axis=(0, 2)) * 1e3, [0.37, 0.18, 0.22, 0.17, 0.02, 0.02])
+    assert np.quantile(arm_error, 0.999) < 3.5e-3
+    assert arm_error.max() < 8e-3
+
+
+def test_setting_coupled_coordinates_equals_assembling(s1_left, muscles):
+    poses = walking_poses(4)
+    reached, length, moment_arm = analyse_assembled(s1_left / "model.osim", muscles, COORDINATES, poses)
+    found = analyse_muscles(s1_left / "model.osim", muscles, COORDINATES, reached, processes=1, quiet=True)
+    np.testing.assert_allclose(found.length, length, rtol=0, atol=1e-8)
+    # Outside their span two-cylinder paths get an arm from OpenSim's stale wrap points; here it is zero.
+    model = describe_model(s1_left / "model.osim")
+    spanned = np.array([[c in model.spanned_by(m) for m in muscles] for c in COORDINATES])
+    np.testing.assert_allclose(found.moment_arm, np.where(spanned, moment_arm, 0.0), rtol=0, atol=1e-8)
+
+
+def test_moment_arms_are_the_slope_of_length_where_the_patella_follows(s1_left):
+    quadriceps = ("recfem_l", "vasint_l", "vaslat_l", "vasmed_l", "bfsh_l", "tibant_l")
+    poses, step = walking_poses(40), 1e-5
+    model = s1_left / "model.osim"
+    found = analyse_muscles(model, quadriceps, COORDINATES, poses, processes=1, quiet=True)
+    for column, _ in enumerate(COORDINATES):
+        shift = step * np.eye(6)[column]
+        ahead, behind = (
+            analyse_muscles(
+                model, quadriceps, COORDINATES, poses + sign * shift, processes=1, quiet=True
+            ).length
+            for sign in (1, -1)
+        )
+        np.testing.assert_allclose(
+            found.moment_arm[:, column], (behind - ahead) / (2 * step), rtol=0, atol=1e-7
+        )
+    assert np.abs(found.moment_arm[:, COORDINATES.index("knee_angle_l"), :4]).min() > 0.02
+
+
+def test_every_kind_of_path_and_coupler_equals_opensim(odd_model):
+    """Ellipsoid, moving and conditional points, offset frames; scaled, nonlinear and chained couplers."""
+    names = [muscle.name for muscle in describe_model(odd_model).muscles]
+    generator = np.random.default_rng(1)
+    poses = np.column_stack([generator.uniform(-0.5, 0.5, 12), generator.uniform(0.0, 1.5, 12)])
+    reached, length, moment_arm = analyse_assembled(odd_model, names, ["hip", "knee"], poses)
+    found = analyse_muscles(odd_model, names, ["hip", "knee"], reached, processes=1, quiet=True)
+    np.testing.assert_allclose(found.length, length, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.moment_arm, moment_arm, rtol=0, atol=1e-8)
+    assert np.abs(moment_arm[:, 1, names.index("extensor")]).min() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("subject", "coordinates"),
+    [
+        ("healthy_overground", ("hip_flexion_r", "knee_angle_r", "ankle_angle_r", "mtp_angle_r")),
+        ("healthy_treadmill", ("hip_flexion_l", "knee_angle_l", "ankle_angle_l", "subtalar_angle_l")),
+    ],
+)
+def test_other_models_load_and_agree(data_folder, subject, coordinates):
+    model = data_folder / subject / "model.osim"
+    description = describe_model(model)
+    muscles = [muscle.name for muscle in description.muscles if muscle.name.endswith(coordinates[0][-2:])]
+    assert len(muscles) == 40
+    poses = np.random.default_rng(2).uniform(0.05, 0.5, (2, len(coordinates)))
+    reached, length, moment_arm = analyse_assembled(model, muscles, coordinates, poses)
+    found = analyse_muscles(model, muscles, coordinates, reached, quiet=True)
+    spanned = np.array([[c in description.spanned_by(m) for m in muscles] for c in coordinates])
+    np.testing.assert_allclose(found.length, length, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.moment_arm, np.where(spanned, moment_arm, 0.0), rtol=0, atol=1e-8)
+    assert spanned.any(axis=1).all()
+
+
+def test_coordinates_not_given_stay_at_their_defaults(odd_model):
+    # The toe is locked at 0.1 rad, and pulls nothing.
+    both = analyse_muscles(odd_model, ["flexor"], ["hip", "knee"], np.array([[0.0, 0.7]]), quiet=True)
+    alone = analyse_muscles(odd_model, ["flexor"], ["knee"], np.array([[0.7]]), quiet=True)
+    np.testing.assert_array_equal(both.length, alone.length)
+
+
+def test_a_pose_outside_a_clamped_range_is_used_as_it_is(odd_model):
+    assert describe_model(odd_model).coordinate("knee").range == (0.0, 2.0)
+    knee = np.array([[-0.3], [0.0], [2.0], [2.2]])
+    length = analyse_muscles(odd_model, ["toe_flexor", "moving"], ["knee"], knee, quiet=True).length[:, 1]
+    assert abs(length[0] - length[1]) > 1e-3
+    assert abs(length[3] - length[2]) > 1e-3
+
+
+def test_several_processes_give_the_same_bits(empty_cache, monkeypatch, s1_left, muscles):
+    monkeypatch.setattr(muscle_analysis, "CHUNK", 16)
+    model, poses = s1_left / "model.osim", walking_poses(80)
+    alone = analyse_muscles(model, muscles, COORDINATES, poses, processes=1, quiet=True)
+    shuffled = np.random.default_rng(5).permutation(len(poses))
+    monkeypatch.setenv("WRAPJAX_CACHE", str(empty_cache / "other"))
+    shared = analyse_muscles(model, muscles, COORDINATES, poses[shuffled], processes=2, quiet=True)
+    # Nor does a pose remember the one before it.
+    np.testing.assert_array_equal(shared.length, alone.length[shuffled])
+    np.testing.assert_array_equal(shared.moment_arm, alone.moment_arm[shuffled])
+
+
+def test_workers_are_called_when_much_is_left(empty_cache, monkeypatch, odd_model):
+    monkeypatch.setattr(muscle_analysis, "CHUNK", 4)
+    monkeypatch.setattr(workers, "_cores", lambda: 2)
+    called = []
+
+    def in_workers(engine_arguments, chunks, processes):
+        called.append((sorted(chunks), processes))
+        yield from workers.analyse_chunks(*engine_arguments, chunks, 1)
+
+    monkeypatch.setattr(workers, "_analyse_in_workers", in_workers)
+    knee = np.linspace(0.1, 1.0, 12)[:, None]
+    analyse_muscles(odd_model, ["flexor"], ["knee"], knee, quiet=True)
+    assert called == []
+    monkeypatch.setattr(workers, "POOL_PAYS_AFTER_S", 0.0)
+    analyse_muscles(odd_model, ["flexor"], ["knee"], knee + 0.01, quiet=True)
+    assert called == [([4, 8], 2)]
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The poses that were really analysed, call by call."""
+    calls = []
+
+    def counting(path, coordinates, spans, chunks, processes):
+        calls.append(sum(len(chunk) for chunk in chunks.values()))
+        yield from workers.analyse_chunks(path, coordinates, spans, chunks, processes)
+
+    monkeypatch.setattr(muscle_analysis, "analyse_chunks", counting)
+    monkeypatch.setattr(muscle_analysis, "CHUNK", 4)
+    return calls
+
+
+def ask(model, knee, muscles=("extensor", "flexor")):
+    return analyse_muscles(model, muscles, ["knee"], np.asarray(knee)[:, None], processes=1, quiet=True)
+
+
+def test_the_same_question_is_answered_from_memory(empty_cache, counted, odd_model):
+    knee = np.linspace(0.1, 1.0, 10)
+    first, second = ask(odd_model, knee), ask(odd_model, knee)
+    assert counted == [10]
+    np.testing.assert_array_equal(first.length, second.length)
+    np.testing.assert_array_equal(first.moment_arm, second.moment_arm)
+    assert second.muscles == ("extensor", "flexor") and second.coordinates == ("knee",)
+
+
+def test_any_other_question_is_not(empty_cache, counted, odd_model, tmp_path):
+    knee = np.linspace(0.1, 1.0, 4)
+    ask(odd_model, knee)
+    ask(odd_model, knee + 1e-15 * (knee > 0.5))
+    ask(odd_model, knee, muscles=("flexor", "extensor"))
+    changed = tmp_path / "model.osim"
+    changed.write_text(odd_model.read_text().replace("<radius>0.0299", "<radius>0.0309"))
+    thicker = ask(changed, knee)
+    assert counted == [4, 4, 4, 4]
+    assert np.abs(thicker.length - ask(odd_model, knee).length).max() > 1e-5
+
+
+@pytest.mark.parametrize("damage", [b"", b"rubbish", None], ids=["empty", "rubbish", "cut"])
+def test_a_damaged_memory_is_recomputed(empty_cache, counted, odd_model, damage):
+    knee = np.linspace(0.1, 1.0, 10)
+    expected = ask(odd_model, knee)
+    victim = sorted(empty_cache.glob("*.npz"))[0]
+    victim.write_bytes(victim.read_bytes()[:300] if damage is None else damage)
+    found = ask(odd_model, knee)
+    assert len(counted) == 2 and counted[1] in (2, 4)
+    np.testing.assert_array_equal(found.length, expected.length)
+    np.testing.assert_array_equal(found.moment_arm, expected.moment_arm)
+    ask(odd_model, knee)
+    assert len(counted) == 2
+
+
+def after_the_first_chunk(monkeypatch, strike):
+    """Let something happen once the first chunk has been remembered."""
+    remember = muscle_analysis._remember
+
+    def then(*arguments):
+        remember(*arguments)
+        strike()
+
+    monkeypatch.setattr(muscle_analysis, "_remember", then)
+    return lambda: monkeypatch.setattr(muscle_analysis, "_remember", remember)
+
+
+def test_interrupted_work_leaves_no_process_and_goes_on_where_it_stopped(
+    empty_cache, counted, monkeypatch, odd_model
+):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    knee = np.linspace(0.1, 1.0, 40)[:, None]
+    restore = after_the_first_chunk(monkeypatch, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=2, quiet=True)
+    assert multiprocessing.active_children() == []
+    assert [file.suffix for file in empty_cache.iterdir()] == [".npz"]
+    restore()
+    analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=1, quiet=True)
+    assert counted == [40, 36]
+
+
+def test_a_worker_that_dies_is_reported_and_costs_only_what_it_was_doing(
+    empty_cache, counted, monkeypatch, odd_model
+):
+    def kill():
+        for child in multiprocessing.active_children():
+            child.kill()
+
+    # Enough chunks that some are left when the first one is done.
+    knee = np.linspace(0.1, 1.0, 4000)[:, None]
+    restore = after_the_first_chunk(monkeypatch, kill)
+    with pytest.raises(RuntimeError, match="worker process of the muscle analysis died"):
+        analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=2, quiet=True)
+    assert multiprocessing.active_children() == []
+    restore()
+    kept = len(list(empty_cache.glob("*.npz")))
+    assert kept >= 1
+    analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=1, quiet=True)
+    assert counted == [4000, 4000 - 4 * kept]
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_else(empty_cache, monkeypatch, odd_model):
+    def full(path, write):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(muscle_analysis, "write_whole", full)
+    assert np.isfinite(ask(odd_model, [0.5]).length).all()
+    assert list(empty_cache.iterdir()) == []
+
+
+def problems_of(*arguments):
+    with pytest.raises(InputError) as caught:
+        analyse_muscles(*arguments, quiet=True)
+    return caught.value.problems
+
+
+def test_unknown_names_are_all_reported_with_the_nearest(odd_model):
+    problems = problems_of(odd_model, ["flexr", "flexor"], ["knees", "hip"], np.zeros((1, 2)))
+    assert [(p.file, p.place, p.hint) for p in problems] == [
+        (str(odd_model), "flexr", "did you mean 'flexor'?"),
+        (str(odd_model), "knees", "did you mean 'knee'?"),
+    ]
+
+
+def test_names_are_checked_without_poses_too(odd_model):
+    assert len(problems_of(odd_model, ["flexr"], ["knee"], np.zeros((0, 1)))) == 1
+    nothing = analyse_muscles(odd_model, ["flexor"], ["knee"], np.zeros((0, 1)), quiet=True)
+    assert nothing.length.shape == (0, 1) and nothing.moment_arm.shape == (0, 1, 1)
+
+
+def test_coordinates_that_cannot_be_set_are_refused(odd_model):
+    followed, locked = problems_of(odd_model, ["flexor"], ["patella_turn", "toe"], np.array([[0.1, 0.3]]))
+    assert followed.place == "patella_turn" and "follows knee" in followed.message
+    assert locked.place == "toe" and "locked at 0.1, and a pose has it at 0.3" in locked.message
+
+
+def test_a_locked_coordinate_may_be_given_where_it_is_held(odd_model):
+    pose = np.array([[0.6, 0.1]])
+    with_toe = analyse_muscles(odd_model, ["toe_flexor"], ["knee", "toe"], pose, quiet=True)
+    assert with_toe.moment_arm.tolist() == [[[0.0], [0.0]]]
+
+
+def test_poses_with_gaps_are_refused(odd_model):
+    poses = np.array([[0.1, 0.2], [np.nan, 0.2], [np.nan, np.inf]])
+    hip, knee = problems_of(odd_model, ["flexor"], ["hip", "knee"], poses)
+    assert (hip.place, hip.message) == ("hip", "is nan in pose 1")
+    assert (knee.place, knee.message) == ("knee", "is inf in pose 2")
+
+
+def test_poses_of_the_wrong_width_are_refused(odd_model):
+    with pytest.raises(ValueError, match="do not fit 1 coordinates"):
+        analyse_muscles(odd_model, ["flexor"], ["knee"], np.zeros((3, 2)), quiet=True)
+
+
+def test_a_constraint_that_cannot_be_followed_is_refused(tmp_path, odd_model):
+    model, _ = load_model(odd_model)
+    tie = opensim.PointConstraint(
+        model.getGround(), opensim.Vec3(0), model.getBodySet().get("foot"), opensim.Vec3(0)
+    )
+    tie.setName("tie")
+    model.addConstraint(tie)
+    model.finalizeConnections()
+    model.printToXML(str(tmp_path / "model.osim"))
+    (problem,) = problems_of(tmp_path / "model.osim", ["flexor"], ["knee"], np.zeros((1, 1)))
+    assert problem.place == "tie" and "is a PointConstraint" in problem.message
+    tie.set_isEnforced(False)
+    model.printToXML(str(tmp_path / "model.osim"))
+    assert describe_model(tmp_path / "model.osim").unusual[3:] == ()
+    analyse_muscles(tmp_path / "model.osim", ["flexor"], ["knee"], np.zeros((1, 1)), quiet=True)
