@@ -8,20 +8,40 @@ All numbers are SI and radians; JAX must be in 64-bit mode::
     jax.config.update("jax_enable_x64", True)
 """
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from wrapjax.api import Calibration, Fit, calibrate, fit, load_fit, load_subject, objective
-from wrapjax.errors import InputError
+if TYPE_CHECKING:
+    from wrapjax.api import Calibration as Calibration
+    from wrapjax.api import Fit as Fit
+    from wrapjax.api import calibrate as calibrate
+    from wrapjax.api import fit as fit
+    from wrapjax.api import load_fit as load_fit
+    from wrapjax.api import load_subject as load_subject
+    from wrapjax.api import objective as objective
+    from wrapjax.errors import InputError as InputError
 
 __version__ = version("wrapjax")
-__all__ = [
-    "Calibration",
-    "Fit",
-    "InputError",
-    "__version__",
-    "calibrate",
-    "fit",
-    "load_fit",
-    "load_subject",
-    "objective",
-]
+
+# Imported on first use: the command line must be able to set thread counts before JAX is loaded.
+_PLACES = {
+    "Calibration": "wrapjax.api",
+    "Fit": "wrapjax.api",
+    "InputError": "wrapjax.errors",
+    "calibrate": "wrapjax.api",
+    "fit": "wrapjax.api",
+    "load_fit": "wrapjax.api",
+    "load_subject": "wrapjax.api",
+    "objective": "wrapjax.api",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PLACES:
+        return getattr(import_module(_PLACES[name]), name)
+    raise AttributeError(f"module 'wrapjax' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*_PLACES, "__version__"])

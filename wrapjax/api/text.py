@@ -1,0 +1,80 @@
+"""Results as plain text for a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from wrapjax.api.calibration import Calibration
+from wrapjax.api.fitting import Fit
+from wrapjax.calibrate import Iteration
+from wrapjax.calibrate.projected_lm import SolverState
+from wrapjax.evaluate import moment_errors, pooled_mae
+
+
+def iteration_printer(*, quiet: bool = False) -> Callable[[Iteration, SolverState], None] | None:
+    """Give a callback that prints one line an iteration to standard error."""
+    if quiet:
+        return None
+
+    def line(iteration: Iteration, state: SolverState) -> None:
+        if iteration.number == 0:
+            _report("iteration        cost  optimality   damping      step  at bounds  seconds")
+        _report(
+            f"{iteration.number:9d}  {iteration.cost:10.5g}  {iteration.optimality:10.2e}  "
+            f"{iteration.damping:8.1e}  {iteration.step:8.1e}  {iteration.at_bounds:9d}  "
+            f"{iteration.seconds:7.2f}"
+        )
+
+    return line
+
+
+def _report(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def fit_table(fit: Fit) -> str:
+    """Show the errors of a fit, muscle by muscle."""
+    titles = ("wrapped", "terms", "length RMSE", "length max", "arm RMSE", "arm max")
+    lines = [
+        "Errors on poses never used in fitting, mm (moment arms pooled over coordinates)",
+        f"{'muscle':16s}" + "".join(f"{title:>13s}" for title in titles),
+    ]
+    for name, error in fit.errors.items():
+        errors = (
+            error.length_rmse_mm,
+            error.length_max_mm,
+            error.moment_arm_rmse_mm,
+            error.moment_arm_max_mm,
+        )
+        wrapped = "yes" if error.wrapped else "no"
+        lines.append(
+            f"{name:16s}{wrapped:>13s}{error.terms:13d}" + "".join(f"{value:13.3f}" for value in errors)
+        )
+    return "\n".join(lines)
+
+
+def calibration_table(calibration: Calibration) -> str:
+    """Show mean absolute moment errors before and after, for calibration and validation trials."""
+    result = calibration.result
+    columns: dict[str, dict[str, float]] = {}
+    for use in ("calibration", "validation"):
+        rows = [row for row, own in enumerate(result.uses) if own == use]
+        for label, modelled in (("before", result.initial_modelled), ("after", result.modelled)):
+            errors = [moment_errors(result.measured[row], modelled[row]) for row in rows]
+            pooled = pooled_mae(errors, result.coordinates)
+            if pooled:
+                columns[f"{use} {label}"] = pooled
+    width = max(len(name) for name in (*result.coordinates, "coordinate"))
+    lines = [
+        f"{result.method} of {calibration.subject.name}: {calibration.status.value}",
+        f"{result.solution.iterations} iterations in {result.solve_seconds:.2f} s "
+        f"(compiling {result.compile_seconds:.1f} s), cost {result.solution.cost:.6g}, "
+        f"{len(result.at_bounds)} of {len(result.solution.variables)} variables at a bound",
+        "",
+        "Mean absolute error of the joint moments, N m",
+        f"{'coordinate':{width}s}" + "".join(f"{name:>20s}" for name in columns),
+    ]
+    for name in (*result.coordinates, "mean"):
+        lines.append(f"{name:{width}s}" + "".join(f"{pooled[name]:20.2f}" for pooled in columns.values()))
+    return "\n".join(lines)

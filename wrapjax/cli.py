@@ -1,0 +1,214 @@
+"""The commands. Results go to standard output, progress to standard error.
+
+Exit status: 0 done and converged, 1 ran but did not converge, 2 bad input or usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wrapjax.errors import InputError, Problem
+
+DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status."""
+    options = _parser().parse_args(arguments)
+    _set_threads(options.threads)
+    try:
+        return options.run(options)
+    except InputError as error:
+        for problem in error.problems:
+            print(f"error: {problem}", file=sys.stderr)
+        if len(error.problems) > 1:
+            print(f"{len(error.problems)} problems found; nothing was written.", file=sys.stderr)
+        return BAD_INPUT
+    except OSError as error:
+        place = error.filename or "file"
+        print(f"error: {place}: {error.strerror or error}; nothing was written.", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("interrupted; nothing was written.", file=sys.stderr)
+        return NOT_CONVERGED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="wrapjax", description="Calibrate EMG-driven musculoskeletal models with exact gradients."
+    )
+    parser.add_argument("--version", action="version", version=_version())
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument(
+        "--threads", type=_positive, metavar="N", help="processor cores to use (default: all)"
+    )
+    common.add_argument("--quiet", action="store_true", help="print no progress")
+    common.add_argument("--json", action="store_true", help="print the result as JSON")
+    writing = argparse.ArgumentParser(add_help=False)
+    writing.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
+    writing.add_argument("--force", action="store_true", help="replace the folder if it exists")
+
+    def command(name: str, run: Any, help: str, *parents: argparse.ArgumentParser) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=help, description=help, parents=[common, *parents])
+        added.set_defaults(run=run)
+        return added
+
+    check = command("check", _check, "Read a subject folder and show what is in it, or all that is wrong.")
+    check.add_argument("subject", type=Path, metavar="SUBJECT")
+
+    fit = command("fit", _fit, "Replace the subject's muscle paths by polynomials.", writing)
+    fit.add_argument("subject", type=Path, metavar="SUBJECT")
+    fit.add_argument("--out", type=Path, required=True, metavar="FIT")
+    fit.add_argument("--geometry", choices=["opensim"], default="opensim", help="source of the paths")
+
+    calibrate = command("calibrate", _calibrate, "Calibrate the model to the subject.", writing)
+    calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
+    calibrate.add_argument("--method", choices=["NGA"], required=True, help="what is adjusted")
+    calibrate.add_argument("--out", type=Path, required=True, metavar="RUN")
+    calibrate.add_argument(
+        "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+    )
+    calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    calibrate.add_argument("--max-iterations", type=_positive, default=500, metavar="N")
+
+    demo = command("demo", _demo, "Calibrate a virtual subject whose truth is known.", writing)
+    demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
+    return parser
+
+
+def _check(options: argparse.Namespace) -> int:
+    from wrapjax.subject import describe_subject, read_subject, render_tables
+
+    tables = describe_subject(read_subject(options.subject))
+    if options.json:
+        _print_json(
+            {
+                table.title: [dict(zip(table.header, row, strict=True)) for row in table.rows]
+                for table in tables
+            }
+        )
+    else:
+        print(render_tables(tables))
+    return DONE
+
+
+def _fit(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api import fit, load_subject
+    from wrapjax.api.text import fit_table
+
+    _refuse_existing(options.out, options.force)
+    subject = load_subject(options.subject)
+    result = fit(subject, options.geometry, seed=options.seed, processes=options.threads, quiet=options.quiet)
+    result.save(options.out, force=options.force)
+    if options.json:
+        _print_json(_stored(options.out / "fit.json"))
+    else:
+        print(fit_table(result))
+        print(f"\nwritten to {options.out}")
+    return DONE
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api import calibrate, fit, load_fit, load_subject
+    from wrapjax.api.text import calibration_table, iteration_printer
+    from wrapjax.calibrate import ProjectedLM
+    from wrapjax.progress import say
+
+    _refuse_existing(options.out, options.force)
+    subject = load_subject(options.subject)
+    if options.fit:
+        paths = load_fit(options.fit, subject)
+    else:
+        paths = fit(subject, seed=options.seed, processes=options.threads, quiet=options.quiet)
+    say("compiling (once; later runs take it from the cache)", quiet=options.quiet)
+    done = calibrate(
+        subject,
+        options.method,
+        paths,
+        solver=ProjectedLM(max_iterations=options.max_iterations),
+        callback=iteration_printer(quiet=options.quiet),
+        curves=options.curves,
+    )
+    done.save(options.out, force=options.force)
+    if options.json:
+        _print_json(_stored(options.out / "summary.json"))
+    else:
+        print(calibration_table(done))
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    return DONE if done.status.converged else NOT_CONVERGED
+
+
+def _demo(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api.demo import demo
+
+    _refuse_existing(options.out, options.force)
+    result = demo(options.out, seed=options.seed, force=options.force, quiet=options.quiet)
+    if options.json:
+        _print_json(result.summary())
+    else:
+        print(result.text())
+        print(f"\nwritten to {options.out}; open {options.out / 'NGA' / 'report.html'} in a browser")
+    return DONE if result.calibration.status.converged else NOT_CONVERGED
+
+
+def _refuse_existing(folder: Path, force: bool) -> None:
+    """Say at once, not after the work, that a folder would be overwritten."""
+    if folder.exists() and not force:
+        raise InputError(
+            Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
+        )
+
+
+def _set_threads(threads: int | None) -> None:
+    """Limit XLA's and the numerical libraries' threads; to be called before JAX is loaded."""
+    if threads is None:
+        return
+    for variable in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[variable] = str(threads)
+
+
+def _set_up_jax() -> None:
+    """Switch to 64 bits and keep compiled kernels for the next run."""
+    import jax
+
+    from wrapjax.files import cache_folder
+
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, found '{text}'")
+    return number
+
+
+def _stored(file: Path) -> Any:
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def _print_json(content: Any) -> None:
+    print(json.dumps(content, indent=1))
+
+
+def _version() -> str:
+    from wrapjax import __version__
+
+    return f"wrapjax {__version__}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
