@@ -93,12 +93,10 @@ def _cut_emg(
     wanted = cycle_times(cycles, padding)
     missing = np.maximum(time[0] - wanted[:, 0], wanted[:, -1] - time[-1])
     if missing.max() > TIME_TOLERANCE:
-        short = (
-            f"{(missing > TIME_TOLERANCE).sum()} of {len(cycles)} cycles have less than {PADDING_SECONDS:g} s"
-        )
+        count = int((missing > TIME_TOLERANCE).sum())
         notes.append(
-            f"trial '{entry.trial.name}': {short} of EMG before or after them (up to {missing.max():.3g} s are "
-            "missing); the edge value is held"
+            f"trial '{entry.trial.name}': less than {PADDING_SECONDS:g} s of EMG before or after {count} of "
+            f"{len(cycles)} cycles (up to {missing.max():.3g} s missing); the edge value is held"
         )
     # The spline may undershoot between samples.
     return np.maximum(resample(time, emg, wanted)[0], 0.0)

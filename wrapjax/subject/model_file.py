@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.subject.content import read_content
 
 #: Motion types of the coordinates of joints that say nothing themselves (OpenSim 4), in order.
 _JOINT_MOTIONS = {
@@ -103,7 +104,7 @@ class ModelFile:
     groups: dict[str, tuple[str, ...]]
 
 
-def read_model_file(path: Path) -> ModelFile:
+def read_model_file(path: str | Path) -> ModelFile:
     """Read muscles, coordinates and groups from an ``.osim`` file.
 
     Returns
@@ -144,14 +145,7 @@ def read_xml(path: Path, root_tag: str) -> Element:
         If it is missing, is not well formed, has another root, or declares a document type: entities
         can make a small file expand without bound, and no OpenSim file needs them.
     """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(Problem(str(path), "does not exist")) from None
-    except OSError as error:
-        raise InputError(Problem(str(path), f"cannot be read ({error.strerror})")) from error
-    if not content.strip():
-        raise InputError(Problem(str(path), "is empty, where XML was expected"))
+    content = read_content(path, "XML")
     # A zero byte means binary content, or an encoding in which the next check would not see the declaration.
     if b"\0" in content:
         raise InputError(Problem(str(path), "is binary, where XML in UTF-8 was expected"))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.subject.content import read_content
 from wrapjax.subject.model_file import MuscleParameters
 
 #: Columns of a table of muscle parameters, with the greatest value that makes sense in the column's unit.
@@ -29,16 +30,17 @@ def read_muscle_parameters(path: Path) -> MuscleParameters:
     InputError
         With everything wrong in the file.
     """
+    content = read_content(path, "a table of muscle parameters")
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(Problem(str(path), "does not exist")) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(Problem(str(path), f"cannot be read as text ({error})")) from None
-    reader = csv.reader(text.splitlines())
-    labels = [label.strip() for label in next(reader, [])]
-    if not labels:
-        raise InputError(Problem(str(path), "is empty, where a table of muscle parameters was expected"))
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        message = "is not text in UTF-8, where a table of muscle parameters was expected"
+        raise InputError(Problem(str(path), message)) from None
+    try:
+        lines = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise InputError(Problem(str(path), f"is not a comma-separated table ({error})")) from None
+    labels = [label.strip() for label in lines[0]]
     missing = [label for label in ("muscle", *CSV_COLUMNS) if label not in labels]
     if missing:
         raise InputError(
@@ -49,7 +51,7 @@ def read_muscle_parameters(path: Path) -> MuscleParameters:
         )
     problems: list[Problem] = []
     table: dict[str, list[float]] = {}
-    for number, cells in enumerate(reader, start=2):
+    for number, cells in enumerate(lines[1:], start=2):
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(labels):

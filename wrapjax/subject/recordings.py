@@ -103,12 +103,14 @@ def read_signals(
         columns["angles"] = _columns(tables["angles"], names, ("",), trial.angles, problems)
         _check_angles(tables["angles"], wanted, trial.angles, problems)
     if "moments" in tables:
+        # A coordinate that the model lacks has been reported; its column need not be missed as well.
+        expected = tuple(info.name for info in wanted) if model_coordinates else settings.coordinates
         moment_columns = _columns(
-            tables["moments"], settings.coordinates, ("_moment", "_force", ""), trial.moments, problems
+            tables["moments"], expected, ("_moment", "_force", ""), trial.moments, problems
         )
         columns["moments"] = moment_columns
         if moment_columns is not None:
-            _check_moments(moment_columns, settings, trial.moments, problems)
+            _check_moments(moment_columns, expected, settings.mass_kg, trial.moments, problems)
     if "emg" in tables:
         columns["emg"] = _columns(tables["emg"], tuple(settings.channels), ("",), trial.emg, problems)
         if columns["emg"] is not None:
@@ -231,23 +233,24 @@ def _all_angles(
 
 def _check_moments(
     moments: Float[np.ndarray, "moment_coordinate sample"],
-    settings: Settings,
+    names: tuple[str, ...],
+    mass_kg: float,
     path: Path,
     problems: list[Problem],
 ) -> None:
     """Report moments that are all zero, or in another unit."""
     peaks = np.abs(moments).max(axis=1)
-    for name, peak in zip(settings.coordinates, peaks, strict=True):
+    for name, peak in zip(names, peaks, strict=True):
         if peak == 0.0:
             problems.append(
                 Problem(str(path), "expected joint moments, found zero throughout", f"column {name}_moment")
             )
-        elif peak > MOST_MOMENT_PER_MASS * settings.mass_kg:
+        elif peak > MOST_MOMENT_PER_MASS * mass_kg:
             message = (
                 f"expected N m, found {peak:.4g}, more than {MOST_MOMENT_PER_MASS:g} N m per kg of body mass"
             )
             problems.append(Problem(str(path), message, f"column {name}_moment", "are the moments in N mm?"))
-    if peaks.size and 0.0 < peaks.max() < LEAST_MOMENT_PER_MASS * settings.mass_kg:
+    if peaks.size and 0.0 < peaks.max() < LEAST_MOMENT_PER_MASS * mass_kg:
         message = f"expected N m, found no moment above {peaks.max():.3g}"
         problems.append(Problem(str(path), message, hint="are the moments divided by body mass?"))
 

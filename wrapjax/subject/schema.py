@@ -29,10 +29,9 @@ def collecting(problems: list[Problem]) -> Iterator[None]:
 
 
 def describe_value(value: Any) -> str:
-    """Say what was found: the value if it is short, and its kind."""
-    kind = _TYPE_NAMES.get(type(value), type(value).__name__)
-    shown = repr(value)
-    return f"{shown} ({kind})" if len(shown) <= 40 else kind
+    """Say what was found: the value if it is short, else its kind."""
+    shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    return shown if len(shown) <= 40 else _TYPE_NAMES.get(type(value), type(value).__name__)
 
 
 class TableReader:
@@ -44,7 +43,8 @@ class TableReader:
     Parameters
     ----------
     table
-        The table, as `tomllib` gives it.
+        The table, as `tomllib` gives it; None where it is missing, which has been reported and makes all
+        its keys missing without another word.
     file
         The file, as the user knows it.
     place
@@ -57,10 +57,11 @@ class TableReader:
         self.file = file
         self.place = place
         self.problems = problems
-        if not isinstance(table, dict):
+        if table is not None and not isinstance(table, dict):
             self.problem("", f"expected a table, found {describe_value(table)}")
-            table = {}
-        self._table: dict[str, Any] = table
+            table = None
+        self.silent = table is None
+        self._table: dict[str, Any] = table or {}
         self._known: list[str] = []
 
     def problem(self, key: str, message: str, hint: str = "") -> None:
@@ -75,7 +76,7 @@ class TableReader:
     def _take(self, key: str, required: bool, expected: str) -> Any:
         self._known.append(key)
         if key not in self._table:
-            if required:
+            if required and not self.silent:
                 self.problem(key, f"expected {expected}, found nothing")
             return None
         return self._table[key]
@@ -87,7 +88,8 @@ class TableReader:
         if value is None:
             return None
         if not isinstance(value, str) or not value.strip() or (choices and value not in choices):
-            hint = nearest_name(value, choices) if choices and isinstance(value, str) and value else ""
+            hint = nearest_name(value, choices) if choices and isinstance(value, str) else ""
+            hint = hint if hint.startswith("did") else ""
             self.problem(key, f"expected {expected}, found {describe_value(value)}", hint)
             return None
         return value
@@ -144,9 +146,8 @@ class TableReader:
         return folder / value
 
     def table(self, key: str) -> Any:
-        """Take a table, empty where it is absent."""
-        value = self._take(key, True, f"a table [{key}]")
-        return {} if value is None else value
+        """Take what should be a table, for a reader of its own; None where it is absent."""
+        return self._take(key, True, "a table")
 
     def tables(self, key: str) -> list[Any]:
         """Take a list of tables (``[[key]]``), empty where it is absent."""

@@ -172,7 +172,7 @@ def _channels(table: object, file: Path, problems: list[Problem]) -> dict[str, t
                 )
                 reader.problem(channel, message)
             driven_by.setdefault(muscle, channel)
-    if isinstance(table, dict) and not table:
+    if not table and not reader.silent:
         reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
     return channels
 

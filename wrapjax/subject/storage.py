@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.errors import InputError, Problem
 from wrapjax.files import write_text
+from wrapjax.subject.content import read_content
 
 #: A header longer than this is no header. Real ones have 5 to 20 lines.
 MAX_HEADER_LINES = 200
@@ -81,7 +82,7 @@ class Storage:
     remarks: tuple[str, ...] = ()
 
 
-def read_storage(path: Path) -> Storage:
+def read_storage(path: str | Path) -> Storage:
     """Read a ``.sto`` or ``.mot`` file.
 
     Returns
@@ -104,7 +105,7 @@ def read_storage(path: Path) -> Storage:
     return Storage(header.name, header.columns, table[:, 0], table[:, 1:], header.in_degrees, header.remarks)
 
 
-def read_storage_header(path: Path) -> StorageHeader:
+def read_storage_header(path: str | Path) -> StorageHeader:
     """Read only the header and the column labels, for files whose numbers are not needed.
 
     Raises
@@ -116,7 +117,7 @@ def read_storage_header(path: Path) -> StorageHeader:
     return _parse_header(_read_lines(path, limit=MAX_HEADER_LINES + 2), path)
 
 
-def write_storage(path: Path, storage: Storage) -> None:
+def write_storage(path: str | Path, storage: Storage) -> None:
     """Write a ``.sto`` or ``.mot`` file that OpenSim opens, whole or not at all, without loss of digits.
 
     Raises
@@ -146,20 +147,7 @@ def write_storage(path: Path, storage: Storage) -> None:
 
 def _read_lines(path: Path, limit: int | None = None) -> list[str]:
     """Read the lines of a text file, line ends removed; all of them or the first few."""
-    try:
-        if limit is None:
-            content = path.read_bytes()
-        else:
-            with path.open("rb") as stream:
-                content = b"".join(stream.readline(1 << 20) for _ in range(limit))
-    except FileNotFoundError:
-        raise InputError(Problem(str(path), "does not exist", hint=_nearest_file(path))) from None
-    except IsADirectoryError:
-        raise InputError(Problem(str(path), "is a folder, where a .sto or .mot file was expected")) from None
-    except OSError as error:
-        raise InputError(Problem(str(path), f"cannot be read ({error.strerror})")) from error
-    if not content.strip():
-        raise InputError(Problem(str(path), "is empty, where a .sto or .mot table was expected"))
+    content = read_content(path, "a .sto or .mot table", limit)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -170,13 +158,6 @@ def _read_lines(path: Path, limit: int | None = None) -> list[str]:
             Problem(str(path), "is binary, where a .sto or .mot table in plain text was expected")
         )
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-
-
-def _nearest_file(path: Path) -> str:
-    if not path.parent.is_dir():
-        return f"the folder {path.parent} does not exist either"
-    siblings = sorted(entry.name for entry in path.parent.iterdir() if entry.is_file())
-    return nearest_name(path.name, siblings) if siblings else "its folder is empty"
 
 
 def _parse_header(lines: list[str], path: Path) -> StorageHeader:
