@@ -1,0 +1,156 @@
+"""A small subject folder with analytic signals, for every test that needs one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from wrapjax.subject import Storage, write_storage
+
+COORDINATES = ("hip_flexion_l", "knee_angle_l")
+CHANNELS = {"RecFem": ("recfem_l",), "SemiTen": ("semiten_l",)}
+#: Gait period in s, the same throughout, so that every cycle is a whole period of the signals.
+PERIOD = 1.2
+RATE = 100.0
+DURATION = 4.0
+CYCLES = {"walk_a": ((0.5, 1.7), (1.7, 2.9)), "walk_b": ((0.6, 1.8),)}
+MASS = 70.0
+
+
+def angles(time: np.ndarray) -> np.ndarray:
+    """Angles in rad, one row a coordinate."""
+    phase = 2.0 * np.pi * time / PERIOD
+    return np.array([0.2 + 0.4 * np.cos(phase), 0.6 + 0.5 * np.sin(phase)])
+
+
+def angular_velocities(time: np.ndarray) -> np.ndarray:
+    """Derivative of `angles` in rad/s."""
+    phase = 2.0 * np.pi * time / PERIOD
+    return 2.0 * np.pi / PERIOD * np.array([-0.4 * np.sin(phase), 0.5 * np.cos(phase)])
+
+
+def moments(time: np.ndarray) -> np.ndarray:
+    """Moments in N m, one row a coordinate."""
+    phase = 2.0 * np.pi * time / PERIOD
+    return np.array([40.0 * np.sin(phase), 10.0 - 30.0 * np.cos(phase)])
+
+
+def emg(time: np.ndarray) -> np.ndarray:
+    """Envelopes, one row a channel."""
+    phase = 2.0 * np.pi * time / PERIOD
+    return np.array([0.5 + 0.4 * np.sin(phase), 0.3 - 0.2 * np.cos(phase)])
+
+
+def write_subject(folder: Path) -> Path:
+    """Write a valid subject (two coordinates, two muscles, three cycles) and return its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    time = np.arange(round(DURATION * RATE) + 1) / RATE
+    (folder / "subject.toml").write_text(SETTINGS, encoding="utf-8")
+    (folder / "model.osim").write_text(MODEL, encoding="utf-8")
+    moment_columns = tuple(f"{name}_moment" for name in COORDINATES)
+    for trial in CYCLES:
+        place = folder / "trials" / trial
+        write_storage(place / "angles.sto", Storage("angles", COORDINATES, time, angles(time).T))
+        write_storage(place / "moments.sto", Storage("moments", moment_columns, time, moments(time).T))
+        write_storage(place / "emg.sto", Storage("emg", tuple(CHANNELS), time, emg(time).T))
+    return folder
+
+
+SETTINGS = f"""[subject]
+name = "synthetic"
+mass_kg = {MASS}
+side = "l"
+
+[model]
+file = "model.osim"
+coordinates = ["hip_flexion_l", "knee_angle_l"]
+
+[emg]
+kind = "envelope"
+[emg.channels]
+RecFem = ["recfem_l"]
+SemiTen = ["semiten_l"]
+
+[[trial]]
+name = "walk_a"
+use = "calibration"
+speed_m_s = 1.1
+angles = "trials/walk_a/angles.sto"
+moments = "trials/walk_a/moments.sto"
+emg = "trials/walk_a/emg.sto"
+cycles = [[0.5, 1.7], [1.7, 2.9]]
+
+[[trial]]
+name = "walk_b"
+use = "validation"
+angles = "trials/walk_b/angles.sto"
+moments = "trials/walk_b/moments.sto"
+emg = "trials/walk_b/emg.sto"
+cycle = [0.6, 1.8]
+"""
+
+
+def _body(name: str) -> str:
+    return f"""<Body name="{name}">
+ <mass>5</mass><mass_center>0 -0.2 0</mass_center><inertia>0.1 0.1 0.1 0 0 0</inertia>
+</Body>"""
+
+
+def _pin(name: str, parent: str, child: str, coordinate: str, drop: float) -> str:
+    offset = parent.rsplit("/", 1)[-1] + "_offset"
+    return f"""<PinJoint name="{name}">
+ <socket_parent_frame>{offset}</socket_parent_frame>
+ <socket_child_frame>{child}_offset</socket_child_frame>
+ <coordinates><Coordinate name="{coordinate}">
+  <default_value>0.1</default_value><range>-2 2</range><locked>false</locked>
+ </Coordinate></coordinates>
+ <frames>
+  <PhysicalOffsetFrame name="{offset}">
+   <socket_parent>{parent}</socket_parent><translation>0 {drop} 0</translation>
+  </PhysicalOffsetFrame>
+  <PhysicalOffsetFrame name="{child}_offset">
+   <socket_parent>/bodyset/{child}</socket_parent>
+  </PhysicalOffsetFrame>
+ </frames>
+</PinJoint>"""
+
+
+def _muscle(name: str, forward: float, force: float, fiber: float, tendon: float) -> str:
+    points = (("/ground", 0.0), ("/bodyset/tibia_l", -0.05))
+    path = "".join(
+        f"""<PathPoint name="{name}-P{number}">
+ <socket_parent_frame>{frame}</socket_parent_frame><location>{forward} {height} 0</location>
+</PathPoint>"""
+        for number, (frame, height) in enumerate(points, start=1)
+    )
+    return f"""<Millard2012EquilibriumMuscle name="{name}">
+ <GeometryPath name="path"><PathPointSet><objects>{path}</objects></PathPointSet></GeometryPath>
+ <max_isometric_force>{force}</max_isometric_force>
+ <optimal_fiber_length>{fiber}</optimal_fiber_length>
+ <tendon_slack_length>{tendon}</tendon_slack_length>
+ <pennation_angle_at_optimal>0.1</pennation_angle_at_optimal>
+</Millard2012EquilibriumMuscle>"""
+
+
+#: A thigh and a shank on two pin joints, a muscle in front and one behind. OpenSim 4 opens it.
+MODEL = f"""<?xml version="1.0" encoding="UTF-8" ?>
+<OpenSimDocument Version="40000">
+<Model name="synthetic">
+<BodySet name="bodyset"><objects>{_body("femur_l")}{_body("tibia_l")}</objects></BodySet>
+<JointSet name="jointset"><objects>
+{_pin("hip_l", "/ground", "femur_l", "hip_flexion_l", 0.0)}
+{_pin("knee_l", "/bodyset/femur_l", "tibia_l", "knee_angle_l", -0.4)}
+</objects></JointSet>
+<ForceSet name="forceset">
+<objects>
+{_muscle("recfem_l", 0.05, 1500.0, 0.1, 0.3)}
+{_muscle("semiten_l", -0.05, 900.0, 0.15, 0.25)}
+</objects>
+<groups>
+<ObjectGroup name="ThighActivationGroupL"><members> recfem_l semiten_l</members></ObjectGroup>
+</groups>
+</ForceSet>
+</Model>
+</OpenSimDocument>
+"""

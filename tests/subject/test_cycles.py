@@ -1,0 +1,91 @@
+"""Recordings are cut into cycles at the right instants, with the right derivative."""
+
+import numpy as np
+import pytest
+
+from tests.subject.synthetic import CYCLES, PERIOD, angles, angular_velocities, emg, moments, write_subject
+from wrapjax.subject import FRAMES, Storage, read_storage, read_subject, write_storage
+from wrapjax.subject.cycles import cycle_times, padding_frames, resample
+
+
+@pytest.fixture
+def subject(tmp_path):
+    return read_subject(write_subject(tmp_path / "subject"))
+
+
+def test_padding_is_a_fifth_of_a_second_at_the_finest_step():
+    assert padding_frames([(0.0, 1.0)]) == 20
+    assert padding_frames([(0.0, 2.0), (2.0, 3.0)]) == 20
+    assert padding_frames([(9.49, 10.59)]) == 19
+
+
+def test_times_are_even_and_end_where_the_cycle_ends():
+    times = cycle_times([(0.5, 1.7), (1.7, 2.9)], 2)
+    assert times.shape == (2, FRAMES + 4)
+    np.testing.assert_array_equal(times[:, 2], [0.5, 1.7])
+    np.testing.assert_array_equal(times[:, -3], [1.7, 2.9])
+    np.testing.assert_allclose(np.diff(times, axis=1), 0.012, rtol=1e-9)
+
+
+def test_velocity_of_a_sine_sampled_unevenly():
+    rng = np.random.default_rng(3)
+    time = np.sort(np.concatenate([[0.0, 2.0], rng.uniform(0.0, 2.0, 400)]))
+    at = cycle_times([(0.3, 1.7)])
+    values, rates = resample(time, np.array([np.sin(5.0 * time), time**2]), at)
+    assert values.shape == (1, 2, FRAMES)
+    np.testing.assert_allclose(values[0], [np.sin(5.0 * at[0]), at[0] ** 2], atol=1e-6)
+    np.testing.assert_allclose(rates[0], [5.0 * np.cos(5.0 * at[0]), 2.0 * at[0]], atol=1e-3)
+
+
+def test_edges_are_held():
+    values, _ = resample(np.arange(5.0), np.arange(5.0)[None] ** 2, np.array([[-1.0, 4.0, 7.0]]))
+    np.testing.assert_allclose(values[0, 0], [0.0, 16.0, 16.0], atol=1e-12)
+
+
+def test_names_uses_and_speeds_of_several_cycles_a_recording(subject):
+    trials = subject.trials
+    assert trials.names == ("walk_a/01", "walk_a/02", "walk_b")
+    assert trials.recordings == ("walk_a", "walk_a", "walk_b")
+    assert trials.uses == ("calibration", "calibration", "validation")
+    np.testing.assert_array_equal(trials.speeds, [1.1, 1.1, np.nan])
+    np.testing.assert_allclose(trials.time[:, [0, -1]], [*CYCLES["walk_a"], *CYCLES["walk_b"]], atol=1e-12)
+
+
+def test_signals_are_those_of_the_recording(subject):
+    trials = subject.trials
+    for index, time in enumerate(trials.time):
+        np.testing.assert_allclose(trials.angles[index], angles(time), atol=1e-7)
+        np.testing.assert_allclose(trials.angular_velocities[index], angular_velocities(time), atol=1e-5)
+        np.testing.assert_allclose(trials.moments[index], moments(time), atol=1e-5)
+        np.testing.assert_allclose(trials.emg[index], emg(trials.emg_time[index]), atol=1e-6)
+    assert trials.padding == 17
+    np.testing.assert_allclose(np.diff(trials.emg_time, axis=1), PERIOD / 100, rtol=1e-9)
+    np.testing.assert_allclose(trials.emg_time[:, 17:-17], trials.time, atol=1e-12)
+    assert subject.notes == ()
+
+
+def test_short_emg_is_held_at_the_edge_and_noted(tmp_path):
+    folder = write_subject(tmp_path / "subject")
+    path = folder / "trials" / "walk_b" / "emg.sto"
+    whole = read_storage(path)
+    keep = whole.time >= 0.55
+    write_storage(path, Storage(whole.name, whole.columns, whole.time[keep], whole.values[keep]))
+    subject = read_subject(folder)
+    before = subject.trials.emg_time[2] <= 0.55
+    assert 5 < before.sum() < subject.trials.padding
+    np.testing.assert_allclose(
+        subject.trials.emg[2][:, before], np.repeat(emg(np.array([0.55])), before.sum(), axis=1), atol=1e-9
+    )
+    assert len(subject.notes) == 1
+    assert "walk_b" in subject.notes[0] and "1 of 1 cycles" in subject.notes[0] and "held" in subject.notes[0]
+
+
+def test_selecting_trials(subject):
+    trials = subject.trials
+    assert trials.used_for("validation").names == ("walk_b",)
+    assert trials.used_for("calibration").angles.shape == (2, 2, FRAMES)
+    swapped = trials.select([2, 0])
+    assert swapped.names == ("walk_b", "walk_a/01")
+    np.testing.assert_array_equal(swapped.moments, trials.moments[[2, 0]])
+    assert swapped.coordinates == trials.coordinates
+    assert len(trials.select(np.array([False, False, False]))) == 0
