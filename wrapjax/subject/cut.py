@@ -89,7 +89,6 @@ def _cut_emg(
         low = [channel for channel, signal in zip(settings.channels, emg, strict=True) if signal.min() < 0.0]
         clipped = f"negative values, down to {emg.min():.3g}, were set to 0 in {', '.join(low)}"
         notes.append(f"{entry.trial.emg}: {clipped}")
-        emg = np.maximum(emg, 0.0)
     wanted = cycle_times(cycles, padding)
     missing = np.maximum(time[0] - wanted[:, 0], wanted[:, -1] - time[-1])
     if missing.max() > TIME_TOLERANCE:
@@ -98,7 +97,7 @@ def _cut_emg(
             f"trial '{entry.trial.name}': less than {PADDING_SECONDS:g} s of EMG before or after {count} of "
             f"{len(cycles)} cycles (up to {missing.max():.3g} s missing); the edge value is held"
         )
-    # The spline may undershoot between samples.
+    # Negative samples, and the spline's undershoot between samples.
     return np.maximum(resample(time, emg, wanted)[0], 0.0)
 
 
