@@ -15,7 +15,7 @@ def subject(tmp_path):
 
 def test_padding_is_a_fifth_of_a_second_at_the_finest_step():
     assert padding_frames([(0.0, 1.0)]) == 20
-    assert padding_frames([(0.7, 1.7)]) == 20  # 0.9999999999999999 s
+    assert padding_frames([(0.07, 0.57)]) == 40  # 0.49999999999999994 s
     assert padding_frames([(0.0, 2.0), (2.0, 3.0)]) == 20
     assert padding_frames([(9.49, 10.59)]) == 19
 

@@ -17,7 +17,7 @@ PADDING_SECONDS = 0.2
 def padding_frames(cycles: list[tuple[float, float]]) -> int:
     """Count the frames to add on each side of every cycle: `PADDING_SECONDS` at the step of the shortest."""
     shortest = min(end - start for start, end in cycles)
-    # A cycle from 0.7 to 1.7 s lasts 0.9999999999999999 s, which must not cost another frame.
+    # A cycle from 0.07 to 0.57 s lasts 0.49999999999999994 s, which must not cost another frame.
     return math.ceil(PADDING_SECONDS / (shortest / (FRAMES - 1)) - 1e-9)
 
 
