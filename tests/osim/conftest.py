@@ -117,7 +117,7 @@ def build_odd_model():
     _via(_muscle(model, "conditional", (thigh, (-0.03, -0.1, 0))), condition, shank, (-0.03, -0.2, 0))
     glide = opensim.MovingPathPoint()
     glide.setName("moving-via")
-    glide.updSocket("parent_frame").setConnecteePath("/bodyset/shank")
+    glide.updSocket("parent_frame").setConnecteePath("/bodyset/thigh")
     for axis, function in zip(
         "XYZ",
         (opensim.LinearFunction(0.02, 0.05), opensim.Constant(-0.02), opensim.Constant(0.0)),
@@ -125,7 +125,7 @@ def build_odd_model():
     ):
         glide.updSocket(f"{axis.lower()}_coordinate").setConnecteePath("/jointset/knee_joint/knee")
         getattr(glide, f"set_{axis.lower()}_location")(function)
-    _via(_muscle(model, "moving", (thigh, (0.03, -0.2, 0))), glide, shank, (0.03, -0.1, 0))
+    _via(_muscle(model, "moving", (model.getGround(), (0.03, 1.2, 0))), glide, thigh, (0.03, -0.2, 0))
     model.finalizeConnections()
     return model
 

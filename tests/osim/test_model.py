@@ -29,6 +29,12 @@ def test_importing_the_package_leaves_opensim_out():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_opensim_says_nothing_and_leaves_no_log(tmp_path, odd_model):
+    code = f"from wrapjax.osim import describe_model; describe_model({str(odd_model)!r})"
+    finished = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True)
+    assert (finished.stdout, finished.stderr, list(tmp_path.iterdir())) == (b"", b"", [])
+
+
 def test_points_are_those_of_the_file(stroke, s1_left):
     root = ElementTree.parse(s1_left / "model.osim").getroot()
     count = 0
@@ -151,7 +157,10 @@ def test_offset_frames_are_resolved_into_their_body(odd, odd_model):
 
 def test_what_is_not_a_fixed_point_or_a_cylinder_is_named(odd):
     assert odd.wrap("brim").radius is None
+    # It ends above the knee, but a point of it glides with the knee.
+    assert [point.body for point in odd.muscle("moving").points] == ["ground", "thigh", "thigh"]
     assert odd.muscle("moving").points[1].moved_by == ("knee",)
+    assert odd.spanned_by("moving") == ("hip", "knee")
     assert odd.unusual == (
         "wrap object 'brim' on thigh is a WrapEllipsoid",
         "muscle 'conditional': point 'conditional-via' is a ConditionalPathPoint",
@@ -178,8 +187,7 @@ def test_unknown_muscles_are_all_named_at_once(odd_model):
     ],
     ids=["empty", "rubbish", "other-xml", "no-model", "truncated"],
 )
-def test_a_file_that_is_no_model_is_refused(tmp_path, monkeypatch, capfd, content, sentence):
-    monkeypatch.chdir(tmp_path)
+def test_a_file_that_is_no_model_is_refused(tmp_path, capfd, content, sentence):
     file = tmp_path / "model.osim"
     file.write_bytes(content)
     with pytest.raises(InputError) as caught:
@@ -188,7 +196,6 @@ def test_a_file_that_is_no_model_is_refused(tmp_path, monkeypatch, capfd, conten
     assert problem.file == str(file) and sentence in problem.message
     assert "\n" not in problem.message
     assert capfd.readouterr() == ("", "")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["model.osim"]
 
 
 def test_a_missing_file_is_refused(tmp_path):
