@@ -1,0 +1,73 @@
+"""Groups of gait cycles that are drawn together, and their mean and spread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.calibrate import CalibrationResult
+
+
+@dataclass(frozen=True)
+class CycleGroup:
+    """Cycles that one line stands for.
+
+    Parameters
+    ----------
+    label
+        What they have in common; empty if they are all there are.
+    keep
+        Which cycles.
+    """
+
+    label: str
+    keep: Bool[np.ndarray, " trial"]
+
+    @property
+    def count(self) -> str:
+        """Number of cycles in words."""
+        number = int(self.keep.sum())
+        return f"{number} cycle{'' if number == 1 else 's'}"
+
+
+def groups_by_speed(result: CalibrationResult, *, most: int) -> list[CycleGroup]:
+    """Group the cycles by walking speed; all in one group where there are more than ``most`` speeds."""
+    speeds = np.unique(result.speeds)  # NaNs count as one, the last
+    everything = np.ones(len(result.trials), dtype=bool)
+    if not 2 <= len(speeds) <= most:
+        return [CycleGroup("", everything)]
+    return [
+        CycleGroup("speed not given", np.isnan(result.speeds))
+        if np.isnan(speed)
+        else CycleGroup(f"{speed:g} m/s", result.speeds == speed)
+        for speed in speeds
+    ]
+
+
+def groups_by_speed_and_use(result: CalibrationResult, *, most_speeds: int) -> list[CycleGroup]:
+    """Group the cycles by speed and, within a speed, by use; groups without cycles are left out."""
+    groups = []
+    for speed in groups_by_speed(result, most=most_speeds):
+        for use in ("calibration", "validation"):
+            keep = speed.keep & np.array([entry == use for entry in result.uses])
+            if keep.any():
+                groups.append(CycleGroup(f"{speed.label}, {use}".lstrip(", "), keep))
+    return groups
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean over cycles and one standard deviation to either side; both are the mean of a single cycle."""
+
+    mean: Float[np.ndarray, " frame"]
+    low: Float[np.ndarray, " frame"]
+    high: Float[np.ndarray, " frame"]
+
+
+def spread(curves: Float[np.ndarray, "trial frame"]) -> Spread:
+    """Summarize a curve over cycles, point by point of the gait cycle."""
+    mean = curves.mean(axis=0)
+    deviation = curves.std(axis=0, ddof=1) if len(curves) > 1 else np.zeros_like(mean)
+    return Spread(mean, mean - deviation, mean + deviation)

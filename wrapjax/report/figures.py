@@ -1,0 +1,141 @@
+"""Figures of a calibration: curves over the gait cycle."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibrate import CalibrationResult
+from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.style import (
+    BAND_ALPHA,
+    BLACK,
+    BLUE,
+    GRAY,
+    GROUP_COLORS,
+    LIGHT_GRAY,
+    Axes,
+    Figure,
+    in_style,
+    new_figure,
+    panel_grid,
+)
+
+#: Normalised fiber lengths that the lab's calibrations stay within.
+FIBER_LENGTH_LIMITS = (0.3, 1.3)
+PAGE_WIDTH = 10.0
+
+
+@in_style
+def moment_figure(result: CalibrationResult) -> Figure:
+    """Draw measured and modelled joint moments, one row a coordinate, one column a kind of cycles."""
+    groups = groups_by_speed_and_use(result, most_speeds=2)
+    wrapped = len(groups) == 1
+    columns = min(3, len(result.coordinates)) if wrapped else len(groups)
+    count = len(result.coordinates) * len(groups)
+    figure, panels = panel_grid(
+        count,
+        columns,
+        width=PAGE_WIDTH if columns > 1 else PAGE_WIDTH / 2,
+        panel_height=1.75,
+        sharex=True,
+        sharey=False if wrapped else "row",
+    )
+    for number, panel in enumerate(panels):
+        row, column = divmod(number, len(groups))
+        group = groups[column]
+        measured, modelled = result.measured[group.keep, row], result.modelled[group.keep, row]
+        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+        _draw_spread(panel, measured, BLACK, "measured")
+        _draw_spread(panel, modelled, BLUE, "modelled")
+        error = np.abs(modelled - measured).mean()
+        panel.set_title(f"{result.coordinates[row]}: error {error:.1f} N m", loc="left")
+        if not wrapped and row == 0:
+            panel.annotate(
+                f"{group.label} ({group.count})",
+                (0.0, 1.0),
+                xytext=(0, 18),
+                xycoords="axes fraction",
+                textcoords="offset points",
+                fontweight="bold",
+            )
+        if number % columns == 0:
+            panel.set_ylabel("moment (N m)")
+        if number >= count - columns:
+            panel.set_xlabel("gait cycle (%)")
+        panel.set_xlim(0, 100)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+@in_style
+def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> Figure:
+    """Draw muscle activations, one panel a muscle, one color a walking speed.
+
+    Parameters
+    ----------
+    result
+        All cycles.
+    channel_of
+        EMG channel that drives each muscle.
+    """
+    groups = groups_by_speed(result, most=len(GROUP_COLORS))
+    columns = 6 if len(result.muscles) > 12 else 4
+    figure, panels = panel_grid(
+        len(result.muscles), columns, width=PAGE_WIDTH, panel_height=1.15, sharex=True, sharey=True
+    )
+    highest = 0.0
+    for row, panel in enumerate(panels):
+        for group, color in zip(groups, GROUP_COLORS, strict=False):
+            curves = np.asarray(result.states.activation[row, group.keep])
+            _draw_spread(panel, curves, color, group.label)
+            highest = max(highest, float(np.nanmax(spread(curves).high, initial=0.0)))
+        muscle = result.muscles[row]
+        panel.set_title(muscle, loc="left", pad=9)
+        panel.text(0, 1.03, channel_of[muscle], transform=panel.transAxes, fontsize=6, color="#555555")
+        if row % columns == 0:
+            panel.set_ylabel("activation")
+        if row >= len(panels) - columns:
+            panel.set_xlabel("gait cycle (%)")
+    panels[0].set(xlim=(0, 100), ylim=(0, min(1.0, 1.05 * highest) or 1.0))
+    if len(groups) > 1:
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(groups))
+    return figure
+
+
+@in_style
+def fiber_length_figure(result: CalibrationResult) -> Figure:
+    """Draw the range of normalised fiber lengths over all cycles, before and after calibration."""
+    muscles = result.muscles
+    figure = new_figure(PAGE_WIDTH, 0.2 * len(muscles) + 1.2)
+    panel = figure.subplots()
+    panel.axvspan(*FIBER_LENGTH_LIMITS, color="#F1F6FA", zorder=0)
+    for limit in FIBER_LENGTH_LIMITS:
+        panel.axvline(limit, color=GRAY, linewidth=0.8, zorder=1)
+    panel.axvline(1.0, color=GRAY, linewidth=0.8, linestyle="--", zorder=1)
+    rows = np.arange(len(muscles))
+    for states, shift, color, label in (
+        (result.initial_states, -0.17, GRAY, "before calibration"),
+        (result.states, 0.17, BLUE, "after"),
+    ):
+        lengths = np.asarray(states.fiber.normalized_length).reshape(len(muscles), -1)
+        panel.hlines(rows + shift, lengths.min(axis=1), lengths.max(axis=1), color=color, linewidth=2.2)
+        panel.plot(
+            lengths.mean(axis=1), rows + shift, "o", color=color, markersize=4.2, label=label, zorder=3
+        )
+    panel.set_yticks(rows, muscles)
+    panel.set_ylim(len(muscles) - 0.4, -0.6)
+    panel.set_xlim(left=min(0.2, panel.get_xlim()[0]), right=max(1.4, panel.get_xlim()[1]))
+    panel.set_xlabel("fiber length / optimal fiber length")
+    panel.tick_params(axis="y", length=0)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+def _draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
+    """Draw the mean over cycles and a band of one standard deviation."""
+    shape = spread(curves)
+    percent = np.linspace(0.0, 100.0, len(shape.mean))
+    if len(curves) > 1:
+        panel.fill_between(percent, shape.low, shape.high, color=color, alpha=BAND_ALPHA, linewidth=0)
+    panel.plot(percent, shape.mean, color=color, label=label)

@@ -1,0 +1,133 @@
+"""Small pieces of HTML. Whatever is passed in as text is escaped here, and nowhere else."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+
+STYLE = """
+:root { color-scheme: light; }
+body { margin: 0 auto; max-width: 66rem; padding: 1.5rem; color: #1a1a1a; background: #fff;
+  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+h1 { font-size: 1.6rem; line-height: 1.25; margin: 0 0 .25rem; }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; padding-top: .6rem; border-top: 1px solid #d8d8d8; }
+p { margin: .4rem 0; max-width: 48rem; }
+.under { color: #555; }
+.verdict { border-left: .4rem solid #0072b2; background: #f1f6fa; padding: .6rem 1rem; margin: 1rem 0; }
+.verdict.failed { border-color: #d55e00; background: #fdf3ec; }
+.verdict p { max-width: none; }
+.scroll { overflow-x: auto; margin: .8rem 0; }
+table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
+caption { text-align: left; color: #555; padding-bottom: .3rem; }
+th, td { padding: .22rem .8rem .22rem 0; text-align: left; vertical-align: top; }
+thead th { border-bottom: 1px solid #888; vertical-align: bottom; }
+.number { text-align: right; }
+tr.total th, tr.total td { border-top: 1px solid #bbb; font-weight: 600; }
+tbody th { font-weight: 400; }
+figure { margin: .8rem 0; }
+figure img { width: 100%; height: auto; }
+figcaption { color: #333; font-size: .92rem; max-width: 48rem; }
+ul { padding-left: 1.2rem; }
+@media print {
+  body { max-width: none; padding: 0; font-size: 10pt; }
+  figure, table, .verdict { break-inside: avoid; }
+  h2 { break-after: avoid; }
+}
+"""
+
+
+def text(plain: str) -> str:
+    """Plain text as HTML."""
+    return escape(plain)
+
+
+def paragraph(plain: str, kind: str = "") -> str:
+    """One paragraph of plain text."""
+    return f"<p{_class(kind)}>{text(plain)}</p>"
+
+
+def bullets(lines: Iterable[str]) -> str:
+    """List lines of plain text."""
+    return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"
+
+
+def box(content: str, kind: str) -> str:
+    """Set pieces apart."""
+    return f"<div{_class(kind)}>{content}</div>"
+
+
+def section(title: str, *content: str) -> str:
+    """Put pieces under a heading."""
+    return "\n".join([f"<section>\n<h2>{text(title)}</h2>", *content, "</section>"])
+
+
+def table(
+    header: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    caption: str,
+    numeric: bool = False,
+    total: bool = False,
+) -> str:
+    """Lay out a table whose first column names the rows.
+
+    Parameters
+    ----------
+    header, rows
+        Texts.
+    caption
+        What the table shows, with units.
+    numeric
+        Whether all columns but the first hold numbers.
+    total
+        Whether the last row sums up the others.
+    """
+    kind = "number" if numeric else ""
+    lines = [tuple(row) for row in rows]
+    head = f'<th scope="col">{text(header[0])}</th>' + "".join(
+        f'<th scope="col"{_class(kind)}>{text(name)}</th>' for name in header[1:]
+    )
+    body = []
+    for number, row in enumerate(lines):
+        last = total and number == len(lines) - 1
+        cells = "".join(f"<td{_class(kind)}>{text(cell)}</td>" for cell in row[1:])
+        body.append(f'<tr{_class("total" if last else "")}><th scope="row">{text(row[0])}</th>{cells}</tr>')
+    return (
+        f'<div class="scroll"><table><caption>{text(caption)}</caption>\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>"
+    )
+
+
+def picture(svg: str, *, alternative: str, caption: str) -> str:
+    """Embed a drawing as an image of its own, so that its ids meet those of no other.
+
+    Parameters
+    ----------
+    svg
+        The drawing.
+    alternative
+        What it shows, for those who cannot see it.
+    caption
+        What it shows and how to read it, with units.
+    """
+    data = base64.b64encode(svg.encode()).decode()
+    return (
+        f'<figure><img alt="{text(alternative)}" src="data:image/svg+xml;base64,{data}">\n'
+        f"<figcaption>{text(caption)}</figcaption></figure>"
+    )
+
+
+def page(title: str, content: Iterable[str]) -> str:
+    """Make a whole page that loads nothing from anywhere."""
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{text(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(content)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _class(kind: str) -> str:
+    return f' class="{text(kind)}"' if kind else ""

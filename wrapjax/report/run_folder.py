@@ -1,0 +1,42 @@
+"""The folder of a finished calibration, written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wrapjax.calibrate import CalibrationResult
+from wrapjax.files import new_folder, write_json, write_text
+from wrapjax.report.html import render_report
+from wrapjax.report.provenance import describe_settings
+from wrapjax.report.summary import file_stems, summarize
+from wrapjax.report.tables import curve_tables, parameters_csv
+from wrapjax.subject import Subject, write_storage
+
+
+def write_run(subject: Subject, result: CalibrationResult, folder: Path, *, force: bool = False) -> None:
+    """Write a calibration's summary, parameters, curves, settings and report.
+
+    Parameters
+    ----------
+    subject, result
+        What was calibrated, and what came of it.
+    folder
+        Where to; it appears when complete.
+    force
+        Replace a folder that exists.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``force`` is not set, or cannot be created.
+    """
+    summary = summarize(subject, result)
+    settings = describe_settings(subject, result)
+    with new_folder(folder, force=force) as run:
+        write_json(run / "summary.json", summary)
+        write_json(run / "settings.json", settings)
+        write_text(run / "parameters.csv", parameters_csv(result))
+        for trial, stem in enumerate(file_stems(result.trials).values()):
+            for kind, table in curve_tables(result, trial).items():
+                write_storage(run / kind / f"{stem}.sto", table)
+        write_text(run / "report.html", render_report(subject, result, summary, settings))

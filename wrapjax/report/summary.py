@@ -1,0 +1,103 @@
+"""A calibration in numbers: the content of ``summary.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibrate import CalibrationResult
+from wrapjax.evaluate import MomentErrors, moment_errors, pooled_mae
+from wrapjax.subject import Subject
+
+#: Version of the layout of ``summary.json``.
+SCHEMA = 1
+USES = ("calibration", "validation")
+
+
+def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
+    """Summarize a calibration as plain numbers and words.
+
+    Returns
+    -------
+    dict
+        The contract's keys, moment errors in N m over all frames of the cycles. Beyond the contract:
+        the errors before calibration, root-mean-square errors by use, the cost and its parts, and of
+        each trial the name of its files.
+    """
+    errors = _errors_by_trial(result, result.modelled)
+    before = _errors_by_trial(result, result.initial_modelled)
+    files = file_stems(result.trials)
+    solution = result.solution
+    return {
+        "schema": SCHEMA,
+        "subject": subject.name,
+        "method": result.method,
+        "converged": solution.status.converged,
+        "message": solution.status.value,
+        "iterations": solution.iterations,
+        "starts": 1,
+        "n_variables": len(solution.variables),
+        "n_residuals": result.n_residuals,
+        "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
+        # Nothing but bounds limits the parameters, and the solver never leaves those.
+        "max_constraint_violation": 0.0,
+        "mae_Nm": {use: pooled_mae(_used_for(use, errors, result), result.coordinates) for use in USES},
+        "rmse_Nm": {use: _pooled_rmse(_used_for(use, errors, result), result.coordinates) for use in USES},
+        "mae_before_Nm": {
+            use: pooled_mae(_used_for(use, before, result), result.coordinates) for use in USES
+        },
+        "trials": {
+            trial: {
+                "use": use,
+                "mae_Nm": pooled_mae([error], result.coordinates),
+                "rmse_Nm": _pooled_rmse([error], result.coordinates),
+                "file": files[trial],
+            }
+            for trial, use, error in zip(result.trials, result.uses, errors, strict=True)
+        },
+        # Paths of muscles stay as they were fitted.
+        "geometry_change": {"length_mae_m": 0.0, "moment_arm_mae_m": 0.0},
+        "at_bounds": list(result.at_bounds),
+        "cost": solution.cost,
+        "cost_by_term": dict(result.cost_by_term),
+    }
+
+
+def file_stems(trials: Sequence[str]) -> dict[str, str]:
+    """Name the files of each trial: its own name with ``/`` as ``_``.
+
+    Where two names come to the same (also for file systems that ignore case), the later one is
+    numbered, so that no trial's files replace another's.
+    """
+    stems: dict[str, str] = {}
+    taken: set[str] = set()
+    for trial in trials:
+        plain = stem = trial.replace("/", "_")
+        number = 1
+        while stem.lower() in taken:
+            number += 1
+            stem = f"{plain}-{number}"
+        taken.add(stem.lower())
+        stems[trial] = stem
+    return stems
+
+
+def _errors_by_trial(
+    result: CalibrationResult, modelled: Float[np.ndarray, "trial coordinate frame"]
+) -> list[MomentErrors]:
+    return [moment_errors(*pair) for pair in zip(result.measured, modelled, strict=True)]
+
+
+def _used_for(use: str, errors: list[MomentErrors], result: CalibrationResult) -> list[MomentErrors]:
+    return [error for error, given in zip(errors, result.uses, strict=True) if given == use]
+
+
+def _pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
+    """Pool over the frames of all cycles; ``mean`` averages over coordinates. None without any cycle."""
+    if not errors:
+        return None
+    pooled = np.sqrt(np.mean([error.root_mean_square**2 for error in errors], axis=0))
+    return dict(zip(coordinates, pooled.tolist(), strict=True)) | {"mean": float(pooled.mean())}

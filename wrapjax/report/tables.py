@@ -1,0 +1,65 @@
+"""Parameters as a CSV table, curves over time as OpenSim tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibrate import CalibrationResult
+from wrapjax.model import QUANTITIES
+from wrapjax.subject import Storage
+
+PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
+
+
+def parameters_csv(result: CalibrationResult) -> str:
+    """Write every parameter of every muscle, SI units and all digits; bounds only where it was free."""
+    freed = {parameter.name: parameter for parameter in result.freedom.parameters}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(PARAMETER_COLUMNS)
+    for row, muscle in enumerate(result.muscles):
+        for name, quantity in QUANTITIES.items():
+            value = float(getattr(result.parameters, name)[row])
+            bounds: tuple[float | str, float | str] = ("", "")
+            if name in freed:
+                bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
+            writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
+    return text.getvalue()
+
+
+def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:
+    """Give one cycle's curves, by the name of the folder they go to.
+
+    Parameters
+    ----------
+    result
+        All cycles.
+    trial
+        Which one.
+
+    Returns
+    -------
+    dict of Storage
+        ``moments`` in N m (``<coordinate>_moment`` modelled, ``<coordinate>_moment_measured``),
+        ``activations`` from 0 to 1, ``muscle_forces`` in the tendon in N.
+    """
+    labels = [f"{coordinate}_moment" for coordinate in result.coordinates]
+    moments = np.concatenate([result.modelled[trial], result.measured[trial]])
+
+    activation = np.asarray(result.states.activation)[:, trial]
+    force = np.asarray(result.states.fiber.tendon_force)[:, trial]
+
+    def table(title: str, columns: Sequence[str], rows: Float[np.ndarray, "column frame"]) -> Storage:
+        name = f"{title} of {result.trials[trial]}"
+        return Storage(name, tuple(columns), result.time[trial], rows.T)
+
+    return {
+        "moments": table("joint moments (N m)", labels + [f"{label}_measured" for label in labels], moments),
+        "activations": table("muscle activations", result.muscles, activation),
+        "muscle_forces": table("tendon forces (N)", result.muscles, force),
+    }
