@@ -1,6 +1,8 @@
 """Defends: lengths and moment arms are OpenSim's own, however they are reached, shared out or remembered."""
 
 import multiprocessing
+import subprocess
+import sys
 
 import numpy as np
 import opensim
@@ -306,6 +308,19 @@ def test_a_worker_that_dies_is_reported_and_costs_only_what_it_was_doing(
     assert kept >= 1
     analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=1, quiet=True)
     assert counted == [4000, 4000 - 4 * kept]
+
+
+def test_a_plain_script_needs_no_guard_and_runs_once(empty_cache, tmp_path, odd_model):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import numpy as np\n"
+        "from wrapjax.osim import analyse_muscles\n"
+        "poses = np.linspace(0.0, 1.0, 1000)[:, None]\n"
+        f"found = analyse_muscles({str(odd_model)!r}, ['flexor'], ['knee'], poses, processes=2, quiet=True)\n"
+        "print(found.length.shape)\n"
+    )
+    finished = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert (finished.stdout, finished.stderr, finished.returncode) == ("(1000, 1)\n", "", 0)
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_else(empty_cache, monkeypatch, odd_model):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -54,7 +55,7 @@ class PathEngine:
         ]
         self._muscles = [self._model.getMuscles().get(name) for name in spans]
         # For each coordinate the muscles (by number) that span it: quick ones and those that need the judge.
-        quick = [_has_a_plain_path(opensim, muscle) for muscle in self._muscles]
+        quick = [_has_a_plain_path(muscle) for muscle in self._muscles]
         spanning = [[i for i, span in enumerate(spans.values()) if name in span] for name in coordinates]
         self._quick = [[i for i in row if quick[i]] for row in spanning]
         self._judged = [[i for i in row if not quick[i]] for row in spanning]
@@ -87,11 +88,11 @@ class PathEngine:
             inputs = self._vector([coordinate.getValue(state) for coordinate in independent])
             dependent.setValue(state, scale * function.calcValue(inputs), False)
 
-    def _move_alone(self, moving: object) -> None:
+    def _move_alone(self, moving: Any) -> None:
         """Give one coordinate unit speed, those coupled to it the speed that follows, others none."""
         state = self._state
         state.setU(self._vector([0.0] * state.getNU()))
-        moving.setSpeedValue(state, 1.0)  # type: ignore[attr-defined]
+        moving.setSpeedValue(state, 1.0)
         for dependent, independent, function, scale in self._couplers:
             inputs = self._vector([coordinate.getValue(state) for coordinate in independent])
             speed = 0.0
@@ -101,15 +102,15 @@ class PathEngine:
             dependent.setSpeedValue(state, speed)
         self._model.realizeVelocity(state)
 
-    def _vector(self, values: Sequence[float]) -> object:
+    def _vector(self, values: Sequence[float]) -> Any:
         vector = self._opensim.Vector(len(values), 0.0)
         for index, value in enumerate(values):
             vector.set(index, value)
         return vector
 
 
-def _has_a_plain_path(opensim: object, muscle: object) -> bool:
+def _has_a_plain_path(muscle: Any) -> bool:
     """Say whether lengthening speed and moment arm are the same thing in OpenSim for this path."""
-    path = muscle.getGeometryPath()  # type: ignore[attr-defined]
+    path = muscle.getGeometryPath()
     fixed = all(point.getConcreteClassName() == "PathPoint" for point in elements(path.getPathPointSet()))
     return fixed and path.getWrapSet().getSize() <= 1

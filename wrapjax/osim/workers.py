@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from jaxtyping import Float
@@ -74,18 +77,33 @@ def _analyse_in_workers(
         processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=engine_arguments
     )
     try:
-        keys = {pool.submit(_analyse_in_worker, poses): key for key, poses in chunks.items()}
+        with _calling_script_hidden():
+            keys = {pool.submit(_analyse_in_worker, poses): key for key, poses in chunks.items()}
         for future in as_completed(keys):
             yield keys[future], *future.result()
     except BrokenProcessPool as error:
         raise RuntimeError(
-            "a worker process of the muscle analysis died: killed, out of memory, or unable to start "
-            "because the calling script does not guard its work by `if __name__ == '__main__':`. "
+            "a worker process of the muscle analysis died: killed, or out of memory. "
             "What was finished is kept; run it again, or with processes=1"
         ) from error
     finally:
         # After Ctrl-C too: what is being analysed ends within a second, what is waiting is dropped.
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _calling_script_hidden() -> Iterator[None]:
+    """Keep workers that start now from running the caller's script first.
+
+    A spawned process imports its parent's ``__main__``. The workers need nothing of it, and a script
+    without ``if __name__ == "__main__":`` would do all its work again in each of them.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _start_worker(
