@@ -127,18 +127,22 @@ COORDINATES = tuple(hinge.coordinate for joint in JOINTS for hinge in joint.hing
 
 # Which bone a muscle wraps over follows Arnold et al. 2010 (A model of the lower limb for analysis of human
 # movement, doi:10.1007/s10439-009-9852-5). Chosen here: every center and radius, so that the surface passes
-# near the via points that Delp et al. 1990 hold the same muscle out with, or (knee) so that moment arms resemble
-# those measured by Buford et al. 1997 (IEEE Trans Rehabil Eng 5:367), and that no path point comes inside and
-# no path jumps while walking.
+# near the via points that Delp et al. 1990 hold the same muscle out with, or (knee) so that moment arms
+# resemble those measured by Buford et al. 1997 (IEEE Trans Rehabil Eng 5:367), and that no path point comes
+# inside and no path jumps while walking.
+#
+# Two habits of OpenSim's wrapping (4.6) are heeded. Its path is not quite the shortest where it runs along the
+# axis, so cylinders are turned about x to lie across their muscles. And it misplaces a tangent point if an end
+# of the wrapped segment lies in the cylinder's middle plane, so those at the femur are moved aside.
 CYLINDERS = (
-    Cylinder("Gmax1_at_pelvis_r", "pelvis", (-0.085, -0.050, 0.083), 0.040, 0.30, "-x"),
-    Cylinder("Gmax2_at_pelvis_r", "pelvis", (-0.095, -0.060, 0.083), 0.042, 0.30, "-x"),
-    Cylinder("Gmax3_at_pelvis_r", "pelvis", (-0.108, -0.095, 0.060), 0.035, 0.30, "-x"),
-    Cylinder("IL_at_brim_r", "pelvis", (-0.060, -0.060, 0.083), 0.035, 0.20, "+x"),
-    Cylinder("PS_at_brim_r", "pelvis", (-0.058, -0.060, 0.075), 0.034, 0.20, "+x"),
-    Cylinder("RF_at_femur_r", "femur_r", (0.004, -0.397, 0.0), 0.039, 0.20, "+x"),
-    Cylinder("Vasti_at_femur_r", "femur_r", (0.003, -0.397, 0.0), 0.038, 0.20, "+x"),
-    Cylinder("BF_at_condyles_r", "femur_r", (-0.005, -0.400, 0.030), 0.032, 0.20, "-x"),
-    Cylinder("ST_at_tibia_r", "tibia_r", (-0.005, -0.020, -0.020), 0.033, 0.20, "-x"),
-    Cylinder("Gastroc_at_condyles_r", "femur_r", (-0.003, -0.398, 0.0), 0.026, 0.20, "-x"),
+    Cylinder("Gmax1_at_pelvis_r", "pelvis", (-0.085, -0.050, 0.083), 0.040, 0.30, "-x", (-0.33, 0.0, 0.0)),
+    Cylinder("Gmax2_at_pelvis_r", "pelvis", (-0.095, -0.060, 0.083), 0.042, 0.30, "-x", (-0.39, 0.0, 0.0)),
+    Cylinder("Gmax3_at_pelvis_r", "pelvis", (-0.102, -0.095, 0.060), 0.032, 0.30, "-x", (-0.58, 0.0, 0.0)),
+    Cylinder("IL_at_brim_r", "pelvis", (-0.060, -0.060, 0.083), 0.035, 0.20, "+x", (-0.07, 0.0, 0.0)),
+    Cylinder("PS_at_brim_r", "pelvis", (-0.058, -0.060, 0.075), 0.034, 0.20, "+x", (-0.30, 0.0, 0.0)),
+    Cylinder("RF_at_femur_r", "femur_r", (0.004, -0.397, -0.03), 0.039, 0.30, "+x"),
+    Cylinder("Vasti_at_femur_r", "femur_r", (0.003, -0.397, -0.03), 0.038, 0.30, "+x"),
+    Cylinder("BF_at_condyles_r", "femur_r", (-0.005, -0.400, -0.03), 0.032, 0.30, "-x"),
+    Cylinder("ST_at_tibia_r", "tibia_r", (-0.005, -0.020, 0.03), 0.033, 0.30, "-x"),
+    Cylinder("Gastroc_at_condyles_r", "femur_r", (-0.003, -0.398, 0.05), 0.026, 0.30, "-x"),
 )

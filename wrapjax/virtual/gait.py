@@ -105,11 +105,11 @@ CHANNELS: dict[str, Channel] = {
     "AddLong": Channel(
         (Burst(0.63, 0.07, 1.0), Burst(0.02, 0.07, 0.75)),
         {
-            "addbrev_r": 0.15,
-            "addlong_r": 0.15,
-            "addmagIsch_r": 0.15,
-            "addmagMid_r": 0.15,
-            "addmagProx_r": 0.15,
+            "addbrev_r": 0.12,
+            "addlong_r": 0.12,
+            "addmagIsch_r": 0.12,
+            "addmagMid_r": 0.12,
+            "addmagProx_r": 0.12,
         },
     ),
     "BicFemLong": Channel(
@@ -117,7 +117,7 @@ CHANNELS: dict[str, Channel] = {
         {"bflh_r": 0.25, "bfsh_r": 0.45},
     ),
     "GasMed": Channel(
-        (Burst(0.43, 0.08, 1.0), Burst(0.22, 0.09, 0.15)),
+        (Burst(0.42, 0.08, 1.0), Burst(0.22, 0.09, 0.15)),
         {"gaslat_r": 0.50, "gasmed_r": 0.50},
     ),
     "GlutMax": Channel(
@@ -127,12 +127,12 @@ CHANNELS: dict[str, Channel] = {
     "GlutMed": Channel(
         (Burst(0.09, 0.07, 1.0), Burst(0.32, 0.09, 0.80)),
         {
-            "glmed1_r": 0.70,
-            "glmed2_r": 0.70,
-            "glmed3_r": 0.70,
-            "glmin1_r": 0.65,
-            "glmin2_r": 0.65,
-            "glmin3_r": 0.65,
+            "glmed1_r": 0.75,
+            "glmed2_r": 0.75,
+            "glmed3_r": 0.75,
+            "glmin1_r": 0.70,
+            "glmin2_r": 0.70,
+            "glmin3_r": 0.70,
         },
     ),
     "Iliopsoas": Channel(
@@ -152,12 +152,12 @@ CHANNELS: dict[str, Channel] = {
         {"semimem_r": 0.20, "semiten_r": 0.20},
     ),
     "Sol": Channel(
-        (Burst(0.44, 0.08, 1.0), Burst(0.20, 0.10, 0.20)),
+        (Burst(0.43, 0.08, 1.0), Burst(0.20, 0.10, 0.20)),
         {"soleus_r": 0.50},
     ),
     "TibAnt": Channel(
         (Burst(0.64, 0.06, 1.0), Burst(0.03, 0.06, 0.80), Burst(0.85, 0.10, 0.35)),
-        {"tibant_r": 0.45},
+        {"tibant_r": 0.50},
     ),
     "TibPost": Channel(
         (Burst(0.40, 0.10, 1.0), Burst(0.12, 0.07, 0.40)),
@@ -173,7 +173,7 @@ CHANNELS: dict[str, Channel] = {
     ),
 }
 #: Envelope between bursts, chosen here.
-_BASELINE = 0.02
+_BASELINE = 0.01
 
 
 def cycle_time(speed: float) -> float:
