@@ -21,9 +21,10 @@ from wrapjax.report.style import (
     panel_grid,
 )
 
-#: Normalised fiber lengths that the lab's calibrations stay within.
+#: Where normalised fiber lengths are expected; the lab's constrained calibrations hold them there.
 FIBER_LENGTH_LIMITS = (0.3, 1.3)
-PAGE_WIDTH = 10.0
+#: Inches; fills the page at 96 pixels an inch.
+PAGE_WIDTH = 10.5
 
 
 @in_style
@@ -82,7 +83,7 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
     groups = groups_by_speed(result, most=len(GROUP_COLORS))
     columns = 6 if len(result.muscles) > 12 else 4
     figure, panels = panel_grid(
-        len(result.muscles), columns, width=PAGE_WIDTH, panel_height=1.15, sharex=True, sharey=True
+        len(result.muscles), columns, width=PAGE_WIDTH, panel_height=1.2, sharex=True, sharey=True
     )
     highest = 0.0
     for row, panel in enumerate(panels):
@@ -91,8 +92,8 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
             _draw_spread(panel, curves, color, group.label)
             highest = max(highest, float(np.nanmax(spread(curves).high, initial=0.0)))
         muscle = result.muscles[row]
-        panel.set_title(muscle, loc="left", pad=9)
-        panel.text(0, 1.03, channel_of[muscle], transform=panel.transAxes, fontsize=6, color="#555555")
+        panel.set_title(muscle, loc="left", pad=10)
+        panel.text(0, 1.03, channel_of[muscle], transform=panel.transAxes, fontsize=6.5, color="#555555")
         if row % columns == 0:
             panel.set_ylabel("activation")
         if row >= len(panels) - columns:

@@ -61,7 +61,7 @@ def render_report(
 def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     """Say in plain sentences what came of a calibration."""
     mean = {use: _mean(summary["mae_Nm"][use]) for use in USES}
-    before = _mean(summary["mae_before_Nm"]["calibration"])
+    before = _mean(summary["before"]["mae_Nm"]["calibration"])
     cycles = {use: _count(result.uses.count(use), f"{use} cycle") for use in USES}
     first = (
         f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over the "
@@ -74,7 +74,8 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
         )
     else:
         second = (
-            f"On the {cycles['validation']}, which calibration has not seen, it is {mean['validation']} N m."
+            f"On the {cycles['validation']}, which calibration has not seen, they differ by "
+            f"{mean['validation']} N m."
         )
     stuck, free = len(result.at_bounds), summary["n_variables"]
     third = f"None of the {free} free parameters ended on a bound."
@@ -96,14 +97,15 @@ def _verdict(result: CalibrationResult, summary: dict[str, Any]) -> str:
 
 def _errors(result: CalibrationResult, summary: dict[str, Any]) -> str:
     columns = {
-        "before, mean abs.": summary["mae_before_Nm"]["calibration"],
-        "calibration, mean abs.": summary["mae_Nm"]["calibration"],
-        "calibration, RMS": summary["rmse_Nm"]["calibration"],
+        "before: MAE": summary["before"]["mae_Nm"]["calibration"],
+        "before: RMSE": summary["before"]["rmse_Nm"]["calibration"],
+        "calibration: MAE": summary["mae_Nm"]["calibration"],
+        "calibration: RMSE": summary["rmse_Nm"]["calibration"],
     }
     if summary["mae_Nm"]["validation"] is not None:
         columns |= {
-            "validation, mean abs.": summary["mae_Nm"]["validation"],
-            "validation, RMS": summary["rmse_Nm"]["validation"],
+            "validation: MAE": summary["mae_Nm"]["validation"],
+            "validation: RMSE": summary["rmse_Nm"]["validation"],
         }
     peak = np.abs(result.measured).max(axis=(0, 2))
     largest = dict(zip(result.coordinates, peak.tolist(), strict=True))
@@ -120,9 +122,9 @@ def _errors(result: CalibrationResult, summary: dict[str, Any]) -> str:
         markup.table(
             ("coordinate", "largest measured", *columns),
             rows,
-            caption="Errors of joint moments in N m over all frames of the cycles: mean absolute and root "
-            "mean square. 'Before' is the model as it came, on the calibration cycles; 'largest measured' is "
-            "the largest magnitude of the measured moment in any cycle.",
+            caption="Errors of joint moments in N m over all frames of the cycles: mean absolute (MAE) and "
+            "root mean square (RMSE). 'Before' is the model as it came, on the calibration cycles; "
+            "'largest measured' is the largest magnitude of the measured moment in any cycle.",
             numeric=True,
             total=True,
         ),
@@ -191,8 +193,8 @@ def _fiber_lengths(result: CalibrationResult) -> str:
             f"Ranges of normalised fiber lengths of {len(result.muscles)} muscles before and after "
             f"calibration. {finding}",
             "Fiber length over optimal fiber length (no unit): range (bar) and mean (dot) over all frames of "
-            f"all cycles, before (gray) and after calibration (blue). Shaded: {low:g} to {high:g}, where muscles "
-            "are expected to work; dashed: optimal length, where active force is largest. " + finding,
+            f"all cycles, before (gray) and after calibration (blue). Shaded: {low:g} to {high:g}, where "
+            "muscles are expected to work; dashed: optimal length, where active force is largest. " + finding,
         ),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -26,7 +27,7 @@ thead th { border-bottom: 1px solid #888; vertical-align: bottom; }
 tr.total th, tr.total td { border-top: 1px solid #bbb; font-weight: 600; }
 tbody th { font-weight: 400; }
 figure { margin: .8rem 0; }
-figure img { width: 100%; height: auto; }
+figure img { max-width: 100%; height: auto; }
 figcaption { color: #333; font-size: .92rem; max-width: 48rem; }
 ul { padding-left: 1.2rem; }
 @media print {
@@ -36,10 +37,12 @@ ul { padding-left: 1.2rem; }
 }
 """
 
+_NUMBER_AND_UNIT = re.compile(r"(\d) N m\b")
+
 
 def text(plain: str) -> str:
-    """Plain text as HTML."""
-    return escape(plain)
+    """Plain text as HTML, numbers and their unit on one line."""
+    return _NUMBER_AND_UNIT.sub("\\1\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m", escape(plain))
 
 
 def paragraph(plain: str, kind: str = "") -> str:

@@ -17,7 +17,7 @@ def bounds_figure(result: CalibrationResult) -> Figure:
     freed = result.freedom.parameters
     muscles = result.muscles
     rows = np.arange(len(muscles))
-    figure = new_figure(PAGE_WIDTH, 0.17 * len(muscles) + 1.5)
+    figure = new_figure(PAGE_WIDTH, 0.18 * len(muscles) + 1.9)
     panels = figure.subplots(1, len(freed), sharey=True, squeeze=False)[0]
     for panel, parameter in zip(panels, freed, strict=True):
         stuck = np.array([f"{muscle}.{parameter.name}" in result.at_bounds for muscle in muscles], dtype=bool)
@@ -25,17 +25,18 @@ def bounds_figure(result: CalibrationResult) -> Figure:
         after = place_within_bounds(parameter, np.asarray(getattr(result.parameters, parameter.name)))
         panel.hlines(rows, 0.0, 1.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
         panel.plot(before, rows, "|", color=GRAY, markersize=7, label="before calibration")
-        panel.plot(after[~stuck], rows[~stuck], "o", color=BLUE, markersize=4, label="after", clip_on=False)
-        panel.plot(
-            after[stuck], rows[stuck], "D", color=VERMILION, markersize=4.5, label="at a bound", clip_on=False
-        )
+        panel.plot(after[~stuck], rows[~stuck], "o", color=BLUE, markersize=4, label="after")
+        panel.plot(after[stuck], rows[stuck], "D", color=VERMILION, markersize=4.5, label="at a bound")
         panel.set_title(parameter.name.replace("_", "\n", 1).replace("_", " "))
-        panel.set_xlim(-0.04, 1.04)
+        panel.set_xlim(-0.06, 1.06)
         panel.set_xticks(
             [0.0, 1.0], _bound_labels(parameter, np.asarray(getattr(result.initial, parameter.name)))
         )
         panel.tick_params(axis="y", length=0)
         panel.spines["left"].set_visible(False)
+        # Inwards, or the labels of neighbors meet.
+        for label, side in zip(panel.get_xticklabels(), ("left", "right"), strict=True):
+            label.set_horizontalalignment(side)
     panels[0].set_yticks(rows, muscles)
     panels[0].set_ylim(len(muscles) - 0.4, -0.6)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
@@ -45,6 +46,8 @@ def bounds_figure(result: CalibrationResult) -> Figure:
 @in_style
 def history_figure(result: CalibrationResult) -> Figure:
     """Draw cost and optimality over the solver's iterations, on logarithmic scales."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
     history = result.solution.history
     numbers = [iteration.number for iteration in history]
     figure = new_figure(PAGE_WIDTH, 2.6)
@@ -60,6 +63,10 @@ def history_figure(result: CalibrationResult) -> Figure:
         panel.set_xlabel("iteration")
         panel.grid(axis="y", color=LIGHT_GRAY, linewidth=0.6)
         panel.xaxis.get_major_locator().set_params(integer=True)
+    if panels[0].get_yscale() == "log":
+        panels[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        panels[0].yaxis.set_major_formatter("{x:g}")
+        panels[0].yaxis.set_minor_formatter(NullFormatter())
     return figure
 
 

@@ -28,17 +28,17 @@ BAND_ALPHA = 0.2
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d\d)\d+")
 _SETTINGS = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.labelsize": 8.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.6,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
-    "legend.fontsize": 8,
+    "legend.fontsize": 8.5,
     "legend.frameon": False,
     "lines.linewidth": 1.3,
     "figure.facecolor": "white",
@@ -89,9 +89,11 @@ def panel_grid(count: int, columns: int, *, width: float, panel_height: float, *
     panels = list(axes.flat)
     for spare in panels[count:]:
         spare.remove()
-    # Shared axes label their last row only: give labels to panels that have nothing below them.
-    for panel in panels[max(0, count - columns) : count]:
+    # Shared axes label their last row only: label panels that have nothing below them, too, and let
+    # the labels use the empty place there.
+    for panel in panels[max(0, count - columns) : (rows - 1) * columns]:
         panel.tick_params(labelbottom=True)
+        panel.xaxis.set_in_layout(False)
     return figure, panels[:count]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,16 +44,17 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
         "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
         # Nothing but bounds limits the parameters, and the solver never leaves those.
         "max_constraint_violation": 0.0,
-        "mae_Nm": {use: pooled_mae(_used_for(use, errors, result), result.coordinates) for use in USES},
-        "rmse_Nm": {use: _pooled_rmse(_used_for(use, errors, result), result.coordinates) for use in USES},
-        "mae_before_Nm": {
-            use: pooled_mae(_used_for(use, before, result), result.coordinates) for use in USES
+        "mae_Nm": _by_use(pooled_mae, errors, result),
+        "rmse_Nm": _by_use(pooled_rmse, errors, result),
+        "before": {
+            "mae_Nm": _by_use(pooled_mae, before, result),
+            "rmse_Nm": _by_use(pooled_rmse, before, result),
         },
         "trials": {
             trial: {
                 "use": use,
                 "mae_Nm": pooled_mae([error], result.coordinates),
-                "rmse_Nm": _pooled_rmse([error], result.coordinates),
+                "rmse_Nm": pooled_rmse([error], result.coordinates),
                 "file": files[trial],
             }
             for trial, use, error in zip(result.trials, result.uses, errors, strict=True)
@@ -91,12 +92,26 @@ def _errors_by_trial(
     return [moment_errors(*pair) for pair in zip(result.measured, modelled, strict=True)]
 
 
-def _used_for(use: str, errors: list[MomentErrors], result: CalibrationResult) -> list[MomentErrors]:
-    return [error for error, given in zip(errors, result.uses, strict=True) if given == use]
+def _by_use(
+    pool: Callable[[Sequence[MomentErrors], Sequence[str]], dict[str, float] | None],
+    errors: list[MomentErrors],
+    result: CalibrationResult,
+) -> dict[str, dict[str, float] | None]:
+    """Pool the errors of the cycles of each use; None for a use without cycles."""
+    return {
+        use: pool(
+            [error for error, given in zip(errors, result.uses, strict=True) if given == use],
+            result.coordinates,
+        )
+        for use in USES
+    }
 
 
-def _pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
-    """Pool over the frames of all cycles; ``mean`` averages over coordinates. None without any cycle."""
+def pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
+    """Pool root-mean-square errors over the frames of all cycles, by coordinate.
+
+    ``mean`` is their average over coordinates. None without any cycle.
+    """
     if not errors:
         return None
     pooled = np.sqrt(np.mean([error.root_mean_square**2 for error in errors], axis=0))
