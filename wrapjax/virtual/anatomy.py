@@ -131,9 +131,9 @@ COORDINATES = tuple(hinge.coordinate for joint in JOINTS for hinge in joint.hing
 # resemble those measured by Buford et al. 1997 (IEEE Trans Rehabil Eng 5:367), and that no path point comes
 # inside and no path jumps while walking.
 #
-# Two habits of OpenSim's wrapping (4.6) are heeded. Its path is not quite the shortest where it runs along the
-# axis, so cylinders are turned about x to lie across their muscles. And it misplaces a tangent point if an end
-# of the wrapped segment lies in the cylinder's middle plane, so those at the femur are moved aside.
+# Two habits of OpenSim's wrapping (4.6) are heeded. Its path is not quite the shortest where it runs along
+# the axis, so cylinders are turned about x to lie across their muscles. And it misplaces a tangent point if
+# the wrapped segment ends in the cylinder's middle plane, so those at the knee are moved aside.
 CYLINDERS = (
     Cylinder("Gmax1_at_pelvis_r", "pelvis", (-0.085, -0.050, 0.083), 0.040, 0.30, "-x", (-0.33, 0.0, 0.0)),
     Cylinder("Gmax2_at_pelvis_r", "pelvis", (-0.095, -0.060, 0.083), 0.042, 0.30, "-x", (-0.39, 0.0, 0.0)),

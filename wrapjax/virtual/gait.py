@@ -118,7 +118,7 @@ CHANNELS: dict[str, Channel] = {
     ),
     "GasMed": Channel(
         (Burst(0.42, 0.08, 1.0), Burst(0.22, 0.09, 0.15)),
-        {"gaslat_r": 0.50, "gasmed_r": 0.50},
+        {"gaslat_r": 0.45, "gasmed_r": 0.45},
     ),
     "GlutMax": Channel(
         (Burst(0.05, 0.07, 1.0),),
@@ -153,7 +153,7 @@ CHANNELS: dict[str, Channel] = {
     ),
     "Sol": Channel(
         (Burst(0.43, 0.08, 1.0), Burst(0.20, 0.10, 0.20)),
-        {"soleus_r": 0.50},
+        {"soleus_r": 0.45},
     ),
     "TibAnt": Channel(
         (Burst(0.64, 0.06, 1.0), Burst(0.03, 0.06, 0.80), Burst(0.85, 0.10, 0.35)),
