@@ -24,7 +24,7 @@ from wrapjax.report.style import (
 #: Where normalised fiber lengths are expected; the lab's constrained calibrations hold them there.
 FIBER_LENGTH_LIMITS = (0.3, 1.3)
 #: Inches; fills the page at 96 pixels an inch.
-PAGE_WIDTH = 10.5
+PAGE_WIDTH = 11.0
 
 
 @in_style
@@ -64,7 +64,7 @@ def moment_figure(result: CalibrationResult) -> Figure:
             panel.set_ylabel("moment (N m)")
         if number >= count - columns:
             panel.set_xlabel("gait cycle (%)")
-        panel.set_xlim(0, 100)
+        _mark_gait_cycle(panel, step=20)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
 
@@ -98,7 +98,8 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
             panel.set_ylabel("activation")
         if row >= len(panels) - columns:
             panel.set_xlabel("gait cycle (%)")
-    panels[0].set(xlim=(0, 100), ylim=(0, min(1.0, 1.05 * highest) or 1.0))
+        _mark_gait_cycle(panel, step=50)
+    panels[0].set_ylim((0, min(1.0, 1.05 * highest) or 1.0))
     if len(groups) > 1:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(groups))
     return figure
@@ -131,6 +132,15 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
     panel.tick_params(axis="y", length=0)
     figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
+
+
+def _mark_gait_cycle(panel: Axes, step: int) -> None:
+    """Mark 0 to 100 %; the outer labels stay inside, or those of neighbors meet."""
+    panel.set_xlim(0, 100)
+    panel.set_xticks(range(0, 101, step))
+    ticks = panel.xaxis.get_major_ticks()
+    ticks[0].label1.set_horizontalalignment("left")
+    ticks[-1].label1.set_horizontalalignment("right")
 
 
 def _draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:

@@ -64,7 +64,7 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     before = _mean(summary["before"]["mae_Nm"]["calibration"])
     cycles = {use: _count(result.uses.count(use), f"{use} cycle") for use in USES}
     first = (
-        f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over the "
+        f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over "
         f"{cycles['calibration']} (before calibration: {before} N m)"
     )
     if summary["mae_Nm"]["validation"] is None:
@@ -74,7 +74,7 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
         )
     else:
         second = (
-            f"On the {cycles['validation']}, which calibration has not seen, they differ by "
+            f"On {cycles['validation']}, which calibration has not seen, they differ by "
             f"{mean['validation']} N m."
         )
     stuck, free = len(result.at_bounds), summary["n_variables"]
@@ -84,7 +84,10 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
             f"{stuck} of the {free} free parameters ended on a bound: their values were set by the bound "
             "rather than by the data."
         )
-    return [summary["message"], f"{first}. {second}", third]
+    outcome = "The calibration converged."
+    if not summary["converged"]:
+        outcome = f"The calibration did not converge, so its values are not final. {summary['message']}"
+    return [outcome, f"{first}. {second}", third]
 
 
 def _verdict(result: CalibrationResult, summary: dict[str, Any]) -> str:
@@ -255,7 +258,7 @@ def _solver(result: CalibrationResult, summary: dict[str, Any]) -> str:
         markup.paragraph(
             f"{_count(summary['iterations'], 'iteration')} in {seconds['solve']:.1f} s, after "
             f"{seconds['compile']:.1f} s of compiling; {summary['n_variables']} variables, "
-            f"{summary['n_residuals']} moment residuals, one start."
+            f"{summary['n_residuals']} moment residuals, one start. {summary['message']}"
         ),
         _drawn(
             history_figure(result),

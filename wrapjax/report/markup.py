@@ -10,7 +10,7 @@ from html import escape
 STYLE = """
 :root { color-scheme: light; }
 body { margin: 0 auto; max-width: 66rem; padding: 1.5rem; color: #1a1a1a; background: #fff;
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+  font: 1rem/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0 0 .25rem; }
 h2 { font-size: 1.2rem; margin: 2.2rem 0 .4rem; padding-top: .6rem; border-top: 1px solid #d8d8d8; }
 p { margin: .4rem 0; max-width: 48rem; }
@@ -31,7 +31,10 @@ figure img { max-width: 100%; height: auto; }
 figcaption { color: #333; font-size: .92rem; max-width: 48rem; }
 ul { padding-left: 1.2rem; }
 @media print {
-  body { max-width: none; padding: 0; font-size: 10pt; }
+  html { font-size: 11.5px; }
+  body { max-width: none; padding: 0; }
+  .scroll { overflow: visible; }
+  th, td { padding-right: .5rem; }
   figure, table, .verdict { break-inside: avoid; }
   h2 { break-after: avoid; }
 }

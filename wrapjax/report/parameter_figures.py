@@ -80,7 +80,7 @@ def cost_figure(result: CalibrationResult) -> Figure:
     bars = panel.barh(
         [name.replace("_", " ") for name, _ in terms], [value for _, value in terms], color=BLUE
     )
-    shares = [f"{value:.3g} ({100.0 * value / total:.0f} %)" if total else "0" for _, value in terms]
+    shares = [f"{value:.3g} ({100.0 * value / total:.1f} %)" if total else "0" for _, value in terms]
     panel.bar_label(bars, shares, padding=4, fontsize=7)
     panel.invert_yaxis()
     panel.margins(x=0.12)
