@@ -16,12 +16,12 @@ from wrapjax.virtual.anatomy import COORDINATES
 #: Speed of the curves below, m/s.
 NATURAL_SPEED = 1.2
 
-# Joint angles of able-bodied adults at natural speed, degrees, at 0, 5, ..., 95 % of the gait cycle. Rounded
-# by hand from the mean curves of Winter 1991 (The biomechanics and motor control of human gait, 2nd ed.) in
-# the sagittal plane and Bovi et al. 2011 (A multiple-task gait analysis approach,
-# doi:10.1016/j.gaitpost.2010.08.009) in the others; subtalar after Rattanaprasert et al. 1999
-# (Clin Biomech 14:14). OpenSim's signs: flexion, adduction, internal rotation, dorsiflexion
-# and inversion are positive.
+# Joint angles of able-bodied adults at natural speed, degrees, at 0, 5, ..., 95 % of the gait cycle: rounded
+# figures that follow the mean curves of Winter 1991 (The biomechanics and motor control of human gait, 2nd ed.)
+# in the sagittal plane, of Bovi et al. 2011 (A multiple-task gait analysis approach,
+# doi:10.1016/j.gaitpost.2010.08.009) in the others and of Rattanaprasert et al. 1999 (Clin Biomech 14:14) at
+# the subtalar joint; not digitised from them. OpenSim's signs: flexion, adduction, internal rotation,
+# dorsiflexion and inversion are positive.
 _ANGLES_DEG = {
     "hip_flexion_r": (28, 27, 25, 21, 16, 11, 6, 1.5, -3, -7, -10, -9, -3, 6, 15, 23, 28, 31, 31, 29),
     "hip_adduction_r": (0, 3, 6, 7, 6.5, 5.5, 5, 4.5, 4, 3, 1, -2, -5, -6, -5, -3.5, -2.5, -2, -1.5, -1),
