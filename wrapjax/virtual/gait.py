@@ -17,8 +17,8 @@ from wrapjax.virtual.anatomy import COORDINATES
 NATURAL_SPEED = 1.2
 
 # Joint angles of able-bodied adults at natural speed, degrees, at 0, 5, ..., 95 % of the gait cycle: rounded
-# figures that follow the mean curves of Winter 1991 (The biomechanics and motor control of human gait, 2nd ed.)
-# in the sagittal plane, of Bovi et al. 2011 (A multiple-task gait analysis approach,
+# figures that follow the mean curves of Winter 1991 (The biomechanics and motor control of human gait,
+# 2nd ed.) in the sagittal plane, of Bovi et al. 2011 (A multiple-task gait analysis approach,
 # doi:10.1016/j.gaitpost.2010.08.009) in the others and of Rattanaprasert et al. 1999 (Clin Biomech 14:14) at
 # the subtalar joint; not digitised from them. OpenSim's signs: flexion, adduction, internal rotation,
 # dorsiflexion and inversion are positive.
