@@ -50,7 +50,7 @@ def moment_figure(result: CalibrationResult) -> Figure:
         _draw_spread(panel, measured, BLACK, "measured")
         _draw_spread(panel, modelled, BLUE, "modelled")
         error = np.abs(modelled - measured).mean()
-        panel.set_title(f"{result.coordinates[row]}: error {error:.1f} N m", loc="left")
+        panel.set_title(f"{result.coordinates[row]}: error {error:.1f} N m", loc="left", parse_math=False)
         if not wrapped and row == 0:
             panel.annotate(
                 f"{group.label} ({group.count})",
@@ -92,8 +92,16 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
             _draw_spread(panel, curves, color, group.label)
             highest = max(highest, float(np.nanmax(spread(curves).high, initial=0.0)))
         muscle = result.muscles[row]
-        panel.set_title(muscle, loc="left", pad=10)
-        panel.text(0, 1.03, channel_of[muscle], transform=panel.transAxes, fontsize=6.5, color="#555555")
+        panel.set_title(muscle, loc="left", pad=10, parse_math=False)
+        panel.text(
+            0,
+            1.03,
+            channel_of[muscle],
+            transform=panel.transAxes,
+            fontsize=6.5,
+            color="#555555",
+            parse_math=False,
+        )
         if row % columns == 0:
             panel.set_ylabel("activation")
         if row >= len(panels) - columns:
@@ -125,7 +133,7 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
         panel.plot(
             lengths.mean(axis=1), rows + shift, "o", color=color, markersize=4.2, label=label, zorder=3
         )
-    panel.set_yticks(rows, muscles)
+    panel.set_yticks(rows, muscles, parse_math=False)
     panel.set_ylim(len(muscles) - 0.4, -0.6)
     panel.set_xlim(left=min(0.2, panel.get_xlim()[0]), right=max(1.4, panel.get_xlim()[1]))
     panel.set_xlabel("fiber length / optimal fiber length")

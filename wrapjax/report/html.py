@@ -168,7 +168,7 @@ def _activations(subject: Subject, result: CalibrationResult) -> str:
         _drawn(
             activation_figure(result, channel_of),
             f"Activation of {len(result.muscles)} muscles over the gait cycle. The mean activation of "
-            f"{strongest} peaks highest, at {peaks.max():.2f}.",
+            f"{strongest} peaks highest, at {_number(float(peaks.max()))}.",
             "Muscle activation (0 to 1, no unit) over the gait cycle, all cycles: mean and one standard "
             "deviation to either side. Small print: the EMG channel that drives the muscle. "
             "All panels have one scale.",
@@ -262,7 +262,7 @@ def _solver(result: CalibrationResult, summary: dict[str, Any]) -> str:
         ),
         _drawn(
             history_figure(result),
-            f"Cost and optimality by iteration. The cost falls from {costs[0]:.4g} to {costs[-1]:.4g}; "
+            f"Cost and optimality by iteration. The cost falls from {_number(costs[0])} to {_number(costs[-1])}; "
             f"optimality ends at {result.solution.history[-1].optimality:.2g}.",
             "The cost that is minimised, and optimality (the largest move that steepest descent within the "
             "bounds would still make, in solver units), by iteration. Both scales are logarithmic.",

@@ -37,7 +37,7 @@ def bounds_figure(result: CalibrationResult) -> Figure:
         # Inwards, or the labels of neighbors meet.
         for label, side in zip(panel.get_xticklabels(), ("left", "right"), strict=True):
             label.set_horizontalalignment(side)
-    panels[0].set_yticks(rows, muscles)
+    panels[0].set_yticks(rows, muscles, parse_math=False)
     panels[0].set_ylim(len(muscles) - 0.4, -0.6)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure

@@ -1,0 +1,192 @@
+"""A small calibration made by hand: errors are chosen numbers, nothing is computed by the package."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from wrapjax.calibrate import CalibrationResult, Iteration, Solution, Status
+from wrapjax.calibrate.problem import Linearization
+from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState
+from wrapjax.muscle import FiberState
+from wrapjax.subject import MuscleParameters, Subject, Trials
+
+MUSCLES = ("iliacus_l", "soleus_l")
+COORDINATES = ("hip_flexion_l", "ankle_angle_l")
+TRIALS = ("slow", "walk/02", "fast")
+USES = ("calibration", "calibration", "validation")
+FRAMES = 5
+
+
+def _errors():
+    """Modelled less measured moment in N m: trial, coordinate, frame."""
+    return np.array(
+        [
+            [[1.0] * 5, [-2.0] * 5],
+            [[3.0] * 5, [0.0, 0.0, 0.0, 0.0, 20.0]],
+            [[5.0] * 5, [7.0] * 5],
+        ]
+    )
+
+
+def _measured():
+    generator = np.random.default_rng(20)
+    return generator.normal(scale=30.0, size=(3, 2, FRAMES))
+
+
+def _time():
+    return np.linspace([0.0, 1.0, 2.0], [0.9, 1.9, 2.9], FRAMES, axis=1)
+
+
+def _parameters(**changed) -> ModelParameters:
+    values = {
+        "electromechanical_delay": [0.05, 0.05],
+        "activation_time_constant": [0.015, 0.015],
+        "activation_nonlinearity": [0.05, 0.05],
+        "emg_scale": [0.5, 0.5],
+        "optimal_fiber_length": [0.1, 0.05],
+        "tendon_slack_length": [0.09, 0.25],
+        "max_isometric_force": [1073.0, 6195.0],
+        "pennation_angle": [0.25, 0.38],
+        "max_fiber_velocity": [10.0, 10.0],
+    } | changed
+    return ModelParameters(**{name: jnp.array(value) for name, value in values.items()})
+
+
+def _states(shift: float) -> MuscleState:
+    frames = jnp.arange(2 * 3 * FRAMES, dtype=float).reshape(2, 3, FRAMES)
+    return MuscleState(
+        excitation=frames / 100.0,
+        activation=frames / 50.0,
+        fiber=FiberState(
+            normalized_length=0.8 + shift + frames / 1000.0,
+            normalized_velocity=jnp.zeros_like(frames),
+            active_force=100.0 + frames,
+            passive_force=jnp.full_like(frames, 0.125),
+        ),
+        moment=jnp.zeros((2, 3, 2, FRAMES)),
+    )
+
+
+def _freed(name: str, lower: list[float], upper: list[float]) -> FreedParameter:
+    ones = np.ones(2)
+    return FreedParameter(name, np.array(lower), np.array(upper), ones, 0.5 * ones, np.inf * ones)
+
+
+def _solution() -> Solution:
+    history = tuple(
+        Iteration(number, cost, optimality, 1e-3, 0.1, 1, 0.25 * number)
+        for number, (cost, optimality) in enumerate([(80.0, 2.0), (12.0, 0.1), (9.0, 0.0)])
+    )
+    square = jnp.eye(4)
+    return Solution(
+        variables=np.array([0.05, 0.06, 0.4, 0.07]),
+        cost=9.0,
+        status=Status.gradient,
+        linearization=Linearization(jnp.array(9.0), jnp.zeros(4), square, square),
+        history=history,
+    )
+
+
+@pytest.fixture
+def result() -> CalibrationResult:
+    measured = _measured()
+    return CalibrationResult(
+        method="NGA",
+        muscles=MUSCLES,
+        coordinates=COORDINATES,
+        trials=TRIALS,
+        uses=USES,
+        speeds=np.array([0.5, 0.5, 0.8]),
+        time=_time(),
+        initial=_parameters(),
+        # A third has no short decimal form: digits must survive the way to a file and back.
+        parameters=_parameters(emg_scale=[0.05, 1.0 / 3.0], optimal_fiber_length=[0.11, 0.07]),
+        freedom=Freedom(
+            "NGA",
+            (
+                _freed("emg_scale", [0.05, 0.05], [1.0, 1.0]),
+                _freed("optimal_fiber_length", [0.06, 0.03], [0.14, 0.07]),
+            ),
+        ),
+        at_bounds=("iliacus_l.emg_scale", "soleus_l.optimal_fiber_length"),
+        measured=measured,
+        modelled=measured + _errors(),
+        initial_modelled=measured + 20.0,
+        states=_states(0.0),
+        initial_states=_states(0.6),
+        cost_by_term={"joint_moment": 7.0, "passive_force": 1.5, "prior": 0.5},
+        solution=_solution(),
+        n_residuals=20,
+        compile_seconds=1.5,
+    )
+
+
+@pytest.fixture
+def without_validation(result) -> CalibrationResult:
+    return replace(result, uses=("calibration",) * 3)
+
+
+@pytest.fixture
+def not_finite(result) -> CalibrationResult:
+    """What a solver returns that could not even start."""
+    failed = Iteration(0, float("nan"), float("nan"), 1e-3, 0.0, 0, 0.0)
+    return replace(
+        result,
+        modelled=np.full_like(result.modelled, np.nan),
+        states=MuscleState(
+            result.states.excitation,
+            jnp.full_like(result.states.activation, jnp.nan),
+            result.states.fiber,
+            result.states.moment,
+        ),
+        cost_by_term={"joint_moment": float("nan"), "prior": 0.5},
+        solution=replace(result.solution, status=Status.not_finite, history=(failed,), cost=float("nan")),
+    )
+
+
+@pytest.fixture
+def subject() -> Subject:
+    padded = np.zeros((3, 2, FRAMES + 2))
+    angles = np.zeros((3, 2, FRAMES))
+    trials = Trials(
+        names=TRIALS,
+        recordings=("slow", "walk", "fast"),
+        uses=USES,
+        speeds=np.array([0.5, 0.5, 0.8]),
+        coordinates=COORDINATES,
+        moment_coordinates=COORDINATES,
+        channels=("hip", "calf"),
+        time=_time(),
+        angles=angles,
+        angular_velocities=angles,
+        moments=_measured(),
+        emg_time=np.zeros((3, FRAMES + 2)),
+        emg=padded,
+    )
+    return Subject(
+        name="made_by_hand",
+        mass_kg=70.0,
+        side="l",
+        paretic=None,
+        folder=Path("subjects/made_by_hand"),
+        model_file=Path("subjects/made_by_hand/model.osim"),
+        other_leg=None,
+        muscles=MuscleParameters(
+            MUSCLES,
+            np.array([1073.0, 6195.0]),
+            np.array([0.1, 0.05]),
+            np.array([0.09, 0.25]),
+            np.array([0.25, 0.38]),
+        ),
+        muscle_channels=(0, 1),
+        activation_groups=(),
+        fiber_length_groups=(),
+        undriven_muscles=("piri_l", "sart_l"),
+        trials=trials,
+        recordings=(),
+        emg_rates=(),
+        notes=("negative values were set to 0 in calf",),
+    )

@@ -1,0 +1,175 @@
+"""The report opens anywhere offline, is sound HTML, and says in words what matters."""
+
+import base64
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from wrapjax.calibrate import Status
+from wrapjax.model import Freedom
+from wrapjax.report.html import render_report, verdict
+from wrapjax.report.provenance import describe_settings
+from wrapjax.report.summary import summarize
+
+VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
+
+
+class Page(HTMLParser):
+    """Collects what a page holds and insists that every element is closed where it should be."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.elements, self.words = [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open.pop() == tag, f"</{tag}> closes something else"
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self.open):
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def _render(subject, result):
+    return render_report(subject, result, summarize(subject, result), describe_settings(subject, result))
+
+
+def test_the_page_is_balanced_and_in_order(subject, result):
+    page = Page(_render(subject, result))
+    headings = re.findall(r"<h2>(.*?)</h2>", _render(subject, result))
+    assert headings == [
+        "Moment errors",
+        "Joint moments",
+        "Muscle activations",
+        "Fiber lengths",
+        "Muscle parameters",
+        "Solver",
+        "Notes",
+    ]
+    assert page.all("html") == [{"lang": "en"}]
+
+
+def test_the_page_loads_nothing_and_runs_nothing(subject, result):
+    text = _render(subject, result)
+    page = Page(text)
+    assert not page.all("script") + page.all("link") + page.all("iframe")
+    for _, attributes in page.elements:
+        for name in ("src", "href", "srcset", "data", "style"):
+            assert attributes.get(name, "data:").startswith("data:")
+    assert "http://" not in text and "https://" not in text
+    assert "url(" not in text and "@import" not in text
+    assert len(text) < 3_000_000
+
+
+def test_every_figure_is_sound_and_described(subject, result):
+    page = Page(_render(subject, result))
+    images = page.all("img")
+    assert len(images) == 6 == len(page.all("figcaption"))
+    for image in images:
+        assert len(image["alt"]) > 40
+        kind, data = image["src"].split(",", 1)
+        assert kind == "data:image/svg+xml;base64"
+        drawing = ElementTree.fromstring(base64.b64decode(data))
+        assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+        references = [
+            value
+            for element in drawing.iter()
+            for name, value in element.attrib.items()
+            if name.endswith("href")
+        ]
+        assert references and all(reference.startswith("#") for reference in references)
+
+
+def test_equal_results_give_equal_pages(subject, result):
+    summary, settings = summarize(subject, result), describe_settings(subject, result)
+    assert render_report(subject, result, summary, settings) == render_report(
+        subject, result, summary, settings
+    )
+
+
+def test_the_verdict_gives_errors_and_bounds_in_words(result, subject):
+    outcome, errors, bounds = verdict(result, summarize(subject, result))
+    assert outcome == "The calibration converged."
+    assert "2.50 N m on average over 2 calibration cycles (before calibration: 20.00 N m)" in errors
+    assert "1 validation cycle, which calibration has not seen, they differ by 6.00 N m" in errors
+    assert bounds.startswith("2 of the 4 free parameters ended on a bound")
+
+
+def test_the_verdict_does_not_call_an_unfinished_run_converged(subject, result):
+    stopped = replace(result, solution=replace(result.solution, status=Status.iterations), at_bounds=())
+    text = Page(_render(subject, stopped)).text
+    assert "did not converge" in text and "limit on iterations" in text
+    assert "The calibration converged" not in text
+    assert "None of the 4 free parameters ended on a bound" in text
+
+
+def test_missing_validation_is_said(subject, without_validation):
+    page = Page(_render(subject, without_validation))
+    assert "No cycles were kept for validation" in page.text
+    assert "validation: MAE" not in page.text
+
+
+def test_tables_hold_the_errors_the_stuck_parameters_and_what_is_missing(subject, result):
+    text = Page(_render(subject, result)).text
+    assert re.search(r"ankle_angle_l \S+ 20\.00 20\.00 3\.00 6\.48 7\.00 7\.00", text.replace("  ", " "))
+    assert re.search(r"emg_scale lower 1 iliacus_l", text)
+    assert re.search(r"optimal_fiber_length upper 1 soleus_l", text)
+    assert "2 muscles of this leg's model without EMG and without force here: piri_l, sart_l." in text
+    assert "negative values were set to 0 in calf" in text
+
+
+def test_muscles_outside_the_expected_fiber_lengths_are_named(subject, result):
+    swapped = replace(result, states=result.initial_states)  # 1.4 and more
+    assert "iliacus_l, soleus_l leave this range" in Page(_render(subject, swapped)).text
+    assert "all muscles stay within this range" in Page(_render(subject, result)).text
+
+
+@pytest.mark.parametrize("name", ["<script>alert(1)</script>", "a & b", "\"quoted\" 'name'", "Zoë $\\x$"])
+def test_names_cannot_break_the_page(name, subject, result):
+    hostile = replace(
+        subject, name=name, notes=(name,), trials=replace(subject.trials, channels=(name, "calf"))
+    )
+    muscles = replace(subject.muscles, names=(name, "soleus_l"))
+    hostile = replace(hostile, muscles=muscles)
+    page = Page(_render(hostile, replace(result, method=name, muscles=muscles.names)))
+    assert not page.all("script")
+    assert f"{name}: {name} calibration" in page.text
+
+
+def test_a_run_that_could_not_start_is_reported(subject, not_finite):
+    text = Page(_render(subject, not_finite)).text
+    assert "did not converge" in text and "not finite at the start" in text
+    assert "nan" not in text.lower().split()
+
+
+def test_a_run_with_nothing_free_is_reported(subject, result):
+    held = replace(result, freedom=Freedom("nothing", ()), at_bounds=())
+    assert "No parameter was free." in Page(_render(subject, held)).text
+
+
+def test_importing_the_package_or_the_report_does_not_import_matplotlib():
+    code = (
+        "import sys, wrapjax, wrapjax.report.run_folder; "
+        "print(sorted({'matplotlib', 'opensim', 'pandas', 'sklearn'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,147 @@
+"""The folder of a run is complete, exact, readable elsewhere, and there whole or not at all."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+
+from wrapjax import InputError
+from wrapjax.model import QUANTITIES
+from wrapjax.report import run_folder
+from wrapjax.report.run_folder import write_run
+from wrapjax.subject import read_storage
+
+
+@pytest.fixture
+def run(subject, result, tmp_path):
+    write_run(subject, result, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def _files(folder):
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+
+
+def test_the_folder_holds_what_was_promised_and_nothing_else(run):
+    curves = [
+        f"{kind}/{trial}.sto"
+        for kind in ("activations", "moments", "muscle_forces")
+        for trial in ("fast", "slow", "walk_02")
+    ]
+    whole = ["parameters.csv", "report.html", "settings.json", "summary.json"]
+    assert _files(run) == sorted(curves + whole)
+    assert [path.name for path in run.parent.iterdir()] == ["run"]
+
+
+def test_parameters_keep_every_digit_and_have_bounds_where_they_were_free(run, result):
+    with (run / "parameters.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == ["owner", "kind", "parameter", "value", "unit", "lower", "upper"]
+    assert len(rows) == 2 * len(QUANTITIES)
+    assert {row["kind"] for row in rows} == {"muscle"}
+    freed = {parameter.name: parameter for parameter in result.freedom.parameters}
+    for row in rows:
+        muscle = result.muscles.index(row["owner"])
+        assert float(row["value"]) == float(getattr(result.parameters, row["parameter"])[muscle])
+        assert row["unit"] == QUANTITIES[row["parameter"]].unit
+        if row["parameter"] in freed:
+            assert float(row["lower"]) == freed[row["parameter"]].lower[muscle]
+            assert float(row["upper"]) == freed[row["parameter"]].upper[muscle]
+        else:
+            assert row["lower"] == row["upper"] == ""
+
+
+def test_curves_read_back_as_they_were(run, result):
+    for trial, stem in enumerate(("slow", "walk_02", "fast")):
+        moments = read_storage(run / "moments" / f"{stem}.sto")
+        assert moments.columns == (
+            "hip_flexion_l_moment",
+            "ankle_angle_l_moment",
+            "hip_flexion_l_moment_measured",
+            "ankle_angle_l_moment_measured",
+        )
+        np.testing.assert_array_equal(moments.time, result.time[trial])
+        np.testing.assert_array_equal(moments.values.T[:2], result.modelled[trial])
+        np.testing.assert_array_equal(moments.values.T[2:], result.measured[trial])
+        activations = read_storage(run / "activations" / f"{stem}.sto")
+        assert activations.columns == result.muscles
+        np.testing.assert_array_equal(activations.values.T, result.states.activation[:, trial])
+        forces = read_storage(run / "muscle_forces" / f"{stem}.sto")
+        np.testing.assert_array_equal(
+            forces.values.T,
+            result.states.fiber.active_force[:, trial] + result.states.fiber.passive_force[:, trial],
+        )
+
+
+def test_opensim_opens_the_curves(run, result):
+    opensim = pytest.importorskip("opensim")
+    table = opensim.TimeSeriesTable(str(run / "moments" / "walk_02.sto"))
+    np.testing.assert_array_equal(
+        table.getDependentColumn("ankle_angle_l_moment").to_numpy(), result.modelled[1, 1]
+    )
+
+
+def test_settings_say_what_was_free_and_what_it_was_made_with(run, result):
+    settings = json.loads((run / "settings.json").read_text())
+    assert settings["muscles"] == list(result.muscles)
+    assert settings["freed"]["optimal_fiber_length"] == {
+        "unit": "m",
+        "lower": [0.06, 0.03],
+        "upper": [0.14, 0.07],
+        "prior_mean": [0.5, 0.5],
+        "prior_sd": [None, None],  # infinite: no prior
+    }
+    assert settings["channels"] == {"hip": ["iliacus_l"], "calf": ["soleus_l"]}
+    assert settings["trials"]["fast"] == {
+        "use": "validation",
+        "speed_m_s": 0.8,
+        "start_s": 2.0,
+        "end_s": 2.9,
+    }
+    assert settings["undriven_muscles"] == ["piri_l", "sart_l"]
+    assert {"python", "wrapjax", "jax", "numpy"} <= settings["versions"].keys()
+
+
+def test_an_existing_folder_is_refused_and_left_alone(subject, result, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mine.txt").write_text("precious")
+    with pytest.raises(InputError, match="--force"):
+        write_run(subject, result, tmp_path / "run")
+    assert _files(tmp_path) == ["run/mine.txt"]
+    assert (tmp_path / "run" / "mine.txt").read_text() == "precious"
+
+
+def test_force_replaces_a_folder_whole(subject, result, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "old.txt").write_text("old")
+    write_run(subject, result, tmp_path / "run", force=True)
+    assert "old.txt" not in _files(tmp_path / "run")
+    assert (tmp_path / "run" / "summary.json").is_file()
+
+
+@pytest.mark.parametrize("writer", ["write_json", "write_storage", "render_report"])
+@pytest.mark.parametrize("force", [False, True])
+def test_failing_half_way_leaves_nothing_and_takes_nothing(
+    writer, force, subject, result, tmp_path, monkeypatch
+):
+    def fail(*arguments, **options):
+        raise OSError("disk full")
+
+    if force:
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "old.txt").write_text("old")
+    monkeypatch.setattr(run_folder, writer, fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_run(subject, result, tmp_path / "run", force=force)
+    assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == (
+        ["run", "run/old.txt"] if force else []
+    )
+
+
+def test_a_run_that_could_not_start_can_still_be_looked_into(subject, not_finite, tmp_path):
+    write_run(subject, not_finite, tmp_path / "run")
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["cost"] is None
+    text = (tmp_path / "run" / "moments" / "slow.sto").read_text()
+    assert math.isnan(float(text.splitlines()[-1].split("\t")[1]))
