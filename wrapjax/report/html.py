@@ -262,8 +262,8 @@ def _solver(result: CalibrationResult, summary: dict[str, Any]) -> str:
         ),
         _drawn(
             history_figure(result),
-            f"Cost and optimality by iteration. The cost falls from {_number(costs[0])} to {_number(costs[-1])}; "
-            f"optimality ends at {result.solution.history[-1].optimality:.2g}.",
+            f"Cost and optimality by iteration. The cost falls from {_number(costs[0])} to "
+            f"{_number(costs[-1])}; optimality ends at {result.solution.history[-1].optimality:.2g}.",
             "The cost that is minimised, and optimality (the largest move that steepest descent within the "
             "bounds would still make, in solver units), by iteration. Both scales are logarithmic.",
         ),
