@@ -1,6 +1,7 @@
 """Defends: lengths and moment arms are OpenSim's own, however they are reached, shared out or remembered."""
 
 import multiprocessing
+import signal
 import subprocess
 import sys
 
@@ -310,17 +311,53 @@ def test_a_worker_that_dies_is_reported_and_costs_only_what_it_was_doing(
     assert counted == [4000, 4000 - 4 * kept]
 
 
-def test_a_plain_script_needs_no_guard_and_runs_once(empty_cache, tmp_path, odd_model):
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import numpy as np\n"
-        "from wrapjax.osim import analyse_muscles\n"
-        "poses = np.linspace(0.0, 1.0, 1000)[:, None]\n"
-        f"found = analyse_muscles({str(odd_model)!r}, ['flexor'], ['knee'], poses, processes=2, quiet=True)\n"
-        "print(found.length.shape)\n"
+SCRIPT = """
+import numpy as np, os, signal
+from wrapjax.osim import analyse_muscles, muscle_analysis
+
+def strike(*arguments):
+    {strike}
+
+muscle_analysis._remember = strike
+poses = np.linspace(0.0, 1.0, 50_000)[:, None]
+found = analyse_muscles({model!r}, ["flexor"], ["knee"], poses, processes=2, quiet=True)
+print(found.length.shape)
+"""
+
+
+def run_script(folder, model, strike):
+    """Run a plain script in which something happens whenever a chunk is done.
+
+    Its workers share its standard output, so this returns only when the last of them is gone.
+    """
+    (folder / "script.py").write_text(SCRIPT.format(model=str(model), strike=strike))
+    return subprocess.run(
+        [sys.executable, folder / "script.py"], capture_output=True, text=True, check=False, timeout=60
     )
-    finished = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
-    assert (finished.stdout, finished.stderr, finished.returncode) == ("(1000, 1)\n", "", 0)
+
+
+def test_a_plain_script_needs_no_guard_and_runs_once(empty_cache, tmp_path, odd_model):
+    finished = run_script(tmp_path, odd_model, "pass")
+    assert (finished.stdout, finished.stderr, finished.returncode) == ("(50000, 1)\n", "", 0)
+
+
+@pytest.mark.parametrize(
+    ("strike", "ending"),
+    [
+        ("os.kill(os.getpid(), signal.SIGINT)", -signal.SIGINT),
+        # Twice: again while the workers are being dismissed.
+        (
+            "import threading; threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGINT)).start();"
+            "os.kill(os.getpid(), signal.SIGINT)",
+            -signal.SIGINT,
+        ),
+        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL),
+    ],
+    ids=["interrupted", "interrupted-twice", "killed"],
+)
+def test_no_worker_outlives_its_parent(empty_cache, tmp_path, odd_model, strike, ending):
+    finished = run_script(tmp_path, odd_model, strike)
+    assert finished.stdout == "" and finished.returncode == ending
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_else(empty_cache, monkeypatch, odd_model):

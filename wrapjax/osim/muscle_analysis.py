@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -121,8 +121,11 @@ def analyse_muscles(
     if missing or not chunks:
         spans = _check_question(path, muscles, coordinates, poses)
         done = len(poses) - sum(len(chunk) for chunk in missing.values())
-        with progress_bar("OpenSim muscle analysis, poses", len(poses), quiet=quiet) as advance:
-            for start, *found in analyse_chunks(path, coordinates, spans, missing, processes):
+        with (
+            progress_bar("OpenSim muscle analysis, poses", len(poses), quiet=quiet) as advance,
+            closing(analyse_chunks(path, coordinates, spans, missing, processes)) as results,
+        ):
+            for start, *found in results:
                 here = slice(start, start + CHUNK)
                 length[here], moment_arm[here] = found
                 _check_finite(path, muscles, poses[here], length[here], moment_arm[here])

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 from types import ModuleType
 
@@ -37,8 +38,10 @@ def analyse_chunks(
     spans: dict[str, tuple[str, ...]],
     chunks: dict[int, Poses],
     processes: int | None,
-) -> Iterator[tuple[int, Lengths, MomentArms]]:
-    """Yield key, lengths (m) and moment arms (m) of each chunk as it is finished, in any order.
+) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
+    """Yield key, lengths (m) and moment arms (m) of each chunk, in order.
+
+    Close the generator if it is not used up: that is what dismisses the workers.
 
     Parameters
     ----------
@@ -71,24 +74,25 @@ def analyse_chunks(
 
 def _analyse_in_workers(
     engine_arguments: tuple, chunks: dict[int, Poses], processes: int
-) -> Iterator[tuple[int, Lengths, MomentArms]]:
+) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
     # Not by fork: JAX has threads running, and a fork of those may hang.
     pool = ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=engine_arguments
     )
     try:
         with _calling_script_hidden():
-            keys = {pool.submit(_analyse_in_worker, poses): key for key, poses in chunks.items()}
-        for future in as_completed(keys):
-            yield keys[future], *future.result()
+            results = pool.map(_analyse_in_worker, chunks.values())
+        for key, (length, moment_arm) in zip(chunks, results, strict=True):
+            yield key, length, moment_arm
     except BrokenProcessPool as error:
         raise RuntimeError(
             "a worker process of the muscle analysis died: killed, or out of memory. "
             "What was finished is kept; run it again, or with processes=1"
         ) from error
     finally:
-        # After Ctrl-C too: what is being analysed ends within a second, what is waiting is dropped.
-        pool.shutdown(wait=True, cancel_futures=True)
+        # After Ctrl-C too: what is being analysed ends within a second or two, what is waiting is dropped.
+        with _deaf_to_interrupts():
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
@@ -106,13 +110,36 @@ def _calling_script_hidden() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Ignore Ctrl-C: a second one while workers are dismissed would have Python wait for them for ever."""
+    if threading.current_thread() is not threading.main_thread():
+        # Only the main thread is interrupted, and only it may say how.
+        yield
+        return
+    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
 def _start_worker(
     model_file: Path | str, coordinates: tuple[str, ...], spans: dict[str, tuple[str, ...]]
 ) -> None:
     global _engine
     # Ctrl-C reaches the whole group of processes; only the parent answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _engine = PathEngine(model_file, coordinates, spans)
+
+
+def _end_with_parent() -> None:
+    """Do not outlive a parent that was killed and could dismiss nobody."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+    os._exit(1)
 
 
 def _analyse_in_worker(poses: Poses) -> tuple[Lengths, MomentArms]:
