@@ -31,7 +31,8 @@ class Problem:
     def __str__(self) -> str:
         where = f"{self.file}: {self.place}" if self.place else self.file
         tail = f"; {self.hint}" if self.hint else ""
-        return f"{where}: {self.message}{tail}."
+        sentence = f"{where}: {self.message}{tail}"
+        return sentence if sentence.endswith("?") else f"{sentence}."
 
 
 class InputError(ValueError):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.calibrate import CalibrationResult, Iteration, Solution, Status
+from wrapjax.calibrate import CalibrationResult, Iteration, ProjectedLM, Solution, Status
 from wrapjax.calibrate.problem import Linearization
 from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState
 from wrapjax.muscle import FiberState
@@ -118,6 +118,8 @@ def result() -> CalibrationResult:
         states=_states(0.0),
         initial_states=_states(0.6),
         cost_by_term={"joint_moment": 7.0, "passive_force": 1.5, "prior": 0.5},
+        curves="paper",
+        solver=ProjectedLM(),
         solution=_solution(),
         n_residuals=20,
         compile_seconds=1.5,

@@ -114,7 +114,7 @@ def objective(
     >>> cost = objective(subject, "NGA")  # doctest: +SKIP
     >>> slopes = jax.grad(cost)(model_parameters(subject))  # doctest: +SKIP
     """
-    return jax.jit(prepare(subject, method, fit).cost)
+    return eqx.filter_jit(prepare(subject, method, fit).cost)
 
 
 def calibrate(
@@ -188,6 +188,8 @@ def calibrate(
         initial_states=jax.tree.map(np.asarray, initial_states),
         cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in terms.items()},
         solution=solution,
+        curves=curves,
+        solver=solver,
         n_residuals=problem.measured.size,
         compile_seconds=compiled,
     )

@@ -66,12 +66,13 @@ class Fit:
             self._write(temporary)
 
     def _write(self, folder: Path) -> None:
-        arrays = {name: np.asarray(value) for name, value in _arrays(self.surrogate).items()}
         names = {"muscles": self.surrogate.muscles, "coordinates": self.surrogate.coordinates}
-        write_whole(
-            folder / "fit.npz",
-            lambda path: np.savez(path, **arrays, **{k: np.array(v) for k, v in names.items()}),
-        )
+        arrays = _arrays(self.surrogate) | {name: np.array(value) for name, value in names.items()}
+
+        def write(path: Path) -> None:
+            np.savez(path, allow_pickle=False, **arrays)
+
+        write_whole(folder / "fit.npz", write)
         content = {
             "schema": 1,
             "key": self.key,
@@ -238,8 +239,7 @@ def _root_mean_square(values: np.ndarray) -> float:
 
 
 def _arrays(surrogate: PathSurrogate) -> dict[str, np.ndarray]:
-    dynamic = eqx.filter(surrogate, eqx.is_array)
-    return {name: value for name, value in vars(dynamic).items() if eqx.is_array(value)}
+    return {name: np.asarray(value) for name, value in vars(surrogate).items() if eqx.is_array(value)}
 
 
 def _read(folder: Path) -> Fit:
@@ -251,8 +251,10 @@ def _read(folder: Path) -> Fit:
         content = json.loads(json_file.read_text(encoding="utf-8"))
         with np.load(array_file, allow_pickle=False) as stored:
             arrays = dict(stored)
-        names = {key: tuple(arrays.pop(key).tolist()) for key in ("muscles", "coordinates")}
-        surrogate = PathSurrogate(**names, **{key: jnp.asarray(value) for key, value in arrays.items()})
+        muscles, coordinates = (tuple(arrays.pop(key).tolist()) for key in ("muscles", "coordinates"))
+        surrogate = PathSurrogate(
+            muscles, coordinates, **{name: jnp.asarray(value) for name, value in arrays.items()}
+        )
         errors = {name: PathError(**entry) for name, entry in content["muscles"].items()}
         return Fit(content["key"], surrogate, errors, content["seconds"])
     except (ValueError, KeyError, TypeError, EOFError) as error:

@@ -31,12 +31,12 @@ class Objective(AbstractLeastSquares):
     moment_error: float = eqx.field(static=True, default=MOMENT_ERROR)
 
     @property
-    def lower(self) -> Float[np.ndarray, " variable"]:
+    def lower(self) -> Float[Array | np.ndarray, " variable"]:
         """Lower bounds of the scaled variables."""
         return self.variables.lower
 
     @property
-    def upper(self) -> Float[np.ndarray, " variable"]:
+    def upper(self) -> Float[Array | np.ndarray, " variable"]:
         """Upper bounds of the scaled variables."""
         return self.variables.upper
 
@@ -120,7 +120,7 @@ class Objective(AbstractLeastSquares):
         self,
         variables: Float[Array, " variable"],
         rows: Float[Array, " row"],
-        multipliers: tuple[Float[Array, "muscle value"], ...],
+        multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local muscle local"]:
         """Sum of residuals times their Hessians: one block a muscle, for moments add linearly."""
 
@@ -145,11 +145,11 @@ class Objective(AbstractLeastSquares):
     def _moment_rows(self, modelled: Float[Array, "trial coordinate frame"]) -> Float[Array, " row"]:
         return self._moment_scale() * (modelled - self.measured).ravel()
 
-    def _prior_weight(self) -> Float[np.ndarray, " variable"]:
+    def _prior_weight(self) -> Float[Array | np.ndarray, " variable"]:
         """One over prior deviation and the root of how many variables of its kind there are."""
         kinds = [label.rsplit(".", 1)[1] for label in self.variables.labels]
         counts = np.array([kinds.count(kind) for kind in kinds])
         return self.variables.prior_precision / np.sqrt(counts)
 
     def _prior_rows(self, variables: Float[Array, " variable"]) -> Float[Array, " variable"]:
-        return self._prior_weight() * (variables - self.variables.prior_mean)
+        return jnp.asarray(self._prior_weight()) * (variables - self.variables.prior_mean)

@@ -27,12 +27,12 @@ class AbstractLeastSquares(eqx.Module):
 
     @property
     @abstractmethod
-    def lower(self) -> Float[np.ndarray, " variable"]:
+    def lower(self) -> Float[Array | np.ndarray, " variable"]:
         """Lower bounds."""
 
     @property
     @abstractmethod
-    def upper(self) -> Float[np.ndarray, " variable"]:
+    def upper(self) -> Float[Array | np.ndarray, " variable"]:
         """Upper bounds."""
 
     @abstractmethod

@@ -21,6 +21,9 @@ from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibrate.problem import AbstractLeastSquares, Linearization
 
+# Factor on the damping after a first failed step; it doubles with each further one.
+_GROWTH = 2.0
+
 
 class Status(Enum):
     """Why a solver stopped, as a sentence."""
@@ -101,12 +104,12 @@ class ProjectedLM:
     ftol: float = 1e-12
     xtol: float = 1e-10
     max_iterations: int = 500
-    initial_damping: float = 1e-3
+    initial_damping: float = 1e-4
 
     def compile(
         self,
         problem: AbstractLeastSquares,
-        start: Float[Array, " variable"] | Float[np.ndarray, " variable"],
+        start: Float[Array | np.ndarray, " variable"],
     ) -> None:
         """Compile the kernels of `solve`, so that its time is that of solving alone."""
         state = _begin(problem, jnp.asarray(start), jnp.asarray(self.initial_damping))
@@ -116,7 +119,7 @@ class ProjectedLM:
     def solve(
         self,
         problem: AbstractLeastSquares,
-        start: Float[Array, " variable"] | Float[np.ndarray, " variable"],
+        start: Float[Array | np.ndarray, " variable"],
         callback: Callable[[Iteration, SolverState], None] | None = None,
     ) -> Solution:
         """Minimise from a start, which is moved inside the bounds.
@@ -151,22 +154,23 @@ class ProjectedLM:
             if callback:
                 callback(history[-1], state)
 
+        note(0, 0.0)
         status = Status.iterations
         try:
-            note(0, 0.0)
             if not np.isfinite(history[-1].cost):
                 status = Status.not_finite
             elif history[-1].optimality <= self.gtol:
                 status = Status.gradient
             else:
                 for number in range(1, self.max_iterations + 1):
+                    previous = history[-1].damping
                     state, taken = _advance(problem, state)
                     step, actual, predicted = float(taken.step), float(taken.actual), float(taken.predicted)
                     note(number, step)
-                    cost = history[-1].cost
+                    limit = self.ftol * history[-1].cost
                     if history[-1].optimality <= self.gtol:
                         status = Status.gradient
-                    elif taken.accepted and max(actual, predicted) <= self.ftol * cost:
+                    elif 0.0 < predicted <= limit and actual <= limit and (taken.accepted or previous <= 1.0):
                         status = Status.cost
                     elif taken.accepted and step <= self.xtol:
                         status = Status.step
@@ -200,62 +204,90 @@ def _begin(
 ) -> SolverState:
     inside = jnp.clip(start, problem.lower, problem.upper)
     linearization = problem.linearize(inside)
-    return SolverState(inside, linearization, damping, jnp.asarray(2.0))
-
-
-def _held(
-    problem: AbstractLeastSquares, variables: Float[Array, " variable"], gradient: Float[Array, " variable"]
-) -> Bool[Array, " variable"]:
-    """Which variables lie at a bound that the gradient pushes them against."""
-    at_lower = (variables <= problem.lower) & (gradient > 0.0)
-    at_upper = (variables >= problem.upper) & (gradient < 0.0)
-    return at_lower | at_upper
+    return SolverState(inside, linearization, damping, jnp.asarray(_GROWTH))
 
 
 @eqx.filter_jit
-def _measure(problem: AbstractLeastSquares, state: SolverState):
-    gradient = state.linearization.gradient
-    downhill = jnp.clip(state.variables - gradient, problem.lower, problem.upper)
+def _measure(problem: AbstractLeastSquares, state: SolverState) -> tuple[Array, Array]:
     at_bounds = jnp.sum((state.variables <= problem.lower) | (state.variables >= problem.upper))
-    return at_bounds, jnp.max(jnp.abs(downhill - state.variables))
+    return at_bounds, _optimality(problem, state.variables, state.linearization.gradient)
+
+
+def _optimality(
+    problem: AbstractLeastSquares, variables: Float[Array, " variable"], gradient: Float[Array, " variable"]
+) -> Float[Array, ""]:
+    """Largest move that projected steepest descent would make: zero at a stationary point."""
+    downhill = jnp.clip(variables - gradient, problem.lower, problem.upper)
+    return jnp.max(jnp.abs(downhill - variables))
 
 
 def _propose(problem: AbstractLeastSquares, state: SolverState) -> Float[Array, " variable"]:
-    """Step to the minimum of the damped second-order model, or of Gauss and Newton's if it has none.
+    """Step to the minimum of the damped second-order model.
 
     Moment errors do not vanish at the optimum, and there the remainder of the Hessian decides how
-    fast the last digits come; far from it, it may be indefinite.
+    fast the last digits come. Far from it the Hessian may be indefinite: then the Gauss-Newton part
+    alone is tried, which steps boldly, and after a failure the Hessian with negative curvatures
+    counted as positive (Dauphin et al. 2014, arXiv:1406.2572), which steps with care.
     """
     model = state.linearization
-    newton = _damped_step(problem, state, model.gauss_newton + model.remainder)
-    gauss_newton = _damped_step(problem, state, model.gauss_newton)
-    return jnp.where(jnp.isfinite(newton).all(), newton, gauss_newton)
+    hessian = model.gauss_newton + model.remainder
+
+    def mirrored() -> Float[Array, "variable variable"]:
+        values, vectors = jnp.linalg.eigh(hessian)
+        return (vectors * jnp.abs(values)[None, :]) @ vectors.T
+
+    def definite() -> Float[Array, " variable"]:
+        failed_before = state.growth > _GROWTH
+        matrix = jax.lax.cond(failed_before, mirrored, lambda: model.gauss_newton)
+        return _damped_step(problem, state, matrix)
+
+    newton = _damped_step(problem, state, hessian)
+    return jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, definite)
 
 
 def _damped_step(
     problem: AbstractLeastSquares, state: SolverState, hessian: Float[Array, "variable variable"]
 ) -> Float[Array, " variable"]:
-    """Take the damped step in the free variables; hold those that it would push out, and repeat.
+    """Minimise the damped quadratic model within the bounds. Not finite where it is indefinite.
 
-    Without the repetition a step that meets a bound is merely cut off, and the other variables do
-    not learn of it until the next iteration. Not finite where the free part is indefinite.
+    Primal-dual active sets (Hintermueller, Ito & Kunisch 2002, doi:10.1137/S1052623401383558): hold what
+    leaves the box, release what its multiplier pulls back in, until the sets repeat. A step that meets a
+    bound is thus not merely cut off: the other variables answer to it.
     """
     gradient = state.linearization.gradient
-    curvature = jnp.diagonal(state.linearization.gauss_newton)
-    damped = hessian + jnp.diag(state.damping * jnp.maximum(curvature, 1e-8 * curvature.max()))
-    held = _held(problem, state.variables, gradient)
-    move = jnp.zeros_like(state.variables)
-    for _ in range(4):
-        # Held variables have moved by ``move`` already; the free ones answer to that.
-        pull = gradient + damped @ jnp.where(held, move, 0.0)
-        free = ~held
-        matrix = jnp.where(free[:, None] & free[None, :], damped, jnp.diag(held.astype(damped.dtype)))
-        solved = jsp.linalg.cho_solve(jsp.linalg.cho_factor(matrix), jnp.where(free, -pull, 0.0))
-        wanted = state.variables + jnp.where(held, move, solved)
-        clipped = jnp.clip(wanted, problem.lower, problem.upper)
-        move = clipped - state.variables
-        held = held | (clipped != wanted)
-    return state.variables + move
+    damped = hessian + jnp.diag(state.damping * _damping_metric(state.linearization))
+    lower, upper = problem.lower - state.variables, problem.upper - state.variables
+
+    def solve(at_lower, at_upper):
+        held = at_lower | at_upper
+        fixed = jnp.where(at_lower, lower, jnp.where(at_upper, upper, 0.0))
+        matrix = jnp.where(held[:, None] | held[None, :], jnp.diag(held.astype(damped.dtype)), damped)
+        pull = jnp.where(held, fixed, -(gradient + damped @ fixed))
+        return jsp.linalg.cho_solve(jsp.linalg.cho_factor(matrix), pull)
+
+    def unsettled(carry):
+        _, _, _, changed, rounds = carry
+        return changed & (rounds < 20)
+
+    def settle(carry):
+        at_lower, at_upper, _, _, rounds = carry
+        move = solve(at_lower, at_upper)
+        slope = gradient + damped @ move
+        next_lower = jnp.where(at_lower, slope > 0.0, move < lower)
+        next_upper = jnp.where(at_upper, slope < 0.0, move > upper)
+        changed = jnp.any((next_lower != at_lower) | (next_upper != at_upper))
+        return next_lower, next_upper, move, changed, rounds + 1
+
+    at_lower = (lower >= 0.0) & (gradient > 0.0)
+    at_upper = (upper <= 0.0) & (gradient < 0.0)
+    start = (at_lower, at_upper, jnp.zeros_like(gradient), jnp.asarray(True), 0)
+    return state.variables + jax.lax.while_loop(unsettled, settle, start)[2]
+
+
+def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
+    """Curvature by variable, with a floor: what the data hardly see must not run away."""
+    curvature = jnp.diagonal(model.gauss_newton)
+    return jnp.maximum(curvature, 1e-1 * curvature.max())
 
 
 @eqx.filter_jit
@@ -268,14 +300,20 @@ def _advance(problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverS
     predicted = -(2.0 * model.gradient @ move + move @ hessian @ move)
     actual = model.cost - fresh.cost
     ratio = actual / jnp.where(predicted > 0.0, predicted, jnp.inf)
-    accepted = jnp.isfinite(fresh.cost) & (predicted > 0.0) & (ratio > 1e-4)
+    # At the last digits costs no longer differ, but gradients still do.
+    same_cost = jnp.abs(actual) <= 1e-14 * model.cost
+    flatter = _optimality(problem, candidate, fresh.gradient) < _optimality(
+        problem, state.variables, model.gradient
+    )
+    accepted = jnp.isfinite(fresh.cost) & (predicted > 0.0) & ((ratio > 1e-4) | (same_cost & flatter))
+    ratio = jnp.where(same_cost, 1.0, ratio)
     # Nielsen's rule (1999, IMM-REP-1999-05): smooth in the ratio, and slower to recover after failures.
     eased = state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
     chosen = SolverState(
         variables=jnp.where(accepted, candidate, state.variables),
         linearization=jax.tree.map(lambda new, old: jnp.where(accepted, new, old), fresh, model),
         damping=jnp.where(accepted, jnp.maximum(eased, 1e-12), state.damping * state.growth),
-        growth=jnp.where(accepted, 2.0, 2.0 * state.growth),
+        growth=jnp.where(accepted, _GROWTH, _GROWTH * state.growth),
     )
     length = jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables))
     return chosen, _Step(accepted, length, actual, predicted)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibrate.projected_lm import Solution
+from wrapjax.calibrate.projected_lm import ProjectedLM, Solution
 from wrapjax.model import Freedom, ModelParameters, MuscleState
 
 
@@ -35,8 +35,12 @@ class CalibrationResult:
         All muscles over all cycles.
     cost_by_term
         The parts of the cost at the solution.
-    solution
-        Status and history of the solver.
+    curves
+        Name of the Hill curves.
+    solver, solution
+        Tolerances of the solver, and its status and history.
+    n_residuals
+        Number of measured moments that were matched.
     compile_seconds
         Time that went into compiling, apart from solving.
     """
@@ -58,6 +62,8 @@ class CalibrationResult:
     states: MuscleState
     initial_states: MuscleState
     cost_by_term: dict[str, float]
+    curves: str
+    solver: ProjectedLM
     solution: Solution
     n_residuals: int
     compile_seconds: float

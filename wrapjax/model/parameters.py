@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 
@@ -51,10 +52,10 @@ MAX_FIBER_VELOCITY = 10.0
 
 
 def initial_parameters(
-    max_isometric_force: Float[Array, " muscle"],
-    optimal_fiber_length: Float[Array, " muscle"],
-    tendon_slack_length: Float[Array, " muscle"],
-    pennation_angle: Float[Array, " muscle"],
+    max_isometric_force: Float[Array | np.ndarray, " muscle"],
+    optimal_fiber_length: Float[Array | np.ndarray, " muscle"],
+    tendon_slack_length: Float[Array | np.ndarray, " muscle"],
+    pennation_angle: Float[Array | np.ndarray, " muscle"],
 ) -> ModelParameters:
     """Build the tree that calibration starts from.
 

@@ -61,7 +61,7 @@ class Variables(eqx.Module):
         self,
         parameters: ModelParameters,
         local: Float[Array, "*muscle local"],
-        scale: Float[Array, "*muscle local"] | Float[np.ndarray, "*muscle local"],
+        scale: Float[Array | np.ndarray, "*muscle local"],
     ) -> ModelParameters:
         """Put local variables into the tree of one muscle, or of all."""
         values = [local[..., place] * scale[..., place] for place in range(len(self.names))]

@@ -33,7 +33,7 @@ class EmgSpline(eqx.Module):
             Electromechanical delay in s, not negative; one number for all cycles.
         """
         intervals = self.coefficients.shape[-1]
-        position = jnp.arange(intervals + 1.0) - (delay / self.step)[:, None]
+        position = jnp.arange(intervals + 1.0)[None, :] - (delay / self.step)[:, None]
         position = jnp.clip(position, 0.0, float(intervals))
         interval = jnp.clip(jnp.floor(position).astype(int), 0, intervals - 1)
         fraction = position - interval

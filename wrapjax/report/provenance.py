@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -38,6 +39,8 @@ def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, 
             "paretic": subject.paretic,
         },
         "method": result.method,
+        "curves": result.curves,
+        "solver": asdict(result.solver),
         "coordinates": result.coordinates,
         "channels": {
             channel: [name for name, driver in driven if driver == place]
