@@ -151,15 +151,24 @@ def _calibrate(options: argparse.Namespace) -> int:
 def _demo(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api.demo import demo
+    from wrapjax.api.text import calibration_table, iteration_printer, recovery_table
 
     _refuse_existing(options.out, options.force)
-    result = demo(options.out, seed=options.seed, force=options.force, quiet=options.quiet)
+    shown = demo(
+        options.out,
+        seed=options.seed,
+        force=options.force,
+        quiet=options.quiet,
+        callback=iteration_printer(quiet=options.quiet),
+    )
     if options.json:
-        _print_json(result.summary())
+        _print_json(_stored(options.out / "demo.json"))
     else:
-        print(result.text())
+        print(calibration_table(shown.calibration))
+        print()
+        print(recovery_table(shown))
         print(f"\nwritten to {options.out}; open {options.out / 'NGA' / 'report.html'} in a browser")
-    return DONE if result.calibration.status.converged else NOT_CONVERGED
+    return DONE if shown.calibration.status.converged else NOT_CONVERGED
 
 
 def _refuse_existing(folder: Path, force: bool) -> None:

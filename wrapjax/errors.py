@@ -47,6 +47,10 @@ class InputError(ValueError):
         self.problems: tuple[Problem, ...] = tuple(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
+    def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Problem, ...]]]:
+        # What is raised in a worker process must arrive whole.
+        return InputError, (self.problems,)
+
 
 def nearest_name(name: str, known: Sequence[str]) -> str:
     """Say which known name the unknown one was probably meant to be.

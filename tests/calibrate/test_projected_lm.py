@@ -178,3 +178,12 @@ def test_exact_hessian_converges_where_gauss_newton_crawls():
     )
     found = ProjectedLM(gtol=1e-10, ftol=0, xtol=0).solve(problem, np.array([0.3, 0.4]))
     assert found.status is Status.gradient and found.iterations < 30
+
+
+def test_steps_are_compiled_once():
+    """A state of another type than the step returns (weakly typed, say) is compiled for a second time."""
+    problem, start = exponentials(0)
+    states = []
+    ProjectedLM(max_iterations=2).solve(problem, start, lambda iteration, state: states.append(state))
+    types = [[leaf.aval for leaf in jax.tree.leaves(state)] for state in states]
+    assert types[0] == types[1] == types[2]

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float
 from wrapjax.api.assembly import group_indices, model_parameters, recording, surrogate_paths
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
-from wrapjax.api.precision import require_float64
 from wrapjax.calibrate import (
     CalibrationResult,
     Iteration,
@@ -29,6 +28,7 @@ from wrapjax.calibrate.projected_lm import SolverState
 from wrapjax.errors import InputError, Problem
 from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, nga
 from wrapjax.muscle import HILL_CURVES
+from wrapjax.precision import require_float64
 from wrapjax.subject import Subject
 
 #: Ways of adjusting a model, by the names of Ao, Fregly et al.

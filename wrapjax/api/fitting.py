@@ -11,11 +11,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.api.precision import require_float64
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import cache_folder, content_hash, new_folder, write_json, write_whole
 from wrapjax.geometry import PathSurrogate, fit_surrogate, random_poses, smooth_poses
 from wrapjax.osim import PathGeometry, analyse_muscles, describe_model, spanned_coordinates
+from wrapjax.precision import require_float64
 from wrapjax.progress import say
 from wrapjax.subject import Subject
 

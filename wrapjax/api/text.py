@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 
 from wrapjax.api.calibration import Calibration
+from wrapjax.api.demo import Demonstration
 from wrapjax.api.fitting import Fit
 from wrapjax.calibrate import Iteration
 from wrapjax.calibrate.projected_lm import SolverState
@@ -77,4 +78,20 @@ def calibration_table(calibration: Calibration) -> str:
     ]
     for name in (*result.coordinates, "mean"):
         lines.append(f"{name:{width}s}" + "".join(f"{pooled[name]:20.2f}" for pooled in columns.values()))
+    return "\n".join(lines)
+
+
+def recovery_table(shown: Demonstration) -> str:
+    """Show how close a virtual subject's calibration came to its truth."""
+    lines = [
+        "Distance from the hidden truth, median over muscles (same-form data: a unit test, not an accuracy).",
+        "'open' is the standard deviation that the moments alone, with their noise, leave to a parameter:",
+        "where it is far above the distance, priors decide and the moments cannot.",
+        f"{'parameter':26s}{'before':>10s}{'after':>10s}{'open':>10s}  unit",
+    ]
+    for row in shown.recovery:
+        factor, unit = {"s": (1e3, "ms"), "m": (1e3, "mm")}.get(row.unit, (1.0, row.unit))
+        values = (row.median_error_before, row.median_error_after, row.median_deviation)
+        columns = "".join(f"{factor * value:10.3g}" for value in values)
+        lines.append(f"{row.parameter:26s}{columns}  {unit}")
     return "\n".join(lines)

@@ -1,5 +1,6 @@
 """Calibration: objective, solver and result."""
 
+from wrapjax.calibrate.identifiability import laplace_deviation as laplace_deviation
 from wrapjax.calibrate.objective import Objective as Objective
 from wrapjax.calibrate.penalties import pipeline_penalties as pipeline_penalties
 from wrapjax.calibrate.projected_lm import Iteration as Iteration

@@ -112,7 +112,7 @@ class ProjectedLM:
         start: Float[Array | np.ndarray, " variable"],
     ) -> None:
         """Compile the kernels of `solve`, so that its time is that of solving alone."""
-        state = _begin(problem, jnp.asarray(start), jnp.asarray(self.initial_damping))
+        state = _begin(problem, jnp.asarray(start), self.initial_damping)
         _measure(problem, state)
         jax.block_until_ready(_advance(problem, state))
 
@@ -135,7 +135,7 @@ class ProjectedLM:
             the solve with the best point so far.
         """
         began = time.perf_counter()
-        state = _begin(problem, jnp.asarray(start), jnp.asarray(self.initial_damping))
+        state = _begin(problem, jnp.asarray(start), self.initial_damping)
         history: list[Iteration] = []
 
         def note(number: int, step: float) -> None:
@@ -199,12 +199,13 @@ class _Step(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin(
-    problem: AbstractLeastSquares, start: Float[Array, " variable"], damping: Float[Array, ""]
-) -> SolverState:
+def _begin(problem: AbstractLeastSquares, start: Float[Array, " variable"], damping: float) -> SolverState:
     inside = jnp.clip(start, problem.lower, problem.upper)
     linearization = problem.linearize(inside)
-    return SolverState(inside, linearization, damping, jnp.asarray(_GROWTH))
+    # Typed in full: a state of another type than the steps return would be compiled for once more.
+    return SolverState(
+        inside, linearization, jnp.asarray(damping, inside.dtype), jnp.asarray(_GROWTH, inside.dtype)
+    )
 
 
 @eqx.filter_jit
@@ -313,7 +314,7 @@ def _advance(problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverS
         variables=jnp.where(accepted, candidate, state.variables),
         linearization=jax.tree.map(lambda new, old: jnp.where(accepted, new, old), fresh, model),
         damping=jnp.where(accepted, jnp.maximum(eased, 1e-12), state.damping * state.growth),
-        growth=jnp.where(accepted, _GROWTH, _GROWTH * state.growth),
+        growth=jnp.where(accepted, jnp.full_like(state.growth, _GROWTH), _GROWTH * state.growth),
     )
     length = jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables))
     return chosen, _Step(accepted, length, actual, predicted)

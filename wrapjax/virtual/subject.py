@@ -12,12 +12,12 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from wrapjax.api.precision import require_float64
 from wrapjax.files import new_folder, write_text
 from wrapjax.geometry import PathState
 from wrapjax.model import Recording, initial_parameters, joint_moments
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 from wrapjax.osim.muscle_analysis import analyse_muscles
+from wrapjax.precision import require_float64
 from wrapjax.subject import Storage, write_storage
 from wrapjax.subject.cycles import cycle_times, padding_frames
 from wrapjax.virtual.anatomy import BODY_MASS_KG, COORDINATES
