@@ -28,7 +28,8 @@ class Objective(AbstractLeastSquares):
     measured: Float[Array, "trial coordinate frame"]
     variables: Variables
     penalties: tuple[AbstractPenalty, ...]
-    moment_error: float = eqx.field(static=True, default=MOMENT_ERROR)
+    #: Allowable error of a moment, N m. Lowering it weakens every penalty against the moments.
+    moment_error: Float[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
 
     @property
     def lower(self) -> Float[Array | np.ndarray, " variable"]:
@@ -139,7 +140,7 @@ class Objective(AbstractLeastSquares):
         half = self.variables.gather_columns(local.reshape(-1, *shape))
         return self.variables.gather_columns(half.T.reshape(-1, *shape))
 
-    def _moment_scale(self) -> float:
+    def _moment_scale(self) -> Float[Array | np.ndarray, ""]:
         return 1.0 / (self.moment_error * np.sqrt(self.measured.size))
 
     def _moment_rows(self, modelled: Float[Array, "trial coordinate frame"]) -> Float[Array, " row"]:
