@@ -70,7 +70,7 @@ def demo(
     Parameters
     ----------
     folder
-        Gets ``subject/``, ``fit/``, ``NGA/``, ``demo.json`` and ``recovery.png``.
+        Gets ``virtual_subject/``, ``fit/``, ``NGA/``, ``demo.json`` and ``recovery.png``.
     seed
         Decides the person, the walking and the noise.
     force
@@ -82,8 +82,8 @@ def demo(
     """
     folder = Path(folder)
     say("building a virtual person and letting it walk", quiet=quiet)
-    truth = write_virtual_subject(folder / "subject", seed=seed, moment_noise=MOMENT_NOISE, force=force)
-    subject = read_subject(folder / "subject")
+    truth = write_virtual_subject(folder / "virtual_subject", seed=seed, moment_noise=MOMENT_NOISE, force=force)
+    subject = read_subject(folder / "virtual_subject")
     fitted = fit(subject, seed=seed, quiet=quiet)
     fitted.save(folder / "fit", force=force)
     say("compiling (once; later runs take it from the cache)", quiet=quiet)
