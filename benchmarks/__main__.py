@@ -1,0 +1,115 @@
+"""Measure speed and quality, peers beside, in one run: ``python -m benchmarks``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from benchmarks.machine import commit, describe_machine, pin_threads, versions
+
+GROUPS = ("kernels", "compile", "solve", "surrogate")
+
+
+def main() -> int:
+    options = _parser().parse_args()
+    # Before JAX and NumPy are loaded, which read it once.
+    pin_threads()
+    _set_up_jax()
+    with _subject_folder(options.subject) as folder:
+        metrics = _measure(folder, options)
+    from benchmarks.metric import text_table
+
+    print(text_table(metrics))
+    if options.out:
+        from wrapjax.files import write_json
+
+        content = {
+            "schema": 1,
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "subject": folder.name,
+            "quick": options.quick,
+            "commit": commit(),
+            "machine": describe_machine(),
+            "versions": versions(),
+            "metrics": [vars(metric) for metric in metrics],
+        }
+        write_json(options.out, content)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument(
+        "--subject",
+        type=Path,
+        metavar="DIR",
+        help="subject folder (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=GROUPS, default=GROUPS, metavar="NAME", help="groups to run"
+    )
+    parser.add_argument("--muscles", nargs="+", metavar="NAME", help="for the surrogate (default: eight)")
+    parser.add_argument(
+        "--limit", type=float, default=120.0, metavar="SECONDS", help="for each peer's solve (default: 120)"
+    )
+    parser.add_argument("--quick", action="store_true", help="few repeats, 15 s for a peer, two muscles")
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    return parser
+
+
+def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
+    import wrapjax
+    from benchmarks import calibration, surrogate
+    from benchmarks.case import nga_case
+    from wrapjax.progress import say
+
+    subject = wrapjax.load_subject(folder)
+    limit = min(options.limit, 15.0) if options.quick else options.limit
+    muscles = options.muscles or surrogate.default_muscles(subject)
+    metrics = []
+    case = nga_case(subject) if set(options.only) - {"surrogate"} else None
+    runs = {
+        "kernels": lambda: calibration.kernels(case, quick=options.quick),
+        "compile": lambda: calibration.compilation(case),
+        "solve": lambda: calibration.solves(case, quick=options.quick, limit=limit),
+        "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
+    }
+    for name in GROUPS:
+        if name in options.only:
+            say(f"measuring: {name}")
+            metrics += runs[name]()
+    return metrics
+
+
+def _set_up_jax() -> None:
+    import jax
+
+    from wrapjax.files import cache_folder
+
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
+
+
+@contextmanager
+def _subject_folder(given: Path | None) -> Iterator[Path]:
+    if given:
+        yield given
+    elif os.environ.get("WRAPJAX_DATA"):
+        yield Path(os.environ["WRAPJAX_DATA"]) / "s1_left"
+    else:
+        from wrapjax.virtual import write_virtual_subject
+
+        with tempfile.TemporaryDirectory() as folder:
+            write_virtual_subject(Path(folder) / "virtual")
+            yield Path(folder) / "virtual"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""The calibration problem that everything is measured on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+import wrapjax
+from wrapjax.api import Fit
+from wrapjax.api.assembly import recording, surrogate_paths
+from wrapjax.api.calibration import prepare
+from wrapjax.calibrate import Objective
+from wrapjax.model import joint_moments
+from wrapjax.subject import Subject
+
+
+@dataclass(frozen=True)
+class Case:
+    """A subject, its fitted paths and its NGA problem."""
+
+    subject: Subject
+    fit: Fit
+    problem: Objective
+
+    @property
+    def size(self) -> str:
+        """How large the problem is, in words."""
+        return f"{self.problem.variables.count} variables, {self.problem.measured.size:,} moment residuals"
+
+    @property
+    def start(self) -> Float[Array, " variable"]:
+        """Where every optimizer starts."""
+        return self.problem.variables.start()
+
+    def compiled(self, function: Callable[[Objective, Array], Any]) -> Callable[[Any], Any]:
+        """Jit a function of problem and variables, as a function of the variables.
+
+        The recordings go in as arguments: as constants they would be folded for minutes.
+        """
+        arrays, rest = eqx.partition(self.problem, eqx.is_array)
+        run = jax.jit(lambda arrays, variables: function(eqx.combine(arrays, rest), variables))
+        return lambda variables: run(arrays, variables)
+
+    def moment_mae(self, variables: Float[Array | np.ndarray, " variable"]) -> dict[str, float]:
+        """Mean absolute moment error in N m, by what the trials are used for."""
+        trials = self.subject.trials
+        inputs = recording(self.subject, trials, surrogate_paths(self.fit.surrogate, self.subject, trials))
+        parameters = self.problem.variables.unpack(jnp.asarray(variables))
+        modelled = eqx.filter_jit(joint_moments)(self.problem.curves, parameters, inputs)
+        error = np.abs(np.asarray(modelled) - trials.moments).mean(axis=(1, 2))
+        uses = np.array(trials.uses)
+        return {use: float(error[uses == use].mean()) for use in sorted(set(uses.tolist()))}
+
+
+def nga_case(subject: Subject) -> Case:
+    """Fit the subject's paths (or find them in the cache) and set its NGA problem up."""
+    fit = wrapjax.fit(subject, quiet=False)
+    return Case(subject, fit, prepare(subject, "NGA", fit))
+
+
+def total_cost(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+    """Sum of squares of all residuals."""
+    return jnp.sum(problem.residuals(variables) ** 2)
+
+
+def moment_residuals(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
+    """Residuals of the joint moments alone."""
+    return problem.terms(problem.variables.unpack(variables))["joint_moment"]

@@ -1,0 +1,33 @@
+"""A first calibration in a process of its own, timed; prints JSON.
+
+Run by the benchmarks: ``python -m benchmarks.first_calibration SUBJECT FIT``
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import wrapjax
+from wrapjax.api.calibration import prepare
+from wrapjax.calibrate import ProjectedLM
+
+
+def main() -> None:
+    subject = wrapjax.load_subject(sys.argv[1])
+    fit = wrapjax.load_fit(sys.argv[2], subject)
+    moments = [time.perf_counter()]
+    problem = prepare(subject, "NGA", fit)
+    moments.append(time.perf_counter())
+    solver, start = ProjectedLM(), problem.variables.start()
+    solver.compile(problem, start)
+    moments.append(time.perf_counter())
+    solver.solve(problem, start)
+    moments.append(time.perf_counter())
+    names = ("prepare", "compile", "solve")
+    print(json.dumps({name: moments[at + 1] - moments[at] for at, name in enumerate(names)}))
+
+
+if __name__ == "__main__":
+    main()

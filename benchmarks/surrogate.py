@@ -1,0 +1,120 @@
+"""How well muscle paths are fitted by polynomials, OpenSim's own PolynomialPathFitter beside."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks.metric import Metric
+from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
+from wrapjax.api.fitting import TRAINING_POSES, path_errors
+from wrapjax.geometry import fit_surrogate, random_poses, smooth_poses
+from wrapjax.geometry.poses import walking_belt
+from wrapjax.osim import analyse_muscles, describe_model, spanned_coordinates
+from wrapjax.subject import Subject
+
+#: Broad fans, paths over the pelvic brim, paths that lift off their cylinder, knee and ankle.
+DEFAULT_MUSCLES = ("iliacus", "psoas", "glmax1", "glmax2", "recfem", "vasmed", "semimem", "gasmed")
+
+_QUANTITIES = ("length_rmse_mm", "length_max_mm", "moment_arm_rmse_mm", "moment_arm_max_mm")
+
+
+def default_muscles(subject: Subject) -> tuple[str, ...]:
+    """Those of `DEFAULT_MUSCLES` that the subject has."""
+    return tuple(
+        name for name in subject.muscles.names if name.removesuffix(f"_{subject.side}") in DEFAULT_MUSCLES
+    )
+
+
+def surrogates(
+    subject: Subject, muscles: Sequence[str], *, quick: bool = False, samples_per_frame: int = 25
+) -> list[Metric]:
+    """Fit the same muscles both ways, on one thread, and judge both on the same unseen poses.
+
+    Parameters
+    ----------
+    subject
+        Its cycles define the belt of poses.
+    muscles
+        OpenSim's fitter takes about a minute for each.
+    quick
+        Take the first two muscles only, and few samples for the peer.
+    samples_per_frame
+        Of the peer; 25 is its default.
+    """
+    muscles = tuple(muscles)[: 2 if quick else None]
+    if quick:
+        samples_per_frame = 3
+    trials = subject.trials
+    coordinates = trials.moment_coordinates
+    angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
+    unseen = random_poses(angles, UNSEEN_POSES, np.random.default_rng(SEED))
+
+    began = time.perf_counter()
+    training = np.concatenate(
+        [
+            random_poses(angles, TRAINING_POSES, np.random.default_rng(SEED + 1)),
+            smooth_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
+        ]
+    )
+    known = analyse_muscles(subject.model_file, muscles, coordinates, training, processes=1, quiet=True)
+    analysed = time.perf_counter()
+    surrogate = fit_surrogate(
+        muscles,
+        coordinates,
+        spanned_coordinates(subject.model_file, muscles),
+        training,
+        known.length,
+        known.moment_arm,
+    )
+    fitted = time.perf_counter()
+    truth = analyse_muscles(subject.model_file, muscles, coordinates, unseen, processes=1, quiet=True)
+    wrapped = {muscle.name: bool(muscle.wraps) for muscle in describe_model(subject.model_file).muscles}
+    ours = path_errors(surrogate, unseen, truth, slice(None), wrapped)
+
+    lower, upper = walking_belt(angles)
+    peer = fit_with_opensim(
+        subject.model_file,
+        muscles,
+        coordinates,
+        (0.5 * (lower + upper)).T[:-1],
+        (0.5 * (upper - lower)).max(axis=1),
+        unseen,
+        samples_per_frame=samples_per_frame,
+        threads=1,
+    )
+    count = f"{len(muscles)} muscles, one thread"
+    metrics = [
+        Metric("surrogate/seconds", fitted - began, "s", "lower", f"{count}; OpenSim's analysis included"),
+        Metric("surrogate/fit_seconds", fitted - analysed, "s", "lower", "of it, fitting and pruning"),
+        Metric(
+            "surrogate/opensim_seconds",
+            peer["seconds"],
+            "s",
+            "lower",
+            f"{count}; PolynomialPathFitter, {samples_per_frame} samples a frame",
+        ),
+        Metric(
+            "surrogate/opensim_slower",
+            peer["seconds"] / (fitted - began),
+            "x",
+            "higher",
+            "its time over ours",
+        ),
+    ]
+    for muscle in muscles:
+        for quantity in _QUANTITIES:
+            theirs = float(peer["muscles"][muscle][quantity])
+            name = quantity.removesuffix("_mm")
+            metrics.append(
+                Metric(
+                    f"surrogate/{muscle}/{name}",
+                    float(getattr(ours[muscle], quantity)),
+                    "mm",
+                    "lower",
+                    f"PolynomialPathFitter: {theirs:.3f}",
+                )
+            )
+    return metrics
