@@ -82,7 +82,9 @@ def demo(
     """
     folder = Path(folder)
     say("building a virtual person and letting it walk", quiet=quiet)
-    truth = write_virtual_subject(folder / "virtual_subject", seed=seed, moment_noise=MOMENT_NOISE, force=force)
+    truth = write_virtual_subject(
+        folder / "virtual_subject", seed=seed, moment_noise=MOMENT_NOISE, force=force
+    )
     subject = read_subject(folder / "virtual_subject")
     fitted = fit(subject, seed=seed, quiet=quiet)
     fitted.save(folder / "fit", force=force)

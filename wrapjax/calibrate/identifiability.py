@@ -35,7 +35,9 @@ def laplace_deviation(
     """
     jacobian = eqx.filter_jit(problem.moment_jacobian)(jnp.asarray(variables))
     # Back from residuals in allowable errors to N m.
-    slopes = np.asarray(jacobian) * float(problem.moment_error) * np.sqrt(problem.measured.size) / moment_noise
+    slopes = (
+        np.asarray(jacobian) * float(problem.moment_error) * np.sqrt(problem.measured.size) / moment_noise
+    )
     width = np.asarray(problem.upper) - np.asarray(problem.lower)
     precision = slopes.T @ slopes + np.diag(1.0 / width**2)
     deviation = np.sqrt(np.diag(np.linalg.inv(precision)))

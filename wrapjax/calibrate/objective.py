@@ -140,8 +140,8 @@ class Objective(AbstractLeastSquares):
         half = self.variables.gather_columns(local.reshape(-1, *shape))
         return self.variables.gather_columns(half.T.reshape(-1, *shape))
 
-    def _moment_scale(self) -> Float[Array | np.ndarray, ""]:
-        return 1.0 / (self.moment_error * np.sqrt(self.measured.size))
+    def _moment_scale(self) -> Float[Array, ""]:
+        return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))
 
     def _moment_rows(self, modelled: Float[Array, "trial coordinate frame"]) -> Float[Array, " row"]:
         return self._moment_scale() * (modelled - self.measured).ravel()

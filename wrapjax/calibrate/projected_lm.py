@@ -112,9 +112,7 @@ class ProjectedLM:
         start: Float[Array | np.ndarray, " variable"],
     ) -> None:
         """Compile the kernels of `solve`, so that its time is that of solving alone."""
-        state = _begin(problem, jnp.asarray(start), self.initial_damping)
-        _measure(problem, state)
-        jax.block_until_ready(_advance(problem, state))
+        self._advance(problem, self._begin(problem, start))
 
     def solve(
         self,
@@ -135,11 +133,13 @@ class ProjectedLM:
             the solve with the best point so far.
         """
         began = time.perf_counter()
-        state = _begin(problem, jnp.asarray(start), self.initial_damping)
+        state = self._begin(problem, start)
         history: list[Iteration] = []
 
         def note(number: int, step: float) -> None:
-            at_bounds, optimality = _measure(problem, state)
+            variables = state.variables
+            at_bounds = jnp.sum((variables <= problem.lower) | (variables >= problem.upper))
+            optimality = _optimality(variables, state.linearization.gradient, problem.lower, problem.upper)
             history.append(
                 Iteration(
                     number=number,
@@ -164,7 +164,7 @@ class ProjectedLM:
             else:
                 for number in range(1, self.max_iterations + 1):
                     previous = history[-1].damping
-                    state, taken = _advance(problem, state)
+                    state, taken = self._advance(problem, state)
                     step, actual, predicted = float(taken.step), float(taken.actual), float(taken.predicted)
                     note(number, step)
                     limit = self.ftol * history[-1].cost
@@ -189,6 +189,23 @@ class ProjectedLM:
             history=tuple(history),
         )
 
+    def _begin(
+        self, problem: AbstractLeastSquares, start: Float[Array | np.ndarray, " variable"]
+    ) -> SolverState:
+        inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
+        # Typed in full: a state of another type than the steps return would be compiled for once more.
+        return SolverState(
+            variables=inside,
+            linearization=_linearize(problem, inside),
+            damping=jnp.asarray(self.initial_damping, inside.dtype),
+            growth=jnp.asarray(_GROWTH, inside.dtype),
+        )
+
+    def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step]:
+        lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
+        candidate = _propose(state, lower, upper)
+        return _judge(state, candidate, _linearize(problem, candidate), lower, upper)
+
 
 class _Step(eqx.Module):
     accepted: Bool[Array, ""]
@@ -199,30 +216,26 @@ class _Step(eqx.Module):
 
 
 @eqx.filter_jit
-def _begin(problem: AbstractLeastSquares, start: Float[Array, " variable"], damping: float) -> SolverState:
-    inside = jnp.clip(start, problem.lower, problem.upper)
-    linearization = problem.linearize(inside)
-    # Typed in full: a state of another type than the steps return would be compiled for once more.
-    return SolverState(
-        inside, linearization, jnp.asarray(damping, inside.dtype), jnp.asarray(_GROWTH, inside.dtype)
-    )
+def _linearize(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Linearization:
+    return problem.linearize(variables)
 
 
-@eqx.filter_jit
-def _measure(problem: AbstractLeastSquares, state: SolverState) -> tuple[Array, Array]:
-    at_bounds = jnp.sum((state.variables <= problem.lower) | (state.variables >= problem.upper))
-    return at_bounds, _optimality(problem, state.variables, state.linearization.gradient)
-
-
+@jax.jit
 def _optimality(
-    problem: AbstractLeastSquares, variables: Float[Array, " variable"], gradient: Float[Array, " variable"]
+    variables: Float[Array, " variable"],
+    gradient: Float[Array, " variable"],
+    lower: Float[Array | np.ndarray, " variable"],
+    upper: Float[Array | np.ndarray, " variable"],
 ) -> Float[Array, ""]:
     """Largest move that projected steepest descent would make: zero at a stationary point."""
-    downhill = jnp.clip(variables - gradient, problem.lower, problem.upper)
+    downhill = jnp.clip(variables - gradient, lower, upper)
     return jnp.max(jnp.abs(downhill - variables))
 
 
-def _propose(problem: AbstractLeastSquares, state: SolverState) -> Float[Array, " variable"]:
+@eqx.filter_jit
+def _propose(
+    state: SolverState, lower: Float[Array, " variable"], upper: Float[Array, " variable"]
+) -> Float[Array, " variable"]:
     """Step to the minimum of the damped second-order model.
 
     Moment errors do not vanish at the optimum, and there the remainder of the Hessian decides how
@@ -240,14 +253,18 @@ def _propose(problem: AbstractLeastSquares, state: SolverState) -> Float[Array, 
     def definite() -> Float[Array, " variable"]:
         failed_before = state.growth > _GROWTH
         matrix = jax.lax.cond(failed_before, mirrored, lambda: model.gauss_newton)
-        return _damped_step(problem, state, matrix)
+        return _damped_step(state, matrix, lower, upper)
 
-    newton = _damped_step(problem, state, hessian)
-    return jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, definite)
+    newton = _damped_step(state, hessian, lower, upper)
+    chosen = jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, definite)
+    return jnp.clip(chosen, lower, upper)
 
 
 def _damped_step(
-    problem: AbstractLeastSquares, state: SolverState, hessian: Float[Array, "variable variable"]
+    state: SolverState,
+    hessian: Float[Array, "variable variable"],
+    lower: Float[Array, " variable"],
+    upper: Float[Array, " variable"],
 ) -> Float[Array, " variable"]:
     """Minimise the damped quadratic model within the bounds. Not finite where it is indefinite.
 
@@ -257,11 +274,11 @@ def _damped_step(
     """
     gradient = state.linearization.gradient
     damped = hessian + jnp.diag(state.damping * _damping_metric(state.linearization))
-    lower, upper = problem.lower - state.variables, problem.upper - state.variables
+    down, up = lower - state.variables, upper - state.variables
 
     def solve(at_lower, at_upper):
         held = at_lower | at_upper
-        fixed = jnp.where(at_lower, lower, jnp.where(at_upper, upper, 0.0))
+        fixed = jnp.where(at_lower, down, jnp.where(at_upper, up, 0.0))
         matrix = jnp.where(held[:, None] | held[None, :], jnp.diag(held.astype(damped.dtype)), damped)
         pull = jnp.where(held, fixed, -(gradient + damped @ fixed))
         return jsp.linalg.cho_solve(jsp.linalg.cho_factor(matrix), pull)
@@ -274,13 +291,13 @@ def _damped_step(
         at_lower, at_upper, _, _, rounds = carry
         move = solve(at_lower, at_upper)
         slope = gradient + damped @ move
-        next_lower = jnp.where(at_lower, slope > 0.0, move < lower)
-        next_upper = jnp.where(at_upper, slope < 0.0, move > upper)
+        next_lower = jnp.where(at_lower, slope > 0.0, move < down)
+        next_upper = jnp.where(at_upper, slope < 0.0, move > up)
         changed = jnp.any((next_lower != at_lower) | (next_upper != at_upper))
         return next_lower, next_upper, move, changed, rounds + 1
 
-    at_lower = (lower >= 0.0) & (gradient > 0.0)
-    at_upper = (upper <= 0.0) & (gradient < 0.0)
+    at_lower = (down >= 0.0) & (gradient > 0.0)
+    at_upper = (up <= 0.0) & (gradient < 0.0)
     start = (at_lower, at_upper, jnp.zeros_like(gradient), jnp.asarray(True), 0)
     return state.variables + jax.lax.while_loop(unsettled, settle, start)[2]
 
@@ -291,20 +308,25 @@ def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
     return jnp.maximum(curvature, 1e-1 * curvature.max())
 
 
-@eqx.filter_jit
-def _advance(problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step]:
+@jax.jit
+def _judge(
+    state: SolverState,
+    candidate: Float[Array, " variable"],
+    fresh: Linearization,
+    lower: Float[Array, " variable"],
+    upper: Float[Array, " variable"],
+) -> tuple[SolverState, _Step]:
+    """Accept the candidate or not, and set the damping of the next step."""
     model = state.linearization
-    candidate = jnp.clip(_propose(problem, state), problem.lower, problem.upper)
     move = candidate - state.variables
-    fresh = problem.linearize(candidate)
     hessian = model.gauss_newton + model.remainder
     predicted = -(2.0 * model.gradient @ move + move @ hessian @ move)
     actual = model.cost - fresh.cost
     ratio = actual / jnp.where(predicted > 0.0, predicted, jnp.inf)
     # At the last digits costs no longer differ, but gradients still do.
     same_cost = jnp.abs(actual) <= 1e-14 * model.cost
-    flatter = _optimality(problem, candidate, fresh.gradient) < _optimality(
-        problem, state.variables, model.gradient
+    flatter = _optimality(candidate, fresh.gradient, lower, upper) < _optimality(
+        state.variables, model.gradient, lower, upper
     )
     accepted = jnp.isfinite(fresh.cost) & (predicted > 0.0) & ((ratio > 1e-4) | (same_cost & flatter))
     ratio = jnp.where(same_cost, 1.0, ratio)
