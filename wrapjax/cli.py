@@ -6,6 +6,7 @@ Exit status: 0 done and converged, 1 ran but did not converge, 2 bad input or us
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import sys
@@ -20,6 +21,9 @@ DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A terminal that lacks a letter of somebody's name shows its code instead of failing.
+        sys.stdout.reconfigure(errors="backslashreplace")
     options = _parser().parse_args(arguments)
     _set_threads(options.threads)
     try:
@@ -172,11 +176,18 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _refuse_existing(folder: Path, force: bool) -> None:
-    """Say at once, not after the work, that a folder would be overwritten."""
+    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
     if folder.exists() and not force:
         raise InputError(
             Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
         )
+    if folder.is_file():
+        raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
+    parent = next(place for place in folder.absolute().parents if place.exists())
+    if not parent.is_dir():
+        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
+    if not os.access(parent, os.W_OK):
+        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
 
 
 def _set_threads(threads: int | None) -> None:
