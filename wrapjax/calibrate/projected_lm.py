@@ -299,7 +299,9 @@ def _damped_step(
     at_lower = (down >= 0.0) & (gradient > 0.0)
     at_upper = (up <= 0.0) & (gradient < 0.0)
     start = (at_lower, at_upper, jnp.zeros_like(gradient), jnp.asarray(True), 0)
-    return state.variables + jax.lax.while_loop(unsettled, settle, start)[2]
+    move = jax.lax.while_loop(unsettled, settle, start)[2]
+    # A variable that goes to its bound gets there exactly: x + (upper - x) may round to just inside.
+    return jnp.where(move <= down, lower, jnp.where(move >= up, upper, state.variables + move))
 
 
 def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
