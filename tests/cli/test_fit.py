@@ -1,0 +1,86 @@
+"""``wrapjax fit``: what it prints, and the folder it leaves."""
+
+import json
+
+import numpy as np
+
+from tests.cli.folders import COORDINATES, MUSCLES, names, stored
+
+
+def test_fit_prints_a_table_and_says_where_it_is(fitted):
+    outcome, folder = fitted
+    assert outcome.status == 0
+    assert "recfem_l" in outcome.output and f"written to {folder}" in outcome.output
+
+
+def test_fit_folder_keeps_its_contract(fitted):
+    _, folder = fitted
+    assert names(folder) == ["fit.json", "fit.npz"]
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+    content = stored(folder / "fit.json")
+    assert content["schema"] == 1
+    assert content["wraps"] == {} and all(seconds >= 0.0 for seconds in content["seconds"].values())
+    assert list(content["muscles"]) == MUSCLES
+    for errors in content["muscles"].values():
+        assert errors["wrapped"] is False
+        # Straight muscles over two pins: the polynomial follows them to a hundredth of a millimeter.
+        assert 0.0 < errors["length_rmse_mm"] <= errors["length_max_mm"] < 0.01
+        assert 0.0 < errors["moment_arm_rmse_mm"] <= errors["moment_arm_max_mm"] < 0.05
+    with np.load(folder / "fit.npz") as arrays:
+        assert arrays["muscles"].tolist() == MUSCLES and arrays["coordinates"].tolist() == COORDINATES
+
+
+def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypatch):
+    def analyse(*arguments, **options):
+        raise AssertionError("the cache was not used")
+
+    monkeypatch.setattr("wrapjax.api.fitting.analyse_muscles", analyse)
+    outcome = run("fit", subject, "--out", tmp_path / "fit", "--json", "--quiet")
+    assert (outcome.status, outcome.progress) == (0, "")
+    assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
+    assert stored(tmp_path / "fit" / "fit.json") == stored(fitted[1] / "fit.json")
+
+
+def test_seed_decides_the_poses(run, subject, fitted, tmp_path):
+    """Another seed is another fit; the same gives the same digits, cache or not."""
+    for seed, name in ((0, "same"), (1, "other")):
+        arguments = ("--out", tmp_path / name, "--seed", seed, "--threads", "1", "--quiet")
+        assert run("fit", subject, *arguments).status == 0
+    same, other = (stored(tmp_path / name / "fit.json") for name in ("same", "other"))
+    first = stored(fitted[1] / "fit.json")
+    assert same["key"] == first["key"] != other["key"]
+    assert same["muscles"] == first["muscles"] != other["muscles"]
+
+
+def test_progress_is_no_part_of_the_result(run, subject, tmp_path):
+    """A seed that nobody else uses: the cache has nothing to report."""
+    arguments = ("--out", tmp_path / "fit", "--seed", "6", "--threads", "1", "--json")
+    outcome = run("fit", subject, *arguments)
+    assert outcome.status == 0
+    assert "OpenSim muscle analysis" in outcome.progress
+    assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
+
+
+def test_quiet_holds_for_opensim_too(run, subject, tmp_path, capfd):
+    """OpenSim writes past Python, to the process's own streams."""
+    arguments = ("--out", tmp_path / "fit", "--seed", "5", "--threads", "1", "--quiet", "--json")
+    outcome = run("fit", subject, *arguments)
+    assert (outcome.status, outcome.progress) == (0, "")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_threads_are_set_for_every_library(subject, run, monkeypatch):
+    """In time, that is before JAX is loaded, because nothing of the command line imports it."""
+    for variable in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.setenv(variable, "7")
+    seen = {}
+
+    def read(folder):
+        import os
+
+        seen.update(os.environ)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("wrapjax.subject.read_subject", read)
+    run("check", subject, "--threads", "3")
+    assert {seen[name] for name in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} == {"3"}
