@@ -222,7 +222,7 @@ def test_dependencies_have_no_caps():
 
 
 #: Places that exist on a developer's machine only.
-MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|root|home|Users)/|/tmp/s\b|[A-Z]:\\\\?Users")
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:work|root|home|Users)/|[A-Z]:\\\\?Users")
 
 
 def test_no_file_mentions_a_place_on_somebodys_machine():
@@ -244,7 +244,6 @@ def test_no_file_mentions_a_place_on_somebodys_machine():
 def test_a_place_on_somebodys_machine_would_be_found():
     places = [
         "/".join(["", "work", "main"]),
-        "/".join(["", "tmp", "s", "venv"]),
         "/".join(["", "home", "me"]),
     ]
     assert all(MACHINE_PATH.search(f"see {place}") for place in places)

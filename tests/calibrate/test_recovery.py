@@ -27,7 +27,8 @@ def recovered(tmp_path_factory):
     truth = write_virtual_subject(folder, seed=0, emg_noise=0.0, moment_noise=0.0)
     recorded = prepare(wrapjax.load_subject(folder))
     base = recorded.variables.base
-    true = dataclasses.replace(base, **{name: jnp.asarray(getattr(truth, name)) for name in parameter_names()})
+    values = {name: jnp.asarray(getattr(truth, name)) for name in parameter_names()}
+    true = dataclasses.replace(base, **values)
     moments = eqx.filter_jit(joint_moments)(recorded.curves, true, recorded.recording)
     # With penalties weak from the start the nearest minimum is a poor one: they are weakened in steps.
     variables = recorded.variables.start()
