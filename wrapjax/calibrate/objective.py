@@ -68,9 +68,9 @@ class Objective(AbstractLeastSquares):
         shape = self.variables.index.shape
         moment, values, moment_slopes, value_slopes = self._muscle_blocks(variables)
         rows = self._moment_rows(moment.sum(axis=0))
-        jacobian = self.variables.gather_columns(moment_slopes)
+        transposed = self.variables.gather(moment_slopes)
         cost = jnp.sum(rows**2)
-        gradient = jacobian.T @ rows
+        gradient = transposed @ rows
         local_gradient = jnp.zeros(shape)
         local_gram = jnp.zeros(shape + shape)
         multipliers = []
@@ -78,22 +78,22 @@ class Objective(AbstractLeastSquares):
             penalty_rows, pull_back = jax.vjp(penalty.rows, value)
             multipliers.append(pull_back(penalty_rows)[0])
             cost += jnp.sum(penalty_rows**2)
-            local_gradient += jnp.einsum("mk,mkp->mp", multipliers[-1], slope)
+            local_gradient += jnp.einsum("mk,mpk->mp", multipliers[-1], slope)
             local_gram += penalty.gram(slope)
-        gradient += self.variables.gather_columns(local_gradient[None])[0]
+        gradient += self.variables.gather(local_gradient[..., None])[:, 0]
         prior_rows = self._prior_rows(variables)
         prior_slope = self._prior_weight()
         return Linearization(
             cost=cost + jnp.sum(prior_rows**2),
             gradient=gradient + prior_slope * prior_rows,
-            gauss_newton=jacobian.T @ jacobian + self._gather(local_gram) + jnp.diag(prior_slope**2),
+            gauss_newton=transposed @ transposed.T + self._gather(local_gram) + jnp.diag(prior_slope**2),
             remainder=self._gather(self._second_order(variables, rows, tuple(multipliers))),
         )
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
         """Differentiate the moment residuals, muscle by muscle."""
         _, _, moment_slopes, _ = self._muscle_blocks(variables)
-        return self.variables.gather_columns(moment_slopes)
+        return self.variables.gather(moment_slopes).T
 
     def _muscle_outputs(self, local, scale, parameters, recording):
         """What the residuals are made of, for one muscle."""
@@ -108,14 +108,18 @@ class Objective(AbstractLeastSquares):
     def _muscle_blocks(self, variables: Float[Array, " variable"]):
         """Values and derivatives by local variables, of every muscle."""
 
-        def outputs(*inputs):
-            moment, values = self._muscle_outputs(*inputs)
-            return (self._moment_scale() * moment.ravel(), values), (moment, values)
+        def blocks(local, *inputs):
+            def along(direction):
+                return jax.jvp(lambda at: self._muscle_outputs(at, *inputs), (local,), (direction,))
 
-        slopes, (moment, values) = jax.vmap(jax.jacfwd(outputs, has_aux=True))(
-            *self._muscle_inputs(variables)
-        )
-        return moment, values, jnp.moveaxis(slopes[0], 0, 1), slopes[1]
+            # By hand and not by `jax.jacfwd`, whose last axis counts the directions: with it first,
+            # gathering the Jacobian copies whole rows, and that is a third of all the time.
+            return jax.vmap(along, out_axes=(None, 0))(jnp.eye(local.size))
+
+        (moment, values), slopes = jax.vmap(blocks)(*self._muscle_inputs(variables))
+        muscles, directions = slopes[0].shape[:2]
+        moment_slopes = self._moment_scale() * slopes[0].reshape(muscles, directions, -1)
+        return moment, values, moment_slopes, slopes[1]
 
     def _second_order(
         self,
@@ -137,8 +141,8 @@ class Objective(AbstractLeastSquares):
 
     def _gather(self, local: Float[Array, "muscle local muscle local"]) -> Float[Array, "variable variable"]:
         shape = self.variables.index.shape
-        half = self.variables.gather_columns(local.reshape(-1, *shape))
-        return self.variables.gather_columns(half.T.reshape(-1, *shape))
+        half = self.variables.gather(local.reshape(*shape, -1))
+        return self.variables.gather(half.T.reshape(*shape, -1))
 
     def _moment_scale(self) -> Float[Array, ""]:
         return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))

@@ -31,7 +31,7 @@ class AbstractPenalty(eqx.Module):
         """Turn the quantity of all muscles into residuals; their sum of squares is the penalty."""
 
     @abstractmethod
-    def gram(self, slopes: Float[Array, "muscle value local"]) -> Float[Array, "muscle local muscle local"]:
+    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
         """Inner products of the residuals' derivatives, given the derivatives of the quantity."""
 
 
@@ -47,11 +47,11 @@ class MusclePenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of values."""
         return (values - self.center) / (self.allowable_error * np.sqrt(values.size))
 
-    def gram(self, slopes: Float[Array, "muscle value local"]) -> Float[Array, "muscle local muscle local"]:
+    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
         """Muscles do not mix: only the diagonal blocks are filled."""
-        muscles, values, local = slopes.shape
+        muscles, local, values = slopes.shape
         weight = 1.0 / (self.allowable_error**2 * muscles * values)
-        blocks = weight * jnp.einsum("mkp,mkq->mpq", slopes, slopes)
+        blocks = weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes)
         each = np.arange(muscles)
         return jnp.zeros((muscles, local, muscles, local)).at[each, :, each, :].set(blocks)
 
@@ -72,10 +72,10 @@ class GroupPenalty(AbstractPenalty):
         scale = self.allowable_error * np.sqrt(self.members * values.shape[1])
         return self.deviation @ (values - self.center) / scale
 
-    def gram(self, slopes: Float[Array, "muscle value local"]) -> Float[Array, "muscle local muscle local"]:
+    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
         """Members of one group mix."""
-        weight = 1.0 / (self.allowable_error**2 * self.members * slopes.shape[1])
-        products = jnp.einsum("mkp,nkq->mpnq", slopes, slopes)
+        weight = 1.0 / (self.allowable_error**2 * self.members * slopes.shape[2])
+        products = jnp.einsum("mpk,nqk->mpnq", slopes, slopes)
         return weight * products * self.deviation[:, None, :, None]
 
 

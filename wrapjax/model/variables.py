@@ -69,11 +69,13 @@ class Variables(eqx.Module):
             lambda tree: [getattr(tree, name) for name in self.names], parameters, replace=values
         )
 
-    def gather_columns(self, blocks: Float[Array, "row muscle local"]) -> Float[Array, "row variable"]:
+    def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
         """Turn derivatives by local entries into derivatives by variables (chain rule)."""
-        flat = blocks.reshape(blocks.shape[0], -1)
-        flat = jnp.concatenate([flat, jnp.zeros_like(flat[:, :1])], axis=1)
-        return sum((flat[:, layer] for layer in self.places[1:]), start=flat[:, self.places[0]])
+        flat = blocks.reshape(-1, blocks.shape[-1])
+        if len(self.places) == 1:
+            return flat[self.places[0]]
+        flat = jnp.concatenate([flat, jnp.zeros_like(flat[:1])])
+        return sum((flat[layer] for layer in self.places[1:]), start=flat[self.places[0]])
 
 
 def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarray, "layer variable"]:
