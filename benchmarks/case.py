@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -44,9 +43,7 @@ class Case:
 
         The recordings go in as arguments: as constants they would be folded for minutes.
         """
-        arrays, rest = eqx.partition(self.problem, eqx.is_array)
-        run = jax.jit(lambda arrays, variables: function(eqx.combine(arrays, rest), variables))
-        return lambda variables: run(arrays, variables)
+        return eqx.Partial(eqx.filter_jit(function), self.problem)
 
     def moment_mae(self, variables: Float[Array | np.ndarray, " variable"]) -> dict[str, float]:
         """Mean absolute moment error in N m, by what the trials are used for."""
