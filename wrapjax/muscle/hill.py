@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.muscle.curves import HillCurves
@@ -18,7 +19,7 @@ class FiberState(eqx.Module):
     passive_force: Float[Array, "*shape"]
 
     @property
-    def tendon_force(self) -> Float[Array, "*shape"]:
+    def tendon_force(self) -> Float[Array | np.ndarray, "*shape"]:
         """Force that the tendon passes on to the bones, in N."""
         return self.active_force + self.passive_force
 

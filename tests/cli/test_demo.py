@@ -1,0 +1,38 @@
+"""The demo: a virtual person from nothing to a report and a comparison with the truth."""
+
+import json
+
+import pytest
+
+from wrapjax.cli import main
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
+
+
+def test_everything_is_written_and_converged(shown):
+    status, folder = shown
+    assert status == 0
+    summary = json.loads((folder / "NGA" / "summary.json").read_text())
+    assert summary["converged"] and summary["mae_Nm"]["validation"]["mean"] < 4.0
+    for file in ("virtual_subject/truth.json", "fit/fit.json", "NGA/report.html", "recovery.png"):
+        assert (folder / file).stat().st_size > 0, file
+
+
+def test_calibration_comes_closer_to_what_moments_can_tell(shown):
+    """EMG scales decide how strong muscles are: they must come nearer. Others may not: the demo says so."""
+    content = json.loads((shown[1] / "demo.json").read_text())
+    recovery = {row["parameter"]: row for row in content["recovery"]}
+    assert recovery["emg_scale"]["median_error_after"] < 0.6 * recovery["emg_scale"]["median_error_before"]
+    assert all(row["median_deviation"] > 0.0 for row in recovery.values())
+    assert "not an accuracy" in content["note"]
+
+
+def test_existing_folder_is_left_alone(shown, capsys):
+    before = (shown[1] / "demo.json").read_bytes()
+    assert main(["demo", "--out", str(shown[1])]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert (shown[1] / "demo.json").read_bytes() == before
