@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.calibrate import Objective, pipeline_penalties
-from wrapjax.geometry import PathState
+from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, free_variables, initial_parameters, muscle_states, nga
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 
@@ -30,7 +30,7 @@ def small_recording(seed: int = 0) -> Recording:
         * (1 + 0.1 * wave[:, :, None])
     )
     path = PathState(*(jnp.asarray(array) for array in (length, velocity, arm)))
-    return Recording(emg=fit_emg_spline(time, emg), path=path, padding=PADDING)
+    return Recording(emg=fit_emg_spline(time, emg), path=fixed_path(path), padding=PADDING)
 
 
 def small_parameters():
@@ -57,4 +57,5 @@ def small_objective(seed: int = 0) -> Objective:
         measured=true_states.moment.sum(axis=0) + noise,
         variables=variables,
         penalties=pipeline_penalties(states, [[0, 1]], [[0, 1, 2]]),
+        limits=(),
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from wrapjax.geometry import PathState
+from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, initial_parameters, muscle_states
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 from wrapjax.osim import analyse_muscles
@@ -51,7 +51,7 @@ def states(subject, clean_truth, path):
     parameters = type(start)(**{**vars(start), **true_values})
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     emg = jax.tree.map(lambda leaf: leaf[np.array(subject.muscle_channels)], splines)
-    return muscle_states(HILL_CURVES["paper"], parameters, Recording(emg, path, trials.padding))
+    return muscle_states(HILL_CURVES["paper"], parameters, Recording(emg, fixed_path(path), trials.padding))
 
 
 def test_folder_reads_without_remarks(subject, clean_truth):

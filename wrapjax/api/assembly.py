@@ -2,48 +2,75 @@
 
 from __future__ import annotations
 
+import functools
+
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from wrapjax.geometry import PathState, PathSurrogate
+from wrapjax.geometry import AdjustablePath, PathState, PathSurrogate, fixed_path
 from wrapjax.model import ModelParameters, Recording, initial_parameters
 from wrapjax.muscle import fit_emg_spline
 from wrapjax.subject import Subject, Trials
 
 
-def model_parameters(subject: Subject) -> ModelParameters:
-    """Build the parameter tree that a subject's calibration starts from."""
+def model_parameters(subject: Subject, *, path_modes: int = 0) -> ModelParameters:
+    """Build the parameter tree that a subject's calibration starts from.
+
+    Its paths have ``path_modes`` modes, none of them in use; see `AdjustablePath`.
+    """
     muscles = subject.muscles
     return initial_parameters(
         muscles.max_isometric_force,
         muscles.optimal_fiber_length,
         muscles.tendon_slack_length,
         muscles.pennation_angle,
+        path_modes=path_modes,
     )
 
 
-def surrogate_paths(surrogate: PathSurrogate, subject: Subject, trials: Trials) -> PathState:
+def surrogate_paths(
+    surrogate: PathSurrogate,
+    subject: Subject,
+    trials: Trials,
+    modes: Float[np.ndarray, "muscle term mode"] | None = None,
+) -> AdjustablePath:
     """Evaluate the fitted paths of the subject's muscles over its cycles.
 
     Moment arms are given about the coordinates whose moments are matched, in their order.
+
+    Parameters
+    ----------
+    surrogate
+        Of at least the subject's muscles.
+    subject, trials
+        Whose cycles.
+    modes
+        Coefficients, in m, of the changes that are possible; the subject's muscles in their order.
     """
     columns = [trials.coordinates.index(name) for name in surrogate.coordinates]
-    path = surrogate(
-        jnp.asarray(trials.angles[:, columns]), jnp.asarray(trials.angular_velocities[:, columns])
-    )
-    rows = np.array([surrogate.muscles.index(name) for name in subject.muscles.names])
-    path = jax.tree.map(lambda leaf: leaf[rows], path)
-    shape = (*path.length.shape[:2], len(trials.moment_coordinates), path.length.shape[-1])
-    moment_arm = jnp.zeros(shape)
-    for place, name in enumerate(trials.moment_coordinates):
-        if name in surrogate.coordinates:
-            own = path.moment_arm[:, :, surrogate.coordinates.index(name)]
-            moment_arm = moment_arm.at[:, :, place].set(own)
+    angles = jnp.asarray(trials.angles[:, columns])
+    velocities = jnp.asarray(trials.angular_velocities[:, columns])
+    own = surrogate.of_muscles(subject.muscles.names)
+    arms = functools.partial(_about, surrogate.coordinates, trials.moment_coordinates)
+    nominal = arms(eqx.filter_jit(own)(angles, velocities))
+    if modes is None:
+        return fixed_path(nominal)
+    changes = eqx.filter_jit(PathSurrogate.along_modes)(own, angles, velocities, jnp.asarray(modes))
+    return AdjustablePath(nominal, arms(changes))
+
+
+def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:
+    """Pick the moment arms about other coordinates; zero about those that no path was fitted over."""
+    places = np.array([given.index(name) if name in given else len(given) for name in wanted])
+    nothing = jnp.zeros_like(path.moment_arm[..., :1, :])
+    moment_arm = jnp.concatenate([path.moment_arm, nothing], axis=-2)[..., places, :]
     return PathState(path.length, path.velocity, moment_arm)
 
 
-def recording(subject: Subject, trials: Trials, path: PathState) -> Recording:
+def recording(subject: Subject, trials: Trials, path: AdjustablePath) -> Recording:
     """Join the EMG of each muscle's channel with its path."""
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     channels = np.array(subject.muscle_channels)

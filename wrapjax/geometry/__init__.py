@@ -1,6 +1,8 @@
 """Muscle paths: length, rate and moment arms as functions of joint angles."""
 
+from wrapjax.geometry.paths import AdjustablePath as AdjustablePath
 from wrapjax.geometry.paths import PathState as PathState
+from wrapjax.geometry.paths import fixed_path as fixed_path
 from wrapjax.geometry.poses import random_poses as random_poses
 from wrapjax.geometry.poses import smooth_poses as smooth_poses
 from wrapjax.geometry.surrogate import PathSurrogate as PathSurrogate

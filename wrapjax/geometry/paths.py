@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -18,3 +20,27 @@ class PathState(eqx.Module):
     velocity: Float[Array, "*muscle trial frame"]
     #: m (m/rad)
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
+
+
+class AdjustablePath(eqx.Module):
+    """A path that a calibration may change: the nominal one plus any sum of modes.
+
+    A mode is a change of shape, consistent in length, rate and moment arms. Paths that must stay as
+    they are have no modes.
+    """
+
+    nominal: PathState
+    #: Change by one unit of each mode; leaves lead with ``muscle mode``.
+    modes: PathState
+
+    def at(self, changes: Float[Array, " mode"]) -> PathState:
+        """Give one muscle's path (the leading axis taken off) with its modes by these amounts."""
+        return jax.tree.map(
+            lambda nominal, modes: nominal + jnp.tensordot(changes, modes, axes=1), self.nominal, self.modes
+        )
+
+
+def fixed_path(path: PathState) -> AdjustablePath:
+    """Wrap paths, of all muscles, that do not change."""
+    none = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], 0, *leaf.shape[1:])), path)
+    return AdjustablePath(path, none)

@@ -10,6 +10,7 @@ so that velocity and moment arms are consistent with length by construction.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -72,6 +73,30 @@ class PathSurrogate(eqx.Module):
             velocity=jnp.sum(slope * rates[None], axis=-1).reshape(shape),
             moment_arm=jnp.moveaxis(-slope.reshape(*shape, -1), -1, 2),
         )
+
+    def of_muscles(self, names: Sequence[str]) -> PathSurrogate:
+        """Pick muscles by name, in this order."""
+        rows = np.array([self.muscles.index(name) for name in names])
+        fields = ("spans", "spanned", "exponents", "used", "coefficients")
+        picked = {field: getattr(self, field)[rows] for field in fields}
+        return replace(self, muscles=tuple(names), **picked)
+
+    def along_modes(
+        self,
+        angles: Float[Array, "trial coordinate frame"],
+        velocities: Float[Array, "trial coordinate frame"],
+        modes: Float[Array, "muscle term mode"],
+    ) -> PathState:
+        """Evaluate what a unit of each mode adds to the paths; leaves lead with ``muscle mode``.
+
+        Parameters
+        ----------
+        angles, velocities
+            As for the paths themselves.
+        modes
+            Coefficients of each mode, m.
+        """
+        return jax.vmap(self, in_axes=(None, None, -1), out_axes=1)(angles, velocities, modes)
 
     def _path(
         self,

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from wrapjax.geometry import PathState
+from wrapjax.geometry import AdjustablePath, PathState
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle import (
     EmgSpline,
@@ -23,7 +23,7 @@ class Recording(eqx.Module):
     """What was recorded of all cycles, as the model takes it in; leaves lead with ``muscle``."""
 
     emg: EmgSpline
-    path: PathState
+    path: AdjustablePath
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
 
@@ -34,6 +34,7 @@ class MuscleState(eqx.Module):
     #: After delay and scale, padding trimmed.
     excitation: Float[Array, "*muscle trial frame"]
     activation: Float[Array, "*muscle trial frame"]
+    path: PathState
     fiber: FiberState
     #: Its part of every joint moment, N m.
     moment: Float[Array, "*muscle trial coordinate frame"]
@@ -49,6 +50,17 @@ def muscle_state(curves: HillCurves, parameters: ModelParameters, recording: Rec
     parameters, recording
         Of one muscle: the leading axis is taken off.
     """
+    path = recording.path.at(parameters.path_changes)
+    return muscle_state_along(path, curves, parameters, recording)
+
+
+def muscle_state_along(
+    path: PathState, curves: HillCurves, parameters: ModelParameters, recording: Recording
+) -> MuscleState:
+    """Run one muscle along a given path, whatever the recording's own.
+
+    Of the path, the tendon force at a frame depends on length and rate at that frame alone.
+    """
     excitation = parameters.emg_scale * recording.emg.at_delay(parameters.electromechanical_delay)
     neural = neural_activation(excitation, parameters.activation_time_constant, recording.emg.step)
     inside = slice(recording.padding, neural.shape[-1] - recording.padding)
@@ -56,16 +68,16 @@ def muscle_state(curves: HillCurves, parameters: ModelParameters, recording: Rec
     fiber = rigid_tendon_fiber(
         curves,
         activation,
-        recording.path.length,
-        recording.path.velocity,
+        path.length,
+        path.velocity,
         max_isometric_force=parameters.max_isometric_force,
         optimal_fiber_length=parameters.optimal_fiber_length,
         tendon_slack_length=parameters.tendon_slack_length,
         pennation_angle=parameters.pennation_angle,
         max_fiber_velocity=parameters.max_fiber_velocity,
     )
-    moment = recording.path.moment_arm * fiber.tendon_force[:, None, :]
-    return MuscleState(excitation[:, inside], activation, fiber, moment)
+    moment = path.moment_arm * fiber.tendon_force[:, None, :]
+    return MuscleState(excitation[:, inside], activation, path, fiber, moment)
 
 
 def muscle_states(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 
@@ -44,16 +44,38 @@ class FreedParameter:
 
 
 @dataclass(frozen=True)
+class FreedPaths:
+    """Paths that may change by any sum of their modes.
+
+    Parameters
+    ----------
+    free
+        Which modes of which muscles; at least one.
+    prior_sd
+        Length of a muscle's vector of changes, root mean square over muscles, that costs one
+        allowable error.
+    """
+
+    free: Bool[np.ndarray, "muscle mode"]
+    prior_sd: float
+
+
+@dataclass(frozen=True)
 class Freedom:
-    """A named set of freed parameters."""
+    """A named set of freed parameters, and of paths that may change."""
 
     name: str
     parameters: tuple[FreedParameter, ...]
+    paths: FreedPaths | None = None
 
     def without(self, names: Sequence[str]) -> Freedom:
         """Hold the named parameters at their values."""
         kept = tuple(parameter for parameter in self.parameters if parameter.name not in names)
-        return Freedom(self.name, kept)
+        return replace(self, parameters=kept)
+
+    def with_held_paths(self) -> Freedom:
+        """Hold all paths as they are."""
+        return replace(self, paths=None)
 
 
 def nga(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
@@ -91,3 +113,20 @@ def nga(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
             about_reference("tendon_slack_length"),
         ),
     )
+
+
+def with_paths(
+    freedom: Freedom, name: str, free: Bool[np.ndarray, "muscle mode"], *, prior_sd: float
+) -> Freedom:
+    """Free paths as well: of all muscles (SGA), or of those that touch a wrapping surface (LSGA).
+
+    Parameters
+    ----------
+    freedom
+        What else may move.
+    name
+        Of the new freedom.
+    free, prior_sd
+        See `FreedPaths`.
+    """
+    return Freedom(name, freedom.parameters, FreedPaths(free, prior_sd))

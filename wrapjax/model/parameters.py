@@ -22,6 +22,8 @@ class ModelParameters(eqx.Module):
     max_isometric_force: Float[Array, "*muscle"]
     pennation_angle: Float[Array, "*muscle"]
     max_fiber_velocity: Float[Array, "*muscle"]
+    #: Amount of each mode of the path (`AdjustablePath`), no unit. As many as the paths have, often none.
+    path_changes: Float[Array, "*muscle mode"]
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Quantity:
     meaning: str
 
 
-#: Every leaf of `ModelParameters`.
+#: Every leaf of `ModelParameters` that is one number a muscle.
 QUANTITIES: dict[str, Quantity] = {
     "electromechanical_delay": Quantity("s", "time from EMG to muscle excitation"),
     "activation_time_constant": Quantity(
@@ -56,6 +58,8 @@ def initial_parameters(
     optimal_fiber_length: Float[Array | np.ndarray, " muscle"],
     tendon_slack_length: Float[Array | np.ndarray, " muscle"],
     pennation_angle: Float[Array | np.ndarray, " muscle"],
+    *,
+    path_modes: int = 0,
 ) -> ModelParameters:
     """Build the tree that calibration starts from.
 
@@ -70,6 +74,8 @@ def initial_parameters(
         In m.
     pennation_angle
         In rad.
+    path_modes
+        How many modes the paths have; none of them is in use at the start.
     """
     ones = jnp.ones(jnp.shape(max_isometric_force))
     return ModelParameters(
@@ -82,4 +88,5 @@ def initial_parameters(
         max_isometric_force=jnp.asarray(max_isometric_force),
         pennation_angle=jnp.asarray(pennation_angle),
         max_fiber_velocity=MAX_FIBER_VELOCITY * ones,
+        path_changes=jnp.zeros((*ones.shape, path_modes)),
     )

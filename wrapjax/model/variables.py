@@ -22,8 +22,12 @@ class Variables(eqx.Module):
     """
 
     base: ModelParameters
+    #: The free leaves of one number a muscle, at the first local places.
     names: tuple[str, ...] = eqx.field(static=True)
+    #: How many modes of its path follow them; 0 where paths are held.
+    modes: int = eqx.field(static=True)
     scale: Float[np.ndarray, "muscle local"]
+    #: Past the last variable where an entry is held.
     index: Int[np.ndarray, "muscle local"]
     #: Flat places of each variable in ``index``, one row a muscle that shares it.
     places: Int[np.ndarray, "layer variable"]
@@ -46,27 +50,30 @@ class Variables(eqx.Module):
 
     def pack(self, parameters: ModelParameters) -> Float[Array, " variable"]:
         """Read the variables off a parameter tree; of a shared one, the last muscle's value."""
-        local = jnp.stack([getattr(parameters, name) for name in self.names], axis=-1) / self.scale
-        return jnp.zeros(self.count).at[self.index].set(local)
+        return jnp.zeros(self.count + 1).at[self.index].set(self._local(parameters))[:-1]
 
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:
         """Put the variables into the tree."""
-        return self.insert(self.base, self.localize(variables), self.scale)
+        values = self.localize(variables) * self.scale
+        tree = self.insert(self.base, values[:, : len(self.names)])
+        if not self.modes:
+            return tree
+        return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, len(self.names) :])
 
     def localize(self, variables: Float[Array, " variable"]) -> Float[Array, "muscle local"]:
-        """Hand every muscle its own variables."""
-        return variables[self.index]
+        """Hand every muscle its own variables; what is held has its base value."""
+        held = self.index == self.count
+        return jnp.where(held, self._local(self.base), jnp.append(variables, 0.0)[self.index])
 
-    def insert(
-        self,
-        parameters: ModelParameters,
-        local: Float[Array, "*muscle local"],
-        scale: Float[Array | np.ndarray, "*muscle local"],
-    ) -> ModelParameters:
-        """Put local variables into the tree of one muscle, or of all."""
-        values = [local[..., place] * scale[..., place] for place in range(len(self.names))]
+    def _local(self, parameters: ModelParameters) -> Float[Array, "muscle local"]:
+        single = jnp.stack([getattr(parameters, name) for name in self.names], axis=-1)
+        return jnp.concatenate([single, parameters.path_changes[:, : self.modes]], axis=-1) / self.scale
+
+    def insert(self, parameters: ModelParameters, values: Float[Array, "*muscle single"]) -> ModelParameters:
+        """Put values of the single parameters, in their units, into the tree of one muscle or of all."""
+        leaves = [values[..., place] for place in range(len(self.names))]
         return eqx.tree_at(
-            lambda tree: [getattr(tree, name) for name in self.names], parameters, replace=values
+            lambda tree: [getattr(tree, name) for name in self.names], parameters, replace=leaves
         )
 
     def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
@@ -77,11 +84,19 @@ class Variables(eqx.Module):
         flat = jnp.concatenate([flat, jnp.zeros_like(flat[:1])])
         return sum((flat[layer] for layer in self.places[1:]), start=flat[self.places[0]])
 
+    def assemble(
+        self, blocks: Float[Array, "block place place"], index: Int[Array | np.ndarray, "block place"]
+    ) -> Float[Array, "variable variable"]:
+        """Add up blocks of second derivatives by local entries; ``index`` says which variables they are."""
+        total = jnp.zeros((self.count + 1, self.count + 1))
+        return total.at[index[:, :, None], index[:, None, :]].add(blocks)[:-1, :-1]
+
 
 def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarray, "layer variable"]:
     """Find where each variable stands: its first place, its second, ...; past its last, none."""
     order = np.argsort(index, axis=None, kind="stable")
     owner = index.ravel()[order]
+    order, owner = order[owner < count], owner[owner < count]
     occurrence = np.arange(len(owner)) - np.searchsorted(owner, owner)
     places = np.full((int(occurrence.max()) + 1, count), index.size)
     places[occurrence, owner] = order
@@ -100,22 +115,33 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     muscles
         Names, in the order of the tree's leading axis.
     """
-    freed = freedom.parameters
-    index = np.arange(len(muscles) * len(freed)).reshape(len(muscles), len(freed))
-    scale = np.stack([parameter.scale for parameter in freed], axis=-1)
+    freed, paths = freedom.parameters, freedom.paths
+    modes = 0 if paths is None else paths.free.shape[1]
+    count = len(muscles)
+    # Modes are parts of one change: it is the length of their vector that is expected to be short.
+    mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
 
-    def flat(name: str) -> Float[np.ndarray, " variable"]:
-        return np.stack([getattr(parameter, name) for parameter in freed], axis=-1).ravel()
+    def column(name: str, of_modes: float) -> Float[np.ndarray, "muscle local"]:
+        single = [getattr(parameter, name) for parameter in freed]
+        return np.stack([*single, *[np.full(count, of_modes)] * modes], axis=-1)
 
+    scale = column("scale", 1.0)
+    free = np.ones(scale.shape, dtype=bool)
+    if paths is not None:
+        free[:, len(freed) :] = paths.free
+    index = np.full(free.shape, free.sum())
+    index[free] = np.arange(free.sum())
+    labels = [parameter.name for parameter in freed] + [f"path_changes_{mode:03d}" for mode in range(modes)]
     return Variables(
         base=base,
         names=tuple(parameter.name for parameter in freed),
+        modes=modes,
         scale=scale,
         index=index,
-        places=_places(index, index.size),
-        lower=flat("lower") / scale.ravel(),
-        upper=flat("upper") / scale.ravel(),
-        prior_mean=flat("prior_mean") / scale.ravel(),
-        prior_precision=scale.ravel() / flat("prior_sd"),
-        labels=tuple(f"{muscle}.{parameter.name}" for muscle in muscles for parameter in freed),
+        places=_places(index, int(free.sum())),
+        lower=(column("lower", -np.inf) / scale)[free],
+        upper=(column("upper", np.inf) / scale)[free],
+        prior_mean=(column("prior_mean", 0.0) / scale)[free],
+        prior_precision=(scale / column("prior_sd", mode_sd))[free],
+        labels=tuple(f"{muscles[muscle]}.{labels[place]}" for muscle, place in np.argwhere(free)),
     )

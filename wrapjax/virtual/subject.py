@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from wrapjax.files import new_folder, write_text
-from wrapjax.geometry import PathState
+from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, initial_parameters, joint_moments
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 from wrapjax.osim.muscle_analysis import analyse_muscles
@@ -173,7 +173,9 @@ def true_moments(
     channel_of = np.repeat(np.arange(len(CHANNELS)), [len(channel.scales) for channel in CHANNELS.values()])
     spline = fit_emg_spline(emg_time, emg[:, channel_of])
     padding = (emg_time.shape[1] - path.length.shape[-1]) // 2
-    return np.asarray(joint_moments(HILL_CURVES["paper"], parameters, Recording(spline, path, padding)))
+    return np.asarray(
+        joint_moments(HILL_CURVES["paper"], parameters, Recording(spline, fixed_path(path), padding))
+    )
 
 
 def _smooth_noise(generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
