@@ -14,7 +14,13 @@ import numpy as np
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import cache_folder, content_hash, new_folder, write_json, write_whole
 from wrapjax.geometry import PathSurrogate, fit_surrogate, random_poses, smooth_poses
-from wrapjax.osim import PathGeometry, analyse_muscles, describe_model, spanned_coordinates
+from wrapjax.osim import (
+    PathGeometry,
+    analyse_muscles,
+    describe_model,
+    spanned_coordinates,
+    touching_muscles,
+)
 from wrapjax.precision import require_float64
 from wrapjax.progress import say
 from wrapjax.subject import Subject
@@ -24,7 +30,7 @@ TRAINING_POSES = 400
 #: Poses that fitting never sees.
 VALIDATION_POSES = 500
 # Raise when the same subject and seed would give another fit.
-_FORMAT = 2
+_FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,8 @@ class Fit:
         The polynomials.
     errors
         By muscle.
+    touching
+        The muscles that lie on a wrapping surface in at least one recorded frame.
     seconds
         What took how long.
     """
@@ -58,6 +66,7 @@ class Fit:
     key: str
     surrogate: PathSurrogate
     errors: dict[str, PathError]
+    touching: tuple[str, ...]
     seconds: dict[str, float]
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
@@ -78,6 +87,7 @@ class Fit:
             "key": self.key,
             "seconds": self.seconds,
             "muscles": {name: vars(error) for name, error in self.errors.items()},
+            "touching": list(self.touching),
             "wraps": {},
         }
         write_json(folder / "fit.json", content)
@@ -195,12 +205,20 @@ def _fit(subject: Subject, key: str, seed: int, processes: int | None, quiet: bo
         muscles, coordinates, spans, training, analysed.length[:count], analysed.moment_arm[:count]
     )
     fitted_at = time.perf_counter()
+    recorded = np.moveaxis(angles, 1, 2).reshape(-1, len(coordinates))
+    touching = touching_muscles(subject.model_file, muscles, coordinates, recorded)
+    touched_at = time.perf_counter()
     wrapped = {muscle.name: bool(muscle.wraps) for muscle in describe_model(subject.model_file).muscles}
     return Fit(
         key=key,
         surrogate=surrogate,
         errors=path_errors(surrogate, validation, analysed, slice(count, None), wrapped),
-        seconds={"analysis": analysed_at - started, "fit": fitted_at - analysed_at},
+        touching=touching,
+        seconds={
+            "analysis": analysed_at - started,
+            "fit": fitted_at - analysed_at,
+            "contact": touched_at - fitted_at,
+        },
     )
 
 
@@ -256,7 +274,7 @@ def _read(folder: Path) -> Fit:
             muscles, coordinates, **{name: jnp.asarray(value) for name, value in arrays.items()}
         )
         errors = {name: PathError(**entry) for name, entry in content["muscles"].items()}
-        return Fit(content["key"], surrogate, errors, content["seconds"])
+        return Fit(content["key"], surrogate, errors, tuple(content["touching"]), content["seconds"])
     except (ValueError, KeyError, TypeError, EOFError) as error:
         raise InputError(
             Problem(str(folder), f"is damaged ({error})", hint="make it anew with 'wrapjax fit'")

@@ -18,6 +18,7 @@ from wrapjax.files import cache_folder, content_hash, write_whole
 from wrapjax.osim.description import ModelDescription
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.model import describe_model, unknown_names
+from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.workers import analyse_chunks
 from wrapjax.progress import progress_bar
 
@@ -134,6 +135,29 @@ def analyse_muscles(
                 done += len(chunks[start])
                 advance(done)
     return PathGeometry(muscles, coordinates, length, moment_arm)
+
+
+def touching_muscles(
+    model_file: Path | str,
+    muscles: Sequence[str],
+    coordinates: Sequence[str],
+    poses: Float[np.ndarray, "pose coordinate"],
+) -> tuple[str, ...]:
+    """Find the muscles whose path lies on a wrapping surface in at least one pose.
+
+    Parameters, and what is refused, are as for `analyse_muscles`.
+
+    Returns
+    -------
+    tuple of str
+        Names, in the order of ``muscles``.
+    """
+    muscles, coordinates = tuple(muscles), tuple(coordinates)
+    path = check_is_file(model_file)
+    _check_poses(path, coordinates, poses)
+    spans = _check_question(path, muscles, coordinates, poses)
+    found = PathEngine(path, coordinates, spans).touching(poses)
+    return tuple(name for number, name in enumerate(muscles) if number in found)
 
 
 def _check_poses(

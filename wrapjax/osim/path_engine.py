@@ -79,6 +79,23 @@ class PathEngine:
                         arm_rows[index, muscle] = -self._muscles[muscle].getLengtheningSpeed(self._state)
         return length, moment_arm
 
+    def touching(self, poses: Float[np.ndarray, "pose coordinate"]) -> set[int]:
+        """Find the muscles (by number) that lie on a wrapping surface in at least one of the poses."""
+        found: set[int] = set()
+        for pose in poses:
+            self._set_pose(pose)
+            self._model.realizePosition(self._state)
+            for number, muscle in enumerate(self._muscles):
+                if number not in found and self._touches(muscle):
+                    found.add(number)
+        return found
+
+    def _touches(self, muscle: Any) -> bool:
+        # A path that leaves a surface has no wrap points any more.
+        points = muscle.getGeometryPath().getCurrentPath(self._state)
+        wrapping = self._opensim.PathWrapPoint.safeDownCast
+        return any(wrapping(points.get(place)) is not None for place in range(points.getSize()))
+
     def _set_pose(self, pose: Float[np.ndarray, " coordinate"]) -> None:
         state = self._state
         for coordinate, value in zip(self._coordinates, pose, strict=True):
