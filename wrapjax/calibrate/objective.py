@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibrate.penalties import AbstractPenalty
-from wrapjax.calibrate.problem import AbstractLeastSquares, Linearization
-from wrapjax.model import ModelParameters, Recording, Variables, muscle_state, muscle_states
+from wrapjax.calibrate.muscle_blocks import curvature, slopes
+from wrapjax.calibrate.penalties import AbstractPenalty, Limit
+from wrapjax.calibrate.problem import AbstractCalibration, Linearization
+from wrapjax.geometry import AdjustablePath
+from wrapjax.model import ModelParameters, Recording, Variables, muscle_state_along, muscle_states
 from wrapjax.muscle import HillCurves
 
 #: Allowable error of a joint moment in N m (the NMSM Pipeline's default).
 MOMENT_ERROR = 2.5
 
 
-class Objective(AbstractLeastSquares):
+class Objective(AbstractCalibration):
     """Moment error, penalties and priors as one least-squares problem.
 
     The cost is the plain sum of its terms, each a mean square in allowable errors.
@@ -28,6 +32,7 @@ class Objective(AbstractLeastSquares):
     measured: Float[Array, "trial coordinate frame"]
     variables: Variables
     penalties: tuple[AbstractPenalty, ...]
+    limits: tuple[Limit, ...]
     #: Allowable error of a moment, N m. Lowering it weakens every penalty against the moments.
     moment_error: Float[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
 
@@ -41,108 +46,144 @@ class Objective(AbstractLeastSquares):
         """Upper bounds of the scaled variables."""
         return self.variables.upper
 
+    def with_limits(self, limits: tuple[Limit, ...]) -> Objective:
+        """Take others in their place."""
+        return replace(self, limits=limits)
+
+    def parameters(self, variables: Float[Array, " variable"]) -> ModelParameters:
+        """Put variables into the parameter tree."""
+        return self.variables.unpack(variables)
+
+    def start(self, parameters: ModelParameters) -> Float[Array, " variable"]:
+        """Read the variables off a tree and move them inside the bounds."""
+        return jnp.clip(self.variables.pack(parameters), self.lower, self.upper)
+
     def terms(self, parameters: ModelParameters) -> dict[str, Float[Array, " row"]]:
-        """Residuals by term; the cost of a term is the sum of squares of its residuals."""
+        """Residuals by term; the cost of a term is the sum of squares of its residuals.
+
+        Limits are no terms: they cost nothing where they are kept.
+        """
         states = muscle_states(self.curves, parameters, self.recording)
         residuals = {"joint_moment": self._moment_rows(states.moment.sum(axis=0))}
         for penalty in self.penalties:
-            residuals[penalty.name] = penalty.rows(jax.vmap(penalty.read)(parameters, states)).ravel()
+            residuals[penalty.name] = penalty.rows(penalty.values(parameters, states)).ravel()
         residuals["prior"] = self._prior_rows(self.variables.pack(parameters))
         return residuals
 
     def cost(self, parameters: ModelParameters) -> Float[Array, ""]:
-        """Sum of squares of all residuals: a pure function, to be differentiated as one likes."""
+        """Sum of squares of all terms: a pure function, to be differentiated as one likes."""
         return sum((jnp.sum(rows**2) for rows in self.terms(parameters).values()), start=jnp.zeros(()))
 
+    def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
+        """Give how far each limited value is above its bound, by limit; negative: below."""
+        parameters = self.variables.unpack(variables)
+        states = muscle_states(self.curves, parameters, self.recording)
+        return tuple(limit.excess(limit.values(parameters, states)) for limit in self.limits)
+
     def residuals(self, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
-        """All residuals as one vector, for solvers that want nothing else."""
-        return jnp.concatenate(list(self.terms(self.variables.unpack(variables)).values()))
+        """All residuals, those of limits too, as one vector for solvers that want nothing else."""
+        parameters = self.variables.unpack(variables)
+        states = muscle_states(self.curves, parameters, self.recording)
+        limited = [limit.rows(limit.values(parameters, states)).ravel() for limit in self.limits]
+        return jnp.concatenate([*self.terms(parameters).values(), *limited])
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Compute cost, gradient and both parts of the Hessian by blocks of muscles.
 
-        A muscle's parameters touch its own force alone. So one small forward-mode Jacobian a muscle
-        gives all first derivatives, and the second derivatives of all residuals, weighted by the
-        residuals, are one small block a muscle. Only the joint moments add up over muscles.
+        A muscle's parameters touch its own force alone. So one small Jacobian a muscle gives all first
+        derivatives, and the second derivatives of all residuals, weighted by the residuals, are one
+        small block a muscle. Only the joint moments add up over muscles.
         """
-        shape = self.variables.index.shape
-        moment, values, moment_slopes, value_slopes = self._muscle_blocks(variables)
+        index = self.variables.index
+        moment, values, moment_slopes, value_slopes = self._muscle_slopes(variables)
         rows = self._moment_rows(moment.sum(axis=0))
         transposed = self.variables.gather(moment_slopes)
-        cost = jnp.sum(rows**2)
-        gradient = transposed @ rows
-        local_gradient = jnp.zeros(shape)
-        local_gram = jnp.zeros(shape + shape)
+        prior_rows, prior_slope = self._prior_rows(variables), jnp.asarray(self._prior_weight())
+        cost = jnp.sum(rows**2) + jnp.sum(prior_rows**2)
+        gradient = transposed @ rows + prior_slope * prior_rows
+        gauss_newton = transposed @ transposed.T + jnp.diag(prior_slope**2)
+        local_gradient = jnp.zeros(index.shape)
+        own_gram = jnp.zeros((*index.shape, index.shape[1]))
         multipliers = []
-        for penalty, value, slope in zip(self.penalties, values, value_slopes, strict=True):
-            penalty_rows, pull_back = jax.vjp(penalty.rows, value)
-            multipliers.append(pull_back(penalty_rows)[0])
-            cost += jnp.sum(penalty_rows**2)
+        for restraint, value, slope in zip(self._restraints, values, value_slopes, strict=True):
+            restraint_rows, pull_back = jax.vjp(restraint.rows, value)
+            multipliers.append(pull_back(restraint_rows)[0])
+            cost += jnp.sum(restraint_rows**2)
             local_gradient += jnp.einsum("mk,mpk->mp", multipliers[-1], slope)
-            local_gram += penalty.gram(slope)
-        gradient += self.variables.gather(local_gradient[..., None])[:, 0]
-        prior_rows = self._prior_rows(variables)
-        prior_slope = self._prior_weight()
+            gram = restraint.gram(value, slope)
+            own_gram += gram.own
+            for members, block in gram.groups:
+                gauss_newton += self.variables.assemble(block[None], index[members].reshape(1, -1))
+        curvatures = self._muscle_curvatures(variables, rows, tuple(multipliers))
         return Linearization(
-            cost=cost + jnp.sum(prior_rows**2),
-            gradient=gradient + prior_slope * prior_rows,
-            gauss_newton=transposed @ transposed.T + self._gather(local_gram) + jnp.diag(prior_slope**2),
-            remainder=self._gather(self._second_order(variables, rows, tuple(multipliers))),
+            cost=cost,
+            gradient=gradient + self.variables.gather(local_gradient[..., None])[:, 0],
+            gauss_newton=gauss_newton + self.variables.assemble(own_gram, index),
+            remainder=self.variables.assemble(curvatures, index),
         )
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
         """Differentiate the moment residuals, muscle by muscle."""
-        _, _, moment_slopes, _ = self._muscle_blocks(variables)
+        _, _, moment_slopes, _ = self._muscle_slopes(variables)
         return self.variables.gather(moment_slopes).T
 
-    def _muscle_outputs(self, local, scale, parameters, recording):
-        """What the residuals are made of, for one muscle."""
-        parameters = self.variables.insert(parameters, local, scale)
-        state = muscle_state(self.curves, parameters, recording)
-        return state.moment, tuple(penalty.read(parameters, state) for penalty in self.penalties)
+    @property
+    def _restraints(self) -> tuple[AbstractPenalty, ...]:
+        return (*self.penalties, *self.limits)
 
     def _muscle_inputs(self, variables: Float[Array, " variable"]):
-        local = self.variables.localize(variables)
-        return local, jnp.asarray(self.variables.scale), self.variables.base, self.recording
+        """What the functions of one muscle take, with a leading axis ``muscle``."""
+        count, modes = len(self.variables.names), self.variables.modes
+        scale = jnp.asarray(self.variables.scale)
+        changes = self.variables.unpack(variables).path_changes
+        path = jax.vmap(AdjustablePath.at)(self.recording.path, changes)
+        unit_modes = jax.tree.map(
+            lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]),
+            self.recording.path.modes,
+        )
+        single = self.variables.localize(variables)[:, :count]
+        return single, path, unit_modes, scale[:, :count], self.variables.base, self.recording
 
-    def _muscle_blocks(self, variables: Float[Array, " variable"]):
+    def _muscle_outputs(self, single, path, scale, base, recording):
+        """What the residuals are made of, for one muscle."""
+        parameters = self.variables.insert(base, single * scale)
+        state = muscle_state_along(path, self.curves, parameters, recording)
+        return state.moment, tuple(restraint.read(parameters, state) for restraint in self._restraints)
+
+    def _muscle_slopes(self, variables: Float[Array, " variable"]):
         """Values and derivatives by local variables, of every muscle."""
 
-        def blocks(local, *inputs):
-            def along(direction):
-                return jax.jvp(lambda at: self._muscle_outputs(at, *inputs), (local,), (direction,))
+        def of_one(single, path, modes, *inputs):
+            (moment, quantities), (moment_slope, quantity_slopes) = slopes(
+                lambda single, path: self._muscle_outputs(single, path, *inputs), single, path, modes
+            )
+            reductions = [restraint.reduce for restraint in self._restraints]
+            values = tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
+            value_slopes = tuple(map(lambda reduce, one: jax.vmap(reduce)(one), reductions, quantity_slopes))
+            flat = moment_slope.reshape(moment_slope.shape[0], -1)
+            return moment, values, self._moment_scale() * flat, value_slopes
 
-            # By hand and not by `jax.jacfwd`, whose last axis counts the directions: with it first,
-            # gathering the Jacobian copies whole rows, and that is a third of all the time.
-            return jax.vmap(along, out_axes=(None, 0))(jnp.eye(local.size))
+        return jax.vmap(of_one)(*self._muscle_inputs(variables))
 
-        (moment, values), slopes = jax.vmap(blocks)(*self._muscle_inputs(variables))
-        muscles, directions = slopes[0].shape[:2]
-        moment_slopes = self._moment_scale() * slopes[0].reshape(muscles, directions, -1)
-        return moment, values, moment_slopes, slopes[1]
-
-    def _second_order(
+    def _muscle_curvatures(
         self,
         variables: Float[Array, " variable"],
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
-    ) -> Float[Array, "muscle local muscle local"]:
+    ) -> Float[Array, "muscle local local"]:
         """Sum of residuals times their Hessians: one block a muscle, for moments add linearly."""
 
-        def weighted(local, multiplier, *inputs):
-            moment, values = self._muscle_outputs(local, *inputs)
-            total = self._moment_scale() * rows @ moment.ravel()
-            return sum((one @ value for one, value in zip(multiplier, values, strict=True)), start=total)
+        def of_one(own, single, path, modes, *inputs):
+            def weighted(single, path):
+                moment, quantities = self._muscle_outputs(single, path, *inputs)
+                total = self._moment_scale() * rows @ moment.ravel()
+                for multiplier, restraint, quantity in zip(own, self._restraints, quantities, strict=True):
+                    total += multiplier @ restraint.reduce(quantity)
+                return total
 
-        local, *inputs = self._muscle_inputs(variables)
-        blocks = jax.vmap(jax.hessian(weighted))(local, multipliers, *inputs)
-        each = np.arange(local.shape[0])
-        return jnp.zeros(local.shape + local.shape).at[each, :, each, :].set(blocks)
+            return curvature(weighted, single, path, modes)
 
-    def _gather(self, local: Float[Array, "muscle local muscle local"]) -> Float[Array, "variable variable"]:
-        shape = self.variables.index.shape
-        half = self.variables.gather(local.reshape(*shape, -1))
-        return self.variables.gather(half.T.reshape(*shape, -1))
+        return jax.vmap(of_one)(multipliers, *self._muscle_inputs(variables))
 
     def _moment_scale(self) -> Float[Array, ""]:
         return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))

@@ -10,29 +10,47 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from wrapjax.model import ModelParameters, MuscleState
 
-#: Reads a quantity (any number of values) off one muscle.
-Reader = Callable[[ModelParameters, MuscleState], Float[Array, " value"]]
+#: Reads a quantity off one muscle: one number; one a frame, which may depend on the path at that frame
+#: alone; or one a frame and coordinate, which may depend on that coordinate's moment arm as well.
+Reader = Callable[[ModelParameters, MuscleState], Float[Array, "..."]]
+#: What of the quantity counts: a linear function of it.
+Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]
+
+
+class Gram(eqx.Module):
+    """Inner products of residuals' derivatives by local variables, where they are not zero."""
+
+    #: Of every muscle with itself.
+    own: Float[Array, "muscle local local"]
+    #: Of the members of each group with one another: their indices, and one block each.
+    groups: tuple[tuple[Int[np.ndarray, " member"], Float[Array, "place place"]], ...] = ()
 
 
 class AbstractPenalty(eqx.Module):
-    """Mean square of a quantity about its center, in allowable errors."""
+    """Sum of squares of what a quantity has that it should not have."""
 
     name: eqx.AbstractVar[str]
     read: eqx.AbstractVar[Reader]
+    reduce: eqx.AbstractVar[Reduction]
 
     @abstractmethod
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Turn the quantity of all muscles into residuals; their sum of squares is the penalty."""
+        """Turn the reduced quantity of all muscles into residuals."""
 
     @abstractmethod
-    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
-        """Inner products of the residuals' derivatives, given the derivatives of the quantity."""
+    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+        """Multiply the residuals' derivatives, given the reduced quantity and its derivatives."""
+
+    def values(self, parameters: ModelParameters, states: MuscleState) -> Float[Array, "muscle value"]:
+        """Read and reduce the quantity of all muscles."""
+        return jax.vmap(lambda *muscle: self.reduce(self.read(*muscle)))(parameters, states)
 
 
 class MusclePenalty(AbstractPenalty):
@@ -40,6 +58,7 @@ class MusclePenalty(AbstractPenalty):
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
+    reduce: Reduction = eqx.field(static=True)
     center: Float[Array, " muscle #value"]
     allowable_error: float = eqx.field(static=True)
 
@@ -47,13 +66,10 @@ class MusclePenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of values."""
         return (values - self.center) / (self.allowable_error * np.sqrt(values.size))
 
-    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
-        """Muscles do not mix: only the diagonal blocks are filled."""
-        muscles, local, values = slopes.shape
-        weight = 1.0 / (self.allowable_error**2 * muscles * values)
-        blocks = weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes)
-        each = np.arange(muscles)
-        return jnp.zeros((muscles, local, muscles, local)).at[each, :, each, :].set(blocks)
+    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+        """Muscles do not mix."""
+        weight = 1.0 / (self.allowable_error**2 * values.size)
+        return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
 
 
 class GroupPenalty(AbstractPenalty):
@@ -61,65 +77,103 @@ class GroupPenalty(AbstractPenalty):
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
+    reduce: Reduction = eqx.field(static=True)
     center: Float[Array, " muscle #value"]
     allowable_error: float = eqx.field(static=True)
-    #: Takes the group's mean off its members and everything off the others. A projection.
-    deviation: Float[np.ndarray, "muscle muscle"]
-    members: int = eqx.field(static=True)
+    groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
         """Take the group means off, then divide as for single muscles."""
-        scale = self.allowable_error * np.sqrt(self.members * values.shape[1])
-        return self.deviation @ (values - self.center) / scale
+        change = values - self.center
+        rows = jnp.zeros_like(change)
+        for group in self.groups:
+            members = np.array(group)
+            rows = rows.at[members].set(change[members] - change[members].mean(axis=0, keepdims=True))
+        return rows * self._weight(values)
 
-    def gram(self, slopes: Float[Array, "muscle local value"]) -> Float[Array, "muscle local muscle local"]:
+    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
         """Members of one group mix."""
-        weight = 1.0 / (self.allowable_error**2 * self.members * slopes.shape[2])
-        products = jnp.einsum("mpk,nqk->mpnq", slopes, slopes)
-        return weight * products * self.deviation[:, None, :, None]
+        local = slopes.shape[1]
+        blocks = []
+        for group in self.groups:
+            together = slopes[np.array(group)].reshape(-1, slopes.shape[-1])
+            # Taking the mean off is a projection: its product with itself is itself.
+            projection = np.eye(len(group)) - 1.0 / len(group)
+            shares = self._weight(values) ** 2 * jnp.asarray(np.kron(projection, np.ones((local, local))))
+            blocks.append((np.array(group), shares * (together @ together.T)))
+        return Gram(jnp.zeros((slopes.shape[0], local, local)), tuple(blocks))
+
+    def _weight(self, values: Float[Array, "muscle value"]) -> float:
+        members = sum(len(group) for group in self.groups)
+        return 1.0 / (self.allowable_error * np.sqrt(members * values.shape[1]))
 
 
-def group_penalty(
-    name: str,
-    read: Reader,
-    center: Float[Array, " muscle #value"],
-    allowable_error: float,
-    groups: Sequence[Sequence[int]],
-) -> GroupPenalty:
-    """Build a penalty on deviations from group means; groups are lists of muscle indices."""
-    muscles = center.shape[0]
-    deviation = np.zeros((muscles, muscles))
-    for group in groups:
-        place = np.ix_(group, group)
-        deviation[place] = np.eye(len(group)) - 1.0 / len(group)
-    return GroupPenalty(
-        name, read, center, allowable_error, deviation, members=sum(len(group) for group in groups)
-    )
+class Limit(AbstractPenalty):
+    """A quantity that must not exceed a bound, as one step of an augmented Lagrangian sees it.
+
+    ``weight * max(0, excess + shift)**2``: raising the shift by the excess, again and again, makes
+    ``2 * weight * shift`` the multiplier and the excess zero, whatever the weight (Hestenes 1969,
+    doi:10.1007/BF00927673; Powell 1969).
+    """
+
+    name: str = eqx.field(static=True)
+    read: Reader = eqx.field(static=True)
+    reduce: Reduction = eqx.field(static=True)
+    #: The excess is ``factor * value - bound``.
+    factor: Float[Array, " muscle #value"]
+    bound: Float[Array, " muscle #value"]
+    shift: Float[Array, "muscle value"]
+    weight: Float[Array, ""]
+
+    def excess(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
+        """Give how far values are above the bound; negative where they are below."""
+        return self.factor * values - self.bound
+
+    def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
+        """Give what is above the shifted bound."""
+        return jnp.sqrt(self.weight) * jnp.maximum(self.excess(values) + self.shift, 0.0)
+
+    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+        """Only what is above the shifted bound counts."""
+        above = self.weight * self.factor**2 * (self.excess(values) + self.shift > 0.0)
+        return Gram(jnp.einsum("mpk,mqk,mk->mpq", slopes, slopes, above))
 
 
-def _mean_length(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    return state.fiber.normalized_length.mean(axis=0)
+def whole(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
+    """Take every number of a quantity."""
+    return quantity.ravel()
 
 
-def _length_shape(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    length = state.fiber.normalized_length
-    return (length - length.mean()).ravel()
+def overall_mean(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
+    """Take the mean over trials and frames."""
+    return quantity.mean()[None]
 
 
-def _passive_force(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    return state.fiber.passive_force.ravel()
+def mean_over_trials(quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
+    """Take the mean cycle."""
+    return quantity.mean(axis=0)
 
 
-def _overall_length(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    return state.fiber.normalized_length.mean()[None]
+def without_mean(quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
+    """Take the shape: what is left without the overall mean."""
+    return (quantity - quantity.mean()).ravel()
 
 
-def _emg_scale(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    return parameters.emg_scale[None]
+def normalized_length(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    """Read fiber length in optimal fiber lengths."""
+    return state.fiber.normalized_length
 
 
-def _delay(parameters: ModelParameters, state: MuscleState) -> Float[Array, " value"]:
-    return parameters.electromechanical_delay[None]
+def _passive_force(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    return state.fiber.passive_force
+
+
+def _emg_scale(parameters: ModelParameters, state: MuscleState) -> Float[Array, ""]:
+    return parameters.emg_scale
+
+
+def _delay(parameters: ModelParameters, state: MuscleState) -> Float[Array, ""]:
+    return parameters.electromechanical_delay
 
 
 def pipeline_penalties(
@@ -144,20 +198,27 @@ def pipeline_penalties(
     muscles = length.shape[0]
     nothing = jnp.zeros((muscles, 1))
     overall = length.mean(axis=(1, 2))[:, None]
-    shape = length - overall[:, :, None]
+    shape = (length - overall[:, :, None]).reshape(muscles, -1)
+    mean = length.mean(axis=1)
     penalties: list[AbstractPenalty] = [
-        MusclePenalty("normalized_fiber_length_mean", _mean_length, length.mean(axis=1), 0.1),
-        MusclePenalty("normalized_fiber_length_shape", _length_shape, shape.reshape(muscles, -1), 0.1),
-        MusclePenalty("passive_force", _passive_force, nothing, 50.0),
+        MusclePenalty("normalized_fiber_length_mean", normalized_length, mean_over_trials, mean, 0.1),
+        MusclePenalty("normalized_fiber_length_shape", normalized_length, without_mean, shape, 0.1),
+        MusclePenalty("passive_force", _passive_force, whole, nothing, 50.0),
     ]
-    if fiber_length_groups:
+    similar = tuple(tuple(group) for group in fiber_length_groups)
+    if similar:
         penalties += [
-            group_penalty("grouped_fiber_length_mean", _overall_length, overall, 0.05, fiber_length_groups),
-            group_penalty("grouped_fiber_length_shape", _length_shape, nothing, 0.05, fiber_length_groups),
+            GroupPenalty(
+                "grouped_fiber_length_mean", normalized_length, overall_mean, overall, 0.05, similar
+            ),
+            GroupPenalty(
+                "grouped_fiber_length_shape", normalized_length, without_mean, nothing, 0.05, similar
+            ),
         ]
-    if activation_groups:
+    together = tuple(tuple(group) for group in activation_groups)
+    if together:
         penalties += [
-            group_penalty("grouped_emg_scale", _emg_scale, nothing, 0.1, activation_groups),
-            group_penalty("grouped_delay", _delay, nothing, 0.02, activation_groups),
+            GroupPenalty("grouped_emg_scale", _emg_scale, whole, nothing, 0.1, together),
+            GroupPenalty("grouped_delay", _delay, whole, nothing, 0.02, together),
         ]
     return tuple(penalties)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
+
+if TYPE_CHECKING:
+    from wrapjax.calibrate.penalties import Limit
 
 
 class Linearization(eqx.Module):
@@ -38,3 +42,26 @@ class AbstractLeastSquares(eqx.Module):
     @abstractmethod
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Cost and derivatives at a point."""
+
+
+class AbstractCalibration(AbstractLeastSquares):
+    """A sum of squares of parameter trees, to be minimised within bounds and below limits."""
+
+    #: Hard limits; their shifted excess is part of the sum of squares.
+    limits: eqx.AbstractVar[tuple[Limit, ...]]
+
+    @abstractmethod
+    def with_limits(self, limits: tuple[Limit, ...]) -> AbstractCalibration:
+        """Take others in their place."""
+
+    @abstractmethod
+    def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
+        """Give how far each limited value is above its bound, by limit; negative: below."""
+
+    @abstractmethod
+    def parameters(self, variables: Float[Array, " variable"]) -> Any:
+        """Put variables into the parameter tree, or the trees."""
+
+    @abstractmethod
+    def start(self, parameters: Any) -> Float[Array, " variable"]:
+        """Read the variables off the tree, or the trees, and move them inside the bounds."""
