@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -20,69 +19,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibrate.problem import AbstractLeastSquares, Linearization
-
-# Factor on the damping after a first failed step; it doubles with each further one.
-_GROWTH = 2.0
-
-
-class Status(Enum):
-    """Why a solver stopped, as a sentence."""
-
-    gradient = "Converged: no variable can move downhill by more than gtol."
-    cost = "Converged: steps no longer lower the cost by more than ftol of it."
-    step = "Converged: steps are shorter than xtol."
-    iterations = "Not converged: the limit on iterations was reached; raise max_iterations."
-    damping = "Not converged: no downhill step was found however short; the derivatives may be wrong."
-    interrupted = "Stopped by the user; the best point so far is returned."
-    not_finite = "Not converged: the cost is not finite at the start; check the data and start values."
-
-    @property
-    def converged(self) -> bool:
-        """Whether the point is a minimum, to the tolerances."""
-        return self in (Status.gradient, Status.cost, Status.step)
+from wrapjax.calibrate.solution import (
+    FIRST_GROWTH,
+    AbstractBoundedSolver,
+    Iteration,
+    Pace,
+    Solution,
+    SolverState,
+    Status,
+)
 
 
 @dataclass(frozen=True)
-class Iteration:
-    """One line of the solver's log."""
-
-    number: int
-    cost: float
-    #: Largest move that projected steepest descent would make, in solver units.
-    optimality: float
-    damping: float
-    step: float
-    at_bounds: int
-    seconds: float
-
-
-class SolverState(eqx.Module):
-    """Everything a solve needs to go on from where it is."""
-
-    variables: Float[Array, " variable"]
-    linearization: Linearization
-    damping: Float[Array, ""]
-    growth: Float[Array, ""]
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Result of a solve."""
-
-    variables: Float[np.ndarray, " variable"]
-    cost: float
-    status: Status
-    linearization: Linearization
-    history: tuple[Iteration, ...] = field(repr=False)
-
-    @property
-    def iterations(self) -> int:
-        """Number of iterations taken."""
-        return self.history[-1].number
-
-
-@dataclass(frozen=True)
-class ProjectedLM:
+class ProjectedLM(AbstractBoundedSolver):
     """Projected Levenberg-Marquardt.
 
     Parameters
@@ -100,10 +49,7 @@ class ProjectedLM:
         Of the first step, relative to the largest curvature. Raise it if the first steps fail.
     """
 
-    gtol: float = 1e-8
-    ftol: float = 1e-12
     xtol: float = 1e-10
-    max_iterations: int = 500
     initial_damping: float = 1e-4
 
     def compile(
@@ -111,7 +57,7 @@ class ProjectedLM:
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
     ) -> None:
-        """Compile the kernels of `solve`, so that its time is that of solving alone."""
+        """Compile the kernels of `solve`."""
         self._advance(problem, self._begin(problem, start))
 
     def solve(
@@ -119,21 +65,11 @@ class ProjectedLM:
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
         callback: Callable[[Iteration, SolverState], None] | None = None,
+        pace: Pace | None = None,
     ) -> Solution:
-        """Minimise from a start, which is moved inside the bounds.
-
-        Parameters
-        ----------
-        problem
-            Sum of squares and bounds.
-        start
-            First point.
-        callback
-            Called after each iteration. `KeyboardInterrupt`, whether raised there or by Ctrl-C, ends
-            the solve with the best point so far.
-        """
+        """Minimise from a start; see `AbstractBoundedSolver`."""
         began = time.perf_counter()
-        state = self._begin(problem, start)
+        state = self._begin(problem, start, pace)
         history: list[Iteration] = []
 
         def note(number: int, step: float) -> None:
@@ -145,7 +81,7 @@ class ProjectedLM:
                     number=number,
                     cost=float(state.linearization.cost),
                     optimality=float(optimality),
-                    damping=float(state.damping),
+                    damping=float(state.pace.damping),
                     step=step,
                     at_bounds=int(at_bounds),
                     seconds=time.perf_counter() - began,
@@ -186,19 +122,23 @@ class ProjectedLM:
             cost=float(state.linearization.cost),
             status=status,
             linearization=state.linearization,
+            pace=state.pace,
             history=tuple(history),
         )
 
     def _begin(
-        self, problem: AbstractLeastSquares, start: Float[Array | np.ndarray, " variable"]
+        self,
+        problem: AbstractLeastSquares,
+        start: Float[Array | np.ndarray, " variable"],
+        pace: Pace | None = None,
     ) -> SolverState:
         inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         # Typed in full: a state of another type than the steps return would be compiled for once more.
         return SolverState(
             variables=inside,
             linearization=_linearize(problem, inside),
-            damping=jnp.asarray(self.initial_damping, inside.dtype),
-            growth=jnp.asarray(_GROWTH, inside.dtype),
+            pace=pace
+            or Pace(jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)),
         )
 
     def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step]:
@@ -251,7 +191,7 @@ def _propose(
         return (vectors * jnp.abs(values)[None, :]) @ vectors.T
 
     def definite() -> Float[Array, " variable"]:
-        failed_before = state.growth > _GROWTH
+        failed_before = state.pace.growth > FIRST_GROWTH
         matrix = jax.lax.cond(failed_before, mirrored, lambda: model.gauss_newton)
         return _damped_step(state, matrix, lower, upper)
 
@@ -273,7 +213,7 @@ def _damped_step(
     bound is thus not merely cut off: the other variables answer to it.
     """
     gradient = state.linearization.gradient
-    damped = hessian + jnp.diag(state.damping * _damping_metric(state.linearization))
+    damped = hessian + jnp.diag(state.pace.damping * _damping_metric(state.linearization))
     down, up = lower - state.variables, upper - state.variables
 
     def solve(at_lower, at_upper):
@@ -333,12 +273,15 @@ def _judge(
     accepted = jnp.isfinite(fresh.cost) & (predicted > 0.0) & ((ratio > 1e-4) | (same_cost & flatter))
     ratio = jnp.where(same_cost, 1.0, ratio)
     # Nielsen's rule (1999, IMM-REP-1999-05): smooth in the ratio, and slower to recover after failures.
-    eased = state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+    pace = state.pace
+    eased = pace.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
     chosen = SolverState(
         variables=jnp.where(accepted, candidate, state.variables),
         linearization=jax.tree.map(lambda new, old: jnp.where(accepted, new, old), fresh, model),
-        damping=jnp.where(accepted, jnp.maximum(eased, 1e-12), state.damping * state.growth),
-        growth=jnp.where(accepted, jnp.full_like(state.growth, _GROWTH), _GROWTH * state.growth),
+        pace=Pace(
+            damping=jnp.where(accepted, jnp.maximum(eased, 1e-12), pace.damping * pace.growth),
+            growth=jnp.where(accepted, jnp.full_like(pace.growth, FIRST_GROWTH), FIRST_GROWTH * pace.growth),
+        ),
     )
     length = jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables))
     return chosen, _Step(accepted, length, actual, predicted)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibrate.projected_lm import ProjectedLM, Solution
+from wrapjax.calibrate.augmented_lagrangian import AugmentedLagrangian, ConstrainedSolution
+from wrapjax.calibrate.multistart import Outcome
+from wrapjax.geometry import PathSurrogate
 from wrapjax.model import Freedom, ModelParameters, MuscleState
 
 
@@ -29,6 +31,10 @@ class CalibrationResult:
         What was free, with its bounds.
     at_bounds
         Variables that ended on a bound, as ``soleus_l.emg_scale``.
+    labels
+        Names of the variables.
+    paths, path_modes
+        Nominal paths, and the coefficients of each mode of change; None where paths were held.
     measured, modelled, initial_modelled
         Joint moments in N m; the last before calibration.
     states, initial_states
@@ -37,8 +43,10 @@ class CalibrationResult:
         The parts of the cost at the solution.
     curves
         Name of the Hill curves.
-    solver, solution
-        Tolerances of the solver, and its status and history.
+    outcomes, chosen
+        Where each start led, and the number of the one that was taken.
+    solver
+        With its tolerances.
     n_residuals
         Number of measured moments that were matched.
     compile_seconds
@@ -56,6 +64,9 @@ class CalibrationResult:
     parameters: ModelParameters
     freedom: Freedom
     at_bounds: tuple[str, ...]
+    labels: tuple[str, ...]
+    paths: PathSurrogate
+    path_modes: Float[np.ndarray, "muscle term mode"] | None
     measured: Float[np.ndarray, "trial coordinate frame"]
     modelled: Float[np.ndarray, "trial coordinate frame"]
     initial_modelled: Float[np.ndarray, "trial coordinate frame"]
@@ -63,12 +74,27 @@ class CalibrationResult:
     initial_states: MuscleState
     cost_by_term: dict[str, float]
     curves: str
-    solver: ProjectedLM
-    solution: Solution
+    solver: AugmentedLagrangian
+    outcomes: tuple[Outcome, ...]
+    chosen: int
     n_residuals: int
     compile_seconds: float
 
     @property
+    def solution(self) -> ConstrainedSolution:
+        """Of the start that was taken."""
+        return self.outcomes[self.chosen].solution
+
+    @property
     def solve_seconds(self) -> float:
-        """Time that went into solving, compiling apart."""
-        return self.solution.history[-1].seconds
+        """Time that went into solving from all starts, compiling apart."""
+        return sum(outcome.seconds for outcome in self.outcomes)
+
+    @property
+    def path_coefficients(self) -> Float[np.ndarray, "muscle term"]:
+        """Coefficients of the calibrated paths, in m."""
+        nominal = np.asarray(self.paths.coefficients)
+        if self.path_modes is None:
+            return nominal
+        changes = np.asarray(self.parameters.path_changes)
+        return nominal + np.einsum("mtk,mk->mt", self.path_modes, changes)
