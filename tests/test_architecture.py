@@ -25,7 +25,7 @@ ARROWS: dict[str, set[str]] = {
     "geometry": {"errors"},
     "muscle": set(),
     "model": {"geometry", "muscle"},
-    "calibrate": {"errors", "model", "geometry", "muscle"},
+    "calibrate": {"errors", "files", "model", "geometry", "muscle"},
     "evaluate": set(),
     "virtual": {"errors", "files", "precision", "subject", "osim", "geometry", "muscle", "model"},
     "report": {

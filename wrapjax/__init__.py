@@ -1,7 +1,8 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients.
 
 ``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``calibrate``
-fits the model to the person, ``objective`` gives what is minimised as a pure function for `jax.grad`.
+fits the model to the person, ``objective`` gives what is minimised as a pure function for `jax.grad`,
+and ``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from wrapjax.api import load_fit as load_fit
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
+    from wrapjax.api import prepare as prepare
     from wrapjax.errors import InputError as InputError
 
 __version__ = version("wrapjax")
@@ -34,6 +36,7 @@ _PLACES = {
     "load_fit": "wrapjax.api",
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",
+    "prepare": "wrapjax.api",
 }
 
 

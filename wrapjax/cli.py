@@ -75,13 +75,24 @@ def _parser() -> argparse.ArgumentParser:
 
     calibrate = command("calibrate", _calibrate, "Calibrate the model to the subject.", writing)
     calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
-    calibrate.add_argument("--method", choices=["NGA"], required=True, help="what is adjusted")
+    calibrate.add_argument("--method", choices=["NGA", "SGA", "LSGA"], required=True, help="what is adjusted")
     calibrate.add_argument("--out", type=Path, required=True, metavar="RUN")
     calibrate.add_argument(
         "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
     )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
-    calibrate.add_argument("--max-iterations", type=_positive, default=500, metavar="N")
+    calibrate.add_argument(
+        "--starts", type=_positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
+    )
+    calibrate.add_argument(
+        "--max-iterations", type=_positive, default=500, metavar="N", help="of each start (default: 500)"
+    )
+    calibrate.add_argument(
+        "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
+    )
+    calibrate.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted calibration of the same RUN"
+    )
 
     demo = command("demo", _demo, "Calibrate a virtual subject whose truth is known.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
@@ -125,10 +136,19 @@ def _calibrate(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import calibrate, fit, load_fit, load_subject
     from wrapjax.api.text import calibration_table, iteration_printer
-    from wrapjax.calibrate import ProjectedLM
+    from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM, Status
     from wrapjax.progress import say
 
     _refuse_existing(options.out, options.force)
+    journal = options.out.with_name(f".{options.out.name}.unfinished")
+    if journal.exists() and not (options.resume or options.force):
+        raise InputError(
+            Problem(
+                str(options.out),
+                "was begun and interrupted",
+                hint="go on with --resume, or begin anew with --force",
+            )
+        )
     subject = load_subject(options.subject)
     if options.fit:
         paths = load_fit(options.fit, subject)
@@ -139,10 +159,17 @@ def _calibrate(options: argparse.Namespace) -> int:
         subject,
         options.method,
         paths,
-        solver=ProjectedLM(max_iterations=options.max_iterations),
+        solver=AugmentedLagrangian(ProjectedLM(max_iterations=options.max_iterations)),
+        starts=options.starts,
+        seed=options.seed,
         callback=iteration_printer(quiet=options.quiet),
         curves=options.curves,
+        journal=journal,
+        resume=options.resume,
     )
+    if done.status is Status.interrupted:
+        say("interrupted; go on where it stopped with --resume", quiet=False)
+        return NOT_CONVERGED
     done.save(options.out, force=options.force)
     if options.json:
         _print_json(_stored(options.out / "summary.json"))

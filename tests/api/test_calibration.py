@@ -10,7 +10,7 @@ import pytest
 
 from wrapjax.api import calibrate, fit, objective
 from wrapjax.api.assembly import group_indices, model_parameters, recording, surrogate_paths
-from wrapjax.api.calibration import prepare
+from wrapjax.api.preparation import prepare
 from wrapjax.calibrate import ProjectedLM
 from wrapjax.errors import InputError
 from wrapjax.model import nga
@@ -148,9 +148,9 @@ def test_paths_follow_the_subjects_order(person, paths):
         trials=dataclasses.replace(person.trials, moment_coordinates=person.trials.moment_coordinates[::-1]),
     )
     other = surrogate_paths(paths.surrogate, turned, turned.trials)
-    np.testing.assert_array_equal(other.length, usual.length[::-1])
+    np.testing.assert_array_equal(other.nominal.length, usual.nominal.length[::-1])
     np.testing.assert_array_equal(other.velocity, usual.velocity[::-1])
-    np.testing.assert_array_equal(other.moment_arm, usual.moment_arm[::-1, :, ::-1])
+    np.testing.assert_array_equal(other.nominal.moment_arm, usual.nominal.moment_arm[::-1, :, ::-1])
 
 
 def test_no_muscle_moves_a_coordinate_that_none_spans(person, paths):
@@ -163,8 +163,8 @@ def test_no_muscle_moves_a_coordinate_that_none_spans(person, paths):
     )
     usual = surrogate_paths(paths.surrogate, person, person.trials)
     other = surrogate_paths(paths.surrogate, person, trials)
-    assert (other.moment_arm[:, :, 0] == 0.0).all()
-    np.testing.assert_array_equal(other.moment_arm[:, :, 1], usual.moment_arm[:, :, 1])
+    assert (other.nominal.moment_arm[:, :, 0] == 0.0).all()
+    np.testing.assert_array_equal(other.nominal.moment_arm[:, :, 1], usual.nominal.moment_arm[:, :, 1])
 
 
 def test_every_muscle_gets_the_envelope_of_its_channel(person, paths):

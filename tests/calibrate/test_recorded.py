@@ -11,7 +11,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from wrapjax.api import calibrate, fit, load_subject
 from wrapjax.api.assembly import model_parameters
-from wrapjax.api.calibration import prepare
+from wrapjax.api.preparation import prepare
 from wrapjax.calibrate import ProjectedLM
 from wrapjax.model import nga
 

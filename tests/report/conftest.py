@@ -7,8 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.calibrate import CalibrationResult, Iteration, ProjectedLM, Solution, Status
+from tests.model.small import small_objective
+from wrapjax.calibrate import (
+    AugmentedLagrangian,
+    CalibrationResult,
+    ConstrainedSolution,
+    Iteration,
+    LagrangianState,
+    Outcome,
+    Pace,
+    Status,
+)
 from wrapjax.calibrate.problem import Linearization
+from wrapjax.geometry import PathState, PathSurrogate, fit_surrogate
 from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState
 from wrapjax.muscle import FiberState
 from wrapjax.subject import MuscleParameters, Subject, Trials
@@ -51,6 +62,7 @@ def _parameters(**changed) -> ModelParameters:
         "max_isometric_force": [1073.0, 6195.0],
         "pennation_angle": [0.25, 0.38],
         "max_fiber_velocity": [10.0, 10.0],
+        "path_changes": np.zeros((2, 0)),
     } | changed
     return ModelParameters(**{name: jnp.array(value) for name, value in values.items()})
 
@@ -60,6 +72,7 @@ def _states(shift: float) -> MuscleState:
     return MuscleState(
         excitation=frames / 100.0,
         activation=frames / 50.0,
+        path=_path(shift / 100.0),
         fiber=FiberState(
             normalized_length=0.8 + shift + frames / 1000.0,
             normalized_velocity=jnp.zeros_like(frames),
@@ -75,19 +88,42 @@ def _freed(name: str, lower: list[float], upper: list[float]) -> FreedParameter:
     return FreedParameter(name, np.array(lower), np.array(upper), ones, 0.5 * ones, np.inf * ones)
 
 
-def _solution() -> Solution:
+def _solution() -> ConstrainedSolution:
     history = tuple(
         Iteration(number, cost, optimality, 1e-3, 0.1, 1, 0.25 * number)
         for number, (cost, optimality) in enumerate([(80.0, 2.0), (12.0, 0.1), (9.0, 0.0)])
     )
     square = jnp.eye(4)
-    return Solution(
-        variables=np.array([0.05, 0.06, 0.4, 0.07]),
+    variables = np.array([0.05, 0.06, 0.4, 0.07])
+    pace = Pace(jnp.array(1e-6), jnp.array(2.0))
+    problem = small_objective()
+    return ConstrainedSolution(
+        variables=variables,
         cost=9.0,
         status=Status.gradient,
         linearization=Linearization(jnp.array(9.0), jnp.zeros(4), square, square),
+        pace=pace,
         history=history,
+        max_violation=0.0,
+        problem=problem,
+        state=LagrangianState(jnp.asarray(variables), pace, (), (), jnp.array(0.0), jnp.array(jnp.inf)),
     )
+
+
+def _path(shift: float) -> PathState:
+    """Two muscles that span one coordinate each; ``shift`` (m) moves lengths and arms alike."""
+    length = jnp.full((2, 3, FRAMES), 0.3 + shift)
+    arm = jnp.zeros((2, 3, 2, FRAMES)).at[0, :, 0].set(0.04 + shift).at[1, :, 1].set(-0.05 + shift)
+    return PathState(length, jnp.zeros_like(length), arm)
+
+
+def _nominal_paths() -> PathSurrogate:
+    poses = np.random.default_rng(3).uniform(-0.5, 0.5, (60, 2))
+    length = 0.3 - 0.04 * poses
+    arm = np.zeros((60, 2, 2))
+    arm[:, 0, 0] = arm[:, 1, 1] = 0.04
+    spans = {muscle: (name,) for muscle, name in zip(MUSCLES, COORDINATES, strict=True)}
+    return fit_surrogate(MUSCLES, COORDINATES, spans, poses, length, arm)
 
 
 @pytest.fixture
@@ -112,6 +148,14 @@ def result() -> CalibrationResult:
             ),
         ),
         at_bounds=("iliacus_l.emg_scale", "soleus_l.optimal_fiber_length"),
+        labels=(
+            "iliacus_l.emg_scale",
+            "iliacus_l.optimal_fiber_length",
+            "soleus_l.emg_scale",
+            "soleus_l.optimal_fiber_length",
+        ),
+        paths=_nominal_paths(),
+        path_modes=None,
         measured=measured,
         modelled=measured + _errors(),
         initial_modelled=measured + 20.0,
@@ -119,8 +163,9 @@ def result() -> CalibrationResult:
         initial_states=_states(0.6),
         cost_by_term={"joint_moment": 7.0, "passive_force": 1.5, "prior": 0.5},
         curves="paper",
-        solver=ProjectedLM(),
-        solution=_solution(),
+        solver=AugmentedLagrangian(),
+        outcomes=(Outcome(None, np.array([0.05, 0.05, 0.5, 0.05]), _solution()),),
+        chosen=0,
         n_residuals=20,
         compile_seconds=1.5,
     )
@@ -135,17 +180,19 @@ def without_validation(result) -> CalibrationResult:
 def not_finite(result) -> CalibrationResult:
     """What a solver returns that could not even start."""
     failed = Iteration(0, float("nan"), float("nan"), 1e-3, 0.0, 0, 0.0)
+    broken = replace(result.solution, status=Status.not_finite, history=(failed,), cost=float("nan"))
     return replace(
         result,
         modelled=np.full_like(result.modelled, np.nan),
         states=MuscleState(
             result.states.excitation,
             jnp.full_like(result.states.activation, jnp.nan),
+            result.states.path,
             result.states.fiber,
             result.states.moment,
         ),
         cost_by_term={"joint_moment": float("nan"), "prior": 0.5},
-        solution=replace(result.solution, status=Status.not_finite, history=(failed,), cost=float("nan")),
+        outcomes=(replace(result.outcomes[0], solution=broken),),
     )
 
 

@@ -2,10 +2,11 @@
 
 from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
-from wrapjax.api.calibration import objective as objective
 from wrapjax.api.fitting import Fit as Fit
 from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
+from wrapjax.api.preparation import objective as objective
+from wrapjax.api.preparation import prepare as prepare
 from wrapjax.subject import read_subject as load_subject
 
-__all__ = ["Calibration", "Fit", "calibrate", "fit", "load_fit", "load_subject", "objective"]
+__all__ = ["Calibration", "Fit", "calibrate", "fit", "load_fit", "load_subject", "objective", "prepare"]

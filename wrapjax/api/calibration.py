@@ -1,38 +1,38 @@
-"""``calibrate`` and ``objective``: fit a subject's model to its recorded moments."""
+"""``calibrate``: fit a subject's model to its recorded moments."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from wrapjax.api.assembly import group_indices, model_parameters, recording, surrogate_paths
+from wrapjax.api.assembly import recording, surrogate_paths
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
+from wrapjax.api.preparation import method_freedom, modes_of, stages
 from wrapjax.calibrate import (
+    AugmentedLagrangian,
     CalibrationResult,
-    Iteration,
+    Journal,
     Objective,
-    ProjectedLM,
+    Outcome,
     Status,
-    pipeline_penalties,
+    Watch,
+    best,
+    solve_from_starts,
+    starting_points,
 )
-from wrapjax.calibrate.projected_lm import SolverState
-from wrapjax.errors import InputError, Problem
-from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, nga
-from wrapjax.muscle import HILL_CURVES
-from wrapjax.precision import require_float64
+from wrapjax.files import content_hash
+from wrapjax.model import Freedom, muscle_states
 from wrapjax.subject import Subject
 
-#: Ways of adjusting a model, by the names of Ao, Fregly et al.
-METHODS: dict[str, Callable[[ModelParameters], Freedom]] = {"NGA": nga}
+#: Starts of a calibration that does not ask for another number.
+STARTS = 4
 
 
 @dataclass(frozen=True)
@@ -55,77 +55,19 @@ class Calibration:
         write_run(self.subject, self.result, Path(folder), force=force)
 
 
-def prepare(
-    subject: Subject,
-    method: str = "NGA",
-    fit: Fit | None = None,
-    freedom: Freedom | None = None,
-    *,
-    curves: str = "paper",
-) -> Objective:
-    """Build what `calibrate` minimises.
-
-    Parameters
-    ----------
-    subject
-        From `load_subject`.
-    method
-        One of `METHODS`; ignored where ``freedom`` is given.
-    fit
-        From `wrapjax.fit`; made (or found in the cache) if not given.
-    freedom
-        What may move, with bounds and priors.
-    curves
-        Hill curves: ``paper`` or ``opensim``.
-    """
-    require_float64()
-    trials = subject.trials.used_for("calibration")
-    if not trials.names:
-        raise InputError(
-            Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
-        )
-    base = model_parameters(subject)
-    inputs = recording(subject, trials, surrogate_paths(_fitted(subject, fit).surrogate, subject, trials))
-    names = subject.muscles.names
-    reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs)
-    return Objective(
-        curves=HILL_CURVES[curves],
-        recording=inputs,
-        measured=jnp.asarray(trials.moments),
-        variables=free_variables(base, freedom or _freedom(method, base), names),
-        penalties=pipeline_penalties(
-            reference,
-            group_indices(subject.activation_groups, names),
-            group_indices(subject.fiber_length_groups, names),
-        ),
-    )
-
-
-def objective(
-    subject: Subject, method: str = "NGA", fit: Fit | None = None
-) -> Callable[[ModelParameters], Float[Array, ""]]:
-    """Give the calibration's cost as a pure jitted function of the parameter tree.
-
-    Use it with `jax.grad`, `jax.jit` and `jax.vmap`; `wrapjax.api.assembly.model_parameters` gives the
-    tree to start from.
-
-    Examples
-    --------
-    >>> cost = objective(subject, "NGA")  # doctest: +SKIP
-    >>> slopes = jax.grad(cost)(model_parameters(subject))  # doctest: +SKIP
-    """
-    return eqx.filter_jit(prepare(subject, method, fit).cost)
-
-
 def calibrate(
     subject: Subject,
     method: str = "NGA",
     fit: Fit | None = None,
     freedom: Freedom | None = None,
     *,
-    solver: ProjectedLM | None = None,
-    callback: Callable[[Iteration, SolverState], None] | None = None,
+    solver: AugmentedLagrangian | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
+    callback: Watch | None = None,
     curves: str = "paper",
+    journal: Path | None = None,
+    resume: bool = False,
 ) -> Calibration:
     """Calibrate a subject's model on its trials marked ``calibration``.
 
@@ -134,43 +76,77 @@ def calibrate(
     subject
         From `load_subject`.
     method
-        What is adjusted: ``NGA``, nothing of the geometry.
+        What is adjusted: ``NGA``, nothing of the geometry; ``SGA``, the polynomials of all muscle
+        paths; ``LSGA``, those of muscles that touch a wrapping surface.
     fit
         Fitted paths, from `wrapjax.fit`; made (or found in the cache) if not given.
     freedom
         Another selection of what may move, with its own bounds and priors.
     solver
         Tolerances and limits.
+    starts
+        How many: the model's own values, then random ones. Several minima are normal here.
+    seed
+        Start number n is made from ``seed + n``.
     callback
-        Called after each iteration; raise `KeyboardInterrupt` to stop with the best so far.
+        Called with the number of the start, the iteration and the state after each iteration; raise
+        `KeyboardInterrupt` to stop with the best so far.
     curves
         Hill curves: ``paper`` (as published) or ``opensim`` (the later refit).
+    journal
+        Folder in which to keep where the work stands, so that it can be resumed; removed at the end.
+    resume
+        Go on with the journal's work instead of beginning anew.
 
     Returns
     -------
     Calibration
         Whether it converged is in ``status``; a fit that did not is returned, not raised.
     """
-    fitted = _fitted(subject, fit)
-    problem = prepare(subject, method, fitted, freedom, curves=curves)
-    solver = solver or ProjectedLM()
-    start = problem.variables.start()
+    fitted = fit_paths(subject) if fit is None else fit
+    solver = solver or AugmentedLagrangian()
+    problems = stages(subject, method, fitted, freedom, curves=curves)
+    freedom = freedom or method_freedom(method, subject, fitted)
+    book = None
+    if journal is not None:
+        question = _question(subject, fitted, freedom, curves, solver, starts, seed)
+        book = Journal.open(journal, question, resume=resume)
+    first = np.asarray(problems[0].start(problems[0].variables.base))
     began = time.perf_counter()
-    solver.compile(problem, start)
+    for problem in problems:
+        solver.compile(problem, problem.start(problem.variables.base))
     compiled = time.perf_counter() - began
-    solution = solver.solve(problem, start, callback)
+    outcomes = solve_from_starts(
+        problems, starting_points(problems[0], first, starts, seed), solver, callback, book
+    )
+    result = _result(subject, fitted, freedom, problems[-1], outcomes, solver, curves, compiled)
+    if book is not None and result.solution.status is not Status.interrupted:
+        book.close()
+    return Calibration(subject, fitted, result)
 
-    solved = jnp.asarray(solution.variables)
-    parameters = problem.variables.unpack(solved)
+
+def _result(
+    subject: Subject,
+    fit: Fit,
+    freedom: Freedom,
+    problem: Objective,
+    outcomes: tuple[Outcome, ...],
+    solver: AugmentedLagrangian,
+    curves: str,
+    compile_seconds: float,
+) -> CalibrationResult:
+    chosen = best(outcomes)
+    solution = outcomes[chosen].solution
+    parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
-    everything = recording(subject, trials, surrogate_paths(fitted.surrogate, subject, trials))
+    modes = None if freedom.paths is None else modes_of(subject, fit)
+    everything = recording(subject, trials, surrogate_paths(fit.surrogate, subject, trials, modes))
     run = eqx.filter_jit(muscle_states)
     states = run(problem.curves, parameters, everything)
     initial_states = run(problem.curves, problem.variables.base, everything)
     stuck = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
-    terms = problem.terms(parameters)
-    result = CalibrationResult(
-        method=freedom.name if freedom else method,
+    return CalibrationResult(
+        method=freedom.name,
         muscles=subject.muscles.names,
         coordinates=trials.moment_coordinates,
         trials=trials.names,
@@ -179,28 +155,47 @@ def calibrate(
         time=trials.time,
         initial=problem.variables.base,
         parameters=parameters,
-        freedom=freedom or _freedom(method, problem.variables.base),
+        freedom=freedom,
         at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),
+        labels=problem.variables.labels,
+        paths=fit.surrogate.of_muscles(subject.muscles.names),
+        path_modes=modes,
         measured=trials.moments,
         modelled=np.asarray(states.moment.sum(axis=0)),
         initial_modelled=np.asarray(initial_states.moment.sum(axis=0)),
         states=jax.tree.map(np.asarray, states),
         initial_states=jax.tree.map(np.asarray, initial_states),
-        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in terms.items()},
-        solution=solution,
+        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in problem.terms(parameters).items()},
+        outcomes=outcomes,
+        chosen=chosen,
         curves=curves,
         solver=solver,
         n_residuals=problem.measured.size,
-        compile_seconds=compiled,
+        compile_seconds=compile_seconds,
     )
-    return Calibration(subject, fitted, result)
 
 
-def _fitted(subject: Subject, fit: Fit | None) -> Fit:
-    return fit_paths(subject) if fit is None else fit
-
-
-def _freedom(method: str, base: ModelParameters) -> Freedom:
-    if method not in METHODS:
-        raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
-    return METHODS[method](base)
+def _question(
+    subject: Subject,
+    fit: Fit,
+    freedom: Freedom,
+    curves: str,
+    solver: AugmentedLagrangian,
+    starts: int,
+    seed: int,
+) -> str:
+    """Name a calibration by all that decides where it goes."""
+    trials = subject.trials
+    return content_hash(
+        subject.model_file,
+        fit.key,
+        repr(subject.muscles),
+        trials.moments,
+        trials.emg,
+        trials.angles,
+        repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
+        repr((subject.activation_groups, subject.fiber_length_groups)),
+        repr(freedom),
+        repr(asdict(solver)),
+        repr((curves, starts, seed)),
+    )

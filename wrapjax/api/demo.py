@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from wrapjax.api.calibration import Calibration, calibrate, prepare
+from wrapjax.api.calibration import Calibration, calibrate
 from wrapjax.api.fitting import fit
-from wrapjax.calibrate import Iteration, laplace_deviation
-from wrapjax.calibrate.projected_lm import SolverState
+from wrapjax.api.preparation import prepare
+from wrapjax.calibrate import Watch, laplace_deviation
 from wrapjax.files import write_json
 from wrapjax.model import QUANTITIES
 from wrapjax.progress import say
@@ -60,7 +59,7 @@ def demo(
     seed: int = 0,
     force: bool = False,
     quiet: bool = True,
-    callback: Callable[[Iteration, SolverState], None] | None = None,
+    callback: Watch | None = None,
 ) -> Demonstration:
     """Make up a person, let them walk, calibrate, and compare with the truth.
 

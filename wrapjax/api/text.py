@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 
 from wrapjax.api.calibration import Calibration
 from wrapjax.api.demo import Demonstration
 from wrapjax.api.fitting import Fit
-from wrapjax.calibrate import Iteration
-from wrapjax.calibrate.projected_lm import SolverState
+from wrapjax.calibrate import Iteration, LagrangianState, Watch
 from wrapjax.evaluate import moment_errors, pooled_mae
 
 
-def iteration_printer(*, quiet: bool = False) -> Callable[[Iteration, SolverState], None] | None:
+def iteration_printer(*, quiet: bool = False) -> Watch | None:
     """Give a callback that prints one line an iteration to standard error."""
     if quiet:
         return None
 
-    def line(iteration: Iteration, state: SolverState) -> None:
+    def line(start: int, iteration: Iteration, state: LagrangianState) -> None:
         if iteration.number == 0:
-            _report("iteration        cost  optimality   damping      step  at bounds  seconds")
+            _report("start  iteration        cost  optimality   damping      step  at bounds  seconds")
         _report(
-            f"{iteration.number:9d}  {iteration.cost:10.5g}  {iteration.optimality:10.2e}  "
+            f"{start:5d}  {iteration.number:9d}  {iteration.cost:10.5g}  {iteration.optimality:10.2e}  "
             f"{iteration.damping:8.1e}  {iteration.step:8.1e}  {iteration.at_bounds:9d}  "
             f"{iteration.seconds:7.2f}"
         )
@@ -69,8 +67,9 @@ def calibration_table(calibration: Calibration) -> str:
     width = max(len(name) for name in (*result.coordinates, "coordinate"))
     lines = [
         f"{result.method} of {calibration.subject.name}: {calibration.status.value}",
-        f"{result.solution.iterations} iterations in {result.solve_seconds:.2f} s "
-        f"(compiling {result.compile_seconds:.1f} s), cost {result.solution.cost:.6g}, "
+        f"{len(result.outcomes)} starts in {result.solve_seconds:.2f} s (compiling "
+        f"{result.compile_seconds:.1f} s); the best took {result.solution.iterations} iterations, "
+        f"cost {result.solution.cost:.6g}, "
         f"{len(result.at_bounds)} of {len(result.solution.variables)} variables at a bound",
         "",
         "Mean absolute error of the joint moments, N m",
