@@ -9,8 +9,10 @@ All numbers are SI and radians; JAX must be in 64-bit mode::
     jax.config.update("jax_enable_x64", True)
 """
 
+import sys
 from importlib import import_module
 from importlib.metadata import version
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -48,3 +50,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*_PLACES, "__version__"])
+
+
+class _Package(ModuleType):
+    """This package, whose functions are not hidden by folders of the same name.
+
+    Importing ``wrapjax.calibrate.objective`` makes Python set the folder as ``wrapjax.calibrate``, where
+    users expect the function.
+    """
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name in _PLACES and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
