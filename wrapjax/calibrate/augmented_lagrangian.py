@@ -24,7 +24,7 @@ from wrapjax.calibrate.solution import AbstractBoundedSolver, Iteration, Pace, S
 
 # Factor on the weights where the excess did not fall to this part of what it was.
 _HEAVIER = 10.0
-_ENOUGH = 0.25
+_ENOUGH = 0.5
 
 
 class LagrangianState(eqx.Module):
@@ -33,7 +33,7 @@ class LagrangianState(eqx.Module):
     variables: Float[Array, " variable"]
     pace: Pace
     shifts: tuple[Float[Array, "_ _"], ...]
-    weights: tuple[Float[Array, ""], ...]
+    weights: tuple[Float[Array, "_ _"], ...]
     #: Largest excess, or room of a limit that pushes, after the last round and the one before.
     gap: Float[Array, ""]
     gap_before: Float[Array, ""]
@@ -52,9 +52,7 @@ class ConstrainedSolution(Solution):
     @property
     def multipliers(self) -> dict[str, Float[np.ndarray, "muscle value"]]:
         """How much the cost would fall for a unit of room, by limit; zero where it does not push."""
-        return {
-            limit.name: 2.0 * float(limit.weight) * np.asarray(limit.shift) for limit in self.problem.limits
-        }
+        return {limit.name: 2.0 * np.asarray(limit.weight * limit.shift) for limit in self.problem.limits}
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ class AugmentedLagrangian:
     """
 
     inner: AbstractBoundedSolver = field(default_factory=ProjectedLM)
-    ctol: float = 1e-7
+    ctol: float = 1e-6
     max_rounds: int = 30
 
     def compile(self, problem: AbstractCalibration, start: Float[Array | np.ndarray, " variable"]) -> None:
@@ -136,7 +134,7 @@ class AugmentedLagrangian:
             if not solution.status.converged or (tight and gap_now <= self.ctol):
                 gap = gap_now
                 break
-            problem = problem.with_limits(_with_multipliers(limits, excess, gap_now > _ENOUGH * gap))
+            problem = problem.with_limits(_with_multipliers(limits, excess, _ENOUGH * gap))
             before, gap = gap, gap_now
         status = solution.status
         if status.converged and gap > self.ctol:
@@ -184,8 +182,9 @@ class AugmentedLagrangian:
             return replace(inner, max_iterations=left)
         return replace(
             inner,
-            gtol=max(inner.gtol, min(1e-3, 1e-2 * gap)),
-            ftol=max(inner.ftol, min(1e-6, 1e-4 * gap)),
+            gtol=max(inner.gtol, min(1e-3, 1e-4 * gap)),
+            # Near a minimum the cost differs by the square of what the point does.
+            ftol=max(inner.ftol, min(1e-6, 1e-4 * gap**2)),
             max_iterations=left,
         )
 
@@ -200,23 +199,28 @@ def _violation(excess: tuple[Array, ...]) -> float:
 
 
 def _gap(limits: tuple[Limit, ...], excess: tuple[Array, ...]) -> float:
+    pairs = zip(limits, excess, strict=True)
+    return max((float(_unmet(limit, one).max()) for limit, one in pairs), default=0.0)
+
+
+def _unmet(limit: Limit, excess: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
     # A limit that pushes must be met, not only respected: complementarity counts as violation.
-    gaps = [
-        float(jnp.abs(jnp.maximum(one, -limit.shift)).max())
-        for limit, one in zip(limits, excess, strict=True)
-    ]
-    return max(gaps, default=0.0)
+    return jnp.abs(jnp.maximum(excess, -limit.shift))
 
 
 def _with_multipliers(
-    limits: tuple[Limit, ...], excess: tuple[Array, ...], heavier: bool
+    limits: tuple[Limit, ...], excess: tuple[Array, ...], enough: float
 ) -> tuple[Limit, ...]:
-    # Multipliers are weight times shift and must not jump when the weight grows.
-    growth = _HEAVIER if heavier else 1.0
-    return tuple(
-        replace(limit, shift=jnp.maximum(limit.shift + one, 0.0) / growth, weight=limit.weight * growth)
-        for limit, one in zip(limits, excess, strict=True)
-    )
+    """Shift the limits; where one is further from being met than ``enough``, make it heavier."""
+
+    def moved(limit: Limit, one: Float[Array, "muscle value"]) -> Limit:
+        growth = jnp.where(_unmet(limit, one) > enough, _HEAVIER, 1.0)
+        # Multipliers are weight times shift and must not jump when the weight grows.
+        return replace(
+            limit, shift=jnp.maximum(limit.shift + one, 0.0) / growth, weight=limit.weight * growth
+        )
+
+    return tuple(moved(limit, one) for limit, one in zip(limits, excess, strict=True))
 
 
 def _state(

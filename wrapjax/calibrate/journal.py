@@ -98,9 +98,9 @@ class Journal:
             "gaps": np.array([state.gap, state.gap_before]),
             "history": np.array([astuple(iteration) for iteration in history], dtype=float),
             "status": np.array("" if status is None else status.name),
-            "weights": np.array([float(weight) for weight in state.weights]),
         }
         arrays |= {f"shift_{number}": shift for number, shift in enumerate(state.shifts)}
+        arrays |= {f"weight_{number}": weight for number, weight in enumerate(state.weights)}
         plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
         write_whole(self.folder / f"{name}.npz", lambda path: np.savez(path, **plain))
 
@@ -109,12 +109,12 @@ class Journal:
         try:
             with np.load(self.folder / f"{name}.npz", allow_pickle=False) as stored:
                 kept = dict(stored)
-            weights = kept["weights"]
+            limits = sum(key.startswith("shift_") for key in kept)
             state = LagrangianState(
                 variables=jnp.asarray(kept["variables"]),
                 pace=Pace(*map(jnp.asarray, kept["pace"])),
-                shifts=tuple(jnp.asarray(kept[f"shift_{number}"]) for number in range(len(weights))),
-                weights=tuple(map(jnp.asarray, weights)),
+                shifts=tuple(jnp.asarray(kept[f"shift_{number}"]) for number in range(limits)),
+                weights=tuple(jnp.asarray(kept[f"weight_{number}"]) for number in range(limits)),
                 gap=jnp.asarray(kept["gaps"][0]),
                 gap_before=jnp.asarray(kept["gaps"][1]),
             )

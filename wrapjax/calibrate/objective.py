@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from wrapjax.calibrate.muscle_blocks import curvature, slopes
 from wrapjax.calibrate.penalties import AbstractPenalty, Limit
 from wrapjax.calibrate.problem import AbstractCalibration, Linearization
-from wrapjax.geometry import AdjustablePath
+from wrapjax.geometry import AdjustablePath, PathState
 from wrapjax.model import ModelParameters, Recording, Variables, muscle_state_along, muscle_states
 from wrapjax.muscle import HillCurves
 
@@ -87,6 +87,10 @@ class Objective(AbstractCalibration):
         limited = [limit.rows(limit.values(parameters, states)).ravel() for limit in self.limits]
         return jnp.concatenate([*self.terms(parameters).values(), *limited])
 
+    def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+        """Sum of squares of all residuals, those of limits too."""
+        return jnp.sum(self.residuals(variables) ** 2)
+
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Compute cost, gradient and both parts of the Hessian by blocks of muscles.
 
@@ -104,6 +108,7 @@ class Objective(AbstractCalibration):
         gauss_newton = transposed @ transposed.T + jnp.diag(prior_slope**2)
         local_gradient = jnp.zeros(index.shape)
         own_gram = jnp.zeros((*index.shape, index.shape[1]))
+        groups: dict[tuple[int, ...], Array] = {}
         multipliers = []
         for restraint, value, slope in zip(self._restraints, values, value_slopes, strict=True):
             restraint_rows, pull_back = jax.vjp(restraint.rows, value)
@@ -113,13 +118,13 @@ class Objective(AbstractCalibration):
             gram = restraint.gram(value, slope)
             own_gram += gram.own
             for members, block in gram.groups:
-                gauss_newton += self.variables.assemble(block[None], index[members].reshape(1, -1))
+                groups[members] = groups[members] + block if members in groups else block
         curvatures = self._muscle_curvatures(variables, rows, tuple(multipliers))
         return Linearization(
             cost=cost,
             gradient=gradient + self.variables.gather(local_gradient[..., None])[:, 0],
-            gauss_newton=gauss_newton + self.variables.assemble(own_gram, index),
-            remainder=self.variables.assemble(curvatures, index),
+            gauss_newton=gauss_newton + self.variables.assemble(own_gram, groups),
+            remainder=self.variables.assemble(curvatures),
         )
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
@@ -171,17 +176,27 @@ class Objective(AbstractCalibration):
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local local"]:
-        """Sum of residuals times their Hessians: one block a muscle, for moments add linearly."""
+        """Sum of residuals times their Hessians: one block a muscle, for moments add linearly.
+
+        Moments are linear in the moment arms too. So arms are first summed over coordinates, each weighted
+        by the residual of its moment; and what is read off the arms alone has no second derivatives.
+        """
+        weights = (self._moment_scale() * rows).reshape(self.measured.shape)
+
+        def lever(path: PathState) -> PathState:
+            arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
+            return PathState(path.length, path.velocity, arm[..., None, :])
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(single, path):
                 moment, quantities = self._muscle_outputs(single, path, *inputs)
-                total = self._moment_scale() * rows @ moment.ravel()
+                total = jnp.sum(moment)
                 for multiplier, restraint, quantity in zip(own, self._restraints, quantities, strict=True):
-                    total += multiplier @ restraint.reduce(quantity)
+                    if quantity.ndim < 3:
+                        total += multiplier @ restraint.reduce(quantity)
                 return total
 
-            return curvature(weighted, single, path, modes)
+            return curvature(weighted, single, lever(path), lever(modes))
 
         return jax.vmap(of_one)(multipliers, *self._muscle_inputs(variables))
 

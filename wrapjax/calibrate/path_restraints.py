@@ -104,7 +104,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
     kept = jnp.asarray(sign.reshape(muscles, -1))
     shortest, longest = FIBER_LENGTH_RANGE
     each, no_shift = jnp.ones((muscles, 1)), jnp.zeros((muscles, trials * frames))
-    weight = jnp.asarray(_FIRST_WEIGHT)
+    weight = jnp.full(no_shift.shape, _FIRST_WEIGHT)
     return (
         Limit("longest_fiber", normalized_length, whole, each, longest * each, no_shift, weight),
         Limit("shortest_fiber", normalized_length, whole, -each, -shortest * each, no_shift, weight),
@@ -115,7 +115,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
             -kept / _ARM_UNIT,
             jnp.where(kept == 0.0, 1.0, 0.0),
             jnp.zeros(kept.shape),
-            weight,
+            jnp.full(kept.shape, _FIRST_WEIGHT),
         ),
     )
 

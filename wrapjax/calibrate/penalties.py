@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from wrapjax.model import ModelParameters, MuscleState
 
@@ -29,8 +29,8 @@ class Gram(eqx.Module):
 
     #: Of every muscle with itself.
     own: Float[Array, "muscle local local"]
-    #: Of the members of each group with one another: their indices, and one block each.
-    groups: tuple[tuple[Int[np.ndarray, " member"], Float[Array, "place place"]], ...] = ()
+    #: Of the members of each group with one another: their numbers, and one block each.
+    groups: tuple[tuple[tuple[int, ...], Float[Array, "place place"]], ...] = ()
 
 
 class AbstractPenalty(eqx.Module):
@@ -100,7 +100,7 @@ class GroupPenalty(AbstractPenalty):
             # Taking the mean off is a projection: its product with itself is itself.
             projection = np.eye(len(group)) - 1.0 / len(group)
             shares = self._weight(values) ** 2 * jnp.asarray(np.kron(projection, np.ones((local, local))))
-            blocks.append((np.array(group), shares * (together @ together.T)))
+            blocks.append((group, shares * (together @ together.T)))
         return Gram(jnp.zeros((slopes.shape[0], local, local)), tuple(blocks))
 
     def _weight(self, values: Float[Array, "muscle value"]) -> float:
@@ -123,7 +123,7 @@ class Limit(AbstractPenalty):
     factor: Float[Array, " muscle #value"]
     bound: Float[Array, " muscle #value"]
     shift: Float[Array, "muscle value"]
-    weight: Float[Array, ""]
+    weight: Float[Array, "muscle value"]
 
     def excess(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
         """Give how far values are above the bound; negative where they are below."""

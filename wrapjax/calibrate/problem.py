@@ -43,6 +43,10 @@ class AbstractLeastSquares(eqx.Module):
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Cost and derivatives at a point."""
 
+    def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+        """Cost alone; worth its own way where derivatives cost much more."""
+        return self.linearize(variables).cost
+
 
 class AbstractCalibration(AbstractLeastSquares):
     """A sum of squares of parameter trees, to be minimised within bounds and below limits."""

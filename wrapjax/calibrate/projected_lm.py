@@ -58,7 +58,9 @@ class ProjectedLM(AbstractBoundedSolver):
         start: Float[Array | np.ndarray, " variable"],
     ) -> None:
         """Compile the kernels of `solve`."""
-        self._advance(problem, self._begin(problem, start))
+        state = self._begin(problem, start)
+        jax.block_until_ready(_value(problem, state.variables))
+        self._advance(problem, state)
 
     def solve(
         self,
@@ -100,15 +102,15 @@ class ProjectedLM(AbstractBoundedSolver):
             else:
                 for number in range(1, self.max_iterations + 1):
                     previous = history[-1].damping
-                    state, taken = self._advance(problem, state)
-                    step, actual, predicted = float(taken.step), float(taken.actual), float(taken.predicted)
+                    state, tried, accepted = self._advance(problem, state)
+                    step, actual, predicted = float(tried.length), float(tried.actual), float(tried.predicted)
                     note(number, step)
                     limit = self.ftol * history[-1].cost
                     if history[-1].optimality <= self.gtol:
                         status = Status.gradient
-                    elif 0.0 < predicted <= limit and actual <= limit and (taken.accepted or previous <= 1.0):
+                    elif 0.0 < predicted <= limit and actual <= limit and (accepted or previous <= 1.0):
                         status = Status.cost
-                    elif taken.accepted and step <= self.xtol:
+                    elif accepted and step <= self.xtol:
                         status = Status.step
                     elif history[-1].damping > 1e12:
                         status = Status.damping
@@ -141,23 +143,41 @@ class ProjectedLM(AbstractBoundedSolver):
             or Pace(jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)),
         )
 
-    def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step]:
+    def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step, bool]:
+        """Try a step; give the state after it, what it was, and whether it was taken."""
         lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
         candidate = _propose(state, lower, upper)
-        return _judge(state, candidate, _linearize(problem, candidate), lower, upper)
+        # Derivatives take many times as long as the cost, and a step that fails needs none.
+        step = _judge(state, candidate, _value(problem, candidate))
+        if step.downhill or step.level:
+            fresh = _linearize(problem, candidate)
+            before = _optimality(state.variables, state.linearization.gradient, lower, upper)
+            if step.downhill or _optimality(candidate, fresh.gradient, lower, upper) < before:
+                return SolverState(candidate, fresh, step.after_success), step, True
+        return SolverState(state.variables, state.linearization, step.after_failure), step, False
 
 
 class _Step(eqx.Module):
-    accepted: Bool[Array, ""]
     #: Relative length.
-    step: Float[Array, ""]
+    length: Float[Array, ""]
+    #: Falls of the cost.
     actual: Float[Array, ""]
     predicted: Float[Array, ""]
+    #: Whether the cost falls clearly; and whether, at its last digits, it does at least not rise.
+    downhill: Bool[Array, ""]
+    level: Bool[Array, ""]
+    after_success: Pace
+    after_failure: Pace
 
 
 @eqx.filter_jit
 def _linearize(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Linearization:
     return problem.linearize(variables)
+
+
+@eqx.filter_jit
+def _value(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+    return problem.value(variables)
 
 
 @jax.jit
@@ -179,24 +199,18 @@ def _propose(
     """Step to the minimum of the damped second-order model.
 
     Moment errors do not vanish at the optimum, and there the remainder of the Hessian decides how
-    fast the last digits come. Far from it the Hessian may be indefinite: then the Gauss-Newton part
-    alone is tried, which steps boldly, and after a failure the Hessian with negative curvatures
-    counted as positive (Dauphin et al. 2014, arXiv:1406.2572), which steps with care.
+    fast the last digits come. Far from it the Hessian may be indefinite: then negative curvatures are
+    counted as positive (Dauphin et al. 2014, arXiv:1406.2572).
     """
     model = state.linearization
     hessian = model.gauss_newton + model.remainder
 
-    def mirrored() -> Float[Array, "variable variable"]:
+    def mirrored() -> Float[Array, " variable"]:
         values, vectors = jnp.linalg.eigh(hessian)
-        return (vectors * jnp.abs(values)[None, :]) @ vectors.T
-
-    def definite() -> Float[Array, " variable"]:
-        failed_before = state.pace.growth > FIRST_GROWTH
-        matrix = jax.lax.cond(failed_before, mirrored, lambda: model.gauss_newton)
-        return _damped_step(state, matrix, lower, upper)
+        return _damped_step(state, (vectors * jnp.abs(values)[None, :]) @ vectors.T, lower, upper)
 
     newton = _damped_step(state, hessian, lower, upper)
-    chosen = jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, definite)
+    chosen = jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, mirrored)
     return jnp.clip(chosen, lower, upper)
 
 
@@ -251,37 +265,26 @@ def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
 
 
 @jax.jit
-def _judge(
-    state: SolverState,
-    candidate: Float[Array, " variable"],
-    fresh: Linearization,
-    lower: Float[Array, " variable"],
-    upper: Float[Array, " variable"],
-) -> tuple[SolverState, _Step]:
-    """Accept the candidate or not, and set the damping of the next step."""
-    model = state.linearization
+def _judge(state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]) -> _Step:
+    """Compare the fall of the cost with what was predicted, and set the damping of the next step."""
+    model, pace = state.linearization, state.pace
     move = candidate - state.variables
     hessian = model.gauss_newton + model.remainder
     predicted = -(2.0 * model.gradient @ move + move @ hessian @ move)
-    actual = model.cost - fresh.cost
+    actual = model.cost - cost
     ratio = actual / jnp.where(predicted > 0.0, predicted, jnp.inf)
     # At the last digits costs no longer differ, but gradients still do.
     same_cost = jnp.abs(actual) <= 1e-14 * model.cost
-    flatter = _optimality(candidate, fresh.gradient, lower, upper) < _optimality(
-        state.variables, model.gradient, lower, upper
-    )
-    accepted = jnp.isfinite(fresh.cost) & (predicted > 0.0) & ((ratio > 1e-4) | (same_cost & flatter))
+    possible = jnp.isfinite(cost) & (predicted > 0.0)
     ratio = jnp.where(same_cost, 1.0, ratio)
     # Nielsen's rule (1999, IMM-REP-1999-05): smooth in the ratio, and slower to recover after failures.
-    pace = state.pace
     eased = pace.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
-    chosen = SolverState(
-        variables=jnp.where(accepted, candidate, state.variables),
-        linearization=jax.tree.map(lambda new, old: jnp.where(accepted, new, old), fresh, model),
-        pace=Pace(
-            damping=jnp.where(accepted, jnp.maximum(eased, 1e-12), pace.damping * pace.growth),
-            growth=jnp.where(accepted, jnp.full_like(pace.growth, FIRST_GROWTH), FIRST_GROWTH * pace.growth),
-        ),
+    return _Step(
+        length=jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables)),
+        actual=actual,
+        predicted=predicted,
+        downhill=possible & ~same_cost & (ratio > 1e-4),
+        level=possible & same_cost,
+        after_success=Pace(jnp.maximum(eased, 1e-12), jnp.full_like(pace.growth, FIRST_GROWTH)),
+        after_failure=Pace(pace.damping * pace.growth, FIRST_GROWTH * pace.growth),
     )
-    length = jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables))
-    return chosen, _Step(accepted, length, actual, predicted)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -85,11 +86,29 @@ class Variables(eqx.Module):
         return sum((flat[layer] for layer in self.places[1:]), start=flat[self.places[0]])
 
     def assemble(
-        self, blocks: Float[Array, "block place place"], index: Int[Array | np.ndarray, "block place"]
+        self,
+        own: Float[Array, "muscle local local"],
+        groups: Mapping[tuple[int, ...], Float[Array, "place place"]] = MappingProxyType({}),
     ) -> Float[Array, "variable variable"]:
-        """Add up blocks of second derivatives by local entries; ``index`` says which variables they are."""
+        """Turn second derivatives by local entries into those by variables.
+
+        Parameters
+        ----------
+        own
+            Of every muscle by its own entries.
+        groups
+            Of muscles by the entries of all of them, by their numbers.
+        """
+        rows = [jnp.repeat(self.index, self.index.shape[1], axis=1).ravel()]
+        columns = [jnp.tile(self.index, (1, self.index.shape[1])).ravel()]
+        for members in groups:
+            index = self.index[np.array(members)].ravel()
+            rows.append(jnp.repeat(index, len(index)))
+            columns.append(jnp.tile(index, len(index)))
+        values = jnp.concatenate([own.ravel(), *(block.ravel() for block in groups.values())])
+        # All at once: each scatter would fill a matrix of its own first.
         total = jnp.zeros((self.count + 1, self.count + 1))
-        return total.at[index[:, :, None], index[:, None, :]].add(blocks)[:-1, :-1]
+        return total.at[jnp.concatenate(rows), jnp.concatenate(columns)].add(values)[:-1, :-1]
 
 
 def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarray, "layer variable"]:
