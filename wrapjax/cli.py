@@ -11,6 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         "--starts", type=_positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
     )
     calibrate.add_argument(
-        "--max-iterations", type=_positive, default=500, metavar="N", help="of each start (default: 500)"
+        "--max-iterations", type=_positive, metavar="N", help="of each start (default: the solver's)"
     )
     calibrate.add_argument(
         "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
@@ -136,7 +137,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import calibrate, fit, load_fit, load_subject
     from wrapjax.api.text import calibration_table, iteration_printer
-    from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM, Status
+    from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import say
 
     _refuse_existing(options.out, options.force)
@@ -149,6 +150,9 @@ def _calibrate(options: argparse.Namespace) -> int:
                 hint="go on with --resume, or begin anew with --force",
             )
         )
+    inner = {"lm": ProjectedLM, "lbfgs": BoundedLBFGS}[options.solver]()
+    if options.max_iterations:
+        inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
     if options.fit:
         paths = load_fit(options.fit, subject)
@@ -159,7 +163,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         subject,
         options.method,
         paths,
-        solver=AugmentedLagrangian(ProjectedLM(max_iterations=options.max_iterations)),
+        solver=AugmentedLagrangian(inner),
         starts=options.starts,
         seed=options.seed,
         callback=iteration_printer(quiet=options.quiet),

@@ -5,6 +5,7 @@ from wrapjax.calibrate.augmented_lagrangian import ConstrainedSolution as Constr
 from wrapjax.calibrate.augmented_lagrangian import LagrangianState as LagrangianState
 from wrapjax.calibrate.identifiability import laplace_deviation as laplace_deviation
 from wrapjax.calibrate.journal import Journal as Journal
+from wrapjax.calibrate.lbfgs import BoundedLBFGS as BoundedLBFGS
 from wrapjax.calibrate.multistart import Outcome as Outcome
 from wrapjax.calibrate.multistart import Watch as Watch
 from wrapjax.calibrate.multistart import best as best
