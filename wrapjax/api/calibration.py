@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import equinox as eqx
@@ -42,6 +42,8 @@ class Calibration:
     subject: Subject
     fit: Fit
     result: CalibrationResult
+    #: Where the work is kept until it is saved.
+    journal: Journal | None = None
 
     @property
     def status(self) -> Status:
@@ -53,6 +55,8 @@ class Calibration:
         from wrapjax.report.run_folder import write_run
 
         write_run(self.subject, self.result, Path(folder), force=force)
+        if self.journal is not None:
+            self.journal.close()
 
 
 def calibrate(
@@ -94,7 +98,8 @@ def calibrate(
     curves
         Hill curves: ``paper`` (as published) or ``opensim`` (the later refit).
     journal
-        Folder in which to keep where the work stands, so that it can be resumed; removed at the end.
+        Folder in which to keep where the work stands, so that it can be resumed; removed when the
+        result is saved.
     resume
         Go on with the journal's work instead of beginning anew.
 
@@ -120,9 +125,7 @@ def calibrate(
         problems, starting_points(problems[0], first, starts, seed), solver, callback, book
     )
     result = _result(subject, fitted, freedom, problems[-1], outcomes, solver, curves, compiled)
-    if book is not None and result.solution.status is not Status.interrupted:
-        book.close()
-    return Calibration(subject, fitted, result)
+    return Calibration(subject, fitted, result, book)
 
 
 def _result(
@@ -196,6 +199,6 @@ def _question(
         repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
         repr((subject.activation_groups, subject.fiber_length_groups)),
         repr(freedom),
-        repr(asdict(solver)),
+        repr(solver),
         repr((curves, starts, seed)),
     )
