@@ -17,4 +17,4 @@ def paths(person):
 
 @pytest.fixture(scope="session")
 def calibrated(person, paths):
-    return calibrate(person, "NGA", paths)
+    return calibrate(person, "NGA", paths, starts=1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.model.small import small_objective
+from tests.report.endings import ended
 from wrapjax.calibrate import (
     AugmentedLagrangian,
     CalibrationResult,
@@ -180,9 +181,8 @@ def without_validation(result) -> CalibrationResult:
 def not_finite(result) -> CalibrationResult:
     """What a solver returns that could not even start."""
     failed = Iteration(0, float("nan"), float("nan"), 1e-3, 0.0, 0, 0.0)
-    broken = replace(result.solution, status=Status.not_finite, history=(failed,), cost=float("nan"))
     return replace(
-        result,
+        ended(result, status=Status.not_finite, history=(failed,), cost=float("nan")),
         modelled=np.full_like(result.modelled, np.nan),
         states=MuscleState(
             result.states.excitation,
@@ -192,7 +192,6 @@ def not_finite(result) -> CalibrationResult:
             result.states.moment,
         ),
         cost_by_term={"joint_moment": float("nan"), "prior": 0.5},
-        outcomes=(replace(result.outcomes[0], solution=broken),),
     )
 
 

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from tests.report.endings import ended
 from wrapjax.calibrate import Status
 from wrapjax.model import Freedom
 from wrapjax.report.html import render_report, verdict
@@ -115,7 +116,7 @@ def test_the_verdict_gives_errors_and_bounds_in_words(result, subject):
 
 
 def test_the_verdict_does_not_call_an_unfinished_run_converged(subject, result):
-    stopped = replace(result, solution=replace(result.solution, status=Status.iterations), at_bounds=())
+    stopped = replace(ended(result, status=Status.iterations), at_bounds=())
     text = Page(_render(subject, stopped)).text
     assert "did not converge" in text and "limit on iterations" in text
     assert "The calibration converged" not in text

@@ -30,7 +30,7 @@ class Gram(eqx.Module):
     #: Of every muscle with itself.
     own: Float[Array, "muscle local local"]
     #: Of the members of each group with one another: their numbers, and one block each.
-    groups: tuple[tuple[tuple[int, ...], Float[Array, "place place"]], ...] = ()
+    groups: tuple[tuple[tuple[int, ...], Float[Array, "_ _"]], ...] = ()
 
 
 class AbstractPenalty(eqx.Module):

@@ -88,7 +88,7 @@ class Variables(eqx.Module):
     def assemble(
         self,
         own: Float[Array, "muscle local local"],
-        groups: Mapping[tuple[int, ...], Float[Array, "place place"]] = MappingProxyType({}),
+        groups: Mapping[tuple[int, ...], Float[Array, "_ _"]] = MappingProxyType({}),
     ) -> Float[Array, "variable variable"]:
         """Turn second derivatives by local entries into those by variables.
 
