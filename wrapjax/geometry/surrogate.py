@@ -81,6 +81,25 @@ class PathSurrogate(eqx.Module):
         picked = {field: getattr(self, field)[rows] for field in fields}
         return replace(self, muscles=tuple(names), **picked)
 
+    def term_names(self) -> tuple[tuple[str, ...], ...]:
+        """Name the terms in use of each muscle: ``hip_flexion_l^2*knee_angle_l``, the constant ``1``.
+
+        A coordinate stands for its scaled value, ``(q - center) / half_range``.
+        """
+
+        def factor(name: str, power: int) -> str:
+            return name if power == 1 else f"{name}^{power}"
+
+        names = []
+        for spans, exponents, used in zip(self.spans, self.exponents, self.used, strict=True):
+            slots = [self.coordinates[coordinate] for coordinate in np.asarray(spans)]
+            rows = np.asarray(exponents)[np.asarray(used)].tolist()
+            products = (
+                [factor(name, power) for name, power in zip(slots, row, strict=True) if power] for row in rows
+            )
+            names.append(tuple("*".join(product) or "1" for product in products))
+        return tuple(names)
+
     def along_modes(
         self,
         angles: Float[Array, "trial coordinate frame"],

@@ -59,6 +59,11 @@ class FreedPaths:
     free: Bool[np.ndarray, "muscle mode"]
     prior_sd: float
 
+    @property
+    def muscles(self) -> Bool[np.ndarray, " muscle"]:
+        """Whether a muscle has any free mode."""
+        return np.asarray(self.free.any(axis=1))
+
 
 @dataclass(frozen=True)
 class Freedom:

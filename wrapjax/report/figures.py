@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
 from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.limits import pushing_muscles
 from wrapjax.report.style import (
     BAND_ALPHA,
     BLACK,
@@ -14,6 +15,7 @@ from wrapjax.report.style import (
     GRAY,
     GROUP_COLORS,
     LIGHT_GRAY,
+    VERMILION,
     Axes,
     Figure,
     in_style,
@@ -21,8 +23,6 @@ from wrapjax.report.style import (
     panel_grid,
 )
 
-#: Where normalised fiber lengths are expected; the lab's constrained calibrations hold them there.
-FIBER_LENGTH_LIMITS = (0.3, 1.3)
 #: Inches; fills the page at 96 pixels an inch.
 PAGE_WIDTH = 11.0
 
@@ -47,8 +47,8 @@ def moment_figure(result: CalibrationResult) -> Figure:
         group = groups[column]
         measured, modelled = result.measured[group.keep, row], result.modelled[group.keep, row]
         panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
-        _draw_spread(panel, measured, BLACK, "measured")
-        _draw_spread(panel, modelled, BLUE, "modelled")
+        draw_spread(panel, measured, BLACK, "measured")
+        draw_spread(panel, modelled, BLUE, "modelled")
         error = np.abs(modelled - measured).mean()
         panel.set_title(f"{result.coordinates[row]}: error {error:.1f} N m", loc="left", parse_math=False)
         if not wrapped and row == 0:
@@ -64,7 +64,7 @@ def moment_figure(result: CalibrationResult) -> Figure:
             panel.set_ylabel("moment (N m)")
         if number >= count - columns:
             panel.set_xlabel("gait cycle (%)")
-        _mark_gait_cycle(panel, step=20)
+        mark_gait_cycle(panel, step=20)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure
 
@@ -89,7 +89,7 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
     for row, panel in enumerate(panels):
         for group, color in zip(groups, GROUP_COLORS, strict=False):
             curves = np.asarray(result.states.activation[row, group.keep])
-            _draw_spread(panel, curves, color, group.label)
+            draw_spread(panel, curves, color, group.label)
             highest = max(highest, float(np.nanmax(spread(curves).high, initial=0.0)))
         muscle = result.muscles[row]
         panel.set_title(muscle, loc="left", pad=10, parse_math=False)
@@ -106,7 +106,7 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
             panel.set_ylabel("activation")
         if row >= len(panels) - columns:
             panel.set_xlabel("gait cycle (%)")
-        _mark_gait_cycle(panel, step=50)
+        mark_gait_cycle(panel, step=50)
     panels[0].set_ylim((0, min(1.0, 1.05 * highest) or 1.0))
     if len(groups) > 1:
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(groups))
@@ -119,8 +119,8 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
     muscles = result.muscles
     figure = new_figure(PAGE_WIDTH, 0.2 * len(muscles) + 1.2)
     panel = figure.subplots()
-    panel.axvspan(*FIBER_LENGTH_LIMITS, color="#F1F6FA", zorder=0)
-    for limit in FIBER_LENGTH_LIMITS:
+    panel.axvspan(*FIBER_LENGTH_RANGE, color="#F1F6FA", zorder=0)
+    for limit in FIBER_LENGTH_RANGE:
         panel.axvline(limit, color=GRAY, linewidth=0.8, zorder=1)
     panel.axvline(1.0, color=GRAY, linewidth=0.8, linestyle="--", zorder=1)
     rows = np.arange(len(muscles))
@@ -133,6 +133,9 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
         panel.plot(
             lengths.mean(axis=1), rows + shift, "o", color=color, markersize=4.2, label=label, zorder=3
         )
+    for name, place in zip(("shortest_fiber", "longest_fiber"), FIBER_LENGTH_RANGE, strict=True):
+        pushing = [muscles.index(muscle) for muscle in pushing_muscles(result).get(name, ())]
+        panel.plot(np.full(len(pushing), place), pushing, "D", color=VERMILION, markersize=4.5, zorder=4)
     panel.set_yticks(rows, muscles, parse_math=False)
     panel.set_ylim(len(muscles) - 0.4, -0.6)
     panel.set_xlim(left=min(0.2, panel.get_xlim()[0]), right=max(1.4, panel.get_xlim()[1]))
@@ -142,7 +145,7 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
     return figure
 
 
-def _mark_gait_cycle(panel: Axes, step: int) -> None:
+def mark_gait_cycle(panel: Axes, step: int) -> None:
     """Mark 0 to 100 %; the outer labels stay inside, or those of neighbors meet."""
     panel.set_xlim(0, 100)
     panel.set_xticks(range(0, 101, step))
@@ -151,7 +154,7 @@ def _mark_gait_cycle(panel: Axes, step: int) -> None:
     ticks[-1].label1.set_horizontalalignment("right")
 
 
-def _draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
+def draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
     """Draw the mean over cycles and a band of one standard deviation."""
     shape = spread(curves)
     percent = np.linspace(0.0, 100.0, len(shape.mean))

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
 from wrapjax.model import QUANTITIES
 from wrapjax.report import markup
-from wrapjax.report.figures import FIBER_LENGTH_LIMITS, activation_figure, fiber_length_figure, moment_figure
+from wrapjax.report.figures import activation_figure, fiber_length_figure, moment_figure
+from wrapjax.report.limits import pushing_muscles
 from wrapjax.report.parameter_figures import bounds_figure, cost_figure, history_figure
+from wrapjax.report.path_section import path_section
+from wrapjax.report.starts import starts_section
 from wrapjax.report.style import Figure, to_svg
 from wrapjax.report.summary import USES
 from wrapjax.subject import Subject
@@ -51,7 +54,9 @@ def render_report(
             _moments(result, summary),
             _activations(subject, result),
             _fiber_lengths(result),
+            path_section(result),
             _parameters(result),
+            starts_section(result),
             _solver(result, summary),
             _notes(subject, result, settings),
         ],
@@ -177,7 +182,7 @@ def _activations(subject: Subject, result: CalibrationResult) -> str:
 
 
 def _fiber_lengths(result: CalibrationResult) -> str:
-    low, high = FIBER_LENGTH_LIMITS
+    low, high = FIBER_LENGTH_RANGE
     lengths = np.asarray(result.states.fiber.normalized_length)
     beyond = [
         muscle
@@ -256,16 +261,22 @@ def _solver(result: CalibrationResult, summary: dict[str, Any]) -> str:
     return markup.section(
         "Solver",
         markup.paragraph(
-            f"{_count(summary['iterations'], 'iteration')} in {seconds['solve']:.1f} s, after "
-            f"{seconds['compile']:.1f} s of compiling; {summary['n_variables']} variables, "
-            f"{summary['n_residuals']} moment residuals, one start. {summary['message']}"
+            f"{_count(summary['starts'], 'start')} in {seconds['solve']:.1f} s, after "
+            f"{seconds['compile']:.1f} s of "
+            f"compiling; {_count(summary['iterations'], 'iteration')} in the one taken; "
+            f"{summary['n_variables']} "
+            f"variables, {summary['n_residuals']} moment residuals. {summary['message']}"
         ),
+        *map(markup.paragraph, _limits(result, summary)),
         _drawn(
             history_figure(result),
             f"Cost and optimality by iteration. The cost falls from {_number(costs[0])} to "
             f"{_number(costs[-1])}; optimality ends at {result.solution.history[-1].optimality:.2g}.",
             "The cost that is minimised, and optimality (the largest move that steepest descent within the "
-            "bounds would still make, in solver units), by iteration. Both scales are logarithmic.",
+            "bounds would still make, in solver units), by iteration. Both scales are logarithmic. "
+            "Where paths "
+            "may change, the first iterations hold them; the cost jumps where hard limits come in or are met "
+            "more strictly.",
         ),
         _drawn(
             cost_figure(result),
@@ -275,6 +286,18 @@ def _solver(result: CalibrationResult, summary: dict[str, Any]) -> str:
             "error as large as allowed.",
         ),
     )
+
+
+def _limits(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
+    muscles = pushing_muscles(result)
+    if not muscles:
+        return []
+    pushing = [f"{name.replace('_', ' ')}: {', '.join(own)}" for name, own in muscles.items() if own]
+    return [
+        f"Hard limits on fiber lengths and on the sign of moment arms are violated by at most "
+        f"{summary['max_constraint_violation']:.1g} (normalised fiber length, or cm). "
+        + (f"These push against one: {'; '.join(pushing)}." if pushing else "Nothing pushes against one.")
+    ]
 
 
 def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]) -> str:

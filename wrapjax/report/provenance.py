@@ -40,7 +40,8 @@ def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, 
         },
         "method": result.method,
         "curves": result.curves,
-        "solver": asdict(result.solver),
+        "solver": asdict(result.solver) | {"method": type(result.solver.inner).__name__},
+        "starts": [outcome.seed for outcome in result.outcomes],
         "coordinates": result.coordinates,
         "channels": {
             channel: [name for name, driver in driven if driver == place]
@@ -66,6 +67,17 @@ def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, 
                 "prior_sd": parameter.prior_sd,
             }
             for parameter in result.freedom.parameters
+        },
+        "freed_paths": None
+        if result.freedom.paths is None
+        else {
+            "muscles": [
+                muscle
+                for muscle, free in zip(result.muscles, result.freedom.paths.muscles, strict=True)
+                if free
+            ],
+            "coefficients": int(result.freedom.paths.free.sum()),
+            "allowable_change": result.freedom.paths.prior_sd,
         },
         "versions": package_versions(),
         "platform": platform.platform(),

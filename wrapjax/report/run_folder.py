@@ -8,6 +8,7 @@ from wrapjax.calibrate import CalibrationResult
 from wrapjax.files import new_folder, write_json, write_text
 from wrapjax.report.html import render_report
 from wrapjax.report.provenance import describe_settings
+from wrapjax.report.starts import starts_csv
 from wrapjax.report.summary import file_stems, summarize
 from wrapjax.report.tables import curve_tables, parameters_csv
 from wrapjax.subject import Subject, write_storage
@@ -36,6 +37,7 @@ def write_run(subject: Subject, result: CalibrationResult, folder: Path, *, forc
         write_json(run / "summary.json", summary)
         write_json(run / "settings.json", settings)
         write_text(run / "parameters.csv", parameters_csv(result))
+        write_text(run / "starts.csv", starts_csv(result))
         for trial, stem in enumerate(file_stems(result.trials).values()):
             for kind, table in curve_tables(result, trial).items():
                 write_storage(run / kind / f"{stem}.sto", table)

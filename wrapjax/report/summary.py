@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.evaluate import MomentErrors, moment_errors, pooled_mae
+from wrapjax.report.limits import describe_limits
+from wrapjax.report.starts import describe_starts
 from wrapjax.subject import Subject
 
 #: Version of the layout of ``summary.json``.
@@ -60,6 +62,8 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
         },
         "geometry_change": geometry_change(result),
         "at_bounds": list(result.at_bounds),
+        "limits": describe_limits(result),
+        "start_costs": describe_starts(result),
         "cost": solution.cost,
         "cost_by_term": dict(result.cost_by_term),
     }

@@ -17,7 +17,10 @@ PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "up
 
 
 def parameters_csv(result: CalibrationResult) -> str:
-    """Write every parameter of every muscle, SI units and all digits; bounds only where it was free."""
+    """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
+
+    Of paths that were free, every coefficient follows (``PathSurrogate.term_names``); none has bounds.
+    """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -29,6 +32,12 @@ def parameters_csv(result: CalibrationResult) -> str:
             if name in freed:
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
+    if result.freedom.paths is not None:
+        free = result.freedom.paths.muscles
+        for row, (muscle, terms) in enumerate(zip(result.muscles, result.paths.term_names(), strict=True)):
+            for term, value in zip(terms, result.path_coefficients[row].tolist(), strict=False):
+                if free[row]:
+                    writer.writerow((muscle, "term", term, value, "m", "", ""))
     return text.getvalue()
 
 
