@@ -95,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with an interrupted calibration of the same RUN"
     )
 
-    demo = command("demo", _demo, "Calibrate a virtual subject whose truth is known.", writing)
+    demo = command("demo", _demo, "Calibrate a virtual subject of known truth by every method.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
     return parser
 
@@ -199,11 +199,12 @@ def _demo(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(_stored(options.out / "demo.json"))
     else:
-        print(calibration_table(shown.calibration))
-        print()
+        for calibration in shown.calibrations.values():
+            print(calibration_table(calibration))
+            print()
         print(recovery_table(shown))
-        print(f"\nwritten to {options.out}; open {options.out / 'NGA' / 'report.html'} in a browser")
-    return DONE if shown.calibration.status.converged else NOT_CONVERGED
+        print(f"\nwritten to {options.out}; open {options.out / 'SGA' / 'report.html'} in a browser")
+    return DONE if shown.converged else NOT_CONVERGED
 
 
 def _refuse_existing(folder: Path, force: bool) -> None:
