@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
 
-GROUPS = ("kernels", "compile", "solve", "surrogate")
+GROUPS = ("kernels", "compile", "solve", "paths", "surrogate")
 
 
 def main() -> int:
@@ -68,17 +68,19 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
     import wrapjax
     from benchmarks import calibration, surrogate
     from benchmarks.case import nga_case
+    from benchmarks.paths import path_methods
     from wrapjax.progress import say
 
     subject = wrapjax.load_subject(folder)
     limit = min(options.limit, 15.0) if options.quick else options.limit
     muscles = options.muscles or surrogate.default_muscles(subject)
     metrics = []
-    case = nga_case(subject) if set(options.only) - {"surrogate"} else None
+    case = nga_case(subject) if set(options.only) - {"paths", "surrogate"} else None
     runs = {
         "kernels": lambda: calibration.kernels(case, quick=options.quick),
         "compile": lambda: calibration.compilation(case),
         "solve": lambda: calibration.solves(case, quick=options.quick, limit=limit),
+        "paths": lambda: path_methods(subject, wrapjax.fit(subject), quick=options.quick),
         "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
     }
     for name in GROUPS:

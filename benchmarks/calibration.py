@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.case import Case, moment_residuals, total_cost
@@ -19,7 +20,9 @@ from benchmarks.metric import Metric
 from benchmarks.peers import PEERS
 from benchmarks.race import Run
 from benchmarks.timing import median_seconds
-from wrapjax.calibrate import ProjectedLM
+from wrapjax.calibrate import Pace, ProjectedLM
+from wrapjax.calibrate.projected_lm import propose_step
+from wrapjax.calibrate.solution import SolverState
 from wrapjax.model import joint_moments
 
 #: A peer has arrived when its cost is this close to ours, relatively. The problem has several minima
@@ -38,12 +41,15 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
     linearize = case.compiled(lambda problem, x: problem.linearize(x))
     by_muscle = case.compiled(lambda problem, x: problem.moment_jacobian(x))
     plain = case.compiled(jax.jacfwd(moment_residuals, argnums=1))
+    state = SolverState(point, linearize(point), Pace(jnp.asarray(1e-4), jnp.asarray(2.0)))
+    bounds = jnp.asarray(case.problem.lower), jnp.asarray(case.problem.upper)
     seconds = median_seconds(
         {
             "forward_model": lambda: forward(point),
             "cost": lambda: cost(point),
             "gradient": lambda: gradient(point),
             "linearization": lambda: linearize(point),
+            "step": lambda: propose_step(state, *bounds),
             "jacobian_by_muscle": lambda: by_muscle(point),
             "jacobian_plain": lambda: plain(point),
         },
@@ -54,6 +60,7 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
         "cost": "all terms",
         "gradient": "jax.grad of the cost",
         "linearization": "cost, gradient and exact Hessian of all terms",
+        "step": "to the minimum of the damped quadratic model within bounds",
         "jacobian_by_muscle": "of the moment residuals",
         "jacobian_plain": "the same by jax.jacfwd",
     }

@@ -95,6 +95,29 @@ def _lbfgsb(name: str, case: Case, limit: float, evaluate: Callable[[Any], Any],
     return race(name, limit, optimize)
 
 
+def slsqp_differences(case: Case, limit: float) -> Run:
+    """SciPy's SLSQP with 2-point differences of the jitted cost: the SQP of MATLAB tools."""
+    cost = case.compiled(total_cost)
+    jax.block_until_ready(cost(case.start))
+
+    def optimize(watch: Watch) -> str:
+        def function(x):
+            value = float(cost(x))
+            watch.see(x, value)
+            return value
+
+        found = minimize(
+            function,
+            np.asarray(case.start),
+            method="SLSQP",
+            bounds=Bounds(case.problem.lower, case.problem.upper),
+            options={"maxiter": _MANY, "ftol": 1e-13},
+        )
+        return found.message
+
+    return race("scipy_slsqp_differences", limit, optimize)
+
+
 def jaxopt_lbfgsb(case: Case, limit: float) -> Run:
     """Run jaxopt's bounded L-BFGS, one jitted step at a time."""
     with warnings.catch_warnings():
@@ -171,6 +194,7 @@ PEERS: dict[str, Callable[[Case, float], Run]] = {
     "scipy_trf_differences": trf_differences,
     "scipy_lbfgsb_gradient": lbfgsb_gradient,
     "scipy_lbfgsb_differences": lbfgsb_differences,
+    "scipy_slsqp_differences": slsqp_differences,
     "jaxopt_lbfgsb": jaxopt_lbfgsb,
     "optimistix_lm_sigmoid": optimistix_lm,
 }

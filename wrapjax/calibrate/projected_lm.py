@@ -146,7 +146,7 @@ class ProjectedLM(AbstractBoundedSolver):
     def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step, bool]:
         """Try a step; give the state after it, what it was, and whether it was taken."""
         lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
-        candidate = _propose(state, lower, upper)
+        candidate = propose_step(state, lower, upper)
         # Derivatives take many times as long as the cost, and a step that fails needs none.
         step = _judge(state, candidate, _value(problem, candidate))
         if step.downhill or step.level:
@@ -193,7 +193,7 @@ def _optimality(
 
 
 @eqx.filter_jit
-def _propose(
+def propose_step(
     state: SolverState, lower: Float[Array, " variable"], upper: Float[Array, " variable"]
 ) -> Float[Array, " variable"]:
     """Step to the minimum of the damped second-order model.
