@@ -23,9 +23,6 @@ TARGETS = {
     "SGA": {"calibration": 0.35, "validation": 0.24},
     "LSGA": {"calibration": 0.27, "validation": 0.18},
 }
-    "SGA": {"calibration": 0.35, "validation": 0.24},
-    "LSGA": {"calibration": 0.27, "validation": 0.18},
-}
 
 
 def path_methods(subject: Subject, fit: Fit, *, quick: bool = False) -> list[Metric]:

@@ -21,7 +21,7 @@ from wrapjax.calibrate import (
 )
 from wrapjax.calibrate.problem import Linearization
 from wrapjax.geometry import PathState, PathSurrogate, fit_surrogate
-from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState
+from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState, free_variables
 from wrapjax.muscle import FiberState
 from wrapjax.subject import MuscleParameters, Subject, Trials
 
@@ -89,6 +89,16 @@ def _freed(name: str, lower: list[float], upper: list[float]) -> FreedParameter:
     return FreedParameter(name, np.array(lower), np.array(upper), ones, 0.5 * ones, np.inf * ones)
 
 
+def _freedom() -> Freedom:
+    return Freedom(
+        "NGA",
+        (
+            _freed("emg_scale", [0.05, 0.05], [1.0, 1.0]),
+            _freed("optimal_fiber_length", [0.06, 0.03], [0.14, 0.07]),
+        ),
+    )
+
+
 def _solution() -> ConstrainedSolution:
     history = tuple(
         Iteration(number, cost, optimality, 1e-3, 0.1, 1, 0.25 * number)
@@ -97,7 +107,8 @@ def _solution() -> ConstrainedSolution:
     square = jnp.eye(4)
     variables = np.array([0.05, 0.06, 0.4, 0.07])
     pace = Pace(jnp.array(1e-6), jnp.array(2.0))
-    problem = small_objective()
+    # Only where the variables belong matters here, not what their cost is.
+    problem = replace(small_objective(), variables=free_variables(_parameters(), _freedom(), MUSCLES))
     return ConstrainedSolution(
         variables=variables,
         cost=9.0,
@@ -141,13 +152,7 @@ def result() -> CalibrationResult:
         initial=_parameters(),
         # A third has no short decimal form: digits must survive the way to a file and back.
         parameters=_parameters(emg_scale=[0.05, 1.0 / 3.0], optimal_fiber_length=[0.11, 0.07]),
-        freedom=Freedom(
-            "NGA",
-            (
-                _freed("emg_scale", [0.05, 0.05], [1.0, 1.0]),
-                _freed("optimal_fiber_length", [0.06, 0.03], [0.14, 0.07]),
-            ),
-        ),
+        freedom=_freedom(),
         at_bounds=("iliacus_l.emg_scale", "soleus_l.optimal_fiber_length"),
         labels=(
             "iliacus_l.emg_scale",

@@ -16,7 +16,7 @@ from wrapjax.subject import read_storage
 
 @pytest.fixture
 def run(subject, result, tmp_path):
-    write_run(subject, result, tmp_path / "run")
+    write_run([(subject, result)], tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -30,7 +30,7 @@ def test_the_folder_holds_what_was_promised_and_nothing_else(run):
         for kind in ("activations", "moments", "muscle_forces")
         for trial in ("fast", "slow", "walk_02")
     ]
-    whole = ["parameters.csv", "report.html", "settings.json", "summary.json"]
+    whole = ["parameters.csv", "report.html", "settings.json", "starts.csv", "summary.json"]
     assert _files(run) == sorted(curves + whole)
     assert [path.name for path in run.parent.iterdir()] == ["run"]
 
@@ -108,7 +108,7 @@ def test_an_existing_folder_is_refused_and_left_alone(subject, result, tmp_path)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mine.txt").write_text("precious")
     with pytest.raises(InputError, match="--force"):
-        write_run(subject, result, tmp_path / "run")
+        write_run([(subject, result)], tmp_path / "run")
     assert _files(tmp_path) == ["run/mine.txt"]
     assert (tmp_path / "run" / "mine.txt").read_text() == "precious"
 
@@ -116,7 +116,7 @@ def test_an_existing_folder_is_refused_and_left_alone(subject, result, tmp_path)
 def test_force_replaces_a_folder_whole(subject, result, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "old.txt").write_text("old")
-    write_run(subject, result, tmp_path / "run", force=True)
+    write_run([(subject, result)], tmp_path / "run", force=True)
     assert "old.txt" not in _files(tmp_path / "run")
     assert (tmp_path / "run" / "summary.json").is_file()
 
@@ -134,14 +134,14 @@ def test_failing_half_way_leaves_nothing_and_takes_nothing(
         (tmp_path / "run" / "old.txt").write_text("old")
     monkeypatch.setattr(run_folder, writer, fail)
     with pytest.raises(OSError, match="disk full"):
-        write_run(subject, result, tmp_path / "run", force=force)
+        write_run([(subject, result)], tmp_path / "run", force=force)
     assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == (
         ["run", "run/old.txt"] if force else []
     )
 
 
 def test_a_run_that_could_not_start_can_still_be_looked_into(subject, not_finite, tmp_path):
-    write_run(subject, not_finite, tmp_path / "run")
+    write_run([(subject, not_finite)], tmp_path / "run")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["cost"] is None
     text = (tmp_path / "run" / "moments" / "slow.sto").read_text()
     assert math.isnan(float(text.splitlines()[-1].split("\t")[1]))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import starmap
 from pathlib import Path
 
 import equinox as eqx
@@ -16,6 +17,7 @@ from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.preparation import method_freedom, modes_of, stages
 from wrapjax.calibrate import (
+    AbstractCalibration,
     AugmentedLagrangian,
     CalibrationResult,
     Journal,
@@ -24,12 +26,15 @@ from wrapjax.calibrate import (
     Status,
     Watch,
     best,
+    join_legs,
+    solution_of_leg,
     solve_from_starts,
     starting_points,
 )
+from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash
 from wrapjax.model import Freedom, muscle_states
-from wrapjax.subject import Subject
+from wrapjax.subject import Subject, read_subject
 
 #: Starts of a calibration that does not ask for another number.
 STARTS = 4
@@ -37,11 +42,13 @@ STARTS = 4
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration of a subject."""
+    """A finished calibration of a leg."""
 
     subject: Subject
     fit: Fit
     result: CalibrationResult
+    #: The person's other leg, where both were calibrated together.
+    other_leg: Calibration | None = None
     #: Where the work is kept until it is saved.
     journal: Journal | None = None
 
@@ -51,10 +58,11 @@ class Calibration:
         return self.result.solution.status
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write the run's folder: summary, parameters, curves and report."""
+        """Write the run's folder: summary, parameters, curves and report; ``other_leg/`` within it."""
         from wrapjax.report.run_folder import write_run
 
-        write_run(self.subject, self.result, Path(folder), force=force)
+        legs = [self] if self.other_leg is None else [self, self.other_leg]
+        write_run([(leg.subject, leg.result) for leg in legs], Path(folder), force=force)
         if self.journal is not None:
             self.journal.close()
 
@@ -74,6 +82,9 @@ def calibrate(
     resume: bool = False,
 ) -> Calibration:
     """Calibrate a subject's model on its trials marked ``calibration``.
+
+    Where the subject names its ``other_leg``, both legs are calibrated together: they share activation
+    constants and the ratios of fiber and slack lengths to the model's.
 
     Parameters
     ----------
@@ -108,37 +119,75 @@ def calibrate(
     Calibration
         Whether it converged is in ``status``; a fit that did not is returned, not raised.
     """
-    fitted = fit_paths(subject) if fit is None else fit
     solver = solver or AugmentedLagrangian()
-    problems = stages(subject, method, fitted, freedom, curves=curves)
-    freedom = freedom or method_freedom(method, subject, fitted)
+    legs = _legs(subject, fit, method, freedom)
+    by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves) for leg in legs]
+    problems: tuple[AbstractCalibration, ...] = by_leg[0]
+    if len(legs) == 2:
+        problems = tuple(starmap(join_legs, zip(*by_leg, strict=True)))
     book = None
     if journal is not None:
-        question = _question(subject, fitted, freedom, curves, solver, starts, seed)
+        question = content_hash(*map(_question, legs), repr((solver, curves, starts, seed)))
         book = Journal.open(journal, question, resume=resume)
-    first = np.asarray(problems[0].start(problems[0].variables.base))
+    first = np.asarray(problems[0].start(problems[0].initial))
     began = time.perf_counter()
     for problem in problems:
-        solver.compile(problem, problem.start(problem.variables.base))
+        solver.compile(problem, problem.start(problem.initial))
     compiled = time.perf_counter() - began
     outcomes = solve_from_starts(
         problems, starting_points(problems[0], first, starts, seed), solver, callback, book
     )
-    result = _result(subject, fitted, freedom, problems[-1], outcomes, solver, curves, compiled)
-    return Calibration(subject, fitted, result, book)
+    finished = []
+    for number, leg in enumerate(legs):
+        own = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
+        result = _result(leg, by_leg[number][-1], own, best(outcomes), solver, curves, compiled)
+        finished.append(Calibration(leg.subject, leg.fit, result))
+    return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, journal=book)
+
+
+@dataclass(frozen=True)
+class _Leg:
+    subject: Subject
+    fit: Fit
+    freedom: Freedom
+
+
+def _legs(subject: Subject, fit: Fit | None, method: str, freedom: Freedom | None) -> list[_Leg]:
+    """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
+    fitted = fit_paths(subject) if fit is None else fit
+    legs = [_Leg(subject, fitted, freedom or method_freedom(method, subject, fitted))]
+    if subject.other_leg is None:
+        return legs
+    if freedom is not None:
+        raise ValueError("a freedom of one's own is for one leg: leave other_leg out of subject.toml")
+    other = read_subject(subject.other_leg)
+    if other.side == subject.side:
+        raise InputError(
+            Problem(
+                str(subject.folder / "subject.toml"),
+                f"{subject.other_leg} is of the same side ('{other.side}')",
+                place="[subject] other_leg",
+            )
+        )
+    other_fit = fit_paths(other)
+    return [*legs, _Leg(other, other_fit, method_freedom(method, other, other_fit))]
+
+
+def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:
+    cut = [(outcome, solution_of_leg(outcome.solution, leg)) for outcome in outcomes]
+    return tuple(replace(outcome, solution=solution) for outcome, solution in cut)
 
 
 def _result(
-    subject: Subject,
-    fit: Fit,
-    freedom: Freedom,
+    leg: _Leg,
     problem: Objective,
     outcomes: tuple[Outcome, ...],
+    chosen: int,
     solver: AugmentedLagrangian,
     curves: str,
     compile_seconds: float,
 ) -> CalibrationResult:
-    chosen = best(outcomes)
+    subject, fit, freedom = leg.subject, leg.fit, leg.freedom
     solution = outcomes[chosen].solution
     parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
@@ -178,27 +227,17 @@ def _result(
     )
 
 
-def _question(
-    subject: Subject,
-    fit: Fit,
-    freedom: Freedom,
-    curves: str,
-    solver: AugmentedLagrangian,
-    starts: int,
-    seed: int,
-) -> str:
-    """Name a calibration by all that decides where it goes."""
-    trials = subject.trials
+def _question(leg: _Leg) -> str:
+    """Name a leg's part in a calibration by all that decides where it goes."""
+    subject, trials = leg.subject, leg.subject.trials
     return content_hash(
         subject.model_file,
-        fit.key,
+        leg.fit.key,
         repr(subject.muscles),
         trials.moments,
         trials.emg,
         trials.angles,
         repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
         repr((subject.activation_groups, subject.fiber_length_groups)),
-        repr(freedom),
-        repr(solver),
-        repr((curves, starts, seed)),
+        repr(leg.freedom),
     )

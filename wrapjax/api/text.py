@@ -65,9 +65,10 @@ def calibration_table(calibration: Calibration) -> str:
             if pooled:
                 columns[f"{use} {label}"] = pooled
     width = max(len(name) for name in (*result.coordinates, "coordinate"))
+    count = len(result.outcomes)
     lines = [
         f"{result.method} of {calibration.subject.name}: {calibration.status.value}",
-        f"{len(result.outcomes)} starts in {result.solve_seconds:.2f} s (compiling "
+        f"{count} start{'s' if count > 1 else ''} in {result.solve_seconds:.2f} s (compiling "
         f"{result.compile_seconds:.1f} s); the best took {result.solution.iterations} iterations, "
         f"cost {result.solution.cost:.6g}, "
         f"{len(result.at_bounds)} of {len(result.solution.variables)} variables at a bound",

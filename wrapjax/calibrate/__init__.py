@@ -6,6 +6,8 @@ from wrapjax.calibrate.augmented_lagrangian import LagrangianState as Lagrangian
 from wrapjax.calibrate.identifiability import laplace_deviation as laplace_deviation
 from wrapjax.calibrate.journal import Journal as Journal
 from wrapjax.calibrate.lbfgs import BoundedLBFGS as BoundedLBFGS
+from wrapjax.calibrate.legs import join_legs as join_legs
+from wrapjax.calibrate.legs import solution_of_leg as solution_of_leg
 from wrapjax.calibrate.multistart import Outcome as Outcome
 from wrapjax.calibrate.multistart import Watch as Watch
 from wrapjax.calibrate.multistart import best as best
@@ -17,6 +19,7 @@ from wrapjax.calibrate.path_restraints import PATH_CHANGE as PATH_CHANGE
 from wrapjax.calibrate.path_restraints import path_limits as path_limits
 from wrapjax.calibrate.path_restraints import path_modes as path_modes
 from wrapjax.calibrate.penalties import pipeline_penalties as pipeline_penalties
+from wrapjax.calibrate.problem import AbstractCalibration as AbstractCalibration
 from wrapjax.calibrate.projected_lm import ProjectedLM as ProjectedLM
 from wrapjax.calibrate.result import CalibrationResult as CalibrationResult
 from wrapjax.calibrate.solution import Iteration as Iteration

@@ -50,6 +50,11 @@ class Objective(AbstractCalibration):
         """Take others in their place."""
         return replace(self, limits=limits)
 
+    @property
+    def initial(self) -> ModelParameters:
+        """Parameter tree before calibration."""
+        return self.variables.base
+
     def parameters(self, variables: Float[Array, " variable"]) -> ModelParameters:
         """Put variables into the parameter tree."""
         return self.variables.unpack(variables)

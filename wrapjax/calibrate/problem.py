@@ -62,6 +62,11 @@ class AbstractCalibration(AbstractLeastSquares):
     def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
         """Give how far each limited value is above its bound, by limit; negative: below."""
 
+    @property
+    @abstractmethod
+    def initial(self) -> Any:
+        """Parameter tree, or trees, before calibration."""
+
     @abstractmethod
     def parameters(self, variables: Float[Array, " variable"]) -> Any:
         """Put variables into the parameter tree, or the trees."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from wrapjax.calibrate import CalibrationResult
@@ -13,14 +14,20 @@ from wrapjax.report.summary import file_stems, summarize
 from wrapjax.report.tables import curve_tables, parameters_csv
 from wrapjax.subject import Subject, write_storage
 
+#: In the folder of a leg, that of the leg that was calibrated with it.
+OTHER_LEG = "other_leg"
 
-def write_run(subject: Subject, result: CalibrationResult, folder: Path, *, force: bool = False) -> None:
+
+def write_run(
+    legs: Sequence[tuple[Subject, CalibrationResult]], folder: Path, *, force: bool = False
+) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
     Parameters
     ----------
-    subject, result
-        What was calibrated, and what came of it.
+    legs
+        What was calibrated, and what came of it: one leg, or two, the second in a folder of its own
+        within that of the first.
     folder
         Where to; it appears when complete.
     force
@@ -31,14 +38,19 @@ def write_run(subject: Subject, result: CalibrationResult, folder: Path, *, forc
     InputError
         If the folder exists and ``force`` is not set, or cannot be created.
     """
+    with new_folder(folder, force=force) as run:
+        for place, (subject, result) in zip((run, run / OTHER_LEG), legs, strict=False):
+            _write_leg(subject, result, place)
+
+
+def _write_leg(subject: Subject, result: CalibrationResult, run: Path) -> None:
     summary = summarize(subject, result)
     settings = describe_settings(subject, result)
-    with new_folder(folder, force=force) as run:
-        write_json(run / "summary.json", summary)
-        write_json(run / "settings.json", settings)
-        write_text(run / "parameters.csv", parameters_csv(result))
-        write_text(run / "starts.csv", starts_csv(result))
-        for trial, stem in enumerate(file_stems(result.trials).values()):
-            for kind, table in curve_tables(result, trial).items():
-                write_storage(run / kind / f"{stem}.sto", table)
-        write_text(run / "report.html", render_report(subject, result, summary, settings))
+    write_json(run / "summary.json", summary)
+    write_json(run / "settings.json", settings)
+    write_text(run / "parameters.csv", parameters_csv(result))
+    write_text(run / "starts.csv", starts_csv(result))
+    for trial, stem in enumerate(file_stems(result.trials).values()):
+        for kind, table in curve_tables(result, trial).items():
+            write_storage(run / kind / f"{stem}.sto", table)
+    write_text(run / "report.html", render_report(subject, result, summary, settings))
