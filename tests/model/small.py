@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibrate import Objective, pipeline_penalties
-from wrapjax.geometry import PathState, fixed_path
-from wrapjax.model import Recording, free_variables, initial_parameters, muscle_states, nga
+from wrapjax.calibrate import Objective, path_limits, pipeline_penalties
+from wrapjax.geometry import AdjustablePath, PathState, fixed_path
+from wrapjax.model import Recording, free_variables, initial_parameters, muscle_states, nga, with_paths
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 
 MUSCLES = ("soleus_l", "gasmed_l", "tibant_l")
@@ -58,4 +58,46 @@ def small_objective(seed: int = 0) -> Objective:
         variables=variables,
         penalties=pipeline_penalties(states, [[0, 1]], [[0, 1, 2]]),
         limits=(),
+    )
+
+
+#: Modes of each muscle's path; the last muscle has none and its places are padding.
+MODES = (3, 2, 0)
+
+
+def small_adjustable_recording(seed: int = 0) -> Recording:
+    """The small recording with paths that may change, a different number of ways for each muscle."""
+    fixed = small_recording(seed)
+    nominal = fixed.path.nominal
+    generator = np.random.default_rng(seed + 7)
+    phase = generator.uniform(0.0, 2.0 * np.pi, (3, max(MODES), 2, 1))
+    time = np.linspace(0.0, 0.25, FRAMES)
+    own = (np.arange(max(MODES))[None] < np.array(MODES)[:, None]).astype(float)[..., None, None]
+    length = 0.004 * own * np.sin(20.0 * time + phase)
+    velocity = 0.08 * own * np.cos(20.0 * time + phase)
+    level = generator.uniform(-1.0, 1.0, (3, max(MODES), 1, 2, 1))
+    arm = 0.01 * own[..., None] * (level + 0.3 * np.cos(20.0 * time + phase)[..., None, :])
+    modes = PathState(*(jnp.asarray(array) for array in (length, velocity, arm)))
+    return eqx.tree_at(lambda recording: recording.path, fixed, AdjustablePath(nominal, modes))
+
+
+def small_limited_objective(seed: int = 0) -> Objective:
+    """Moments that ask for paths beyond their limits: a turned moment arm and a stretched fiber."""
+    recording = small_adjustable_recording(seed)
+    base = eqx.tree_at(lambda tree: tree.path_changes, small_parameters(), jnp.zeros((3, max(MODES))))
+    free = np.arange(max(MODES))[None] < np.array(MODES)[:, None]
+    freedom = with_paths(nga(base), "SGA", free, prior_sd=10.0)
+    variables = free_variables(base, freedom, MUSCLES)
+    curves = HILL_CURVES["paper"]
+    states = eqx.filter_jit(muscle_states)(curves, base, recording)
+    changes = 6.0 * np.random.default_rng(seed + 3).choice([-1.0, 1.0], (3, max(MODES))) * free
+    true = eqx.tree_at(lambda tree: tree.path_changes, base, jnp.asarray(changes))
+    true_states = muscle_states(curves, true, recording)
+    return Objective(
+        curves=curves,
+        recording=recording,
+        measured=true_states.moment.sum(axis=0),
+        variables=variables,
+        penalties=pipeline_penalties(states, [[0, 1]], [[0, 1, 2]]),
+        limits=path_limits(recording.path.nominal),
     )
