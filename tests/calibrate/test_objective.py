@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.model.small import small_objective
+from tests.model.small import MODES, small_limited_objective, small_objective
 from wrapjax.model import muscle_states
 
 
@@ -33,6 +33,33 @@ def test_expansion_equals_dense_derivatives_of_all_residuals(problem, point):
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.4], ids=["some limits push", "most limits push"])
+def test_expansion_with_paths_and_limits(shift):
+    """Paths are differentiated frame by frame: that must be what differentiating everything gives."""
+    problem = small_limited_objective(seed=1)
+    limits = tuple(dataclasses.replace(limit, shift=limit.shift + shift) for limit in problem.limits)
+    problem = problem.with_limits(limits)
+    generator = np.random.default_rng(6)
+    point = problem.start(problem.initial) * jnp.asarray(
+        generator.uniform(0.93, 1.07, problem.variables.count)
+    )
+    moved = np.array(["path_changes" in label for label in problem.variables.labels])
+    assert moved.sum() == sum(MODES)
+    point = point + jnp.asarray(moved * generator.normal(size=moved.size))
+    above = sum(
+        int((one + limit.shift > 0.0).sum()) for one, limit in zip(problem.excess(point), limits, strict=True)
+    )
+    assert above > 5
+    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(problem, point)
+    rows = problem.residuals(point)
+    jacobian = jax.jit(jax.jacfwd(problem.residuals))(point)
+    hessian = jax.jit(jax.hessian(problem.value))(point) / 2.0
+    np.testing.assert_allclose(found.cost, problem.value(point), rtol=1e-13)
+    np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
 
 
 def test_gradient_equals_differences(problem, point):

@@ -107,7 +107,11 @@ class Journal:
     def read(self, name: str) -> Entry | None:
         """Find where a stage stands; None if it was never begun, or what is there cannot be read."""
         try:
-            with np.load(self.folder / f"{name}.npz", allow_pickle=False) as stored:
+            # Opened by hand: what is no whole archive is otherwise left open.
+            with (
+                (self.folder / f"{name}.npz").open("rb") as stream,
+                np.load(stream, allow_pickle=False) as stored,
+            ):
                 kept = dict(stored)
             limits = sum(key.startswith("shift_") for key in kept)
             state = LagrangianState(

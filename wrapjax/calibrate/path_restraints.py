@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibrate.penalties import Limit, normalized_length, whole
 from wrapjax.geometry import PathState
@@ -41,7 +41,7 @@ _FIRST_WEIGHT = 100.0
 def path_modes(
     nominal: PathState,
     by_coefficient: PathState,
-    used: Float[np.ndarray, "muscle term"],
+    used: Bool[np.ndarray, "muscle term"],
     coordinates: Sequence[str],
 ) -> Float[np.ndarray, "muscle term mode"]:
     """Find the modes of each path: combinations of its coefficients that are restrained alike.
