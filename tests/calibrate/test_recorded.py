@@ -136,3 +136,63 @@ def projected_gradient(problem, variables) -> float:
     slope = eqx.filter_jit(jax.grad(lambda x, problem: 0.5 * jnp.sum(problem.residuals(x) ** 2)))
     moved = np.clip(variables - slope(jnp.asarray(variables), problem), problem.lower, problem.upper)
     return float(np.abs(moved - variables).max())
+
+
+# ---- Paths that may change
+
+
+@pytest.fixture(scope="module")
+def nga_errors(subject, paths):
+    return errors_by_use(calibrate(subject, "NGA", paths, starts=1))
+
+
+def errors_by_use(calibration) -> dict[str, float]:
+    result = calibration.result
+    error = np.abs(result.modelled - result.measured).mean(axis=(1, 2))
+    uses = np.array(result.uses)
+    return {use: float(error[uses == use].mean()) for use in ("calibration", "validation")}
+
+
+def assert_limits_hold(calibration):
+    result = calibration.result
+    assert calibration.status.converged, calibration.status.value
+    assert result.solution.max_violation <= 1e-6
+    rows = np.array(result.uses) == "calibration"
+    length = np.asarray(result.states.fiber.normalized_length)[:, rows]
+    assert length.min() >= 0.3 - 1e-6 and length.max() <= 1.3 + 1e-6
+    before, after = (
+        np.asarray(states.path.moment_arm)[:, rows] for states in (result.initial_states, result.states)
+    )
+    for sign in (1.0, -1.0):
+        kept = (sign * before > 0.0).all(axis=(1, 3))
+        # A tenth of a micrometer: violations are counted in cm.
+        assert (sign * after).min(axis=(1, 3))[kept].min() >= -1e-8
+
+
+def test_limits_hold_on_two_cycles(subject, paths):
+    trials = subject.trials
+    chosen = [trials.uses.index("calibration"), trials.uses.index("validation")]
+    short = dataclasses.replace(subject, trials=trials.select(chosen))
+    calibration = calibrate(short, "LSGA", paths, starts=1)
+    assert_limits_hold(calibration)
+    moved = np.abs(np.asarray(calibration.result.parameters.path_changes)).max(axis=1) > 0.0
+    assert {name for name, own in zip(short.muscles.names, moved, strict=True) if own} == set(paths.touching)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "calibration", "validation"), [("SGA", 0.35, 0.24), ("LSGA", 0.27, 0.18)])
+def test_errors_fall_below_those_of_nga(subject, paths, nga_errors, method, calibration, validation):
+    found = calibrate(subject, method, paths, starts=1)
+    assert_limits_hold(found)
+    errors = errors_by_use(found)
+    assert errors["calibration"] <= (1.0 - calibration) * nga_errors["calibration"]
+    assert errors["validation"] <= (1.0 - validation) * nga_errors["validation"]
+
+
+def test_the_papers_muscles_touch_a_surface(paths):
+    adductors = {f"add{part}_l" for part in ("brev", "long", "magDist", "magIsch", "magMid", "magProx")}
+    others = {
+        f"{name}_l"
+        for name in ["gaslat", "gasmed", "glmax1", "glmax2", "iliacus", "psoas", "semimem", "semiten"]
+    }
+    assert set(paths.touching) == adductors | others
