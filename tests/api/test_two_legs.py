@@ -3,15 +3,11 @@
 import json
 import re
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tests.subject.synthetic import write_subject
-from wrapjax.api import calibrate, fit, load_subject, prepare
-from wrapjax.calibrate import join_legs
+from wrapjax.api import calibrate, load_subject
 from wrapjax.calibrate.legs import SHARED
 from wrapjax.cli import main
 from wrapjax.errors import InputError
@@ -50,41 +46,8 @@ def folders(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def joint(folders):
-    legs = [prepare(subject, "NGA", fit(subject)) for subject in map(load_subject, folders)]
-    return join_legs(*legs)
-
-
-@pytest.fixture(scope="module")
 def both(folders):
     return calibrate(load_subject(folders[0]), "NGA", starts=1)
-
-
-def test_shared_and_own_variables(joint):
-    kinds = 6
-    assert len(joint.lower) == 2 * kinds + 2 * (kinds - len(SHARED))
-    for place, label in enumerate(joint.legs[1].variables.labels):
-        shared = joint.places[1][place] in joint.places[0]
-        assert shared == (label.split(".")[1] in SHARED), label
-
-
-def test_expansion_equals_dense_derivatives(joint):
-    generator = np.random.default_rng(2)
-    point = joint.start(joint.initial) * jnp.asarray(generator.uniform(0.95, 1.05, len(joint.lower)))
-    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(joint, point)
-    rows = joint.residuals(point)
-    jacobian = jax.jit(jax.jacfwd(joint.residuals))(point)
-    hessian = jax.jit(jax.hessian(joint.value))(point) / 2.0
-    np.testing.assert_allclose(found.cost, rows @ rows, rtol=1e-12)
-    np.testing.assert_allclose(found.cost, joint.value(point), rtol=1e-12)
-    np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-8)
-
-
-def test_variables_round_trip(joint):
-    point = joint.start(joint.initial)
-    np.testing.assert_allclose(joint.start(joint.parameters(point)), point, rtol=1e-14)
 
 
 def test_legs_share_what_is_the_persons(both):

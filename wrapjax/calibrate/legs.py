@@ -7,6 +7,7 @@ ratios to the model's. Delays, EMG scales and paths are each leg's own, as elect
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import equinox as eqx
@@ -114,7 +115,10 @@ class Legs(AbstractCalibration):
 
 
 def join_legs(first: Objective, second: Objective) -> Legs:
-    """Join two legs' problems; muscles match by name without the side, ``soleus_l`` and ``soleus_r``."""
+    """Join two legs' problems; muscles match by name without the side, ``soleus_l`` and ``soleus_r``.
+
+    A muscle that only one leg has keeps its own parameters.
+    """
     labels = [leg.variables.labels for leg in (first, second)]
     known = {_shared_name(label): place for place, label in enumerate(labels[0])}
     count = len(labels[0])
@@ -127,28 +131,42 @@ def join_legs(first: Objective, second: Objective) -> Legs:
             second_places.append(count)
             count += 1
     places = np.arange(len(labels[0])), np.array(second_places)
-    bounds = np.stack([np.full(count, -np.inf), np.full(count, np.inf)])
+    bounds = np.repeat([[-np.inf], [np.inf]], count, axis=1)
     for leg, place in zip((first, second), places, strict=True):
         bounds[0, place] = np.maximum(bounds[0, place], np.asarray(leg.lower))
         bounds[1, place] = np.minimum(bounds[1, place], np.asarray(leg.upper))
+    apart = [
+        label
+        for label, place in zip(labels[1], places[1], strict=True)
+        if bounds[0, place] > bounds[1, place]
+    ]
+    if apart:
+        raise ValueError(f"the legs' bounds on {apart[0]} have nothing in common")
     limits = first.limits + second.limits
     return Legs(legs=(first, second), places=places, bounds=bounds, limits=limits)
 
 
 def solution_of_leg(solution: ConstrainedSolution, leg: int) -> ConstrainedSolution:
-    """Cut one leg's part out of a joint solution: its variables, limits and cost."""
+    """Cut one leg's part out of a joint solution: its variables, limits, cost and expansion.
+
+    Status, history and largest violation stay those of both.
+    """
     joint = solution.problem
     assert isinstance(joint, Legs)
-    problem, place = joint.legs[leg], joint.places[leg]
-    variables = jnp.asarray(solution.variables[place])
-    linearization = eqx.filter_jit(lambda problem, at: problem.linearize(at))(problem, variables)
+    problem, variables = joint.legs[leg], solution.variables[joint.places[leg]]
+    linearization = _linearize(problem, jnp.asarray(variables))
     return replace(
         solution,
-        variables=solution.variables[place],
+        variables=variables,
         cost=float(linearization.cost),
         linearization=linearization,
         problem=problem,
     )
+
+
+@eqx.filter_jit
+def _linearize(problem: Objective, variables: Float[Array, " variable"]) -> Linearization:
+    return problem.linearize(variables)
 
 
 def _shared_name(label: str) -> str | None:
@@ -156,4 +174,4 @@ def _shared_name(label: str) -> str | None:
     muscle, name = label.rsplit(".", 1)
     if name not in SHARED:
         return None
-    return f"{muscle.removesuffix('_l').removesuffix('_r')}.{name}"
+    return re.sub(r"_[lr]$", "", muscle) + f".{name}"
