@@ -86,7 +86,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
             if callback:
                 callback(history[-1], SolverState(variables, linearization, pace))
 
-        status = Status.iterations
+        status, renewed = Status.iterations, np.inf
         try:
             note(0, 0.0)
             for number in range(1, self.max_iterations + 1):
@@ -102,8 +102,12 @@ class BoundedLBFGS(AbstractBoundedSolver):
                     status = Status.cost
                     break
                 if carry.failed_linesearch:
-                    status = Status.damping
-                    break
+                    # Its memory may mislead it: begin anew, unless that was of no use the last time.
+                    if renewed - history[-1].cost <= self.ftol * history[-1].cost:
+                        status = Status.cost
+                        break
+                    renewed = history[-1].cost
+                    carry = _begin(problem, variables)
         except KeyboardInterrupt:
             status = Status.interrupted
         linearization = _linearize(problem, variables)
