@@ -42,6 +42,7 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
     by_muscle = case.compiled(lambda problem, x: problem.moment_jacobian(x))
     plain = case.compiled(jax.jacfwd(moment_residuals, argnums=1))
     state = SolverState(point, linearize(point), Pace(jnp.asarray(1e-4), jnp.asarray(2.0)))
+    hessian = state.linearization.gauss_newton + state.linearization.remainder
     bounds = jnp.asarray(case.problem.lower), jnp.asarray(case.problem.upper)
     seconds = median_seconds(
         {
@@ -49,7 +50,7 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
             "cost": lambda: cost(point),
             "gradient": lambda: gradient(point),
             "linearization": lambda: linearize(point),
-            "step": lambda: propose_step(state, *bounds),
+            "step": lambda: propose_step(state, hessian, *bounds),
             "jacobian_by_muscle": lambda: by_muscle(point),
             "jacobian_plain": lambda: plain(point),
         },

@@ -62,12 +62,13 @@ def _kernels(subject: Subject, fit: Fit, method: str) -> list[Metric]:
     cost = eqx.filter_jit(lambda problem, x: problem.value(x))
     pace = Pace(jnp.asarray(1e-4), jnp.asarray(2.0))
     state = SolverState(start, linearize(problem, start), pace)
+    hessian = state.linearization.gauss_newton + state.linearization.remainder
     bounds = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
     seconds = median_seconds(
         {
             "cost": lambda: cost(problem, start),
             "linearization": lambda: linearize(problem, start),
-            "step": lambda: propose_step(state, *bounds),
+            "step": lambda: propose_step(state, hessian, *bounds),
         },
         repeats=7,
     )

@@ -29,6 +29,8 @@ from wrapjax.calibrate.solution import (
     Status,
 )
 
+_Matrix = Float[Array, "variable variable"]
+
 
 @dataclass(frozen=True)
 class ProjectedLM(AbstractBoundedSolver):
@@ -60,7 +62,8 @@ class ProjectedLM(AbstractBoundedSolver):
         """Compile the kernels of `solve`."""
         state = self._begin(problem, start)
         jax.block_until_ready(_value(problem, state.variables))
-        self._advance(problem, state)
+        jax.block_until_ready(_mirrored(_hessian(state.linearization)))
+        self._advance(problem, state, None)
 
     def solve(
         self,
@@ -73,6 +76,7 @@ class ProjectedLM(AbstractBoundedSolver):
         began = time.perf_counter()
         state = self._begin(problem, start, pace)
         history: list[Iteration] = []
+        convex: _Matrix | None = None
 
         def note(number: int, step: float) -> None:
             variables = state.variables
@@ -102,7 +106,7 @@ class ProjectedLM(AbstractBoundedSolver):
             else:
                 for number in range(1, self.max_iterations + 1):
                     previous = history[-1].damping
-                    state, tried, accepted = self._advance(problem, state)
+                    state, tried, convex, accepted = self._advance(problem, state, convex)
                     step, actual, predicted = float(tried.length), float(tried.actual), float(tried.predicted)
                     note(number, step)
                     limit = self.ftol * history[-1].cost
@@ -143,18 +147,31 @@ class ProjectedLM(AbstractBoundedSolver):
             or Pace(jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)),
         )
 
-    def _advance(self, problem: AbstractLeastSquares, state: SolverState) -> tuple[SolverState, _Step, bool]:
-        """Try a step; give the state after it, what it was, and whether it was taken."""
+    def _advance(
+        self, problem: AbstractLeastSquares, state: SolverState, convex: _Matrix | None
+    ) -> tuple[SolverState, _Step, _Matrix | None, bool]:
+        """Try a step.
+
+        Returns
+        -------
+        tuple
+            The state after it, what it was, a convex stand-in for the Hessian if one was needed and still
+            holds, and whether the step was taken.
+        """
         lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
-        candidate = propose_step(state, lower, upper)
+        hessian = _hessian(state.linearization)
+        candidate = propose_step(state, hessian, lower, upper)
+        if not jnp.isfinite(candidate).all():
+            convex = _mirrored(hessian) if convex is None else convex
+            candidate = propose_step(state, convex, lower, upper)
         # Derivatives take many times as long as the cost, and a step that fails needs none.
         step = _judge(state, candidate, _value(problem, candidate))
         if step.downhill or step.level:
             fresh = _linearize(problem, candidate)
             before = _optimality(state.variables, state.linearization.gradient, lower, upper)
             if step.downhill or _optimality(candidate, fresh.gradient, lower, upper) < before:
-                return SolverState(candidate, fresh, step.after_success), step, True
-        return SolverState(state.variables, state.linearization, step.after_failure), step, False
+                return SolverState(candidate, fresh, step.after_success), step, None, True
+        return SolverState(state.variables, state.linearization, step.after_failure), step, convex, False
 
 
 class _Step(eqx.Module):
@@ -192,26 +209,31 @@ def _optimality(
     return jnp.max(jnp.abs(downhill - variables))
 
 
-@eqx.filter_jit
+@jax.jit
+def _hessian(model: Linearization) -> _Matrix:
+    return model.gauss_newton + model.remainder
+
+
+@jax.jit
+def _mirrored(hessian: _Matrix) -> _Matrix:
+    values, vectors = jnp.linalg.eigh(hessian)
+    return (vectors * jnp.abs(values)[None, :]) @ vectors.T
+
+
+@jax.jit
 def propose_step(
-    state: SolverState, lower: Float[Array, " variable"], upper: Float[Array, " variable"]
+    state: SolverState,
+    hessian: _Matrix,
+    lower: Float[Array, " variable"],
+    upper: Float[Array, " variable"],
 ) -> Float[Array, " variable"]:
-    """Step to the minimum of the damped second-order model.
+    """Step to the minimum of the damped second-order model; not finite where that has none.
 
     Moment errors do not vanish at the optimum, and there the remainder of the Hessian decides how
-    fast the last digits come. Far from it the Hessian may be indefinite: then negative curvatures are
-    counted as positive (Dauphin et al. 2014, arXiv:1406.2572).
+    fast the last digits come. Far from it the Hessian may be indefinite: then `_mirrored` stands in for
+    it, with negative curvatures counted as positive (Dauphin et al. 2014, arXiv:1406.2572).
     """
-    model = state.linearization
-    hessian = model.gauss_newton + model.remainder
-
-    def mirrored() -> Float[Array, " variable"]:
-        values, vectors = jnp.linalg.eigh(hessian)
-        return _damped_step(state, (vectors * jnp.abs(values)[None, :]) @ vectors.T, lower, upper)
-
-    newton = _damped_step(state, hessian, lower, upper)
-    chosen = jax.lax.cond(jnp.isfinite(newton).all(), lambda: newton, mirrored)
-    return jnp.clip(chosen, lower, upper)
+    return jnp.clip(_damped_step(state, hessian, lower, upper), lower, upper)
 
 
 def _damped_step(
