@@ -2,12 +2,16 @@
 
 import json
 import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.subject.synthetic import write_subject
 from wrapjax.api import calibrate, load_subject
+from wrapjax.calibrate import Status
 from wrapjax.calibrate.legs import SHARED
 from wrapjax.cli import main
 from wrapjax.errors import InputError
@@ -20,13 +24,23 @@ def write_right_leg(folder):
         text = re.sub(r"_l(?=\b|_|-)", "_r", file.read_text(encoding="utf-8"))
         text = text.replace('side = "l"', 'side = "r"')
         file.write_text(text.replace("ActivationGroupL", "ActivationGroupR"), encoding="utf-8")
+    scale_moments(folder, 1.3)
+    return folder
+
+
+def scale_moments(folder, factor):
     for file in folder.rglob("moments.sto"):
         head, table = file.read_text(encoding="utf-8").split("endheader\n")
         columns, *rows = table.splitlines()
         numbers = [row.split() for row in rows]
-        stronger = ["\t".join([time, *(str(1.3 * float(one)) for one in rest)]) for time, *rest in numbers]
-        file.write_text(head + "endheader\n" + "\n".join([columns, *stronger]) + "\n", encoding="utf-8")
-    return folder
+        scaled = ["\t".join([time, *(str(factor * float(one)) for one in rest)]) for time, *rest in numbers]
+        file.write_text(head + "endheader\n" + "\n".join([columns, *scaled]) + "\n", encoding="utf-8")
+
+
+def replace_text(file, old, new):
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
 
 
 def name_other_leg(folder, other):
@@ -71,16 +85,99 @@ def test_one_run_holds_both_legs(folders, tmp_path):
     assert first["converged"] and second["converged"] and first["starts"] == second["starts"] == 2
     assert "hip_flexion_l" in first["mae_Nm"]["calibration"]
     assert "hip_flexion_r" in second["mae_Nm"]["calibration"]
-    assert (run / "other_leg" / "report.html").stat().st_size > 0
+    files = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
+    own = {name for name in files if not name.startswith("other_leg/")}
+    assert {name.removeprefix("other_leg/") for name in files - own} == own
+    assert {"report.html", "parameters.csv", "starts.csv", "settings.json"} < own
+    sides = [
+        json.loads((place / "settings.json").read_text())["subject"] for place in (run, run / "other_leg")
+    ]
+    assert [Path(side["other_leg"]).name for side in sides] == ["right", "left"]
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_leg_of_the_same_side_is_refused(tmp_path):
+def stop(start, iteration, state):
+    """Press Ctrl-C after the first step."""
+    if iteration.number:
+        raise KeyboardInterrupt
+
+
+def test_one_leg_is_calibrated_alone_if_asked(folders, both):
+    alone = calibrate(replace(load_subject(folders[0]), other_leg=None), "NGA", starts=1)
+    assert alone.other_leg is None and alone.status.converged
+    # Whoever need not share fits better.
+    assert alone.result.solution.cost < both.result.solution.cost
+
+
+def test_an_interrupted_first_stage_still_gives_both_legs(folders):
+    done = calibrate(load_subject(folders[0]), "SGA", starts=1, callback=stop)
+    assert done.status is Status.interrupted
+    for leg in done.legs:
+        assert np.isfinite(leg.result.modelled).all()
+        assert not any("path_changes" in label for label in leg.result.labels)
+
+
+def no_calibration_trial(folder):
+    replace_text(folder / "subject.toml", 'use = "calibration"', 'use = "validation"')
+
+
+def same_side(folder):
+    shutil.rmtree(folder)
+    write_subject(folder)
+
+
+def points_elsewhere(folder):
+    write_subject(folder.parent / "stranger")
+    name_other_leg(folder, "../stranger")
+
+
+def other_muscles(folder):
+    for name in ("model.osim", "subject.toml"):
+        replace_text(folder / name, "recfem_r", "recfemoris_r")
+        replace_text(folder / name, "semiten_r", "semitendinosus_r")
+
+
+BROKEN = {
+    "same side": (same_side, ["left/subject.toml: [subject] other_leg", "same side 'l'"]),
+    "points elsewhere": (points_elsewhere, ["right/subject.toml: [subject] other_leg", "stranger"]),
+    "no calibration trial": (no_calibration_trial, ["right/subject.toml: [[trial]] use"]),
+    "nothing to share": (other_muscles, ["left/subject.toml: [subject] other_leg", "share nothing"]),
+    "all at once": (
+        lambda folder: (same_side(folder), points_elsewhere(folder)),
+        ["same side", "stranger"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_legs_that_do_not_belong_together_are_refused(case, tmp_path, capsys):
     left = write_subject(tmp_path / "left")
-    write_subject(tmp_path / "again")
-    name_other_leg(left, "../again")
-    with pytest.raises(InputError, match="same side"):
+    right = write_right_leg(tmp_path / "right")
+    name_other_leg(left, "../right")
+    spoil, words = BROKEN[case]
+    spoil(right)
+    run = tmp_path / "run"
+    assert main(["calibrate", str(left), "--method", "NGA", "--out", str(run), "--quiet"]) == 2
+    said = capsys.readouterr().err
+    assert all(word in said for word in words), said
+    assert not run.exists()
+    with pytest.raises(InputError):
         calibrate(load_subject(left), "NGA", starts=1)
+
+
+def test_the_other_leg_decides_what_can_be_resumed(folders, tmp_path):
+    """A journal is of both legs' data: with other recordings of the right leg it is another question."""
+    left, right = (shutil.copytree(folder, tmp_path / folder.name) for folder in folders)
+
+    book = tmp_path / "journal"
+    stopped = calibrate(load_subject(left), "NGA", starts=1, callback=stop, journal=book)
+    assert stopped.status is Status.interrupted
+    resumed = calibrate(load_subject(left), "NGA", starts=1, journal=book, resume=True)
+    assert resumed.status.converged
+    replace_text(right / "subject.toml", "mass_kg", "# heavier\nmass_kg")
+    scale_moments(right, 1.1)
+    with pytest.raises(InputError, match="other data or settings"):
+        calibrate(load_subject(left), "NGA", starts=1, journal=book, resume=True)
 
 
 def test_a_broken_other_leg_is_named(tmp_path, capsys):

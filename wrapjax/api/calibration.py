@@ -31,10 +31,9 @@ from wrapjax.calibrate import (
     solve_from_starts,
     starting_points,
 )
-from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash
 from wrapjax.model import Freedom, muscle_states
-from wrapjax.subject import Subject, read_subject
+from wrapjax.subject import Subject, read_legs
 
 #: Starts of a calibration that does not ask for another number.
 STARTS = 4
@@ -53,16 +52,20 @@ class Calibration:
     journal: Journal | None = None
 
     @property
+    def legs(self) -> tuple[Calibration, ...]:
+        """This leg, and the other one if both were calibrated together."""
+        return (self,) if self.other_leg is None else (self, self.other_leg)
+
+    @property
     def status(self) -> Status:
-        """Why the solver stopped."""
+        """Why the solver stopped; of two legs, for both."""
         return self.result.solution.status
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write the run's folder: summary, parameters, curves and report; ``other_leg/`` within it."""
         from wrapjax.report.run_folder import write_run
 
-        legs = [self] if self.other_leg is None else [self, self.other_leg]
-        write_run([(leg.subject, leg.result) for leg in legs], Path(folder), force=force)
+        write_run([(leg.subject, leg.result) for leg in self.legs], Path(folder), force=force)
         if self.journal is not None:
             self.journal.close()
 
@@ -83,8 +86,10 @@ def calibrate(
 ) -> Calibration:
     """Calibrate a subject's model on its trials marked ``calibration``.
 
-    Where the subject names its ``other_leg``, both legs are calibrated together: they share activation
-    constants and the ratios of fiber and slack lengths to the model's.
+    Where the subject names its ``other_leg``, both legs are calibrated together: muscles of the same name
+    share activation constants and the ratios of fiber and slack lengths to the model's. Delays, EMG scales
+    and paths are each leg's own. To calibrate one leg alone, take the key out of ``subject.toml``, or
+    `dataclasses.replace` it by None.
 
     Parameters
     ----------
@@ -94,9 +99,10 @@ def calibrate(
         What is adjusted: ``NGA``, nothing of the geometry; ``SGA``, the polynomials of all muscle
         paths; ``LSGA``, those of muscles that touch a wrapping surface.
     fit
-        Fitted paths, from `wrapjax.fit`; made (or found in the cache) if not given.
+        Fitted paths, from `wrapjax.fit`; made (or found in the cache) if not given, as the other
+        leg's always are.
     freedom
-        Another selection of what may move, with its own bounds and priors.
+        Another selection of what may move, with its own bounds and priors; for one leg alone.
     solver
         Tolerances and limits.
     starts
@@ -140,7 +146,7 @@ def calibrate(
     finished = []
     for number, leg in enumerate(legs):
         own = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
-        result = _result(leg, by_leg[number][-1], own, best(outcomes), solver, curves, compiled)
+        result = _result(leg, own, best(outcomes), solver, curves, compiled)
         finished.append(Calibration(leg.subject, leg.fit, result))
     return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, journal=book)
 
@@ -154,23 +160,14 @@ class _Leg:
 
 def _legs(subject: Subject, fit: Fit | None, method: str, freedom: Freedom | None) -> list[_Leg]:
     """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
-    fitted = fit_paths(subject) if fit is None else fit
-    legs = [_Leg(subject, fitted, freedom or method_freedom(method, subject, fitted))]
-    if subject.other_leg is None:
-        return legs
-    if freedom is not None:
-        raise ValueError("a freedom of one's own is for one leg: leave other_leg out of subject.toml")
-    other = read_subject(subject.other_leg)
-    if other.side == subject.side:
-        raise InputError(
-            Problem(
-                str(subject.folder / "subject.toml"),
-                f"{subject.other_leg} is of the same side ('{other.side}')",
-                place="[subject] other_leg",
-            )
-        )
-    other_fit = fit_paths(other)
-    return [*legs, _Leg(other, other_fit, method_freedom(method, other, other_fit))]
+    subjects = read_legs(subject)
+    if len(subjects) == 2 and freedom is not None:
+        raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
+    legs = []
+    for leg in subjects:
+        fitted = fit if fit is not None and leg is subject else fit_paths(leg)
+        legs.append(_Leg(leg, fitted, freedom or method_freedom(method, leg, fitted)))
+    return legs
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:
@@ -180,7 +177,6 @@ def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, 
 
 def _result(
     leg: _Leg,
-    problem: Objective,
     outcomes: tuple[Outcome, ...],
     chosen: int,
     solver: AugmentedLagrangian,
@@ -189,6 +185,8 @@ def _result(
 ) -> CalibrationResult:
     subject, fit, freedom = leg.subject, leg.fit, leg.freedom
     solution = outcomes[chosen].solution
+    problem = solution.problem  # of an earlier stage, if it was interrupted there
+    assert isinstance(problem, Objective)
     parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
     modes = None if freedom.paths is None else modes_of(subject, fit)

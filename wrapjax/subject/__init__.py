@@ -2,6 +2,7 @@
 
 from wrapjax.subject.describe import Table, describe_subject, render_tables
 from wrapjax.subject.folder import Subject, read_subject
+from wrapjax.subject.legs import read_legs
 from wrapjax.subject.model_file import CoordinateInfo, ModelFile, MuscleParameters, read_model_file
 from wrapjax.subject.settings import TrialSettings
 from wrapjax.subject.storage import Storage, read_storage, write_storage
@@ -18,6 +19,7 @@ __all__ = [
     "TrialSettings",
     "Trials",
     "describe_subject",
+    "read_legs",
     "read_model_file",
     "read_storage",
     "read_subject",
