@@ -139,6 +139,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from wrapjax.api.text import calibration_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import say
+    from wrapjax.subject import read_legs
 
     _refuse_existing(options.out, options.force)
     journal = options.out.with_name(f".{options.out.name}.unfinished")
@@ -154,6 +155,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
+    read_legs(subject)  # whatever is wrong with the other leg is said before the long work
     if options.fit:
         paths = load_fit(options.fit, subject)
     else:
@@ -178,7 +180,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(_stored(options.out / "summary.json"))
     else:
-        print(calibration_table(done))
+        print("\n\n".join(map(calibration_table, done.legs)))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE if done.status.converged else NOT_CONVERGED
 
