@@ -6,6 +6,7 @@ from pathlib import Path
 
 from wrapjax.osim.virtual_leg import LegModel, write_leg_model
 from wrapjax.virtual.anatomy import BODIES, CYLINDERS, JOINTS
+from wrapjax.virtual.mirror import mirrored
 from wrapjax.virtual.muscles import MUSCLES
 
 LEG = LegModel(
@@ -24,10 +25,10 @@ LEG = LegModel(
 )
 
 
-def build_leg_model(path: Path) -> None:
+def build_leg_model(path: Path, side: str = "r") -> None:
     """Write the virtual leg's OpenSim model (``.osim``): always the same bytes.
 
-    A right leg of 6 degrees of freedom, 31 muscles and 10 wrapping cylinders; the pelvis is welded to the
-    ground at the height of standing.
+    A leg of 6 degrees of freedom, 31 muscles and 10 wrapping cylinders; the pelvis is welded to the
+    ground at the height of standing. The left leg (side ``l``) is the right one (``r``) in a mirror.
     """
-    write_leg_model(LEG, Path(path))
+    write_leg_model({"r": LEG, "l": mirrored(LEG)}[side], Path(path))

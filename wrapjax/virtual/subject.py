@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,40 +19,20 @@ from wrapjax.model import Recording, initial_parameters, joint_moments
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.precision import require_float64
-from wrapjax.subject import Storage, write_storage
 from wrapjax.subject.cycles import cycle_times, padding_frames
-from wrapjax.virtual.anatomy import BODY_MASS_KG, COORDINATES
+from wrapjax.virtual.anatomy import COORDINATES
+from wrapjax.virtual.folder import MARGIN_FRAMES, MODEL_FILE, Series, settings_text, trial_names, write_trial
 from wrapjax.virtual.gait import CHANNELS, WalkingCycle, draw_cycle
 from wrapjax.virtual.leg import build_leg_model
+from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import MUSCLES
-from wrapjax.virtual.truth import VirtualTruth, draw_truth, parameter_names
+from wrapjax.virtual.truth import VirtualTruth, draw_other_leg, draw_truth, parameter_names
 
-MODEL_FILE = "model.osim"
-#: Frames of angles written before and after a cycle, so that a spline's derivative is good at its ends.
-_MARGIN_FRAMES = 8
 #: Standard deviation in frames of the bell that noise is smoothed with: halves the power at 3.5 / cycle,
 #: where envelopes are cut off.
 _NOISE_WIDTH = 3.8
 #: Additive noise of a channel, in parts of the multiplicative one, where the envelope is at its highest.
 _ADDITIVE_PART = 0.2
-
-
-@dataclass(frozen=True)
-class Series:
-    """Cycles walked at one speed.
-
-    Parameters
-    ----------
-    speed
-        m/s.
-    calibration, validation
-        Number of cycles for either use.
-    """
-
-    speed: float
-    calibration: int
-    validation: int
-
 
 #: Three cycles to calibrate with and one to validate at a slow and a natural speed.
 DEFAULT_SERIES = (Series(0.8, 3, 1), Series(1.2, 3, 1))
@@ -92,8 +73,93 @@ def write_virtual_subject(
         What was written to ``truth.json``.
     """
     require_float64()
-    person, walking, noise = (np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(3))
-    truth = draw_truth(person)
+    person, walking, noise, *_ = _generators(seed)
+    leg = _record(draw_truth(person), "r", walking, noise, emg_noise, moment_noise, series)
+    with new_folder(Path(folder), force=force) as temporary:
+        leg.write(temporary, Path(folder).name)
+    return leg.truth
+
+
+def write_virtual_legs(
+    folder: Path,
+    *,
+    seed: int = 0,
+    emg_noise: float = 0.1,
+    moment_noise: float = 1.0,
+    series: Sequence[Series] = DEFAULT_SERIES,
+    force: bool = False,
+) -> dict[str, VirtualTruth]:
+    """Make up a person, and write what was recorded of both legs as two subjects that name each other.
+
+    The right leg is that of `write_virtual_subject`. The left one is its mirror image with the same
+    activation constants, fiber and slack lengths; delays, EMG scales, cycles and noise are its own.
+
+    Parameters
+    ----------
+    folder
+        Gets ``right/`` and ``left/``, both complete.
+    seed, emg_noise, moment_noise, series, force
+        As of `write_virtual_subject`.
+
+    Returns
+    -------
+    dict of VirtualTruth
+        By ``right`` and ``left``.
+    """
+    require_float64()
+    person, walking, noise, other_person, other_walking, other_noise = _generators(seed)
+    right = draw_truth(person)
+    left = draw_other_leg(right, other_person)
+    legs = {
+        "right": _record(right, "r", walking, noise, emg_noise, moment_noise, series),
+        "left": _record(left, "l", other_walking, other_noise, emg_noise, moment_noise, series),
+    }
+    with new_folder(Path(folder), force=force) as temporary:
+        for name, other in (("right", "left"), ("left", "right")):
+            (temporary / name).mkdir()
+            legs[name].write(temporary / name, f"{Path(folder).name}_{name}", other_leg=f"../{other}")
+    return {name: leg.truth for name, leg in legs.items()}
+
+
+def _generators(seed: int) -> list[np.random.Generator]:
+    """Give those of the person, the walking and the noise; then those of the left leg's own."""
+    return [np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(6)]
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """A leg and what was recorded of it."""
+
+    truth: VirtualTruth
+    side: str
+    series: Sequence[Series]
+    cycles: list[WalkingCycle]
+    emg_time: Float[np.ndarray, "trial padded_frame"]
+    emg: Float[np.ndarray, "trial channel padded_frame"]
+    moments: Float[np.ndarray, "trial coordinate frame"]
+
+    def write(self, folder: Path, name: str, *, other_leg: str | None = None) -> None:
+        """Write all files of a subject into a folder that exists."""
+        build_leg_model(folder / MODEL_FILE, self.side)
+        names = trial_names(self.series)
+        rows = zip(self.cycles, self.emg_time, self.emg, self.moments, strict=True)
+        for trial, row in zip(names, rows, strict=True):
+            write_trial(folder / "trials" / trial, self.side, *row)
+        settings = settings_text(name, self.side, other_leg, names, self.cycles, self.series)
+        write_text(folder / "subject.toml", settings)
+        self.truth.write(folder)
+
+
+def _record(
+    truth: VirtualTruth,
+    side: str,
+    walking: np.random.Generator,
+    noise: np.random.Generator,
+    emg_noise: float,
+    moment_noise: float,
+    series: Sequence[Series],
+) -> _Leg:
+    """Let a leg walk and record it."""
     cycles = [
         draw_cycle(walking, entry.speed, start=1.0)
         for entry in series
@@ -103,21 +169,17 @@ def write_virtual_subject(
     emg_time = cycle_times(limits, padding_frames(limits))
     emg = np.array([cycle.emg(time) for cycle, time in zip(cycles, emg_time, strict=True)])
     emg /= emg.max(axis=(0, 2))[None, :, None]
-    with new_folder(Path(folder), force=force) as temporary:
-        build_leg_model(temporary / MODEL_FILE)
-        moments = true_moments(truth, emg_time, emg, walked_paths(temporary / MODEL_FILE, cycles))
-        moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
-        factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
-        emg = emg * factor + _ADDITIVE_PART * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
-        names = _trial_names(series)
-        for name, cycle, rows in zip(names, cycles, zip(emg_time, emg, moments, strict=True), strict=True):
-            _write_trial(temporary / "trials" / name, cycle, *rows)
-        write_text(temporary / "subject.toml", _settings(Path(folder).name, names, cycles, series))
-        truth.write(temporary)
-    return truth
+    with TemporaryDirectory() as place:
+        build_leg_model(Path(place) / MODEL_FILE, side)
+        path = walked_paths(Path(place) / MODEL_FILE, cycles, side)
+    moments = true_moments(truth, emg_time, emg, path)
+    moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
+    factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
+    emg = emg * factor + _ADDITIVE_PART * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
+    return _Leg(truth, side, series, cycles, emg_time, emg, moments)
 
 
-def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle]) -> PathState:
+def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "r") -> PathState:
     """Compute the muscles' paths over the cycles with OpenSim.
 
     Parameters
@@ -126,6 +188,8 @@ def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle]) -> PathState:
         The virtual leg.
     cycles
         How it walked.
+    side
+        Which leg it is.
 
     Returns
     -------
@@ -133,18 +197,19 @@ def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle]) -> PathState:
         Of the muscles as `VirtualTruth` orders them; the rate is the derivative of the spline through the
         lengths.
     """
-    muscles = tuple(name for channel in CHANNELS.values() for name in channel.scales)
-    time = cycle_times([(cycle.start, cycle.end) for cycle in cycles], _MARGIN_FRAMES)
+    muscles = tuple(on_side(name, side) for channel in CHANNELS.values() for name in channel.scales)
+    coordinates = tuple(on_side(name, side) for name in COORDINATES)
+    time = cycle_times([(cycle.start, cycle.end) for cycle in cycles], MARGIN_FRAMES)
     angles = np.array([cycle.angles(row).T for cycle, row in zip(cycles, time, strict=True)])
     poses = angles.reshape(-1, len(COORDINATES))
-    geometry = analyse_muscles(model_file, muscles, COORDINATES, poses, quiet=True)
+    geometry = analyse_muscles(model_file, muscles, coordinates, poses, quiet=True)
     length = np.moveaxis(geometry.length.reshape(*time.shape, len(muscles)), -1, 0)
     rate = np.stack(
         [CubicSpline(time[trial], length[:, trial], axis=-1)(time[trial], 1) for trial in range(len(cycles))],
         axis=1,
     )
     arms = geometry.moment_arm.reshape(*time.shape, len(COORDINATES), len(muscles))
-    inside = slice(_MARGIN_FRAMES, -_MARGIN_FRAMES)
+    inside = slice(MARGIN_FRAMES, -MARGIN_FRAMES)
     return PathState(
         length=jnp.asarray(length[..., inside]),
         velocity=jnp.asarray(rate[..., inside]),
@@ -159,7 +224,8 @@ def true_moments(
     path: PathState,
 ) -> Float[np.ndarray, "trial coordinate frame"]:
     """Compute the joint moments (N m) of a person from noise-free EMG and the muscles' paths."""
-    by_name = {muscle.name: muscle for muscle in MUSCLES}
+    # The same figures on either side.
+    by_name = {on_side(muscle.name, side): muscle for muscle in MUSCLES for side in ("l", "r")}
     chosen = [by_name[name] for name in truth.muscles]
     columns = np.array(
         [
@@ -185,63 +251,3 @@ def _smooth_noise(generator: np.random.Generator, shape: tuple[int, ...]) -> np.
     return gaussian_filter1d(white, _NOISE_WIDTH, axis=-1, mode="wrap") * np.sqrt(
         2.0 * np.sqrt(np.pi) * _NOISE_WIDTH
     )
-
-
-def _trial_names(series: Sequence[Series]) -> list[str]:
-    return [
-        f"walk_{entry.speed:g}".replace(".", "p") + f"_{order}"
-        for entry in series
-        for order in range(1, entry.calibration + entry.validation + 1)
-    ]
-
-
-def _write_trial(
-    folder: Path,
-    cycle: WalkingCycle,
-    emg_time: Float[np.ndarray, " padded_frame"],
-    emg: Float[np.ndarray, "channel padded_frame"],
-    moments: Float[np.ndarray, "coordinate frame"],
-) -> None:
-    limits = [(cycle.start, cycle.end)]
-    (wide,) = cycle_times(limits, _MARGIN_FRAMES)
-    (time,) = cycle_times(limits)
-    degrees = np.degrees(cycle.angles(wide)).T
-    moment_columns = tuple(f"{name}_moment" for name in COORDINATES)
-    write_storage(folder / "angles.sto", Storage("coordinates", COORDINATES, wide, degrees, in_degrees=True))
-    write_storage(folder / "moments.sto", Storage("inverse dynamics", moment_columns, time, moments.T))
-    write_storage(folder / "emg.sto", Storage("emg envelopes", tuple(CHANNELS), emg_time, emg.T))
-
-
-def _settings(
-    name: str, names: Sequence[str], cycles: Sequence[WalkingCycle], series: Sequence[Series]
-) -> str:
-    """Write the settings file's text."""
-    uses = [
-        use
-        for entry in series
-        for use in ["calibration"] * entry.calibration + ["validation"] * entry.validation
-    ]
-    quoted = ", ".join(f'"{coordinate}"' for coordinate in COORDINATES)
-    lines = [
-        "# A virtual person, made up by wrapjax. Their true parameters are in truth.json.",
-        "[subject]",
-        f'name = "{name}"',
-        f"mass_kg = {BODY_MASS_KG}",
-        'side = "r"',
-        "",
-        "[model]",
-        f'file = "{MODEL_FILE}"',
-        f"coordinates = [{quoted}]",
-        "",
-        "[emg]",
-        'kind = "envelope"',
-        "[emg.channels]",
-    ]
-    for electrode, channel in CHANNELS.items():
-        driven = ", ".join(f'"{muscle}"' for muscle in channel.scales)
-        lines.append(f"{electrode} = [{driven}]")
-    for trial, cycle, use in zip(names, cycles, uses, strict=True):
-        lines += ["", "[[trial]]", f'name = "{trial}"', f"speed_m_s = {cycle.speed}", f'use = "{use}"']
-        lines += [f'{kind} = "trials/{trial}/{kind}.sto"' for kind in ("angles", "moments", "emg")]
-        lines.append(f"cycle = [{cycle.start!r}, {cycle.end!r}]")
-    return "\n".join(lines) + "\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from wrapjax.files import write_json
 from wrapjax.virtual.gait import CHANNELS
+from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import FIBER_LENGTH_CENTER, MUSCLES
 
 #: File of the truth in the folder of a virtual subject.
@@ -110,4 +111,18 @@ def draw_truth(generator: np.random.Generator) -> VirtualTruth:
         emg_scale=usual_scale * draw(_SCALE_FACTOR),
         optimal_fiber_length=true_fiber,
         tendon_slack_length=np.clip(true_slack, (1.0 - _SLACK_LIMIT) * slack, (1.0 + _SLACK_LIMIT) * slack),
+    )
+
+
+def draw_other_leg(right: VirtualTruth, generator: np.random.Generator) -> VirtualTruth:
+    """Draw a person's left leg to the right one.
+
+    Delays and EMG scales are drawn anew. Activation constants and lengths are the person's: the same.
+    """
+    own = draw_truth(generator)
+    return replace(
+        right,
+        muscles=tuple(on_side(name, "l") for name in right.muscles),
+        electromechanical_delay=own.electromechanical_delay,
+        emg_scale=own.emg_scale,
     )
