@@ -65,6 +65,22 @@ def test_recovers_a_polynomial_with_few_terms(surrogate):
     assert surrogate.used.sum(axis=1)[0] <= 4 and surrogate.used.sum(axis=1)[1] <= 20
 
 
+def test_terms_are_named_by_what_they_multiply(surrogate):
+    names = surrogate.term_names()
+    assert [len(own) for own in names] == surrogate.used.sum(axis=1).tolist()
+    assert names[0][:2] == ("1", "knee_angle_r") and "knee_angle_r^3" in names[0]
+    assert "hip_flexion_r^2*hip_adduction_r" in names[1]
+    pose = np.random.default_rng(8).uniform(-0.7, 0.9, 3)
+    scaled = (pose - np.asarray(surrogate.center)) / np.asarray(surrogate.half_range)
+    values = dict(zip(COORDINATES, scaled, strict=True))
+    length = surrogate(jnp.asarray(pose)[None, :, None], jnp.zeros((1, 3, 1))).length[:, 0, 0]
+    for row, own in enumerate(names):
+        factors = [[factor.partition("^") for factor in name.split("*") if name != "1"] for name in own]
+        terms = [np.prod([values[name] ** int(power or 1) for name, _, power in one]) for one in factors]
+        coefficients = np.asarray(surrogate.coefficients)[row, : len(own)]
+        np.testing.assert_allclose(coefficients @ np.array(terms), length[row], rtol=1e-12)
+
+
 def test_moment_arm_is_minus_the_derivative_of_length(surrogate):
     pose = jnp.asarray(np.random.default_rng(3).uniform(-0.5, 0.5, size=(1, 3, 1)))
     path = surrogate(pose, jnp.zeros_like(pose))

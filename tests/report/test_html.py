@@ -7,6 +7,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -51,7 +52,9 @@ class Page(HTMLParser):
 
 
 def _render(subject, result):
-    return render_report(subject, result, summarize(subject, result), describe_settings(subject, result))
+    return render_report(
+        subject, result, summarize(subject, result), describe_settings(subject, result, Path("run"))
+    )
 
 
 def test_the_page_is_balanced_and_in_order(subject, result):
@@ -102,7 +105,7 @@ def test_every_figure_is_sound_and_described(subject, result):
 
 
 def test_equal_results_give_equal_pages(subject, result):
-    summary, settings = summarize(subject, result), describe_settings(subject, result)
+    summary, settings = summarize(subject, result), describe_settings(subject, result, Path("run"))
     assert render_report(subject, result, summary, settings) == render_report(
         subject, result, summary, settings
     )

@@ -7,7 +7,7 @@ import sys
 from wrapjax.api.calibration import Calibration
 from wrapjax.api.demo import Demonstration
 from wrapjax.api.fitting import Fit
-from wrapjax.calibrate import Iteration, LagrangianState, Watch
+from wrapjax.calibrate import CalibrationResult, Iteration, LagrangianState, Watch
 from wrapjax.evaluate import moment_errors, pooled_mae
 
 
@@ -54,7 +54,7 @@ def fit_table(fit: Fit) -> str:
 
 
 def calibration_table(calibration: Calibration) -> str:
-    """Show mean absolute moment errors before and after, for calibration and validation trials."""
+    """Show how the solver fared, and mean absolute moment errors before and after, by use of trials."""
     result = calibration.result
     columns: dict[str, dict[str, float]] = {}
     for use in ("calibration", "validation"):
@@ -65,13 +65,9 @@ def calibration_table(calibration: Calibration) -> str:
             if pooled:
                 columns[f"{use} {label}"] = pooled
     width = max(len(name) for name in (*result.coordinates, "coordinate"))
-    count = len(result.outcomes)
     lines = [
         f"{result.method} of {calibration.subject.name}: {calibration.status.value}",
-        f"{count} start{'s' if count > 1 else ''} in {result.solve_seconds:.2f} s (compiling "
-        f"{result.compile_seconds:.1f} s); the best took {result.solution.iterations} iterations, "
-        f"cost {result.solution.cost:.6g}, "
-        f"{len(result.at_bounds)} of {len(result.solution.variables)} variables at a bound",
+        *_solver_lines(result),
         "",
         "Mean absolute error of the joint moments, N m",
         f"{'coordinate':{width}s}" + "".join(f"{name:>20s}" for name in columns),
@@ -79,6 +75,41 @@ def calibration_table(calibration: Calibration) -> str:
     for name in (*result.coordinates, "mean"):
         lines.append(f"{name:{width}s}" + "".join(f"{pooled[name]:20.2f}" for pooled in columns.values()))
     return "\n".join(lines)
+
+
+def _solver_lines(result: CalibrationResult) -> list[str]:
+    """Say how starts, limits and paths fared, each where there is something to say."""
+    from wrapjax.report.limits import describe_limits
+    from wrapjax.report.starts import equally_good
+    from wrapjax.report.summary import geometry_change
+
+    solution, count = result.solution, len(result.outcomes)
+    costs = [outcome.solution.cost for outcome in result.outcomes]
+    starts = f"{count} start{'s' if count > 1 else ''} in {result.solve_seconds:.2f} s (compiling "
+    starts += f"{result.compile_seconds:.1f} s)"
+    if count > 1:
+        starts += f", costs {min(costs):.5g} to {max(costs):.5g}; {equally_good(result).sum()} of {count} "
+        starts += f"within 1 % of the one taken, start {result.chosen}"
+    lines = [
+        starts,
+        f"{solution.iterations} iterations, cost {solution.cost:.6g}, {len(result.at_bounds)} of "
+        f"{len(solution.variables)} variables at a bound",
+    ]
+    if limits := describe_limits(result):
+        pushing = sum(limit["pushing"] for limit in limits.values())
+        muscles = set().union(*(limit["muscles"] for limit in limits.values()))
+        lines.append(
+            f"hard limits: largest violation {solution.max_violation:.1e} (allowed "
+            f"{result.solver.ctol:.0e}); {pushing} values of {len(muscles)} muscles push against one"
+        )
+    if result.freedom.paths is not None:
+        change = geometry_change(result)
+        lines.append(
+            f"paths of {result.freedom.paths.muscles.sum()} muscles free: on average over all "
+            f"{len(result.muscles)}, lengths changed by {1e3 * change['length_mae_m']:.2f} mm, moment "
+            f"arms by {1e3 * change['moment_arm_mae_m']:.2f} mm"
+        )
+    return lines
 
 
 def recovery_table(shown: Demonstration) -> str:

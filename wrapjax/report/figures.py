@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
 from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
-from wrapjax.report.limits import pushing_muscles
+from wrapjax.report.limits import FIBER_LIMITS, pushing_muscles
 from wrapjax.report.style import (
     BAND_ALPHA,
     BLACK,
@@ -120,8 +120,6 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
     figure = new_figure(PAGE_WIDTH, 0.2 * len(muscles) + 1.2)
     panel = figure.subplots()
     panel.axvspan(*FIBER_LENGTH_RANGE, color="#F1F6FA", zorder=0)
-    for limit in FIBER_LENGTH_RANGE:
-        panel.axvline(limit, color=GRAY, linewidth=0.8, zorder=1)
     panel.axvline(1.0, color=GRAY, linewidth=0.8, linestyle="--", zorder=1)
     rows = np.arange(len(muscles))
     for states, shift, color, label in (
@@ -133,15 +131,27 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
         panel.plot(
             lengths.mean(axis=1), rows + shift, "o", color=color, markersize=4.2, label=label, zorder=3
         )
-    for name, place in zip(("shortest_fiber", "longest_fiber"), FIBER_LENGTH_RANGE, strict=True):
-        pushing = [muscles.index(muscle) for muscle in pushing_muscles(result).get(name, ())]
-        panel.plot(np.full(len(pushing), place), pushing, "D", color=VERMILION, markersize=4.5, zorder=4)
+    pushing = pushing_muscles(result)
+    in_force = [pair for pair in zip(FIBER_LIMITS, FIBER_LENGTH_RANGE, strict=True) if pair[0] in pushing]
+    for name, limit in in_force:
+        panel.axvline(limit, color=VERMILION, linewidth=0.8, zorder=1, label="hard limit")
+        at = [muscles.index(muscle) + 0.17 for muscle in pushing[name]]
+        panel.plot(
+            np.full(len(at), limit),
+            at,
+            "D",
+            color=VERMILION,
+            markersize=4.5,
+            label="pushes against it",
+            zorder=4,
+        )
     panel.set_yticks(rows, muscles, parse_math=False)
     panel.set_ylim(len(muscles) - 0.4, -0.6)
     panel.set_xlim(left=min(0.2, panel.get_xlim()[0]), right=max(1.4, panel.get_xlim()[1]))
     panel.set_xlabel("fiber length / optimal fiber length")
     panel.tick_params(axis="y", length=0)
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    one_each = dict(zip(*panel.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(one_each.values(), one_each.keys(), loc="outside upper left", ncols=len(one_each))
     return figure
 
 

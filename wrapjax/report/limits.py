@@ -1,10 +1,16 @@
-"""Hard limits at the solution: which ones push, and how hard."""
+"""Hard limits at the solution: which ones push, how hard, and by how much they are exceeded."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jax
+import numpy as np
+
 from wrapjax.calibrate import CalibrationResult
+
+#: Limits on fiber length, in the order of `wrapjax.calibrate.FIBER_LENGTH_RANGE`.
+FIBER_LIMITS = ("shortest_fiber", "longest_fiber")
 
 
 def pushing_muscles(result: CalibrationResult) -> dict[str, tuple[str, ...]]:
@@ -18,17 +24,33 @@ def pushing_muscles(result: CalibrationResult) -> dict[str, tuple[str, ...]]:
 
 
 def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
-    """Say of each limit how many values push against it, which muscles, and the largest multiplier.
+    """Describe each hard limit at the solution.
 
-    A multiplier is how much the cost would fall for one unit of room (normalised fiber length, or cm of
-    moment arm).
+    Returns
+    -------
+    dict
+        By limit: ``pushing`` (how many values of the calibration cycles do), their ``muscles``,
+        ``largest_multiplier`` (how much the cost would fall for one unit of room) and ``largest_excess``
+        in the limit's unit (normalised fiber length, or cm of moment arm), 0 where it is kept.
     """
-    muscles = pushing_muscles(result)
+    muscles, excess = pushing_muscles(result), largest_excess(result)
     return {
         name: {
             "pushing": int((multipliers > 0.0).sum()),
             "muscles": list(muscles[name]),
             "largest_multiplier": float(multipliers.max(initial=0.0)),
+            "largest_excess": excess[name],
         }
         for name, multipliers in result.solution.multipliers.items()
     }
+
+
+def largest_excess(result: CalibrationResult) -> dict[str, float]:
+    """Give by how much each limit is exceeded at most on the calibration cycles, in its unit."""
+    kept = np.array([use == "calibration" for use in result.uses])
+    states = jax.tree.map(lambda leaf: leaf[:, kept], result.states)
+    found = {}
+    for limit in result.solution.problem.limits:
+        excess = np.asarray(limit.excess(limit.values(result.parameters, states)))
+        found[limit.name] = float(np.maximum(excess, 0.0).max())
+    return found

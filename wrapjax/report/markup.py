@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
+from wrapjax.report.style import Figure, to_svg
+
 STYLE = """
 :root { color-scheme: light; }
 body { margin: 0 auto; max-width: 66rem; padding: 1.5rem; color: #1a1a1a; background: #fff;
@@ -40,6 +42,7 @@ ul { padding-left: 1.2rem; }
 }
 """
 
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?|nan|inf|\N{EN DASH}")
 _NUMBER_AND_UNIT = re.compile(r"(\d) N m\b")
 
 
@@ -73,10 +76,9 @@ def table(
     rows: Iterable[Sequence[str]],
     *,
     caption: str,
-    numeric: bool = False,
     total: bool = False,
 ) -> str:
-    """Lay out a table whose first column names the rows.
+    """Lay out a table whose first column names the rows; columns of numbers are set to the right.
 
     Parameters
     ----------
@@ -84,20 +86,24 @@ def table(
         Texts.
     caption
         What the table shows, with units.
-    numeric
-        Whether all columns but the first hold numbers.
     total
         Whether the last row sums up the others.
     """
-    kind = "number" if numeric else ""
     lines = [tuple(row) for row in rows]
+    kinds = [
+        "number" if lines and all(_NUMBER.fullmatch(cell) for cell in column) else ""
+        for column in zip(*lines, strict=True)
+    ] or [""] * len(header)
     head = f'<th scope="col">{text(header[0])}</th>' + "".join(
-        f'<th scope="col"{_class(kind)}>{text(name)}</th>' for name in header[1:]
+        f'<th scope="col"{_class(kind)}>{text(name)}</th>'
+        for name, kind in zip(header[1:], kinds[1:], strict=True)
     )
     body = []
     for number, row in enumerate(lines):
         last = total and number == len(lines) - 1
-        cells = "".join(f"<td{_class(kind)}>{text(cell)}</td>" for cell in row[1:])
+        cells = "".join(
+            f"<td{_class(kind)}>{text(cell)}</td>" for cell, kind in zip(row[1:], kinds[1:], strict=True)
+        )
         body.append(f'<tr{_class("total" if last else "")}><th scope="row">{text(row[0])}</th>{cells}</tr>')
     return (
         f'<div class="scroll"><table><caption>{text(caption)}</caption>\n'
@@ -105,19 +111,19 @@ def table(
     )
 
 
-def picture(svg: str, *, alternative: str, caption: str) -> str:
-    """Embed a drawing as an image of its own, so that its ids meet those of no other.
+def picture(figure: Figure, *, alternative: str, caption: str) -> str:
+    """Embed a figure as an image of its own, so that its ids meet those of no other.
 
     Parameters
     ----------
-    svg
+    figure
         The drawing.
     alternative
         What it shows, for those who cannot see it.
     caption
         What it shows and how to read it, with units.
     """
-    data = base64.b64encode(svg.encode()).decode()
+    data = base64.b64encode(to_svg(figure).encode()).decode()
     return (
         f'<figure><img alt="{text(alternative)}" src="data:image/svg+xml;base64,{data}">\n'
         f"<figcaption>{text(caption)}</figcaption></figure>"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.report import markup
 from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, Figure, in_style, panel_grid, to_svg
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, Figure, in_style, panel_grid
+from wrapjax.report.wording import counted
 
 #: As many moment arms are drawn, those that changed most.
 MOST_PANELS = 12
@@ -20,50 +21,49 @@ def path_section(result: CalibrationResult) -> str:
     """Write the part of the report on paths; empty where they were held."""
     if result.freedom.paths is None:
         return ""
-    before, after = _arms(result)
-    change = 1e3 * np.abs(after - before)
-    length = 1e3 * np.abs(np.asarray(result.states.path.length - result.initial_states.path.length))
-    spanned = (before != 0.0).any(axis=(1, 3))
-    moved = np.flatnonzero(result.freedom.paths.muscles)
-    order = moved[np.argsort(-length[moved].max(axis=(1, 2)))]
-    rows = [
-        (
-            result.muscles[muscle],
-            f"{length[muscle].mean():.1f}",
-            f"{length[muscle].max():.1f}",
-            f"{change[muscle][:, spanned[muscle]].mean():.1f}",
-            f"{change[muscle].max():.1f}",
-            result.coordinates[int(change[muscle].max(axis=(0, 2)).argmax())],
+    free = np.flatnonzero(result.freedom.paths.muscles)
+    if not largest_changes(result):
+        return markup.section(
+            "Muscle paths",
+            markup.paragraph(f"The paths of {counted(len(free), 'muscle')} were free, but none changed."),
         )
-        for muscle in order
-    ]
-    drawn = _largest(result)
-    muscle, coordinate = drawn[0]
+    length, arm, spanned = _changes(result)
+    muscle, coordinate = largest_changes(result)[0]
     return markup.section(
         "Muscle paths",
         markup.paragraph(
-            f"The paths of {len(moved)} of {len(result.muscles)} muscles were free to change. On "
-            "average lengths "
-            f"moved by {length[moved].mean():.1f} mm and moment arms by "
-            f"{change[moved].mean(axis=(1, 3))[spanned[moved]].mean():.1f} mm. These are polynomials, not "
-            "anatomy: no bone and no surface bounds them, only the restraints named in settings.json."
+            f"The paths of {len(free)} of {counted(len(result.muscles), 'muscle')} were free to change. "
+            f"Their lengths changed by {length[free].mean():.1f} mm on average, their moment arms by "
+            f"{arm[free].mean(axis=(1, 3))[spanned[free]].mean():.1f} mm. These are polynomials, not "
+            "anatomy: no bone and no surface bounds them, only penalties on the change and the hard limits "
+            "(see Solver)."
         ),
         markup.picture(
-            to_svg(moment_arm_figure(result)),
-            alternative=f"Moment arms over the gait cycle before and after calibration; that of "
+            moment_arm_figure(result),
+            alternative="Moment arms over the gait cycle before and after calibration; that of "
             f"{result.muscles[muscle]} about {result.coordinates[coordinate]} changed most.",
             caption="Moment arms in mm over the gait cycle, all cycles: nominal (gray) and calibrated "
-            "(blue), mean "
-            "and one standard deviation to either side. The "
-            f"{len(drawn)} that changed most. Scales differ.",
+            "(blue), mean and one standard deviation to either side. Those that changed most on average, in "
+            "this order. Scales differ.",
         ),
         markup.table(
-            ("muscle", "length: mean", "length: most", "arms: mean", "arms: most", "most about"),
-            rows,
-            caption="Changes in mm over all frames of all cycles (absolute values); arms about the "
-            "coordinates "
-            "that the muscle spans.",
+            ("muscle", "length: mean", "length: largest", "arms: mean", "arms: largest", "largest about"),
+            [_row(result, muscle) for muscle in free[np.argsort(-length[free].mean(axis=(1, 2)))]],
+            caption="Changes in mm over all frames of all cycles (absolute values), moment arms about the "
+            "coordinates that the muscle spans.",
         ),
+    )
+
+
+def _row(result: CalibrationResult, muscle: int) -> tuple[str, ...]:
+    length, arm, spanned = (change[muscle] for change in _changes(result))
+    return (
+        result.muscles[muscle],
+        f"{length.mean():.1f}",
+        f"{length.max():.1f}",
+        f"{arm[:, spanned].mean():.1f}",
+        f"{arm.max():.1f}",
+        result.coordinates[int(arm.max(axis=(0, 2)).argmax())],
     )
 
 
@@ -71,7 +71,7 @@ def path_section(result: CalibrationResult) -> str:
 def moment_arm_figure(result: CalibrationResult) -> Figure:
     """Draw the moment arms that changed most, nominal and calibrated."""
     before, after = _arms(result)
-    pairs = _largest(result)
+    pairs = largest_changes(result)
     figure, panels = panel_grid(len(pairs), 4, width=PAGE_WIDTH, panel_height=1.6, sharex=True)
     for number, (panel, (muscle, coordinate)) in enumerate(zip(panels, pairs, strict=True)):
         panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
@@ -88,14 +88,22 @@ def moment_arm_figure(result: CalibrationResult) -> Figure:
     return figure
 
 
+def largest_changes(result: CalibrationResult) -> list[tuple[int, int]]:
+    """Find muscle and coordinate of the moment arms that changed most on average, largest first."""
+    mean = _changes(result)[1].mean(axis=(1, 3))
+    order = np.argsort(-mean, axis=None)[:MOST_PANELS]
+    places = [divmod(int(place), mean.shape[1]) for place in order]
+    return [place for place in places if mean[place] > 0.0]
+
+
 def _arms(result: CalibrationResult) -> tuple[Arms, Arms]:
     return np.asarray(result.initial_states.path.moment_arm), np.asarray(result.states.path.moment_arm)
 
 
-def _largest(result: CalibrationResult) -> list[tuple[int, int]]:
+def _changes(
+    result: CalibrationResult,
+) -> tuple[Float[np.ndarray, "muscle trial frame"], Arms, Bool[np.ndarray, "muscle coordinate"]]:
+    """Changes of lengths and moment arms in mm, and which coordinates a muscle spans."""
     before, after = _arms(result)
-    change = np.abs(after - before).mean(axis=(1, 3))
-    order = np.argsort(-change, axis=None)[:MOST_PANELS]
-    return [
-        (int(place) // change.shape[1], int(place) % change.shape[1]) for place in order if change.flat[place]
-    ]
+    length = np.asarray(result.states.path.length - result.initial_states.path.length)
+    return 1e3 * np.abs(length), 1e3 * np.abs(after - before), (before != 0.0).any(axis=(1, 3))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.model import QUANTITIES
@@ -16,14 +20,23 @@ from wrapjax.subject import Subject
 PACKAGES = ("wrapjax", "jax", "jaxlib", "equinox", "numpy", "scipy", "opensim", "matplotlib")
 
 
-def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
+def describe_settings(subject: Subject, result: CalibrationResult, run: Path) -> dict[str, Any]:
     """Describe what a calibration was made from and with.
+
+    Parameters
+    ----------
+    subject, result
+        What was calibrated, and what came of it.
+    run
+        Folder of the result: paths are given from there.
 
     Returns
     -------
     dict
-        Subject, drive of the muscles, trials, what was free with its bounds and priors (lists in the
-        order of ``muscles``, SI units; no prior is an infinite deviation), versions and platform.
+        Subject, drive of the muscles, solver, the seed of each start (None for the model's own values),
+        trials, what was free with its bounds and priors (lists in the order of ``muscles``, SI units; no
+        prior is an infinite deviation), of freed paths the number of modes by muscle and what scales
+        the coordinates in their terms, versions and platform.
     """
     trials = subject.trials
     driven = list(zip(subject.muscles.names, subject.muscle_channels, strict=True))
@@ -32,16 +45,16 @@ def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, 
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "subject": {
             "name": subject.name,
-            "folder": subject.folder,
-            "model_file": subject.model_file,
+            "folder": _path_from(run, subject.folder),
+            "model_file": _path_from(run, subject.model_file),
             "mass_kg": subject.mass_kg,
             "side": subject.side,
             "paretic": subject.paretic,
-            "other_leg": subject.other_leg,
+            "other_leg": None if subject.other_leg is None else _path_from(run, subject.other_leg),
         },
         "method": result.method,
         "curves": result.curves,
-        "solver": asdict(result.solver) | {"method": type(result.solver.inner).__name__},
+        "solver": _options(result.solver),
         "starts": [outcome.seed for outcome in result.outcomes],
         "coordinates": result.coordinates,
         "channels": {
@@ -72,17 +85,42 @@ def describe_settings(subject: Subject, result: CalibrationResult) -> dict[str, 
         "freed_paths": None
         if result.freedom.paths is None
         else {
-            "muscles": [
-                muscle
-                for muscle, free in zip(result.muscles, result.freedom.paths.muscles, strict=True)
-                if free
-            ],
-            "coefficients": int(result.freedom.paths.free.sum()),
-            "allowable_change": result.freedom.paths.prior_sd,
+            "modes": {
+                muscle: int(free.sum())
+                for muscle, free in zip(result.muscles, result.freedom.paths.free, strict=True)
+                if free.any()
+            },
+            "prior_sd": result.freedom.paths.prior_sd,
+            # Terms in parameters.csv are products of (coordinate - center) / half_range, rad or m.
+            "scaling": {
+                name: {"center": center, "half_range": half_range}
+                for name, center, half_range in zip(
+                    result.paths.coordinates,
+                    np.asarray(result.paths.center),
+                    np.asarray(result.paths.half_range),
+                    strict=True,
+                )
+            },
         },
         "versions": package_versions(),
         "platform": platform.platform(),
     }
+
+
+def _options(options: Any) -> dict[str, Any]:
+    """Spell out a dataclass of options, and those within it, each with the name of its class."""
+    values = {field.name: getattr(options, field.name) for field in fields(options)}
+    return {"class": type(options).__name__} | {
+        name: _options(value) if is_dataclass(value) else value for name, value in values.items()
+    }
+
+
+def _path_from(run: Path, target: Path) -> str:
+    """Give a relative path, so that a run and its subject can move together."""
+    try:
+        return Path(os.path.relpath(target.resolve(), run.resolve())).as_posix()
+    except ValueError:  # another drive
+        return target.resolve().as_posix()
 
 
 def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str | None]:

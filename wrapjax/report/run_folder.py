@@ -45,7 +45,7 @@ def write_run(
 
 def _write_leg(subject: Subject, result: CalibrationResult, run: Path) -> None:
     summary = summarize(subject, result)
-    settings = describe_settings(subject, result)
+    settings = describe_settings(subject, result, run)
     write_json(run / "summary.json", summary)
     write_json(run / "settings.json", settings)
     write_text(run / "parameters.csv", parameters_csv(result))

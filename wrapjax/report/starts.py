@@ -6,21 +6,22 @@ import csv
 import io
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import CalibrationResult, Objective
+from wrapjax.geometry import AdjustablePath
 from wrapjax.model import QUANTITIES
-from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
 from wrapjax.report.parameter_figures import place_within_bounds
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Figure, in_style, new_figure, to_svg
 
 #: Costs this close, relatively, are taken for equally good.
 EQUALLY_GOOD = 0.01
 #: A parameter whose values at equally good ends lie further apart, in parts of its bounds, is not determined.
 APART = 0.1
+
+START_COLUMNS = ("start", "seed", "owner", "parameter", "value", "unit")
 
 Values = dict[str, Float[np.ndarray, "start muscle"]]
 
@@ -42,21 +43,14 @@ def describe_starts(result: CalibrationResult) -> list[dict[str, Any]]:
     ]
 
 
-def end_values(result: CalibrationResult) -> Values:
-    """Read every freed parameter where each start ended, in its own unit."""
-    trees = [
-        outcome.solution.problem.parameters(jnp.asarray(outcome.solution.variables))
-        for outcome in result.outcomes
-    ]
-    names = [parameter.name for parameter in result.freedom.parameters]
-    return {name: np.stack([np.asarray(getattr(tree, name)) for tree in trees]) for name in names}
-
-
 def starts_csv(result: CalibrationResult) -> str:
-    """Write one row a start, muscle and freed parameter, SI units and all digits."""
+    """Write one row a start, muscle and freed parameter, SI units and all digits.
+
+    No seed means the model's own values. Of paths there is nothing here: their coefficients are many.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(("start", "seed", "owner", "parameter", "value", "unit"))
+    writer.writerow(START_COLUMNS)
     for name, values in end_values(result).items():
         for start, row in enumerate(values):
             seed = result.outcomes[start].seed
@@ -67,99 +61,18 @@ def starts_csv(result: CalibrationResult) -> str:
     return text.getvalue()
 
 
-def starts_section(result: CalibrationResult) -> str:
-    """Write the part of the report on the starts."""
-    count = len(result.outcomes)
-    if count == 1:
-        return markup.section(
-            "Starts",
-            markup.paragraph(
-                "The calibration ran from one start, the model's own values. Problems of this kind have "
-                "several "
-                "minima: whether another start would end lower, or as low elsewhere, is not known."
-            ),
-        )
-    rows = [
-        (
-            f"{number}{' (taken)' if entry['taken'] else ''}",
-            "model's values" if entry["seed"] is None else f"seed {entry['seed']}",
-            f"{entry['cost']:.5g}",
-            "yes" if entry["converged"] else "no",
-            str(entry["iterations"]),
-            f"{entry['seconds']:.1f}",
-        )
-        for number, entry in enumerate(describe_starts(result))
+def end_values(result: CalibrationResult) -> Values:
+    """Read every freed parameter where each start ended, in its own unit."""
+    trees = [
+        outcome.solution.problem.parameters(jnp.asarray(outcome.solution.variables))
+        for outcome in result.outcomes
     ]
-    undetermined = undetermined_parameters(result)
-    return markup.section(
-        "Starts",
-        *[markup.paragraph(sentence) for sentence in _findings(result, undetermined)],
-        markup.table(
-            ("start", "made from", "cost", "converged", "iterations", "seconds"),
-            rows,
-            caption="Where each start ended.",
-            numeric=True,
-        ),
-        markup.picture(
-            to_svg(spread_figure(result)),
-            alternative=f"Parameters of {len(result.muscles)} muscles where {count} starts ended, "
-            "within their "
-            f"bounds; {len(undetermined)} differ although the costs agree.",
-            caption="Each freed parameter between its lower bound (left) and upper bound (right) where "
-            "the starts "
-            "ended: the one taken (blue), others about as good (gray rings), others (faint dots). "
-            "Red lines join values that lie more than a tenth of the range apart though their costs "
-            "differ by "
-            "less than 1 %: the data do not determine these.",
-        ),
-    )
+    names = [parameter.name for parameter in result.freedom.parameters]
+    return {name: np.stack([np.asarray(getattr(tree, name)) for tree in trees]) for name in names}
 
 
-def undetermined_parameters(result: CalibrationResult) -> list[str]:
-    """Name the parameters that differ between ends that are about equally good."""
-    good = _equally_good(result)
-    if good.sum() < 2:
-        return []
-    places = _places(result)
-    return [
-        f"{muscle}.{name}"
-        for name, values in places.items()
-        for muscle, width in zip(result.muscles, np.ptp(values[good], axis=0), strict=True)
-        if width > APART
-    ]
-
-
-@in_style
-def spread_figure(result: CalibrationResult) -> Figure:
-    """Draw where the starts ended, one column a parameter, one row a muscle."""
-    places, good = _places(result), _equally_good(result)
-    rows = np.arange(len(result.muscles))
-    figure = new_figure(PAGE_WIDTH, 0.16 * len(rows) + 1.4)
-    panels = figure.subplots(1, len(places), sharey=True, squeeze=False)[0]
-    for panel, (name, values) in zip(panels, places.items(), strict=True):
-        panel.hlines(rows, 0.0, 1.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
-        for number, own in enumerate(values):
-            if number == result.chosen:
-                continue
-            style = {"markersize": 4.5, "markerfacecolor": "none", "color": GRAY} if good[number] else {}
-            panel.plot(own, rows, "o", **({"markersize": 2.0, "color": "#BBBBBB"} | style))
-        low, high = values[good].min(axis=0), values[good].max(axis=0)
-        apart = high - low > APART
-        panel.hlines(rows[apart], low[apart], high[apart], color=VERMILION, linewidth=1.2)
-        panel.plot(values[result.chosen], rows, "o", color=BLUE, markersize=3.8)
-        panel.set_title(name.replace("_", "\n", 1).replace("_", " "))
-        panel.set_xlim(-0.06, 1.06)
-        panel.set_xticks([0.0, 1.0], ["lower", "upper"])
-        panel.tick_params(axis="y", length=0)
-        panel.spines["left"].set_visible(False)
-        for label, side in zip(panel.get_xticklabels(), ("left", "right"), strict=True):
-            label.set_horizontalalignment(side)
-    panels[0].set_yticks(rows, result.muscles, parse_math=False)
-    panels[0].set_ylim(len(rows) - 0.4, -0.6)
-    return figure
-
-
-def _places(result: CalibrationResult) -> Values:
+def end_places(result: CalibrationResult) -> Values:
+    """Place the same between 0 at the lower and 1 at the upper bound."""
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     return {
         name: np.stack([place_within_bounds(freed[name], row) for row in values])
@@ -167,36 +80,35 @@ def _places(result: CalibrationResult) -> Values:
     }
 
 
-def _equally_good(result: CalibrationResult) -> np.ndarray:
+def equally_good(result: CalibrationResult) -> Bool[np.ndarray, " start"]:
+    """Mark the start that was taken and those that converged about as low or lower."""
     costs = np.array([outcome.solution.cost for outcome in result.outcomes])
-    return costs <= costs[result.chosen] * (1.0 + EQUALLY_GOOD)
+    converged = np.array([outcome.solution.status.converged for outcome in result.outcomes])
+    good = converged & (costs <= costs[result.chosen] * (1.0 + EQUALLY_GOOD))
+    good[result.chosen] = True
+    return good
 
 
-def _findings(result: CalibrationResult, undetermined: list[str]) -> list[str]:
-    costs = [outcome.solution.cost for outcome in result.outcomes]
-    good, count = int(_equally_good(result).sum()), len(costs)
-    if good == count:
-        first = f"All {count} starts ended within 1 % of the lowest cost, {min(costs):.4g}."
-    elif good == 1:
-        first = (
-            f"No other of the {count} starts came within 1 % of the lowest cost, {min(costs):.4g} (the "
-            "highest is "
-            f"{max(costs):.4g}): more starts may find a lower one."
-        )
-    else:
-        first = (
-            f"{good} of {count} starts ended within 1 % of the lowest cost, {min(costs):.4g}; the "
-            "others in poorer "
-            f"minima, up to {max(costs):.4g}."
-        )
-    if good < 2:
-        return [first]
-    total = len(result.freedom.parameters) * len(result.muscles)
-    second = (
-        f"{len(undetermined)} of {total} parameters differ among these by more than a tenth of their "
-        "range: the "
-        "data do not determine them."
-        if undetermined
-        else "They agree on every parameter to within a tenth of its range."
-    )
-    return [first, second]
+def undetermined_parameters(result: CalibrationResult) -> dict[str, list[str]]:
+    """Name, by parameter, the muscles for which equally good ends give values that are far apart."""
+    good = equally_good(result)
+    found = {}
+    for name, places in end_places(result).items():
+        width = np.ptp(places[good], axis=0)
+        muscles = [muscle for muscle, own in zip(result.muscles, width, strict=True) if own > APART]
+        if muscles:
+            found[name] = muscles
+    return found
+
+
+def moment_arm_spread(result: CalibrationResult) -> float:
+    """Give how far moment arms (m) of equally good ends are apart at most, over the calibration cycles."""
+    arms = []
+    for place in np.flatnonzero(equally_good(result)):
+        solution = result.outcomes[place].solution
+        problem = solution.problem
+        assert isinstance(problem, Objective)
+        changes = problem.parameters(jnp.asarray(solution.variables)).path_changes
+        path = jax.vmap(AdjustablePath.at)(problem.recording.path, changes)
+        arms.append(np.asarray(path.moment_arm))
+    return float(np.ptp(np.stack(arms), axis=0).max())

@@ -26,8 +26,8 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
     -------
     dict
         The contract's keys, moment errors in N m over all frames of the cycles. Beyond the contract:
-        the errors before calibration, root-mean-square errors by use, the cost and its parts, and of
-        each trial the name of its files.
+        the errors before calibration, root-mean-square errors by use, the hard limits, where each start
+        ended, the cost and its parts, and of each trial the name of its files.
     """
     errors = _errors_by_trial(result, result.modelled)
     before = _errors_by_trial(result, result.initial_modelled)

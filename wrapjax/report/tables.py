@@ -19,7 +19,8 @@ PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "up
 def parameters_csv(result: CalibrationResult) -> str:
     """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
 
-    Of paths that were free, every coefficient follows (``PathSurrogate.term_names``); none has bounds.
+    Of paths that were free, every coefficient follows (``PathSurrogate.term_names``); none has bounds. The
+    length is the sum of coefficients times terms, whose coordinates are scaled as settings.json says.
     """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
@@ -33,11 +34,11 @@ def parameters_csv(result: CalibrationResult) -> str:
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
     if result.freedom.paths is not None:
-        free = result.freedom.paths.muscles
-        for row, (muscle, terms) in enumerate(zip(result.muscles, result.paths.term_names(), strict=True)):
-            for term, value in zip(terms, result.path_coefficients[row].tolist(), strict=False):
-                if free[row]:
-                    writer.writerow((muscle, "term", term, value, "m", "", ""))
+        names, used = result.paths.term_names(), np.asarray(result.paths.used)
+        for row in np.flatnonzero(result.freedom.paths.muscles).tolist():
+            values = result.path_coefficients[row, used[row]].tolist()
+            for term, value in zip(names[row], values, strict=True):
+                writer.writerow((result.muscles[row], "term", term, value, "m", "", ""))
     return text.getvalue()
 
 
