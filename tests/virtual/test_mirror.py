@@ -1,16 +1,20 @@
 """The left leg is the right one in a mirror, and both are legs of one person."""
 
+import re
+
 import numpy as np
 import opensim
 import pytest
 
 from wrapjax.osim import analyse_muscles
+from wrapjax.osim.virtual_leg import Body, Joint, LegModel
 from wrapjax.subject import read_legs, read_subject
 from wrapjax.virtual import Series, build_leg_model, read_truth, write_virtual_legs, write_virtual_subject
 from wrapjax.virtual.anatomy import BODIES, COORDINATES
 from wrapjax.virtual.gait import normative_cycle
-from wrapjax.virtual.mirror import on_side
+from wrapjax.virtual.mirror import mirrored, on_side
 from wrapjax.virtual.muscles import MUSCLES
+from wrapjax.virtual.truth import draw_truth
 
 SERIES = (Series(0.8, 1, 0), Series(1.2, 0, 1))
 NAMES = tuple(muscle.name for muscle in MUSCLES)
@@ -36,7 +40,28 @@ def poses():
 
 def test_nothing_of_the_right_leg_is_left(left_file):
     text = left_file.read_text(encoding="utf-8")
-    assert "_l" in text and "_r<" not in text and '_r"' not in text and "-0 " not in text
+    assert "soleus_l" in text
+    assert not re.search(r"_r\b", text)
+    assert not re.search(r"-0(?![.\d])", text), "a negative zero"
+
+
+def test_what_lies_off_the_plane_is_mirrored_too():
+    """The virtual leg has no such mass center or shift."""
+    leg = LegModel(
+        name="made_up",
+        credits="",
+        publications="",
+        bodies=(Body("tibia_r", 1.0, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0)),),
+        joints=(
+            Joint("knee_r", "femur_r", "tibia_r", (1.0, 2.0, 3.0), shift={"x": (1.0,), "z": (2.0, -1.0)}),
+        ),
+        cylinders=(),
+        muscles=(),
+    )
+    found = mirrored(leg)
+    assert found.bodies == (Body("tibia_l", 1.0, (0.1, 0.2, -0.3), (1.0, 2.0, 3.0)),)
+    assert found.joints[0].location == (1.0, 2.0, -3.0)
+    assert found.joints[0].shift == {"x": (1.0,), "z": (-2.0, 1.0)}
 
 
 def test_same_lengths_and_moment_arms_at_the_same_angles(leg_file, left_file, poses):
@@ -106,6 +131,12 @@ def test_the_right_leg_is_that_of_the_single_subject(legs, clean_folder):
     assert changed == {"subject.toml"}
     old, new = ((place / "subject.toml").read_text().splitlines() for place in (clean_folder, folder))
     assert set(new) - set(old) == {'name = "person_right"', 'other_leg = "../left"'}
+
+
+def test_a_seed_keeps_its_person(legs):
+    """Also where earlier versions knew of one leg."""
+    expected = draw_truth(np.random.default_rng(np.random.SeedSequence(3).spawn(3)[0]))
+    np.testing.assert_array_equal(legs[1]["right"].electromechanical_delay, expected.electromechanical_delay)
 
 
 def test_the_left_leg_walks_by_itself(legs):
