@@ -147,6 +147,10 @@ def test_a_legs_part_of_a_solution(limited):
     for part, leg, tree in zip(parts, joint.legs, trees, strict=True):
         assert part.problem.variables.labels == leg.variables.labels
         np.testing.assert_allclose(part.variables, leg.variables.pack(tree), rtol=1e-14)
+        assert part.linearization.gauss_newton.shape == 2 * part.variables.shape
+        # At the optimum nothing within bounds pulls on a leg's variables.
+        inside = (part.variables > leg.lower) & (part.variables < leg.upper)
+        assert np.abs(part.linearization.gradient[inside]).max() < 1e-4
         assert list(part.multipliers) == [limit.name for limit in leg.limits]
         pushing += sum(int((values > 0.0).sum()) for values in part.multipliers.values())
     given = {id(limit): 2.0 * np.asarray(limit.weight * limit.shift) for limit in solution.problem.limits}

@@ -147,26 +147,33 @@ def join_legs(first: Objective, second: Objective) -> Legs:
 
 
 def solution_of_leg(solution: ConstrainedSolution, leg: int) -> ConstrainedSolution:
-    """Cut one leg's part out of a joint solution: its variables, limits, cost and expansion.
+    """Cut one leg's part out of a joint solution: its variables, limits and cost.
 
-    Status, history and largest violation stay those of both.
+    Status, history and largest violation stay those of both; the expansion is that of both legs' cost
+    along this leg's variables.
     """
     joint = solution.problem
     assert isinstance(joint, Legs)
-    problem, variables = joint.legs[leg], solution.variables[joint.places[leg]]
-    linearization = _linearize(problem, jnp.asarray(variables))
+    problem, place = joint.legs[leg], joint.places[leg]
+    variables, expansion = solution.variables[place], solution.linearization
+    block = np.ix_(place, place)
     return replace(
         solution,
         variables=variables,
-        cost=float(linearization.cost),
-        linearization=linearization,
+        cost=float(_value(problem, jnp.asarray(variables))),
+        linearization=Linearization(
+            cost=expansion.cost,
+            gradient=expansion.gradient[place],
+            gauss_newton=expansion.gauss_newton[block],
+            remainder=expansion.remainder[block],
+        ),
         problem=problem,
     )
 
 
 @eqx.filter_jit
-def _linearize(problem: Objective, variables: Float[Array, " variable"]) -> Linearization:
-    return problem.linearize(variables)
+def _value(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+    return problem.value(variables)
 
 
 def _shared_name(label: str) -> str | None:
