@@ -29,6 +29,7 @@ def path_section(result: CalibrationResult) -> str:
         )
     length, arm, spanned = _changes(result)
     muscle, coordinate = largest_changes(result)[0]
+    order = free[np.argsort(-length[free].mean(axis=(1, 2)))]
     return markup.section(
         "Muscle paths",
         markup.paragraph(
@@ -48,7 +49,7 @@ def path_section(result: CalibrationResult) -> str:
         ),
         markup.table(
             ("muscle", "length: mean", "length: largest", "arms: mean", "arms: largest", "largest about"),
-            [_row(result, muscle) for muscle in free[np.argsort(-length[free].mean(axis=(1, 2)))]],
+            [_row(result, muscle) for muscle in order.tolist()],
             caption="Changes in mm over all frames of all cycles (absolute values), moment arms about the "
             "coordinates that the muscle spans.",
         ),
