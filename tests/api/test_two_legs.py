@@ -15,6 +15,7 @@ from wrapjax.calibrate import Status
 from wrapjax.calibrate.legs import SHARED
 from wrapjax.cli import main
 from wrapjax.errors import InputError
+from wrapjax.virtual import Series, write_virtual_legs
 
 
 def write_right_leg(folder):
@@ -197,3 +198,42 @@ def test_a_freedom_of_ones_own_is_for_one_leg(folders):
     subject = load_subject(folders[0])
     with pytest.raises(ValueError, match="one leg"):
         calibrate(subject, freedom=nga(model_parameters(subject)), starts=1)
+
+
+@pytest.fixture(scope="module")
+def virtual_person(tmp_path_factory):
+    """A made-up person, one noisy cycle at either speed: the truth, both legs together, and each alone."""
+    folder = tmp_path_factory.mktemp("virtual") / "person"
+    truth = write_virtual_legs(folder, seed=0, series=(Series(0.8, 1, 0), Series(1.2, 1, 0)))
+    legs = [load_subject(folder / name) for name in ("right", "left")]
+    together = calibrate(legs[0], "NGA", starts=1)
+    alone = [calibrate(replace(leg, other_leg=None), "NGA", starts=1) for leg in legs]
+    return truth["right"], together, alone
+
+
+def test_a_whole_person_is_calibrated_together(virtual_person):
+    _, together, alone = virtual_person
+    assert together.status.converged and all(leg.status.converged for leg in alone)
+    for leg, single in zip(together.legs, alone, strict=True):
+        assert leg.result.muscles == single.result.muscles
+        error, best, before = (
+            np.abs(modelled - leg.result.measured).mean()
+            for modelled in (leg.result.modelled, single.result.modelled, leg.result.initial_modelled)
+        )
+        # Sharing costs little where there is a person to share.
+        assert error < 1.1 * best < 0.5 * before
+
+
+def test_shared_parameters_are_found_no_worse_than_by_legs_alone(virtual_person):
+    """Data of the model's own form: a unit test, not an accuracy. On average: one leg may be lucky."""
+    truth, together, alone = virtual_person
+
+    def error(result, name):
+        start, found, true = (getattr(tree, name) for tree in (result.initial, result.parameters, truth))
+        return np.sqrt(np.mean(((np.asarray(found) - true) / np.maximum(start, 0.05)) ** 2))
+
+    for name in SHARED:
+        single = [error(leg.result, name) for leg in alone]
+        found = [error(leg.result, name) for leg in together.legs]
+        assert found[0] == pytest.approx(found[1], rel=1e-9), name
+        assert found[0] <= np.mean(single), name
