@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN := $(VENV)/bin
 OUT ?= out/demo
+# Tests run side by side, whole files at a time: most of their time goes into compiling.
+JOBS ?= 2
+PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
 # One thread for each numerical library: on few cores more of them only get in each other's way.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -25,10 +28,10 @@ demo: setup
 	$(RUN)/wrapjax demo --out $(OUT) --force
 
 test: setup
-	$(RUN)/python -m pytest -m "not slow and not gpu"
+	$(PYTEST) -m "not slow and not gpu"
 
 test-all: setup
-	$(RUN)/python -m pytest
+	$(PYTEST)
 
 lint: setup
 	$(RUN)/ruff check .

@@ -1,5 +1,6 @@
 """Settings and fixtures that every test shares."""
 
+import gc
 import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -25,6 +26,21 @@ def cache(tmp_path_factory):
         del os.environ["WRAPJAX_CACHE"]
     else:
         os.environ["WRAPJAX_CACHE"] = previous
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled(tmp_path_factory):
+    """Keep compiled programs on disk: modules that need the same one share it."""
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("compiled")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forgotten(compiled):
+    """Unload compiled programs after each module: all together they use up a process's memory mappings."""
+    yield
+    jax.clear_caches()
+    gc.collect()
 
 
 def _folder_from(variable: str) -> Path:
