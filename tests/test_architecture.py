@@ -21,8 +21,9 @@ ARROWS: dict[str, set[str]] = {
     "precision": set(),
     "files": {"errors"},
     "subject": {"errors", "files", "progress"},
-    "osim": {"errors", "files", "progress"},
-    "geometry": {"errors"},
+    "skeleton": {"errors"},
+    "osim": {"errors", "files", "progress", "skeleton"},
+    "geometry": {"errors", "skeleton"},
     "muscle": set(),
     "model": {"geometry", "muscle"},
     "calibrate": {"errors", "files", "model", "geometry", "muscle"},
@@ -56,7 +57,18 @@ LAZY_PACKAGES: dict[str, set[str]] = {
 }
 
 #: Folders that must do without JAX, so that a folder can be checked before it is loaded.
-WITHOUT_JAX = {"errors", "files", "progress", "subject", "osim", "evaluate", "cli", "__init__", "__main__"}
+WITHOUT_JAX = {
+    "errors",
+    "files",
+    "progress",
+    "subject",
+    "skeleton",
+    "osim",
+    "evaluate",
+    "cli",
+    "__init__",
+    "__main__",
+}
 JAX_PACKAGES = {"jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt"}
 
 

@@ -3,7 +3,6 @@
 Nothing else in wrapjax imports OpenSim, and this does so only when a function is called.
 """
 
-from wrapjax.osim.description import ModelDescription as ModelDescription
 from wrapjax.osim.model import describe_model as describe_model
 from wrapjax.osim.model import spanned_coordinates as spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry as PathGeometry

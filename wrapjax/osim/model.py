@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.osim.description import (
+from wrapjax.osim.functions import read_function
+from wrapjax.osim.joints import read_joint, read_pose
+from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.skeleton.description import (
     Coordinate,
-    Joint,
     ModelDescription,
     Muscle,
     PathPoint,
@@ -17,7 +19,7 @@ from wrapjax.osim.description import (
     Triple,
     WrapObject,
 )
-from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.skeleton.functions import Function
 
 
 def describe_model(model_file: Path | str) -> ModelDescription:
@@ -39,12 +41,13 @@ def describe_model(model_file: Path | str) -> ModelDescription:
     """
     opensim = import_opensim()
     model, state = load_model(model_file)
+    model.realizePosition(state)
     couplers, constraints = _constraints(opensim, model)
     return ModelDescription(
         name=model.getName(),
         muscles=tuple(_muscle(opensim, muscle, state) for muscle in elements(model.getMuscles())),
         coordinates=tuple(_coordinate(entry, couplers) for entry in elements(model.getCoordinateSet())),
-        joints=tuple(_joint(joint) for joint in elements(model.getJointSet())),
+        joints=tuple(read_joint(opensim, joint, state) for joint in elements(model.getJointSet())),
         wraps=tuple(_wraps(opensim, model)),
         constraints=constraints,
     )
@@ -122,11 +125,17 @@ def independent_names(coupler: Any) -> tuple[str, ...]:
     return tuple(names.get(index) for index in range(names.getSize()))
 
 
-def _constraints(opensim: Any, model: Any) -> tuple[dict[str, tuple[str, ...]], tuple[tuple[str, str], ...]]:
-    couplers = {
-        coupler.getDependentCoordinateName(): independent_names(coupler)
-        for coupler in couplers_of(opensim, model)
-    }
+Couplers = dict[str, tuple[tuple[str, ...], Function | None]]
+
+
+def _constraints(opensim: Any, model: Any) -> tuple[Couplers, tuple[tuple[str, str], ...]]:
+    couplers: Couplers = {}
+    for coupler in couplers_of(opensim, model):
+        names = independent_names(coupler)
+        function = read_function(opensim, coupler.getFunction()) if len(names) == 1 else None
+        scale = float(coupler.getPropertyByName("scale_factor").toString())
+        known = None if function is None else function.scaled(scale)
+        couplers[coupler.getDependentCoordinateName()] = (names, known)
     others = tuple(
         (constraint.getName(), constraint.getConcreteClassName())
         for constraint in elements(model.getConstraintSet())
@@ -158,23 +167,39 @@ def _muscle(opensim: Any, muscle: Any, state: Any) -> Muscle:
 def _point(opensim: Any, point: Any, state: Any) -> PathPoint:
     frame = point.getParentFrame()
     in_body = frame.findTransformInBaseFrame().shiftFrameStationToBase(point.getLocation(state))
-    moving = opensim.MovingPathPoint.safeDownCast(point)
-    moved_by = []
-    if moving is not None:
-        for axis in "XYZ":
-            if getattr(moving, f"has{axis}Coordinate")():
-                moved_by.append(getattr(moving, f"get{axis}Coordinate")().getName())
     return PathPoint(
         name=point.getName(),
         kind=point.getConcreteClassName(),
         body=frame.findBaseFrame().getName(),
         location=_triple(in_body),
-        moved_by=tuple(dict.fromkeys(moved_by)),
+        motion=_motion(opensim, point),
+        frame=read_pose(frame.findTransformInBaseFrame()),
+        active_range=_active_range(opensim, point),
     )
 
 
-def _coordinate(coordinate: Any, couplers: dict[str, tuple[str, ...]]) -> Coordinate:
+def _motion(opensim: Any, point: Any) -> tuple[tuple[str, Function | None], ...] | None:
+    moving = opensim.MovingPathPoint.safeDownCast(point)
+    if moving is None:
+        return None
+    along = []
+    for axis in "XYZ":
+        name = getattr(moving, f"get{axis}Coordinate")().getName()
+        along.append((name, read_function(opensim, getattr(moving, f"get_{axis.lower()}_location")())))
+    return tuple(along)
+
+
+def _active_range(opensim: Any, point: Any) -> tuple[str, float, float] | None:
+    conditional = opensim.ConditionalPathPoint.safeDownCast(point)
+    if conditional is None:
+        return None
+    name = conditional.getCoordinate().getName()
+    return name, conditional.getRangeMin(), conditional.getRangeMax()
+
+
+def _coordinate(coordinate: Any, couplers: Couplers) -> Coordinate:
     motions = ("undefined", "rotational", "translational", "coupled")
+    coupled_to, coupler = couplers.get(coordinate.getName(), ((), None))
     return Coordinate(
         name=coordinate.getName(),
         motion=motions[coordinate.getMotionType()],
@@ -183,17 +208,8 @@ def _coordinate(coordinate: Any, couplers: dict[str, tuple[str, ...]]) -> Coordi
         locked=coordinate.get_locked(),
         clamped=coordinate.get_clamped(),
         prescribed=coordinate.get_prescribed(),
-        coupled_to=couplers.get(coordinate.getName(), ()),
-    )
-
-
-def _joint(joint: Any) -> Joint:
-    return Joint(
-        name=joint.getName(),
-        kind=joint.getConcreteClassName(),
-        parent_body=joint.getParentFrame().findBaseFrame().getName(),
-        child_body=joint.getChildFrame().findBaseFrame().getName(),
-        coordinates=tuple(joint.get_coordinates(i).getName() for i in range(joint.numCoordinates())),
+        coupled_to=coupled_to,
+        coupler=coupler,
     )
 
 

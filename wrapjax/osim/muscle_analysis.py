@@ -15,12 +15,12 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import cache_folder, content_hash, write_whole
-from wrapjax.osim.description import ModelDescription
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.model import describe_model, unknown_names
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.workers import analyse_chunks
 from wrapjax.progress import progress_bar
+from wrapjax.skeleton.description import ModelDescription
 
 #: Poses analysed, and remembered, at a time: about half a second of work for 34 muscles.
 CHUNK = 512

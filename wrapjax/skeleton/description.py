@@ -1,11 +1,22 @@
-"""The plain frozen data that describe an OpenSim model, and which coordinates a muscle spans."""
+"""The plain frozen data that describe a model, and which coordinates a muscle spans."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from wrapjax.skeleton.functions import Function
+
 Triple = tuple[float, float, float]
+Matrix = tuple[Triple, Triple, Triple]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a frame is in another: rotation matrix (columns are its axes) and origin (m)."""
+
+    rotation: Matrix
+    translation: Triple
 
 
 @dataclass(frozen=True)
@@ -19,15 +30,28 @@ class PathPoint:
     body, location
         The body that carries it and where it is there (m). A moving point is given where it is in
         the model's default pose.
-    moved_by
-        Coordinates that move it along its body: empty but for a ``MovingPathPoint``.
+    motion
+        What moves it along x, y and z of ``frame``: coordinates and functions (m) of them, None where
+        a function is of no known kind. None at all but for a ``MovingPathPoint``.
+    frame
+        Where the frame that it was given in is in its body.
+    active_range
+        The coordinate and its range (rad or m) in which it is part of the path. None but for a
+        ``ConditionalPathPoint``.
     """
 
     name: str
     kind: str
     body: str
     location: Triple
-    moved_by: tuple[str, ...] = ()
+    motion: tuple[tuple[str, Function | None], ...] | None = None
+    frame: Pose | None = None
+    active_range: tuple[str, float, float] | None = None
+
+    @property
+    def moved_by(self) -> tuple[str, ...]:
+        """The coordinates that move it along its body."""
+        return tuple(dict.fromkeys(name for name, _ in self.motion or ()))
 
 
 @dataclass(frozen=True)
@@ -72,6 +96,8 @@ class Coordinate:
         Driven by a function of time instead of being free.
     coupled_to
         Coordinates that an enforced coupler computes this one from; empty if it is independent.
+    coupler
+        How, if it follows a single other coordinate by a function that is known here.
     """
 
     name: str
@@ -82,17 +108,57 @@ class Coordinate:
     clamped: bool
     prescribed: bool
     coupled_to: tuple[str, ...]
+    coupler: Function | None = None
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One of the movements that a joint is made of.
+
+    Parameters
+    ----------
+    kind
+        ``rotation`` or ``translation``.
+    direction
+        Unit vector. Rotations follow one another, each about an axis of the frame that those before
+        have turned; translations are along axes of the joint's frame in the parent.
+    coordinate
+        What it follows; None for one that stays at ``function`` of zero.
+    function
+        From the coordinate to rad or m.
+    """
+
+    kind: str
+    direction: Triple
+    coordinate: str | None
+    function: Function
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of the body tree, with the coordinates it owns (none if it is welded)."""
+    """A joint of the body tree.
+
+    Parameters
+    ----------
+    coordinates
+        Those it owns; none if it is welded.
+    in_parent, in_child
+        The joint's two frames, each in its body.
+    axes
+        What it does; None if this is no sequence of known movements.
+    default
+        Where the child's frame is in the parent's one in the model's default pose.
+    """
 
     name: str
     kind: str
     parent_body: str
     child_body: str
     coordinates: tuple[str, ...]
+    in_parent: Pose
+    in_child: Pose
+    axes: tuple[Axis, ...] | None
+    default: Pose
 
 
 @dataclass(frozen=True)

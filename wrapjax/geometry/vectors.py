@@ -1,0 +1,77 @@
+"""Vectors of three as three separate arrays: the compiler then fuses whole formulas into one loop."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+
+class Vector(eqx.Module):
+    """Any number of vectors, component by component."""
+
+    x: Float[Array, "*vectors"]
+    y: Float[Array, "*vectors"]
+    z: Float[Array, "*vectors"]
+
+    def __add__(self, other: Vector) -> Vector:
+        return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: Vector) -> Vector:
+        return Vector(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __mul__(self, factor: Float[Array, "*vectors"] | float) -> Vector:
+        return Vector(self.x * factor, self.y * factor, self.z * factor)
+
+    def dot(self, other: Vector) -> Float[Array, "*vectors"]:
+        """Scalar product."""
+        return self.x * other.x + self.y * other.y + self.z * other.z
+
+    def cross(self, other: Vector) -> Vector:
+        """Vector product."""
+        return Vector(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
+
+    def norm(self) -> Float[Array, "*vectors"]:
+        """Length; its derivative at zero is zero."""
+        return safe_sqrt(self.dot(self))
+
+    def unit(self) -> Vector:
+        """The vector scaled to length one; zero stays zero."""
+        return self * safe_inverse(self.norm())
+
+    def at(self, place: object) -> Vector:
+        """Index all three components alike."""
+        return Vector(self.x[place], self.y[place], self.z[place])
+
+
+def vector(values: Float[Array, "*vectors 3"] | Float[np.ndarray, "*vectors 3"]) -> Vector:
+    """Take an array apart whose last axis holds x, y and z."""
+    values = jnp.asarray(values)
+    return Vector(values[..., 0], values[..., 1], values[..., 2])
+
+
+def where(condition: Bool[Array, "*vectors"], one: Vector, other: Vector) -> Vector:
+    """Choose between two vectors."""
+    return Vector(
+        jnp.where(condition, one.x, other.x),
+        jnp.where(condition, one.y, other.y),
+        jnp.where(condition, one.z, other.z),
+    )
+
+
+def safe_sqrt(value: Float[Array, "*values"]) -> Float[Array, "*values"]:
+    """Square root of what is positive, else zero, with a derivative of zero there."""
+    positive = value > 0.0
+    # Guarded twice: a derivative of what was not chosen must be finite, too.
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)
+
+
+def safe_inverse(value: Float[Array, "*values"]) -> Float[Array, "*values"]:
+    """One over a value, and zero for zero."""
+    nonzero = value != 0.0
+    return jnp.where(nonzero, 1.0 / jnp.where(nonzero, value, 1.0), 0.0)

@@ -1,0 +1,112 @@
+"""A path that may wrap round one cylinder: its length, moment arms and margins, in one pose.
+
+Everything is in the frame of the body that carries the cylinder, so that only the path's points move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from wrapjax.geometry.cylinder import (
+    HALF_TURN,
+    Contact,
+    Cylinder,
+    Decision,
+    decide,
+)
+from wrapjax.geometry.vectors import Vector
+
+#: How a contact is found: `geodesic_contact` or `spiral_contact`.
+FindContact = Callable[[Vector, Vector, Cylinder, Decision], Contact]
+
+#: What a margin is where nothing is near enough to matter.
+FREE = 1.0
+
+
+class Margins(eqx.Module):
+    """How far a path is from where its length would jump; negative where that has happened.
+
+    Smooth in pose and wrap parameters, but for the change from one piece of path to another.
+    """
+
+    #: Distance of the nearest path point from the surface (m): inside, a path does not wrap.
+    inside: Float[Array, "*pose"]
+    #: Distance of the path on the surface from the cylinder's end (m): beyond it does not wrap.
+    off_end: Float[Array, "*pose"]
+    #: What is left of half a turn (rad).
+    long_wrap: Float[Array, "*pose"]
+
+
+class WrappedPath(eqx.Module):
+    """What one muscle's path is in a pose."""
+
+    #: m
+    length: Float[Array, "*pose"]
+    #: By coordinate, m/rad: -dL/dq.
+    moment_arm: Float[Array, "*pose coordinate"]
+    touching: Bool[Array, "*pose"]
+    margins: Margins
+
+
+class StraightPath(eqx.Module):
+    """A path as it would be without its cylinder, and the pieces of it that may wrap."""
+
+    length: Float[Array, "*pose"]
+    moment_arm: Float[Array, "*pose coordinate"]
+    #: Ends of the pieces (m) and their velocities by coordinate; velocities lead with it.
+    start: Vector
+    end: Vector
+    start_velocity: Vector
+    end_velocity: Vector
+    #: False for a piece that is there only to fill up.
+    eligible: Bool[Array, "*pose piece"]
+
+
+def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact) -> WrappedPath:
+    """Wrap a path round a cylinder, in one pose.
+
+    Of several pieces that might wrap the first that runs through the cylinder does; if none does, the
+    one that gets longer by least.
+
+    Parameters
+    ----------
+    path
+        Pieces in the frame of the body that carries the cylinder.
+    cylinder
+        Where it is in that frame.
+    find_contact
+        `geodesic_contact` for the shortest path, `spiral_contact` for OpenSim's.
+    """
+    start, end = cylinder.inward(path.start), cylinder.inward(path.end)
+    decision = decide(start, end, cylinder)
+    contact = find_contact(start, end, cylinder, decision)
+    crossing = path.eligible & ~decision.inside & (decision.mandatory | decision.possible)
+    wraps = crossing & (contact.off_end >= 0.0)
+    to_first, from_last, straight = contact.first - start, end - contact.last, end - start
+    longer = to_first.norm() + contact.length + from_last.norm() - straight.norm()
+    # Mandatory ones come first, in their order; the others by how much longer they make the path.
+    order = jnp.arange(path.eligible.shape[-1])
+    rank = jnp.where(decision.mandatory, order - 1e6, longer)
+    rank = jnp.where(wraps, rank, jnp.inf)
+    chosen = wraps & (order == jnp.argmin(rank, axis=-1))
+
+    first_pull = cylinder.turn_outward(to_first.unit())
+    last_pull = cylinder.turn_outward(from_last.unit())
+    straight_pull = cylinder.turn_outward(straight.unit())
+    # The surface stands still: what moves are the ends, towards it or away.
+    at_start, at_end = (first_pull - straight_pull).at(None), (last_pull - straight_pull).at(None)
+    change = at_start.dot(path.start_velocity) - at_end.dot(path.end_velocity)
+    return WrappedPath(
+        length=path.length + jnp.sum(jnp.where(chosen, longer, 0.0), axis=-1),
+        moment_arm=path.moment_arm + jnp.sum(jnp.where(chosen[None], change, 0.0), axis=-1),
+        touching=jnp.any(chosen, axis=-1),
+        margins=Margins(
+            inside=jnp.min(jnp.where(path.eligible, decision.clearance, FREE), axis=-1),
+            off_end=jnp.min(jnp.where(crossing, contact.off_end, FREE), axis=-1),
+            long_wrap=jnp.min(jnp.where(wraps, HALF_TURN - jnp.abs(contact.turn), FREE), axis=-1),
+        ),
+    )
