@@ -55,29 +55,3 @@ class Surface(eqx.Module):
             side_axis=self.side_axis,
             side=self.side,
         )
-
-
-def surface(
-    rotation: Float[np.ndarray, "3 3"],
-    center: Float[np.ndarray, " 3"],
-    radius: float,
-    length: float,
-    quadrant: str,
-) -> Surface:
-    """Make a surface from a model's numbers.
-
-    Parameters
-    ----------
-    quadrant
-        OpenSim's: ``all``, ``x``, ``-x``, ``+x``, ``y``, ``-y`` or ``+y``.
-    """
-    axis = quadrant.lstrip("+-")
-    side = 0 if axis == "all" else (-1 if quadrant.startswith("-") else 1)
-    return Surface(
-        rotation=jnp.asarray(rotation),
-        center=jnp.asarray(center),
-        radius=jnp.asarray(radius),
-        length=jnp.asarray(length),
-        side_axis=jnp.asarray(0 if axis == "all" else "xy".index(axis)),
-        side=jnp.asarray(side),
-    )

@@ -110,3 +110,14 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
             long_wrap=jnp.min(jnp.where(wraps, HALF_TURN - jnp.abs(contact.turn), FREE), axis=-1),
         ),
     )
+
+
+def unwrapped(path: StraightPath) -> WrappedPath:
+    """Leave a path straight."""
+    free = jnp.full(path.length.shape, FREE)
+    return WrappedPath(
+        length=path.length,
+        moment_arm=path.moment_arm,
+        touching=jnp.zeros(path.length.shape, dtype=bool),
+        margins=Margins(free, free, free),
+    )

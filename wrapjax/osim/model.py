@@ -194,7 +194,7 @@ def _active_range(opensim: Any, point: Any) -> tuple[str, float, float] | None:
     if conditional is None:
         return None
     name = conditional.getCoordinate().getName()
-    return name, conditional.getRangeMin(), conditional.getRangeMax()
+    return name, conditional.get_range(0), conditional.get_range(1)
 
 
 def _coordinate(coordinate: Any, couplers: Couplers) -> Coordinate:
