@@ -20,6 +20,7 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, where
 
 #: Wraps that go more than half way round are long.
 HALF_TURN = jnp.pi
+_GRAZING = 0.1
 _TANGENCY = jnp.deg2rad(0.1)
 _STEP = 0.002
 _SLIDES = 100
@@ -217,8 +218,8 @@ def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: D
     _, end_left, end_right = _tangent_points(end, radius)
     first, last = where(leftward, start_left, start_right), where(leftward, end_right, end_left)
     angle = jnp.where(leftward, 1.0, -1.0) * _angle_between(first, last)
-    # A path that only just touches must not go all the way round for a rounding error.
-    turn = jnp.where(angle < -1e-9, angle + 2.0 * jnp.pi, angle)
+    # A path that only just touches must not go all the way round while its ends are being found.
+    turn = jnp.where(angle < -_GRAZING, angle + 2.0 * jnp.pi, angle)
     to_first = safe_sqrt(start.x**2 + start.y**2 - radius**2)
     from_last = safe_sqrt(end.x**2 + end.y**2 - radius**2)
     # Unrolled, the path is straight: it climbs evenly from end to end.
@@ -234,9 +235,7 @@ def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: D
     )
 
 
-def _tangent_points(
-    point: Vector, radius: Float[Array, "*piece"]
-) -> tuple[Float[Array, "*piece"], Vector, Vector]:
+def _tangent_points(point: Vector, radius: Float[Array, ""]) -> tuple[Float[Array, "*piece"], Vector, Vector]:
     """Distance from the axis, and the points of tangency to the left and right, at the point's height."""
     square = point.x**2 + point.y**2
     inverse = safe_inverse(square)

@@ -25,8 +25,10 @@ from wrapjax.geometry.wrapping import FREE, FindContact, Margins, WrappedPath
 
 _OPENSIM_SWEEPS = 8
 _OPENSIM_TOLERANCE = 0.0005
-_GEODESIC_SWEEPS = 60
-#: m; sweeps converge by a constant factor, so that the path is nearer than this to the shortest one.
+_SWEEPS = 20
+_LEAPS = 30
+# Contacts that move by less (m) touch what they will touch.
+_NEARLY = 1e-3
 _GEODESIC_TOLERANCE = 1e-13
 
 _NO_WRAP, _INSIDE, _WRAPPED = 0, 1, 2
@@ -132,16 +134,16 @@ def wrap_shortest(path: PointsAndCarriers, cylinders: Cylinder) -> WrappedPath:
     points, wraps = path.position.shape[0], cylinders.radius.shape[0]
     way = _settled(*jax.lax.stop_gradient((path, cylinders)))
     contacts = _with_derivatives(way.position[points:], way.knots, path, cylinders)
-    contacts, on_surface = _refitted(contacts, way.knots, path, cylinders)
+    contacts, on_surface = _refitted(contacts, way.knots, path, _in_ground(path, cylinders))
     position = jnp.concatenate([path.position, contacts])
     way = way._replace(position=position, seen=position, on_surface=on_surface)
     return _outcome(way, path, wraps)
 
 
 def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
-    """Sweep until no point of contact moves any more."""
+    """Find which cylinders the path touches, and in which order; then move the contacts until they stay."""
     placed = _in_ground(path, cylinders)
-    wraps = cylinders.radius.shape[0]
+    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
 
     def sweep(state):
         way, _, count = state
@@ -151,14 +153,32 @@ def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
             way = way._replace(seen=way.position)
         moved = jnp.max(jnp.abs(way.position - before.position))
         same = jnp.all(way.knots == before.knots)
-        return way, same & (moved < _GEODESIC_TOLERANCE), count + 1
+        return way, same & (moved < _NEARLY), count + 1
 
-    def unfinished(state):
-        return ~state[1] & (state[2] < _GEODESIC_SWEEPS)
+    def unordered(state):
+        return ~state[1] & (state[2] < _SWEEPS)
 
     start = (_start(path, wraps), jnp.asarray(False), jnp.asarray(0))
-    way, *_ = jax.lax.while_loop(unfinished, sweep, start)
-    return way
+    way, *_ = jax.lax.while_loop(unordered, sweep, start)
+
+    def leap(state):
+        # Contacts come nearer by a constant factor each time: two steps tell where they end (Aitken).
+        contacts, _, count = state
+        once, _ = _refitted(contacts, way.knots, path, placed)
+        twice, _ = _refitted(once, way.knots, path, placed)
+        first, second = once - contacts, twice - once
+        factor = jnp.clip(jnp.sum(first * second) * safe_inverse(jnp.sum(first**2)), -0.9, 0.9)
+        # A last leap could lead off the surface by as much as it is long.
+        arrived = jnp.max(jnp.abs(second)) < _GEODESIC_TOLERANCE
+        ahead = jnp.where(arrived, 0.0, factor / (1.0 - factor))
+        return twice + ahead * second, arrived, count + 1
+
+    def unsettled(state):
+        return ~state[1] & (state[2] < _LEAPS)
+
+    start = (way.position[points:], jnp.asarray(False), jnp.asarray(0))
+    contacts, *_ = jax.lax.while_loop(unsettled, leap, start)
+    return way._replace(position=jnp.concatenate([path.position, contacts]))
 
 
 @eqx.filter_custom_jvp
@@ -181,7 +201,8 @@ def _with_derivatives_jvp(primals, tangents):
     _, _, path_tangent, cylinders_tangent = tangents
 
     def refit(x, path, cylinders):
-        return _refitted(x.reshape(contacts.shape), knots, path, cylinders)[0].ravel()
+        placed = _in_ground(path, cylinders)
+        return _refitted(x.reshape(contacts.shape), knots, path, placed)[0].ravel()
 
     flat = contacts.ravel()
     _, moved = eqx.filter_jvp(
@@ -198,14 +219,13 @@ def _refitted(
     contacts: Float[Array, "contact 3"],
     knots: Int[Array, " place"],
     path: PointsAndCarriers,
-    cylinders: Cylinder,
+    placed: Cylinder,
 ) -> tuple[Float[Array, "contact 3"], Float[Array, " wrap"]]:
     """Fit every touched cylinder in once more, each between its neighbours on the path as it is."""
-    placed = _in_ground(path, cylinders)
     points = path.position.shape[0]
     position = jnp.concatenate([path.position, contacts])
     lengths = []
-    for wrap in range(cylinders.radius.shape[0]):
+    for wrap in range(placed.radius.shape[0]):
         first = points + 2 * wrap
         touched = jnp.any(knots == first)
         place = jnp.argmax(knots == first)
@@ -233,7 +253,8 @@ def _fit_in(
     bodies = _bodies(path, placed.radius.shape[0])
     knots = _removed(way.knots, points + 2 * wrap)
     cylinder = jax.tree.map(lambda leaf: leaf[wrap], placed)
-    before, after = knots[:-1], knots[1:]
+    # Without this cylinder's own two contacts the path has so many pieces at most.
+    before, after = knots[:-3], knots[1:-2]
     first_knots, last_knots = jnp.maximum(before, 0), jnp.maximum(after, 0)
     place = jnp.arange(before.size)
     in_range = (place >= jnp.argmax(knots == path.first_point[wrap])) & (

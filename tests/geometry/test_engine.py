@@ -1,0 +1,277 @@
+"""The exact engine: OpenSim's own numbers in parity mode, the shortest path in geodesic mode."""
+
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import root
+
+from wrapjax.errors import InputError
+from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.several_wraps import PointsAndCarriers, wrap_shortest
+from wrapjax.geometry.surfaces import NOMINAL, Surface
+from wrapjax.osim import describe_model
+from wrapjax.osim.path_engine import PathEngine
+
+LOW = np.array([-0.4, -0.3, -0.3, 0.0, -0.4])
+HIGH = np.array([0.8, 0.3, 0.3, 1.4, 0.4])
+#: About 1 cm, 20 degrees and a fifth of the radius: many of these wraps are not physiological.
+SAMPLE_LOW = np.array([-0.01, -0.01, -0.01, -0.35, -0.35, 0.8])
+SAMPLE_HIGH = np.array([0.01, 0.01, 0.01, 0.35, 0.35, 1.2])
+RECORDED = [("s1_left", "l"), ("healthy_overground", "r"), ("healthy_treadmill", "l")]
+
+
+def coordinates_of(side):
+    names = ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle")
+    return tuple(f"{name}_{side}" for name in names)
+
+
+def wrapped_muscles(model, side):
+    return [entry.name for entry in model.muscles if entry.wraps and entry.name.endswith(f"_{side}")]
+
+
+def draw(poses, samples, seed):
+    generator = np.random.default_rng(seed)
+    return generator.uniform(LOW, HIGH, (poses, 5)), generator.uniform(SAMPLE_LOW, SAMPLE_HIGH, (samples, 6))
+
+
+def by_opensim(file, model, muscles, coordinates, poses, samples):
+    """Every cylinder of the model moved alike: the judge's lengths and moment arms."""
+    spans = {name: tuple(set(model.spanned_by(name)) & set(coordinates)) for name in muscles}
+    judge = PathEngine(file, coordinates, spans)
+    found = []
+    for sample in samples:
+        judge.place({wrap.name: tuple(sample) for wrap in model.wraps})
+        found.append(judge.analyse(poses))
+    length, arms = (np.stack(parts) for parts in zip(*found, strict=True))
+    return length, arms, spans
+
+
+def compare_with_opensim(file, side, poses, samples):
+    model, coordinates = describe_model(file), coordinates_of(side)
+    muscles = wrapped_muscles(model, side)
+    assert len(muscles) == 21
+    length, arms, spans = by_opensim(file, model, muscles, coordinates, poses, samples)
+    engine = ExactPaths(model, muscles, coordinates)
+    touched = 0
+    for place, (name, posed) in enumerate(engine.posed(poses).items()):
+        parameters = np.repeat(samples[:, None], len(engine.wraps_of(name)), axis=1)
+        found = wrap_at_samples(posed, parameters, PARITY)
+        spanned = [coordinates.index(one) for one in spans[name]]
+        np.testing.assert_allclose(found.length, length[:, :, place], atol=1e-9, rtol=0, err_msg=name)
+        np.testing.assert_allclose(
+            found.moment_arm[:, :, spanned], arms[:, :, spanned, place], atol=1e-8, rtol=0, err_msg=name
+        )
+        touched += found.touching.sum()
+        if len(engine.wraps_of(name)) == 1:
+            shortest = wrap_at_samples(posed, parameters, GEODESIC)
+            margins = shortest.margins
+            clear = (margins.inside > 0) & (margins.off_end > 0) & (margins.long_wrap > 0)
+            assert (shortest.length - length[:, :, place])[clear].max() < 1e-9, name
+    return touched
+
+
+@pytest.mark.parametrize(("subject", "side"), RECORDED)
+def test_parity_equals_opensim(data_folder, subject, side):
+    poses, samples = draw(60, 8, seed=0)
+    touched = compare_with_opensim(data_folder / subject / "model.osim", side, poses, samples)
+    assert touched > 0.2 * 21 * 60 * 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("subject", "side"), RECORDED)
+def test_parity_equals_opensim_everywhere(data_folder, subject, side):
+    """500 poses times 50 placements of every wrapped muscle, non-physiological ones included."""
+    poses, samples = draw(500, 50, seed=1)
+    compare_with_opensim(data_folder / subject / "model.osim", side, poses, samples)
+
+
+def test_parity_where_frames_are_offset_and_points_come_and_go(odd_model):
+    model, coordinates = describe_model(odd_model), ("hip", "knee")
+    poses = np.random.default_rng(2).uniform([-1.0, 0.0], [1.0, 2.0], (100, 2))
+    samples = np.random.default_rng(3).uniform(SAMPLE_LOW, SAMPLE_HIGH, (10, 6))
+    # Its path through the conditional point wraps, too.
+    path = replace(model.muscle("conditional"), wraps=model.muscle("flexor").wraps)
+    muscles = tuple(path if entry.name == path.name else entry for entry in model.muscles)
+    length, arms, _ = by_opensim(odd_model, model, ["flexor"], coordinates, poses, samples)
+    posed = ExactPaths(model, ["flexor"], coordinates).posed(poses)["flexor"]
+    found = wrap_at_samples(posed, samples[:, None], PARITY)
+    np.testing.assert_allclose(found.length, length[:, :, 0], atol=1e-12)
+    np.testing.assert_allclose(found.moment_arm, arms[:, :, :, 0], atol=1e-11)
+    assert 0.1 < found.touching.mean() < 1.0
+    came = ExactPaths(replace(model, muscles=muscles), ["conditional"], coordinates).posed(poses)
+    eligible = np.asarray(came["conditional"].path.eligible)
+    active = (poses[:, 1] >= 0.5) & (poses[:, 1] <= 2.0)
+    np.testing.assert_array_equal(eligible, np.stack([active, np.ones(100, dtype=bool)], axis=1))
+
+
+@pytest.fixture(scope="module")
+def leg(s1_left):
+    """All wrapped muscles of a leg in some poses, and placements of their cylinders."""
+    model, coordinates = describe_model(s1_left / "model.osim"), coordinates_of("l")
+    engine = ExactPaths(model, wrapped_muscles(model, "l"), coordinates)
+    return engine, *draw(24, 6, seed=4)
+
+
+def clear_of_jumps(margins, least=1e-3):
+    return (margins.inside > least) & (margins.off_end > least) & (margins.long_wrap > least)
+
+
+def test_geodesic_moment_arm_is_minus_the_slope_of_length(leg):
+    """By every coordinate, of every muscle, the two-cylinder ones included."""
+    engine, poses, samples = leg
+    at, step = engine.posed(poses), 2e-6
+    worst = 0.0
+    for place in range(len(engine.coordinates)):
+        shift = step * np.eye(5)[place]
+        ahead, behind = engine.posed(poses + shift), engine.posed(poses - shift)
+        for name, posed in at.items():
+            parameters = np.repeat(samples[:, None], len(engine.wraps_of(name)), axis=1)
+            here, above, below = (
+                wrap_at_samples(one, parameters) for one in (posed, ahead[name], behind[name])
+            )
+            # Neither a jump nor the kink of a path that only just touches lies between the three.
+            smooth = clear_of_jumps(here.margins) & (above.touching == below.touching)
+            kink = np.abs(above.length + below.length - 2 * here.length) > 1e-10
+            slope = (above.length - below.length) / (2 * step)
+            error = np.abs(here.moment_arm[:, :, place] + slope)[smooth & ~kink]
+            assert kink[smooth].mean() < 0.02
+            worst = max(worst, error.max())
+    assert worst < 1e-9
+
+
+@pytest.mark.parametrize("muscle", ["psoas_l", "glmax2_l", "semiten_l", "gasmed_l"])
+def test_gradients_by_wrap_parameters_equal_differences(leg, muscle):
+    """In reverse mode, of lengths and moment arms."""
+    engine, poses, _ = leg
+    posed = engine.posed(poses)[muscle]
+    weights = jnp.asarray(np.random.default_rng(5).normal(size=(24, 6)))
+
+    start = nominal_parameters(len(engine.wraps_of(muscle)))
+    shift = 0.1 * np.random.default_rng(6).uniform(-1, 1, start.shape) * (SAMPLE_HIGH - NOMINAL)
+    start = jnp.asarray(start + shift)
+    here = jax.tree.map(np.asarray, eqx.filter_jit(posed.wrapped)(start))
+    clear = clear_of_jumps(here.margins)
+    assert (clear & here.touching).sum() > 3
+
+    def total(parameters):
+        path = posed.wrapped(parameters)
+        both = weights[:, 0] * path.length + jnp.sum(weights[:, 1:] * path.moment_arm, axis=1)
+        return jnp.sum(jnp.where(clear, both, 0.0))
+
+    slope = jax.jit(jax.grad(total))(start)
+    value = jax.jit(total)
+    for place in np.ndindex(start.shape):
+        step = jnp.zeros(start.shape).at[place].set(1e-6)
+        difference = (value(start + step) - value(start - step)) / 2e-6
+        np.testing.assert_allclose(slope[place], difference, atol=3e-7, err_msg=str(place))
+
+
+def test_forward_and_reverse_mode_agree(leg):
+    engine, poses, _ = leg
+    posed = engine.posed(poses[:3])["gaslat_l"]
+    start = jnp.asarray(nominal_parameters(2))
+
+    def lengths_and_arms(parameters):
+        path = posed.wrapped(parameters)
+        return jnp.concatenate([path.length[:, None], path.moment_arm], axis=1)
+
+    forward, reverse = (jax.jit(mode(lengths_and_arms))(start) for mode in (jax.jacfwd, jax.jacrev))
+    np.testing.assert_allclose(forward, reverse, atol=1e-12)
+    assert np.abs(forward).max() > 1e-2
+
+
+def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
+    """Two skew cylinders, both touched: SciPy solves for the four points of contact."""
+    ends = np.array([[-0.2, -0.05, 0.0], [0.25, -0.06, 0.05]])
+    centers = np.array([[-0.07, -0.01, 0.0], [0.1, -0.012, 0.02]])
+    tilts = [np.eye(3), np.array([[1, 0, 0], [0, np.cos(0.3), -np.sin(0.3)], [0, np.sin(0.3), np.cos(0.3)]])]
+    radii = np.array([0.03, 0.025])
+    nothing = jnp.zeros((1, 2, 3))
+    path = PointsAndCarriers(
+        position=jnp.asarray(ends),
+        velocity=nothing,
+        point_body=jnp.asarray([0, 1]),
+        rotation=jnp.tile(jnp.eye(3), (2, 1, 1)),
+        origin=jnp.zeros((2, 3)),
+        angular=nothing,
+        linear=nothing,
+        wrap_body=jnp.asarray([0, 1]),
+        first_point=jnp.asarray([0, 0]),
+        last_point=jnp.asarray([1, 1]),
+    )
+    surfaces = Surface(
+        rotation=jnp.asarray(np.stack(tilts)),
+        center=jnp.asarray(centers),
+        radius=jnp.asarray(radii),
+        length=jnp.asarray([0.5, 0.5]),
+        side_axis=jnp.asarray([0, 0]),
+        side=jnp.asarray([0, 0]),
+    )
+    cylinders = jax.vmap(Surface.placed)(surfaces, jnp.asarray(nominal_parameters(2)))
+
+    def along(x):
+        """The three straight pieces, and the two arcs as turn and rise."""
+        contacts = [
+            centers[place] + tilts[place] @ [radii[place] * np.cos(a), radii[place] * np.sin(a), z]
+            for place, (angle, height, turn, rise) in enumerate(x.reshape(2, 4))
+            for a, z in ((angle, height), (angle + turn, height + rise))
+        ]
+        stations = [ends[0], *contacts, ends[1]]
+        pieces = [stations[place + 1] - stations[place] for place in (0, 2, 4)]
+        return pieces, [(turn, rise) for _, _, turn, rise in x.reshape(2, 4)]
+
+    def bends(x):
+        """On a shortest path straight pieces touch at a tangent and climb as steeply as the arc."""
+        pieces, _ = along(x)
+        found = []
+        for place, (angle, _, turn, rise) in enumerate(x.reshape(2, 4)):
+            steepness = rise / np.hypot(radii[place] * turn, rise)
+            for at, piece in ((angle, pieces[place]), (angle + turn, pieces[place + 1])):
+                own = tilts[place].T @ piece / np.linalg.norm(piece)
+                found += [own @ [np.cos(at), np.sin(at), 0.0], own[2] - steepness]
+        return found
+
+    solved = root(bends, [2.1, 0.01, -0.5, 0.003, 1.6, 0.01, -0.5, 0.003], tol=1e-13)
+    assert solved.success and (solved.x.reshape(2, 4)[:, 2] < -0.05).all()
+    pieces, arcs = along(solved.x)
+    length = sum(np.linalg.norm(piece) for piece in pieces)
+    length += sum(np.hypot(radius * turn, rise) for radius, (turn, rise) in zip(radii, arcs, strict=True))
+    assert float(wrap_shortest(path, cylinders).length) == pytest.approx(length, abs=1e-12)
+
+
+def test_margins_say_where_a_path_jumps(leg):
+    """As a cylinder moves towards the end of a path the margin falls evenly; at zero the path jumps."""
+    engine, poses, _ = leg
+    posed = engine.posed(poses[:1])["psoas_l"]
+    shifts = np.linspace(0.0, 0.05, 201)
+    parameters = np.tile(NOMINAL, (201, 1, 1))
+    parameters[:, 0, 1] = -shifts
+    inside, length = [], []
+    for sign in (-1.0, 1.0):
+        parameters[:, 0, 1] = sign * shifts
+        found = wrap_at_samples(posed, parameters)
+        inside.append(found.margins.inside[:, 0])
+        length.append(found.length[:, 0])
+    for margin, path in zip(inside, length, strict=True):
+        assert np.abs(np.diff(margin)).max() <= np.diff(shifts).max() + 1e-12
+        jumps = np.flatnonzero(np.abs(np.diff(path)) > 1e-3)
+        for jump in jumps:
+            assert margin[jump] * margin[jump + 1] <= 0.0
+
+
+def test_unknown_surfaces_are_refused_by_name(odd_model):
+    model = describe_model(odd_model)
+    with pytest.raises(InputError, match="wrap object 'brim' is a WrapEllipsoid"):
+        ExactPaths(model, ["hip_flexor", "flexor"], ("hip", "knee"))
+    wraps = tuple(replace(wrap, quadrant="-z") if wrap.name == "condyles" else wrap for wrap in model.wraps)
+    with pytest.raises(InputError, match="cylinder 'condyles' is restricted along its own axis"):
+        ExactPaths(replace(model, wraps=wraps), ["flexor"], ("hip", "knee"))
+    muscles = tuple(replace(entry, path_kind="FunctionBasedPath") for entry in model.muscles)
+    with pytest.raises(InputError, match="muscle 'flexor' has a FunctionBasedPath"):
+        ExactPaths(replace(model, muscles=muscles), ["flexor"], ("hip", "knee"))
+    off = tuple(replace(wrap, active=False) for wrap in model.wraps)
+    assert ExactPaths(replace(model, wraps=off), ["hip_flexor"], ("hip",)).wraps_of("hip_flexor") == ()
