@@ -176,8 +176,8 @@ def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
     def unsettled(state):
         return ~state[1] & (state[2] < _LEAPS)
 
-    start = (way.position[points:], jnp.asarray(False), jnp.asarray(0))
-    contacts, *_ = jax.lax.while_loop(unsettled, leap, start)
+    found = (way.position[points:], jnp.asarray(False), jnp.asarray(0))
+    contacts, *_ = jax.lax.while_loop(unsettled, leap, found)
     return way._replace(position=jnp.concatenate([path.position, contacts]))
 
 
