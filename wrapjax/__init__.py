@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
+    from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import calibrate as calibrate
+    from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
     from wrapjax.api import load_fit as load_fit
     from wrapjax.api import load_subject as load_subject
@@ -31,9 +33,11 @@ __version__ = version("wrapjax")
 # Imported on first use: the command line must be able to set thread counts before JAX is loaded.
 _PLACES = {
     "Calibration": "wrapjax.api",
+    "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
     "InputError": "wrapjax.errors",
     "calibrate": "wrapjax.api",
+    "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",
     "load_fit": "wrapjax.api",
     "load_subject": "wrapjax.api",

@@ -18,7 +18,7 @@ from wrapjax.model import (
     Recording,
     free_variables,
     joint_moments,
-    muscle_state,
+    muscle_state_along,
     muscle_states,
     nga,
 )
@@ -26,7 +26,7 @@ from wrapjax.muscle import HILL_CURVES, EmgSpline
 
 CURVES = HILL_CURVES["paper"]
 run_all = eqx.filter_jit(muscle_states)
-run_one = eqx.filter_jit(muscle_state)
+run_one = eqx.filter_jit(muscle_state_along)
 moments_of_all = eqx.filter_jit(joint_moments)
 
 
@@ -74,7 +74,8 @@ def test_shapes(states):
 
 def test_all_muscles_at_once_equal_one_after_another(parameters, recording, states):
     for row in range(len(MUSCLES)):
-        alone = run_one(CURVES, muscle(parameters, row), muscle(recording, row))
+        path, emg = muscle(recording.path.nominal, row), muscle(recording.emg, row)
+        alone = run_one(path, CURVES, muscle(parameters, row), emg, PADDING)
         assert_trees_close(muscle(states, row), alone)
 
 

@@ -2,6 +2,8 @@
 
 from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
+from wrapjax.api.exact import ExactGeometry as ExactGeometry
+from wrapjax.api.exact import exact_geometry as exact_geometry
 from wrapjax.api.fitting import Fit as Fit
 from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
@@ -9,4 +11,15 @@ from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
 from wrapjax.subject import read_subject as load_subject
 
-__all__ = ["Calibration", "Fit", "calibrate", "fit", "load_fit", "load_subject", "objective", "prepare"]
+__all__ = [
+    "Calibration",
+    "ExactGeometry",
+    "Fit",
+    "calibrate",
+    "exact_geometry",
+    "fit",
+    "load_fit",
+    "load_subject",
+    "objective",
+    "prepare",
+]

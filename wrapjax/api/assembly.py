@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry import AdjustablePath, PathState, PathSurrogate, fixed_path
+from wrapjax.geometry import AbstractPath, AdjustablePath, PathState, PathSurrogate, fixed_path
 from wrapjax.model import ModelParameters, Recording, initial_parameters
 from wrapjax.muscle import fit_emg_spline
 from wrapjax.subject import Subject, Trials
@@ -70,7 +70,7 @@ def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> 
     return PathState(path.length, path.velocity, moment_arm)
 
 
-def recording(subject: Subject, trials: Trials, path: AdjustablePath) -> Recording:
+def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording:
     """Join the EMG of each muscle's channel with its path."""
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     channels = np.array(subject.muscle_channels)

@@ -12,10 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.api.assembly import recording, surrogate_paths
+from wrapjax.api.assembly import recording
+from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
-from wrapjax.api.preparation import method_freedom, modes_of, stages
+from wrapjax.api.polynomial_paths import modes_of
+from wrapjax.api.preparation import method_freedom, stages
 from wrapjax.calibrate import (
     AbstractCalibration,
     AugmentedLagrangian,
@@ -44,7 +46,7 @@ class Calibration:
     """A finished calibration of a leg."""
 
     subject: Subject
-    fit: Fit
+    fit: Fit | ExactGeometry
     result: CalibrationResult
     #: The person's other leg, where both were calibrated together.
     other_leg: Calibration | None = None
@@ -73,7 +75,7 @@ class Calibration:
 def calibrate(
     subject: Subject,
     method: str = "NGA",
-    fit: Fit | None = None,
+    fit: Fit | ExactGeometry | None = None,
     freedom: Freedom | None = None,
     *,
     solver: AugmentedLagrangian | None = None,
@@ -154,11 +156,13 @@ def calibrate(
 @dataclass(frozen=True)
 class _Leg:
     subject: Subject
-    fit: Fit
+    fit: Fit | ExactGeometry
     freedom: Freedom
 
 
-def _legs(subject: Subject, fit: Fit | None, method: str, freedom: Freedom | None) -> list[_Leg]:
+def _legs(
+    subject: Subject, fit: Fit | ExactGeometry | None, method: str, freedom: Freedom | None
+) -> list[_Leg]:
     """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
     subjects = read_legs(subject)
     if len(subjects) == 2 and freedom is not None:
@@ -189,8 +193,8 @@ def _result(
     assert isinstance(problem, Objective)
     parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
-    modes = None if freedom.paths is None else modes_of(subject, fit)
-    everything = recording(subject, trials, surrogate_paths(fit.surrogate, subject, trials, modes))
+    everything = recording(subject, trials, fit.paths(subject, trials, freedom))
+    surrogate = fit.surrogate if isinstance(fit, Fit) else None
     run = eqx.filter_jit(muscle_states)
     states = run(problem.curves, parameters, everything)
     initial_states = run(problem.curves, problem.variables.base, everything)
@@ -208,8 +212,8 @@ def _result(
         freedom=freedom,
         at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),
         labels=problem.variables.labels,
-        paths=fit.surrogate.of_muscles(subject.muscles.names),
-        path_modes=modes,
+        paths=None if surrogate is None else surrogate.of_muscles(subject.muscles.names),
+        path_modes=None if surrogate is None or freedom.paths is None else modes_of(subject, surrogate),
         measured=trials.moments,
         modelled=np.asarray(states.moment.sum(axis=0)),
         initial_modelled=np.asarray(initial_states.moment.sum(axis=0)),

@@ -11,9 +11,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from wrapjax.api.polynomial_paths import polynomial_freedom, polynomial_paths
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import cache_folder, content_hash, new_folder, write_json, write_whole
-from wrapjax.geometry import PathSurrogate, fit_surrogate, random_poses, smooth_poses
+from wrapjax.geometry import AdjustablePath, PathSurrogate, fit_surrogate, random_poses, smooth_poses
+from wrapjax.model import Freedom
 from wrapjax.osim import (
     PathGeometry,
     analyse_muscles,
@@ -23,7 +25,7 @@ from wrapjax.osim import (
 )
 from wrapjax.precision import require_float64
 from wrapjax.progress import say
-from wrapjax.subject import Subject
+from wrapjax.subject import Subject, Trials
 
 #: Poses for training: random ones in the walking belt, beside the frames of one smooth cycle.
 TRAINING_POSES = 400
@@ -68,6 +70,22 @@ class Fit:
     errors: dict[str, PathError]
     touching: tuple[str, ...]
     seconds: dict[str, float]
+
+    def freedom(self, method: str, subject: Subject) -> Freedom:
+        """Say what a method frees: nothing of the paths (NGA), or their coefficients (SGA, LSGA)."""
+        if method == "PGA":
+            raise InputError(
+                Problem(
+                    str(subject.folder),
+                    "PGA moves cylinders, and these polynomials do not know them",
+                    hint="use --geometry engine",
+                )
+            )
+        return polynomial_freedom(method, subject, self.surrogate, self.touching)
+
+    def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AdjustablePath:
+        """Evaluate the paths over cycles, with all that the freedom may change."""
+        return polynomial_paths(subject, trials, self.surrogate, freedom)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``fit.json`` and ``fit.npz`` into a new folder."""

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from wrapjax.api.assembly import group_indices, model_parameters, recording, surrogate_paths
+from wrapjax.api.assembly import group_indices, model_parameters, recording
+from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
-from wrapjax.calibrate import PATH_CHANGE, Objective, path_limits, path_modes, pipeline_penalties
+from wrapjax.calibrate import Objective, path_limits, pipeline_penalties
 from wrapjax.errors import InputError, Problem
-from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, nga, with_paths
+from wrapjax.geometry import fixed_path
+from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject
 
 #: Ways of adjusting a model, by the names of Ao, Fregly et al.
-METHODS = ("NGA", "SGA", "LSGA")
+METHODS = ("NGA", "SGA", "LSGA", "PGA")
 
 
 def prepare(
     subject: Subject,
     method: str = "NGA",
-    fit: Fit | None = None,
+    fit: Fit | ExactGeometry | None = None,
     freedom: Freedom | None = None,
     *,
     curves: str = "paper",
@@ -40,7 +42,8 @@ def prepare(
     method
         One of `METHODS`; ignored where ``freedom`` is given.
     fit
-        From `wrapjax.fit`; made (or found in the cache) if not given.
+        Source of the muscle paths: from `wrapjax.fit` (polynomials), made or found in the cache if not
+        given; or from `wrapjax.exact_geometry`.
     freedom
         What may move, with bounds and priors.
     curves
@@ -52,7 +55,7 @@ def prepare(
 def stages(
     subject: Subject,
     method: str = "NGA",
-    fit: Fit | None = None,
+    fit: Fit | ExactGeometry | None = None,
     freedom: Freedom | None = None,
     *,
     curves: str = "paper",
@@ -70,14 +73,14 @@ def stages(
         )
     fitted = fit_paths(subject) if fit is None else fit
     freedom = freedom or method_freedom(method, subject, fitted)
-    modes = None if freedom.paths is None else modes_of(subject, fitted)
-    inputs = recording(subject, trials, surrogate_paths(fitted.surrogate, subject, trials, modes))
-    base = model_parameters(subject, path_modes=0 if modes is None else modes.shape[-1])
+    paths = fitted.paths(subject, trials, freedom)
+    inputs = recording(subject, trials, paths)
+    base = model_parameters(subject, path_modes=paths.modes_count)
     names = subject.muscles.names
     reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs)
     held = Objective(
         curves=HILL_CURVES[curves],
-        recording=inputs,
+        recording=replace(inputs, path=fixed_path(paths.nominal)),
         measured=jnp.asarray(trials.moments),
         variables=free_variables(base, freedom.with_held_paths(), names),
         penalties=pipeline_penalties(
@@ -87,18 +90,19 @@ def stages(
         ),
         limits=(),
     )
-    if freedom.paths is None:
+    if freedom.paths is None and freedom.wraps is None:
         return (held,)
-    moving = eqx.tree_at(
-        lambda problem: (problem.variables, problem.limits),
+    moving = replace(
         held,
-        (free_variables(base, freedom, names), path_limits(inputs.path.nominal)),
+        recording=inputs,
+        variables=free_variables(base, freedom, names),
+        limits=path_limits(paths.nominal),
     )
     return held, moving
 
 
 def objective(
-    subject: Subject, method: str = "NGA", fit: Fit | None = None
+    subject: Subject, method: str = "NGA", fit: Fit | ExactGeometry | None = None
 ) -> Callable[[ModelParameters], Float[Array, ""]]:
     """Give the calibration's cost as a pure jitted function of the parameter tree.
 
@@ -113,42 +117,8 @@ def objective(
     return eqx.filter_jit(prepare(subject, method, fit).cost)
 
 
-def method_freedom(method: str, subject: Subject, fit: Fit) -> Freedom:
-    """Say what a method frees for a subject.
-
-    NGA: nothing of the geometry. SGA: also all coefficients of all paths. LSGA: those of the muscles
-    that lie on a wrapping surface in at least one recorded frame.
-    """
+def method_freedom(method: str, subject: Subject, fit: Fit | ExactGeometry) -> Freedom:
+    """Say what a method frees for a subject, of the paths from this source."""
     if method not in METHODS:
         raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
-    freedom = nga(model_parameters(subject))
-    if method == "NGA":
-        return freedom
-    free = _own_modes(subject, fit)
-    if method == "LSGA":
-        free &= np.array([name in fit.touching for name in subject.muscles.names])[:, None]
-        if not free.any():
-            raise InputError(
-                Problem(
-                    str(subject.model_file),
-                    "no driven muscle touches a wrapping surface in the recorded cycles: LSGA frees nothing",
-                    hint="use NGA or SGA",
-                )
-            )
-    return with_paths(freedom, method, free, prior_sd=PATH_CHANGE)
-
-
-def modes_of(subject: Subject, fit: Fit) -> Float[np.ndarray, "muscle term mode"]:
-    """Find the modes of the subject's paths over its calibration cycles (see `path_modes`)."""
-    trials = subject.trials.used_for("calibration")
-    used = np.asarray(fit.surrogate.of_muscles(subject.muscles.names).used)
-    muscles, terms = used.shape
-    single = np.broadcast_to(np.eye(terms), (muscles, terms, terms))
-    path = surrogate_paths(fit.surrogate, subject, trials, single)
-    return path_modes(path.nominal, path.modes, used, trials.moment_coordinates)
-
-
-def _own_modes(subject: Subject, fit: Fit) -> Bool[np.ndarray, "muscle mode"]:
-    """Mark the modes that a muscle has: as many as it has coefficients, the first ones."""
-    used = np.asarray(fit.surrogate.of_muscles(subject.muscles.names).used)
-    return np.arange(used.shape[1])[None] < used.sum(axis=1)[:, None]
+    return fit.freedom(method, subject)

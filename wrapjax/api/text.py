@@ -102,10 +102,11 @@ def _solver_lines(result: CalibrationResult) -> list[str]:
             f"hard limits: largest violation {solution.max_violation:.1e} (allowed "
             f"{result.solver.ctol:.0e}); {pushing} values of {len(muscles)} muscles push against one"
         )
-    if result.freedom.paths is not None:
+    moving = result.freedom.moving_paths
+    if moving is not None:
         change = geometry_change(result)
         lines.append(
-            f"paths of {result.freedom.paths.muscles.sum()} muscles free: on average over all "
+            f"paths of {moving.sum()} muscles free: on average over all "
             f"{len(result.muscles)}, lengths changed by {1e3 * change['length_mae_m']:.2f} mm, moment "
             f"arms by {1e3 * change['moment_arm_mae_m']:.2f} mm"
         )

@@ -83,7 +83,7 @@ def curvature(
     mixed = jax.vmap(along)(jnp.eye(single.size))
     products = jax.tree.map(lambda one, mode: jnp.einsum("s...,m...->sm", one, mode), mixed, modes)
     cross = jax.tree.reduce(jnp.add, products)
-    length, rate, _ = _units(path)
+    length, rate, *_ = _units(path)
     by_length = jax.jvp(lambda at: path_slope(single, at), (path,), (length,))[1]
     by_rate = jax.jvp(lambda at: path_slope(single, at), (path,), (rate,))[1]
     # One half of a symmetric sum; what two moment arms have in common is zero.
@@ -101,22 +101,25 @@ def curvature(
     return jnp.block([[by_single, cross], [cross.T, half + half.T]])
 
 
-def _units(path: PathState) -> tuple[PathState, PathState, PathState]:
-    """Directions that move length, rate or all moment arms alone, at all frames at once."""
-    nothing = jax.tree.map(jnp.zeros_like, path)
-    return (
-        PathState(jnp.ones_like(path.length), nothing.velocity, nothing.moment_arm),
-        PathState(nothing.length, jnp.ones_like(path.velocity), nothing.moment_arm),
-        PathState(nothing.length, nothing.velocity, jnp.ones_like(path.moment_arm)),
-    )
+def _units(path: PathState) -> list[PathState]:
+    """Directions that move length, rate, all moment arms or clearance alone, at all frames at once."""
+    leaves, form = jax.tree.flatten(path)
+    nothing = [jnp.zeros_like(leaf) for leaf in leaves]
+    return [
+        jax.tree.unflatten(form, [*nothing[:place], jnp.ones_like(leaf), *nothing[place + 1 :]])
+        for place, leaf in enumerate(leaves)
+    ]
 
 
-def _chain(by: tuple[Array, Array, Array], modes: PathState) -> Array:
-    """Multiply derivatives of one output by length, rate and arms with those of the three by modes."""
-    by_length, by_rate, by_arm = by
+def _chain(by: tuple[Array, ...], modes: PathState) -> Array:
+    """Multiply derivatives of one output by each part of the path with those of that part by modes."""
+    by_length, by_rate, by_arm, *by_clearance = by
     if by_length.ndim == 0:
         return jnp.zeros(modes.length.shape[0])
-    if by_length.ndim == 2:
-        return by_length[None] * modes.length + by_rate[None] * modes.velocity
-    length, rate = modes.length[:, :, None], modes.velocity[:, :, None]
-    return by_length[None] * length + by_rate[None] * rate + by_arm[None] * modes.moment_arm
+    if by_length.ndim == 3:
+        length, rate = modes.length[:, :, None], modes.velocity[:, :, None]
+        return by_length[None] * length + by_rate[None] * rate + by_arm[None] * modes.moment_arm
+    total = by_length[None] * modes.length + by_rate[None] * modes.velocity
+    if modes.clearance is None:
+        return total
+    return total + by_clearance[0][None] * modes.clearance

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from wrapjax.calibrate.muscle_blocks import curvature, slopes
 from wrapjax.calibrate.penalties import AbstractPenalty, Limit
 from wrapjax.calibrate.problem import AbstractCalibration, Linearization
-from wrapjax.geometry import AdjustablePath, PathState
+from wrapjax.geometry import PathState
 from wrapjax.model import ModelParameters, Recording, Variables, muscle_state_along, muscle_states
 from wrapjax.muscle import HillCurves
 
@@ -146,18 +146,18 @@ class Objective(AbstractCalibration):
         count, modes = len(self.variables.names), self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
-        path = jax.vmap(AdjustablePath.at)(self.recording.path, changes)
+        path = self.recording.path.at(changes)
         unit_modes = jax.tree.map(
             lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]),
-            self.recording.path.modes,
+            self.recording.path.slopes(changes),
         )
         single = self.variables.localize(variables)[:, :count]
-        return single, path, unit_modes, scale[:, :count], self.variables.base, self.recording
+        return single, path, unit_modes, scale[:, :count], self.variables.base, self.recording.emg
 
-    def _muscle_outputs(self, single, path, scale, base, recording):
+    def _muscle_outputs(self, single, path, scale, base, emg):
         """What the residuals are made of, for one muscle."""
         parameters = self.variables.insert(base, single * scale)
-        state = muscle_state_along(path, self.curves, parameters, recording)
+        state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding)
         return state.moment, tuple(restraint.read(parameters, state) for restraint in self._restraints)
 
     def _muscle_slopes(self, variables: Float[Array, " variable"]):
@@ -190,7 +190,7 @@ class Objective(AbstractCalibration):
 
         def lever(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
-            return PathState(path.length, path.velocity, arm[..., None, :])
+            return PathState(path.length, path.velocity, arm[..., None, :], path.clearance)
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(single, path):

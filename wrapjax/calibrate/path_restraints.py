@@ -32,6 +32,8 @@ _COEFFICIENT = 3e-3
 #: length of one like a moment error of 1 N m, which holds paths where they are (errors fall by a seventh);
 #: here it only keeps changes from being larger than the moments ask for.
 PATH_CHANGE = 15.0
+#: How far paths stay from where their length would jump (m).
+LEAST_CLEARANCE = 1e-4
 # Moment arms are limited in units of this (m), to be of the order of fiber lengths.
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
@@ -88,9 +90,11 @@ def path_modes(
 
 
 def path_limits(nominal: PathState) -> tuple[Limit, ...]:
-    """Build the hard limits: fibers within their working range, moment arms keeping their sign.
+    """Build the hard limits: fibers within their working range, moment arms keeping their sign, no jumps.
 
-    A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt.
+    A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt. Paths
+    of which it is known how far they are from a jump in length keep `LEAST_CLEARANCE`, or what they
+    have in the nominal model where that is less.
 
     Parameters
     ----------
@@ -105,7 +109,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
     shortest, longest = FIBER_LENGTH_RANGE
     each, no_shift = jnp.ones((muscles, 1)), jnp.zeros((muscles, trials * frames))
     weight = jnp.full(no_shift.shape, _FIRST_WEIGHT)
-    return (
+    limits = (
         Limit("longest_fiber", normalized_length, whole, each, longest * each, no_shift, weight),
         Limit("shortest_fiber", normalized_length, whole, -each, -shortest * each, no_shift, weight),
         Limit(
@@ -118,6 +122,19 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
             jnp.full(kept.shape, _FIRST_WEIGHT),
         ),
     )
+    if nominal.clearance is None:
+        return limits
+    least = -jnp.minimum(nominal.clearance, LEAST_CLEARANCE).reshape(muscles, -1) / _ARM_UNIT
+    away = -each / _ARM_UNIT
+    return (
+        *limits,
+        Limit("clearance", _clearance, whole, away, least, jnp.zeros(least.shape), weight),
+    )
+
+
+def _clearance(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    assert state.path.clearance is not None
+    return state.path.clearance
 
 
 def _moment_arm(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial coordinate frame"]:

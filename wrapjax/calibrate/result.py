@@ -34,7 +34,8 @@ class CalibrationResult:
     labels
         Names of the variables.
     paths, path_modes
-        Nominal paths, and the coefficients of each mode of change; None where paths were held.
+        Nominal paths as polynomials, and the coefficients of each mode of change: None where paths are
+        not polynomials, and where they were held.
     measured, modelled, initial_modelled
         Joint moments in N m; the last before calibration.
     states, initial_states
@@ -65,7 +66,7 @@ class CalibrationResult:
     freedom: Freedom
     at_bounds: tuple[str, ...]
     labels: tuple[str, ...]
-    paths: PathSurrogate
+    paths: PathSurrogate | None
     path_modes: Float[np.ndarray, "muscle term mode"] | None
     measured: Float[np.ndarray, "trial coordinate frame"]
     modelled: Float[np.ndarray, "trial coordinate frame"]
@@ -92,7 +93,8 @@ class CalibrationResult:
 
     @property
     def path_coefficients(self) -> Float[np.ndarray, "muscle term"]:
-        """Coefficients of the calibrated paths, in m."""
+        """Coefficients of the calibrated paths, in m; of paths that are polynomials."""
+        assert self.paths is not None
         nominal = np.asarray(self.paths.coefficients)
         if self.path_modes is None:
             return nominal

@@ -1,5 +1,6 @@
 """Muscle paths: length, rate and moment arms as functions of joint angles."""
 
+from wrapjax.geometry.paths import AbstractPath as AbstractPath
 from wrapjax.geometry.paths import AdjustablePath as AdjustablePath
 from wrapjax.geometry.paths import PathState as PathState
 from wrapjax.geometry.paths import fixed_path as fixed_path

@@ -11,6 +11,8 @@ Whether a path wraps, and on which side, is decided in the same way for both.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,15 +78,21 @@ class Decision(eqx.Module):
 
 
 class Contact(eqx.Module):
-    """Where pieces of path touch, in the cylinder's frame, and how long they are on the surface.
+    """Where pieces of path touch, in the cylinder's frame.
 
-    ``off_end`` (m) is positive while a point of contact is on the cylinder; ``turn`` is how far the
-    path goes round (rad).
+    ``length`` is that on the surface, ``total`` that from end to end (m). A piece pulls its ends along
+    ``start_pull`` and against ``end_pull``, unit vectors along the path. ``off_end`` (m) is positive
+    while a point of contact is on the cylinder, ``turn`` is how far the path goes round (rad).
     """
 
     first: Vector
     last: Vector
     length: Float[Array, "*piece"]
+    total: Float[Array, "*piece"]
+    start_pull: Vector
+    end_pull: Vector
+    #: Whether such a contact is made at all.
+    made: Bool[Array, "*piece"]
     turn: Float[Array, "*piece"]
     off_end: Float[Array, "*piece"]
 
@@ -148,7 +156,7 @@ def spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Dec
     normal = _plane_normal(start, end)
     first = _slid_into_plane(decision.first, start, end.z, end.z, start, normal)
     last = _slid_into_plane(decision.last, start, start.z, end.z, end, normal)
-    return _on_spiral(first, last, cylinder, decision.long_way)
+    return _on_spiral(start, first, last, end, cylinder, decision)
 
 
 def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
@@ -201,17 +209,26 @@ def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decis
     first_z, last_z, _, _ = jax.lax.while_loop(
         unfinished, slide, (contact.first.z, contact.last.z, needed, jnp.asarray(0))
     )
-    return Contact(
-        first=Vector(flat_first.x, flat_first.y, first_z),
-        last=Vector(flat_last.x, flat_last.y, last_z),
-        length=heights_to_length(first_z, last_z),
-        turn=turn,
-        off_end=contact.off_end,
+    first = Vector(flat_first.x, flat_first.y, first_z)
+    last = Vector(flat_last.x, flat_last.y, last_z)
+    length = heights_to_length(first_z, last_z)
+    return replace(
+        contact,
+        first=first,
+        last=last,
+        length=length,
+        total=(first - start).norm() + length + (end - last).norm(),
+        start_pull=(first - start).unit(),
+        end_pull=(end - last).unit(),
     )
 
 
 def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
-    """Find the contact of the shortest path that goes round the chosen side."""
+    """Find the contact of the shortest path that goes round the chosen side.
+
+    An end inside the cylinder, from where there is no such path, counts as on its surface: so length does
+    not jump as an end goes in.
+    """
     radius = cylinder.radius
     leftward = decision.counterclockwise
     _, start_left, start_right = _tangent_points(start, radius)
@@ -226,12 +243,19 @@ def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: D
     slope = (end.z - start.z) * safe_inverse(to_first + radius * turn + from_last)
     first = Vector(first.x, first.y, start.z + slope * to_first)
     last = Vector(last.x, last.y, end.z - slope * from_last)
+    stretch = jnp.sqrt(1.0 + slope**2)
+    forward = jnp.where(leftward, 1.0, -1.0) / (radius * stretch)
+    off_end = cylinder.half_length - jnp.minimum(jnp.abs(first.z), jnp.abs(last.z))
     return Contact(
         first=first,
         last=last,
-        length=radius * turn * jnp.sqrt(1.0 + slope**2),
+        length=radius * turn * stretch,
+        total=(to_first + radius * turn + from_last) * stretch,
+        start_pull=Vector(-first.y * forward, first.x * forward, slope / stretch),
+        end_pull=Vector(-last.y * forward, last.x * forward, slope / stretch),
+        made=off_end >= 0.0,
         turn=turn,
-        off_end=cylinder.half_length - jnp.minimum(jnp.abs(first.z), jnp.abs(last.z)),
+        off_end=off_end,
     )
 
 
@@ -239,7 +263,8 @@ def _tangent_points(point: Vector, radius: Float[Array, ""]) -> tuple[Float[Arra
     """Distance from the axis, and the points of tangency to the left and right, at the point's height."""
     square = point.x**2 + point.y**2
     inverse = safe_inverse(square)
-    toward = radius**2 * inverse
+    # From inside there are no tangents: the nearest point of the surface stands for both.
+    toward = jnp.where(square < radius**2, radius * safe_sqrt(inverse), radius**2 * inverse)
     aside = radius * safe_sqrt(square - radius**2) * inverse
     x, y = toward * point.x, toward * point.y
     left = Vector(x - aside * point.y, y + aside * point.x, point.z)
@@ -298,16 +323,24 @@ def _slid_into_plane(
     return Vector(tangent.x, tangent.y, jnp.where(steep & within & nearer, height, tangent.z))
 
 
-def _on_spiral(first: Vector, last: Vector, cylinder: Cylinder, long_way: Bool[Array, "*piece"]) -> Contact:
+def _on_spiral(
+    start: Vector, first: Vector, last: Vector, end: Vector, cylinder: Cylinder, decision: Decision
+) -> Contact:
     angle = _angle_between(first, last)
     # OpenSim 4.6: where the angle is negative, a long wrap becomes more than a full turn.
-    turn = jnp.where(long_way, 2.0 * jnp.pi - angle, angle)
+    turn = jnp.where(decision.long_way, 2.0 * jnp.pi - angle, angle)
+    length = jnp.sqrt((cylinder.radius * turn) ** 2 + (last.z - first.z) ** 2)
+    off_end = cylinder.half_length - jnp.minimum(jnp.abs(first.z), jnp.abs(last.z))
     return Contact(
         first=first,
         last=last,
-        length=jnp.sqrt((cylinder.radius * turn) ** 2 + (last.z - first.z) ** 2),
+        length=length,
+        total=(first - start).norm() + length + (end - last).norm(),
+        start_pull=(first - start).unit(),
+        end_pull=(end - last).unit(),
+        made=~decision.inside & (off_end >= 0.0),
         turn=turn,
-        off_end=cylinder.half_length - jnp.minimum(jnp.abs(first.z), jnp.abs(last.z)),
+        off_end=off_end,
     )
 
 

@@ -127,7 +127,18 @@ class ExactPaths:
             else:
                 path = straight_path(muscle, points, motion["ground"], None)
             posed[name] = PosedPath(path, surfaces_of(wraps))
-        return posed
+        return _filled_up(posed)
+
+
+def _filled_up(posed: dict[str, PosedPath]) -> dict[str, PosedPath]:
+    """Give all paths by one cylinder as many pieces: then one program serves all of them."""
+    single = {
+        name: one.path
+        for name, one in posed.items()
+        if isinstance(one.path, StraightPath) and one.surfaces.radius.size
+    }
+    most = max((path.eligible.shape[1] for path in single.values()), default=0)
+    return posed | {name: PosedPath(path.filled(most), posed[name].surfaces) for name, path in single.items()}
 
 
 def wrap_at_samples(

@@ -1,6 +1,8 @@
-"""What the rest of the model needs to know of a muscle's path."""
+"""What the rest of the model needs to know of muscle paths, and how they may change."""
 
 from __future__ import annotations
+
+import abc
 
 import equinox as eqx
 import jax
@@ -20,10 +22,35 @@ class PathState(eqx.Module):
     velocity: Float[Array, "*muscle trial frame"]
     #: m (m/rad)
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
+    #: How far the path is from where its length would jump (m), for paths that can.
+    clearance: Float[Array, "*muscle trial frame"] | None = None
 
 
-class AdjustablePath(eqx.Module):
-    """A path that a calibration may change: the nominal one plus any sum of modes.
+class AbstractPath(eqx.Module):
+    """Paths of all muscles, of which some can be changed by numbers, *changes*.
+
+    All changes zero leave the paths as the model has them.
+    """
+
+    #: As the model has them.
+    nominal: eqx.AbstractVar[PathState]
+
+    @property
+    @abc.abstractmethod
+    def modes_count(self) -> int:
+        """How many changes a muscle has at most."""
+
+    @abc.abstractmethod
+    def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
+        """Give all paths, changed by these amounts."""
+
+    @abc.abstractmethod
+    def slopes(self, changes: Float[Array, "muscle mode"]) -> PathState:
+        """Differentiate each path by its own changes; leaves lead with ``muscle mode``."""
+
+
+class AdjustablePath(AbstractPath):
+    """Paths that change by any sum of modes.
 
     A mode is a change of shape, consistent in length, rate and moment arms. Paths that must stay as
     they are have no modes.
@@ -33,11 +60,24 @@ class AdjustablePath(eqx.Module):
     #: Change by one unit of each mode; leaves lead with ``muscle mode``.
     modes: PathState
 
-    def at(self, changes: Float[Array, " mode"]) -> PathState:
-        """Give one muscle's path (the leading axis taken off) with its modes by these amounts."""
+    @property
+    def modes_count(self) -> int:
+        """How many modes a muscle has at most."""
+        return self.modes.length.shape[1]
+
+    def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
+        """Add the modes, by these amounts, to the nominal paths."""
         return jax.tree.map(
-            lambda nominal, modes: nominal + jnp.tensordot(changes, modes, axes=1), self.nominal, self.modes
+            lambda nominal, modes: (
+                nominal + jnp.einsum("mk,mk...->m...", changes[:, : modes.shape[1]], modes)
+            ),
+            self.nominal,
+            self.modes,
         )
+
+    def slopes(self, changes: Float[Array, "muscle mode"]) -> PathState:
+        """Give the modes, whatever the changes."""
+        return self.modes
 
 
 def fixed_path(path: PathState) -> AdjustablePath:

@@ -148,9 +148,12 @@ def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
     def sweep(state):
         way, _, count = state
         before = way
-        for turn in range(wraps):
-            way, _ = _fit_in(path, placed, jnp.asarray(turn), way, geodesic_contact)
-            way = way._replace(seen=way.position)
+
+        def fit_in(turn, way):
+            way, _ = _fit_in(path, placed, turn, way, geodesic_contact)
+            return way._replace(seen=way.position)
+
+        way = jax.lax.fori_loop(0, wraps, fit_in, way)
         moved = jnp.max(jnp.abs(way.position - before.position))
         same = jnp.all(way.knots == before.knots)
         return way, same & (moved < _NEARLY), count + 1
@@ -223,22 +226,24 @@ def _refitted(
 ) -> tuple[Float[Array, "contact 3"], Float[Array, " wrap"]]:
     """Fit every touched cylinder in once more, each between its neighbours on the path as it is."""
     points = path.position.shape[0]
-    position = jnp.concatenate([path.position, contacts])
-    lengths = []
-    for wrap in range(placed.radius.shape[0]):
-        first = points + 2 * wrap
-        touched = jnp.any(knots == first)
-        place = jnp.argmax(knots == first)
+
+    def refit(position, entry):
+        wrap, cylinder = entry
+        rows = points + 2 * wrap + jnp.arange(2)
+        touched = jnp.any(knots == rows[0])
+        place = jnp.argmax(knots == rows[0])
         before = jnp.maximum(knots[place - 1], 0)
         after = jnp.maximum(knots[jnp.minimum(place + 2, knots.size - 1)], 0)
-        cylinder = jax.tree.map(lambda leaf, wrap=wrap: leaf[wrap], placed)
         start, end = cylinder.inward(vector(position[before])), cylinder.inward(vector(position[after]))
         contact = geodesic_contact(start, end, cylinder, decide(start, end, cylinder))
         found = jnp.stack([_rows(cylinder.outward(contact.first)), _rows(cylinder.outward(contact.last))])
-        kept = jax.lax.stop_gradient(position[first : first + 2])
-        position = position.at[first : first + 2].set(jnp.where(touched, found, kept))
-        lengths.append(jnp.where(touched, contact.length, 0.0))
-    return position[points:], jnp.stack(lengths)
+        kept = jax.lax.stop_gradient(position[rows])
+        moved = position.at[rows].set(jnp.where(touched, found, kept))
+        return moved, jnp.where(touched, contact.length, 0.0)
+
+    start = jnp.concatenate([path.position, contacts])
+    position, lengths = jax.lax.scan(refit, start, (jnp.arange(placed.radius.shape[0]), placed))
+    return position[points:], lengths
 
 
 def _fit_in(
@@ -269,8 +274,8 @@ def _fit_in(
 
     decision = decide(start, end, cylinder)
     contact = find_contact(start, end, cylinder, decision)
-    crossing = eligible & ~decision.inside & (decision.mandatory | decision.possible)
-    wraps = crossing & (contact.off_end >= 0.0)
+    crossing = eligible & (decision.mandatory | decision.possible)
+    wraps = crossing & contact.made
     first, last = cylinder.outward(contact.first), cylinder.outward(contact.last)
     seen_start, seen_end = vector(way.seen[first_knots]), vector(way.seen[last_knots])
     longer = (
@@ -396,6 +401,6 @@ def _outcome(way: _Path, path: PointsAndCarriers, wraps: int) -> WrappedPath:
     return WrappedPath(
         length=_length(way, points),
         moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
-        touching=jnp.any(way.knots >= points),
+        touching=jnp.any(way.knots[None] == points + 2 * jnp.arange(wraps)[:, None], axis=1),
         margins=jax.tree.map(jnp.min, way.margins),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -33,7 +34,7 @@ class Margins(eqx.Module):
     Smooth in pose and wrap parameters, but for the change from one piece of path to another.
     """
 
-    #: Distance of the nearest path point from the surface (m): inside, a path does not wrap.
+    #: Distance of the nearest path point from the surface (m): inside, OpenSim does not wrap.
     inside: Float[Array, "*pose"]
     #: Distance of the path on the surface from the cylinder's end (m): beyond it does not wrap.
     off_end: Float[Array, "*pose"]
@@ -48,7 +49,8 @@ class WrappedPath(eqx.Module):
     length: Float[Array, "*pose"]
     #: By coordinate, m/rad: -dL/dq.
     moment_arm: Float[Array, "*pose coordinate"]
-    touching: Bool[Array, "*pose"]
+    #: Which of its cylinders it lies on.
+    touching: Bool[Array, "*pose wrap"]
     margins: Margins
 
 
@@ -64,6 +66,19 @@ class StraightPath(eqx.Module):
     end_velocity: Vector
     #: False for a piece that is there only to fill up.
     eligible: Bool[Array, "*pose piece"]
+
+    def filled(self, pieces: int) -> StraightPath:
+        """Fill up to a number of pieces: copies of the last one that do not count."""
+        missing = pieces - self.eligible.shape[-1]
+
+        def repeated(leaf: Array) -> Array:
+            return jnp.concatenate([leaf, jnp.repeat(leaf[..., -1:], missing, axis=-1)], axis=-1)
+
+        ends = (self.start, self.end, self.start_velocity, self.end_velocity)
+        start, end, start_velocity, end_velocity = jax.tree.map(repeated, ends)
+        none = jnp.zeros((*self.eligible.shape[:-1], missing), dtype=bool)
+        eligible = jnp.concatenate([self.eligible, none], axis=-1)
+        return StraightPath(self.length, self.moment_arm, start, end, start_velocity, end_velocity, eligible)
 
 
 def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact) -> WrappedPath:
@@ -84,18 +99,18 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
     start, end = cylinder.inward(path.start), cylinder.inward(path.end)
     decision = decide(start, end, cylinder)
     contact = find_contact(start, end, cylinder, decision)
-    crossing = path.eligible & ~decision.inside & (decision.mandatory | decision.possible)
-    wraps = crossing & (contact.off_end >= 0.0)
-    to_first, from_last, straight = contact.first - start, end - contact.last, end - start
-    longer = to_first.norm() + contact.length + from_last.norm() - straight.norm()
+    crossing = path.eligible & (decision.mandatory | decision.possible)
+    wraps = crossing & contact.made
+    straight = end - start
+    longer = contact.total - straight.norm()
     # Mandatory ones come first, in their order; the others by how much longer they make the path.
     order = jnp.arange(path.eligible.shape[-1])
     rank = jnp.where(decision.mandatory, order - 1e6, longer)
     rank = jnp.where(wraps, rank, jnp.inf)
     chosen = wraps & (order == jnp.argmin(rank, axis=-1))
 
-    first_pull = cylinder.turn_outward(to_first.unit())
-    last_pull = cylinder.turn_outward(from_last.unit())
+    first_pull = cylinder.turn_outward(contact.start_pull)
+    last_pull = cylinder.turn_outward(contact.end_pull)
     straight_pull = cylinder.turn_outward(straight.unit())
     # The surface stands still: what moves are the ends, towards it or away.
     at_start, at_end = (first_pull - straight_pull).at(None), (last_pull - straight_pull).at(None)
@@ -103,7 +118,7 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
     return WrappedPath(
         length=path.length + jnp.sum(jnp.where(chosen, longer, 0.0), axis=-1),
         moment_arm=path.moment_arm + jnp.sum(jnp.where(chosen[None], change, 0.0), axis=-1),
-        touching=jnp.any(chosen, axis=-1),
+        touching=jnp.any(chosen, axis=-1, keepdims=True),
         margins=Margins(
             inside=jnp.min(jnp.where(path.eligible, decision.clearance, FREE), axis=-1),
             off_end=jnp.min(jnp.where(crossing, contact.off_end, FREE), axis=-1),
@@ -118,6 +133,6 @@ def unwrapped(path: StraightPath) -> WrappedPath:
     return WrappedPath(
         length=path.length,
         moment_arm=path.moment_arm,
-        touching=jnp.zeros(path.length.shape, dtype=bool),
+        touching=jnp.zeros((*path.length.shape, 0), dtype=bool),
         margins=Margins(free, free, free),
     )

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from wrapjax.geometry import AdjustablePath, PathState
+from wrapjax.geometry import AbstractPath, PathState
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle import (
     EmgSpline,
@@ -20,10 +20,11 @@ from wrapjax.muscle import (
 
 
 class Recording(eqx.Module):
-    """What was recorded of all cycles, as the model takes it in; leaves lead with ``muscle``."""
+    """What was recorded of all cycles, as the model takes it in."""
 
+    #: Leaves lead with ``muscle``.
     emg: EmgSpline
-    path: AdjustablePath
+    path: AbstractPath
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
 
@@ -40,30 +41,25 @@ class MuscleState(eqx.Module):
     moment: Float[Array, "*muscle trial coordinate frame"]
 
 
-def muscle_state(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
-    """Run one muscle over all cycles.
+def muscle_state_along(
+    path: PathState, curves: HillCurves, parameters: ModelParameters, emg: EmgSpline, padding: int
+) -> MuscleState:
+    """Run one muscle along a path over all cycles.
+
+    Of the path, the tendon force at a frame depends on length and rate at that frame alone.
 
     Parameters
     ----------
+    path, parameters, emg
+        Of one muscle.
     curves
         Normalised force curves.
-    parameters, recording
-        Of one muscle: the leading axis is taken off.
+    padding
+        Frames of EMG before and after each cycle.
     """
-    path = recording.path.at(parameters.path_changes)
-    return muscle_state_along(path, curves, parameters, recording)
-
-
-def muscle_state_along(
-    path: PathState, curves: HillCurves, parameters: ModelParameters, recording: Recording
-) -> MuscleState:
-    """Run one muscle along a given path, whatever the recording's own.
-
-    Of the path, the tendon force at a frame depends on length and rate at that frame alone.
-    """
-    excitation = parameters.emg_scale * recording.emg.at_delay(parameters.electromechanical_delay)
-    neural = neural_activation(excitation, parameters.activation_time_constant, recording.emg.step)
-    inside = slice(recording.padding, neural.shape[-1] - recording.padding)
+    excitation = parameters.emg_scale * emg.at_delay(parameters.electromechanical_delay)
+    neural = neural_activation(excitation, parameters.activation_time_constant, emg.step)
+    inside = slice(padding, neural.shape[-1] - padding)
     activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), parameters.activation_nonlinearity)
     fiber = rigid_tendon_fiber(
         curves,
@@ -82,7 +78,10 @@ def muscle_state_along(
 
 def muscle_states(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
     """Run every muscle over all cycles; leaves of the result lead with ``muscle``."""
-    return jax.vmap(muscle_state, in_axes=(None, 0, 0))(curves, parameters, recording)
+    path = recording.path.at(parameters.path_changes)
+    return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None))(
+        path, curves, parameters, recording.emg, recording.padding
+    )
 
 
 def joint_moments(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 
@@ -66,12 +66,62 @@ class FreedPaths:
 
 
 @dataclass(frozen=True)
+class FreedWraps:
+    """Cylinders whose parameters may change, each alike for all muscles that wrap round it.
+
+    Parameters
+    ----------
+    names
+        Of the cylinders.
+    quantities, units
+        Names and units of a cylinder's parameters, by which it may differ from nominal.
+    places
+        Which cylinder stands in each place of a muscle's path: a number in ``names``, -1 for one that
+        is held and where a muscle has fewer.
+    lower, upper
+        Bounds of what each parameter may differ from nominal by, in its unit.
+    scale
+        Size of one solver unit.
+    prior_sd
+        How far a parameter may be from nominal at the cost of one allowable error.
+    """
+
+    names: tuple[str, ...]
+    quantities: tuple[str, ...]
+    units: tuple[str, ...]
+    places: Int[np.ndarray, "muscle wrap"]
+    lower: Float[np.ndarray, "wrap wrap_parameter"]
+    upper: Float[np.ndarray, "wrap wrap_parameter"]
+    scale: Float[np.ndarray, "wrap wrap_parameter"]
+    prior_sd: Float[np.ndarray, "wrap wrap_parameter"]
+
+    def changes_of(
+        self, path_changes: Float[np.ndarray, "muscle mode"]
+    ) -> Float[np.ndarray, "wrap wrap_parameter"]:
+        """Read each cylinder's difference from nominal off the muscles that wrap round it."""
+        by_place = np.asarray(path_changes).reshape(*self.places.shape, len(self.quantities))
+        return np.stack([by_place[self.places == number][0] for number in range(len(self.names))])
+
+
+@dataclass(frozen=True)
 class Freedom:
-    """A named set of freed parameters, and of paths that may change."""
+    """A named set of freed parameters, and of what may change of the paths: their modes, or cylinders."""
 
     name: str
     parameters: tuple[FreedParameter, ...]
     paths: FreedPaths | None = None
+    wraps: FreedWraps | None = None
+
+    def __post_init__(self):
+        if self.paths is not None and self.wraps is not None:
+            raise ValueError("either the modes of paths or their cylinders can be free, not both")
+
+    @property
+    def moving_paths(self) -> Bool[np.ndarray, " muscle"] | None:
+        """Whether a muscle's path may change; None where all are held."""
+        if self.paths is not None:
+            return self.paths.muscles
+        return None if self.wraps is None else np.asarray((self.wraps.places >= 0).any(axis=1))
 
     def without(self, names: Sequence[str]) -> Freedom:
         """Hold the named parameters at their values."""
@@ -80,7 +130,7 @@ class Freedom:
 
     def with_held_paths(self) -> Freedom:
         """Hold all paths as they are."""
-        return replace(self, paths=None)
+        return replace(self, paths=None, wraps=None)
 
 
 def nga(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
@@ -135,3 +185,8 @@ def with_paths(
         See `FreedPaths`.
     """
     return Freedom(name, freedom.parameters, FreedPaths(free, prior_sd))
+
+
+def with_wraps(freedom: Freedom, name: str, wraps: FreedWraps) -> Freedom:
+    """Free cylinders as well (PGA)."""
+    return Freedom(name, freedom.parameters, wraps=wraps)

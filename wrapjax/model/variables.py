@@ -134,8 +134,10 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     muscles
         Names, in the order of the tree's leading axis.
     """
-    freed, paths = freedom.parameters, freedom.paths
+    freed, paths, wraps = freedom.parameters, freedom.paths, freedom.wraps
     modes = 0 if paths is None else paths.free.shape[1]
+    if wraps is not None:
+        modes = wraps.places.size // len(muscles) * len(wraps.quantities)
     count = len(muscles)
     # Modes are parts of one change: it is the length of their vector that is expected to be short.
     mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
@@ -146,21 +148,38 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
 
     scale = column("scale", 1.0)
     free = np.ones(scale.shape, dtype=bool)
-    if paths is not None:
-        free[:, len(freed) :] = paths.free
-    index = np.full(free.shape, free.sum())
-    index[free] = np.arange(free.sum())
-    labels = [parameter.name for parameter in freed] + [f"path_changes_{mode:03d}" for mode in range(modes)]
+    free[:, len(freed) :] = False if paths is None else paths.free
+    own = int(free.sum())
+    index = np.full(free.shape, own)
+    index[free] = np.arange(own)
+    names = [parameter.name for parameter in freed] + [f"path_changes_{mode:03d}" for mode in range(modes)]
+    labels = [f"{muscles[muscle]}.{names[place]}" for muscle, place in np.argwhere(free)]
+    bounds = {
+        name: (column(name, sign * np.inf) / scale)[free] for name, sign in (("lower", -1), ("upper", 1))
+    }
+    prior_mean = (column("prior_mean", 0.0) / scale)[free]
+    prior_precision = (scale / column("prior_sd", mode_sd))[free]
+    if wraps is not None:
+        # After all muscles: a cylinder is nobody's own.
+        held = wraps.places[:, :, None] < 0
+        number = own + wraps.places[:, :, None] * len(wraps.quantities) + np.arange(len(wraps.quantities))
+        index[:, len(freed) :] = np.where(held, own + wraps.lower.size, number).reshape(count, -1)
+        scale[:, len(freed) :] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
+        labels += [f"{name}.{quantity}" for name in wraps.names for quantity in wraps.quantities]
+        for name in bounds:
+            bounds[name] = np.append(bounds[name], getattr(wraps, name) / wraps.scale)
+        prior_mean = np.append(prior_mean, np.zeros(wraps.lower.size))
+        prior_precision = np.append(prior_precision, wraps.scale / wraps.prior_sd)
     return Variables(
         base=base,
         names=tuple(parameter.name for parameter in freed),
         modes=modes,
         scale=scale,
         index=index,
-        places=_places(index, int(free.sum())),
-        lower=(column("lower", -np.inf) / scale)[free],
-        upper=(column("upper", np.inf) / scale)[free],
-        prior_mean=(column("prior_mean", 0.0) / scale)[free],
-        prior_precision=(scale / column("prior_sd", mode_sd))[free],
-        labels=tuple(f"{muscles[muscle]}.{labels[place]}" for muscle, place in np.argwhere(free)),
+        places=_places(index, len(labels)),
+        lower=bounds["lower"],
+        upper=bounds["upper"],
+        prior_mean=prior_mean,
+        prior_precision=prior_precision,
+        labels=tuple(labels),
     )

@@ -19,9 +19,10 @@ Arms = Float[np.ndarray, "muscle trial coordinate frame"]
 
 def path_section(result: CalibrationResult) -> str:
     """Write the part of the report on paths; empty where they were held."""
-    if result.freedom.paths is None:
+    moving = result.freedom.moving_paths
+    if moving is None:
         return ""
-    free = np.flatnonzero(result.freedom.paths.muscles)
+    free = np.flatnonzero(moving)
     if not largest_changes(result):
         return markup.section(
             "Muscle paths",
@@ -35,9 +36,7 @@ def path_section(result: CalibrationResult) -> str:
         markup.paragraph(
             f"The paths of {len(free)} of {counted(len(result.muscles), 'muscle')} were free to change. "
             f"Their lengths changed by {length[free].mean():.1f} mm on average, their moment arms by "
-            f"{arm[free].mean(axis=(1, 3))[spanned[free]].mean():.1f} mm. These are polynomials, not "
-            "anatomy: no bone and no surface bounds them, only penalties on the change and the hard limits "
-            "(see Solver)."
+            f"{arm[free].mean(axis=(1, 3))[spanned[free]].mean():.1f} mm. {_origin(result)}"
         ),
         markup.picture(
             moment_arm_figure(result),
@@ -53,6 +52,18 @@ def path_section(result: CalibrationResult) -> str:
             caption="Changes in mm over all frames of all cycles (absolute values), moment arms about the "
             "coordinates that the muscle spans.",
         ),
+    )
+
+
+def _origin(result: CalibrationResult) -> str:
+    if result.freedom.wraps is not None:
+        return (
+            "They follow the cylinders that the muscles wrap round (see Wrapping surfaces), within the "
+            "hard limits (see Solver)."
+        )
+    return (
+        "These are polynomials, not anatomy: no bone and no surface bounds them, only penalties on the "
+        "change and the hard limits (see Solver)."
     )
 
 

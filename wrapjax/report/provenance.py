@@ -83,7 +83,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
             for parameter in result.freedom.parameters
         },
         "freed_paths": None
-        if result.freedom.paths is None
+        if result.freedom.paths is None or result.paths is None
         else {
             "modes": {
                 muscle: int(free.sum())
@@ -101,6 +101,21 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
                     strict=True,
                 )
             },
+        },
+        "freed_wraps": None
+        if result.freedom.wraps is None
+        else {
+            name: {
+                quantity: {"lower": lower, "upper": upper, "prior_sd": sd}
+                for quantity, lower, upper, sd in zip(result.freedom.wraps.quantities, *ends, strict=True)
+            }
+            for name, *ends in zip(
+                result.freedom.wraps.names,
+                result.freedom.wraps.lower,
+                result.freedom.wraps.upper,
+                result.freedom.wraps.prior_sd,
+                strict=True,
+            )
         },
         "versions": package_versions(),
         "platform": platform.platform(),

@@ -18,7 +18,7 @@ def solver_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
     paths = (
         " Where paths may change, the first iterations still hold them; the cost jumps where the hard limits "
         "come in, and where they are enforced more strictly."
-        if result.freedom.paths is not None
+        if result.freedom.moving_paths is not None
         else ""
     )
     return markup.section(

@@ -6,13 +6,11 @@ import csv
 import io
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibrate import CalibrationResult, Objective
-from wrapjax.geometry import AdjustablePath
 from wrapjax.model import QUANTITIES
 from wrapjax.report.parameter_figures import place_within_bounds
 
@@ -109,6 +107,6 @@ def moment_arm_spread(result: CalibrationResult) -> float:
         problem = solution.problem
         assert isinstance(problem, Objective)
         changes = problem.parameters(jnp.asarray(solution.variables)).path_changes
-        path = jax.vmap(AdjustablePath.at)(problem.recording.path, changes)
+        path = problem.recording.path.at(changes)
         arms.append(np.asarray(path.moment_arm))
     return float(np.ptp(np.stack(arms), axis=0).max())

@@ -96,7 +96,7 @@ def findings(result: CalibrationResult) -> list[str]:
         if number
         else "These agree on every muscle parameter to within a tenth of the way between its bounds."
     )
-    if result.freedom.paths is not None:
+    if result.freedom.moving_paths is not None:
         apart = max(0.1, 1e3 * moment_arm_spread(result))
         sentences.append(f"Their moment arms differ by {apart:.1f} mm at most.")
     return sentences

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibrate import CalibrationResult
+from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import QUANTITIES
 from wrapjax.subject import Storage
 
@@ -19,8 +20,9 @@ PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "up
 def parameters_csv(result: CalibrationResult) -> str:
     """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
 
-    Of paths that were free, every coefficient follows (``PathSurrogate.term_names``); none has bounds. The
-    length is the sum of coefficients times terms, whose coordinates are scaled as settings.json says.
+    Of cylinders that were free every parameter follows; of paths that were free, every coefficient
+    (``PathSurrogate.term_names``), which has no bounds: the length is the sum of
+    coefficients times terms, whose coordinates are scaled as settings.json says.
     """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
@@ -33,13 +35,29 @@ def parameters_csv(result: CalibrationResult) -> str:
             if name in freed:
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
-    if result.freedom.paths is not None:
+    for owner, *entries in wrap_parameters(result):
+        writer.writerow((owner, "wrap", *entries))
+    if result.freedom.paths is not None and result.paths is not None:
         names, used = result.paths.term_names(), np.asarray(result.paths.used)
         for row in np.flatnonzero(result.freedom.paths.muscles).tolist():
             values = result.path_coefficients[row, used[row]].tolist()
             for term, value in zip(names[row], values, strict=True):
                 writer.writerow((result.muscles[row], "term", term, value, "m", "", ""))
     return text.getvalue()
+
+
+def wrap_parameters(
+    result: CalibrationResult,
+) -> Iterator[tuple[str, str, float, str, float, float]]:
+    """Give each free cylinder's parameters: owner, name, value, unit and bounds, as in `WRAP_PARAMETERS`."""
+    wraps = result.freedom.wraps
+    if wraps is None:
+        return
+    values = NOMINAL + wraps.changes_of(np.asarray(result.parameters.path_changes))
+    for wrap, owner in enumerate(wraps.names):
+        for place, quantity in enumerate(wraps.quantities):
+            lower, upper = (float(NOMINAL[place] + end[wrap, place]) for end in (wraps.lower, wraps.upper))
+            yield owner, quantity, float(values[wrap, place]), wraps.units[place], lower, upper
 
 
 def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:

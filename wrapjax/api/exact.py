@@ -1,0 +1,164 @@
+"""The exact engine as a source of paths: no training, and cylinders that can be moved (PGA)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.api.assembly import model_parameters
+from wrapjax.errors import InputError, Problem
+from wrapjax.files import content_hash
+from wrapjax.geometry import AbstractPath, fixed_path
+from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.wrap_boxes import box, translation_bounds
+from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.model import Freedom, FreedWraps, nga, with_wraps
+from wrapjax.osim import describe_model
+from wrapjax.precision import require_float64
+from wrapjax.subject import Subject, Trials
+
+#: Ways in which the engine can wrap, by the names that commands know.
+WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
+# Poses that bounds of translation are found in: every so many recorded frames.
+_EVERY = 4
+
+
+@dataclass(frozen=True)
+class ExactGeometry:
+    """A subject's muscle paths from the exact engine.
+
+    Parameters
+    ----------
+    key
+        Hash of what decides the paths.
+    engine
+        Of the subject's muscles and recorded coordinates.
+    wrapping
+        The shortest way, or OpenSim's.
+    on_surface
+        Which of its cylinders each muscle lies on in at least one recorded frame.
+    translations
+        How far each touched cylinder may move along each axis, to either side (m).
+    """
+
+    key: str
+    engine: ExactPaths
+    wrapping: Wrapping
+    on_surface: Bool[np.ndarray, "muscle wrap"]
+    translations: dict[str, float]
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The muscles that lie on a wrapping surface in at least one recorded frame."""
+        return tuple(
+            name for name, touched in zip(self.engine.muscles, self.on_surface, strict=True) if touched.any()
+        )
+
+    def freedom(self, method: str, subject: Subject) -> Freedom:
+        """Say what a method frees: nothing of the paths (NGA), or the touched cylinders (PGA)."""
+        freedom = nga(model_parameters(subject))
+        if method == "NGA":
+            return freedom
+        if method != "PGA":
+            raise InputError(
+                Problem(
+                    str(subject.folder),
+                    f"{method} changes polynomials, and the exact engine has none",
+                    hint="use --geometry surrogate, or PGA",
+                )
+            )
+        if not self.translations:
+            raise InputError(
+                Problem(
+                    str(subject.model_file),
+                    "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+                    hint="use NGA or SGA",
+                )
+            )
+        return with_wraps(freedom, method, self._freed_wraps())
+
+    def _freed_wraps(self) -> FreedWraps:
+        names = tuple(self.translations)
+        places = np.full(self.on_surface.shape, -1)
+        for row, muscle in enumerate(self.engine.muscles):
+            for place, wrap in enumerate(self.engine.wraps_of(muscle)):
+                if wrap in names:
+                    places[row, place] = names.index(wrap)
+        boxes = [box(self.translations[name]) for name in names]
+        lower, upper = (np.stack(ends) - NOMINAL for ends in zip(*boxes, strict=True))
+        half = 0.5 * (upper - lower)
+        return FreedWraps(
+            names=names,
+            quantities=WRAP_PARAMETERS,
+            units=("m", "m", "m", "rad", "rad", "1"),
+            places=places,
+            lower=lower,
+            upper=upper,
+            scale=half,
+            prior_sd=half,
+        )
+
+    def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
+        """Lay the paths through cycles, with all that the freedom may change."""
+        free = () if freedom.wraps is None else freedom.wraps.names
+        paths, _ = wrapped_paths(
+            self.engine,
+            *_recorded(trials, self.engine.coordinates),
+            trials.moment_coordinates,
+            free,
+            self.wrapping,
+        )
+        return paths if free else fixed_path(paths.nominal)
+
+
+def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
+    """Take a subject's muscle paths from the exact engine.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`.
+    geometry
+        ``engine`` lays paths the shortest way; ``engine-parity`` as OpenSim 4.6 does.
+
+    Raises
+    ------
+    InputError
+        If a muscle's path has something that the engine does not know.
+    """
+    require_float64()
+    if geometry not in WRAPPINGS:
+        raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
+    model = describe_model(subject.model_file)
+    spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
+    coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
+    engine = ExactPaths(model, subject.muscles.names, coordinates)
+    angles, velocities = _recorded(subject.trials, coordinates)
+    _, touching = wrapped_paths(engine, angles, velocities, subject.trials.moment_coordinates, (), GEODESIC)
+    touched = sorted(
+        {
+            wrap
+            for row, muscle in enumerate(engine.muscles)
+            for place, wrap in enumerate(engine.wraps_of(muscle))
+            if touching[row, place]
+        }
+    )
+    poses = np.moveaxis(angles, 1, -1).reshape(-1, len(coordinates))[::_EVERY]
+    return ExactGeometry(
+        key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
+        engine=engine,
+        wrapping=WRAPPINGS[geometry],
+        on_surface=touching,
+        translations=translation_bounds(engine, engine.posed(poses), touched),
+    )
+
+
+def _recorded(
+    trials: Trials, coordinates: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
+    """Angles and angular velocities of the engine's coordinates."""
+    columns = [trials.coordinates.index(name) for name in coordinates]
+    return trials.angles[:, columns], trials.angular_velocities[:, columns]

@@ -1,0 +1,62 @@
+"""Polynomials as a source of paths: what each method frees of them, and how they run through the cycles."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.api.assembly import model_parameters, surrogate_paths
+from wrapjax.calibrate import PATH_CHANGE, path_modes
+from wrapjax.errors import InputError, Problem
+from wrapjax.geometry import AdjustablePath, PathSurrogate
+from wrapjax.model import Freedom, nga, with_paths
+from wrapjax.subject import Subject, Trials
+
+
+def polynomial_freedom(
+    method: str, subject: Subject, surrogate: PathSurrogate, touching: tuple[str, ...]
+) -> Freedom:
+    """Say what a method frees for a subject.
+
+    NGA: nothing of the geometry. SGA: also all coefficients of all paths. LSGA: those of the muscles
+    that lie on a wrapping surface in at least one recorded frame.
+    """
+    freedom = nga(model_parameters(subject))
+    if method == "NGA":
+        return freedom
+    free = _own_modes(subject, surrogate)
+    if method == "LSGA":
+        free &= np.array([name in touching for name in subject.muscles.names])[:, None]
+        if not free.any():
+            raise InputError(
+                Problem(
+                    str(subject.model_file),
+                    "no driven muscle touches a wrapping surface in the recorded cycles: LSGA frees nothing",
+                    hint="use NGA or SGA",
+                )
+            )
+    return with_paths(freedom, method, free, prior_sd=PATH_CHANGE)
+
+
+def polynomial_paths(
+    subject: Subject, trials: Trials, surrogate: PathSurrogate, freedom: Freedom
+) -> AdjustablePath:
+    """Evaluate the paths over cycles; where they are free they have their modes (see `path_modes`)."""
+    modes = None if freedom.paths is None else modes_of(subject, surrogate)
+    return surrogate_paths(surrogate, subject, trials, modes)
+
+
+def modes_of(subject: Subject, surrogate: PathSurrogate) -> Float[np.ndarray, "muscle term mode"]:
+    """Find the modes of the subject's paths over its calibration cycles (see `path_modes`)."""
+    trials = subject.trials.used_for("calibration")
+    used = np.asarray(surrogate.of_muscles(subject.muscles.names).used)
+    muscles, terms = used.shape
+    single = np.broadcast_to(np.eye(terms), (muscles, terms, terms))
+    path = surrogate_paths(surrogate, subject, trials, single)
+    return path_modes(path.nominal, path.modes, used, trials.moment_coordinates)
+
+
+def _own_modes(subject: Subject, surrogate: PathSurrogate) -> Bool[np.ndarray, "muscle mode"]:
+    """Mark the modes that a muscle has: as many as it has coefficients, the first ones."""
+    used = np.asarray(surrogate.of_muscles(subject.muscles.names).used)
+    return np.arange(used.shape[1])[None] < used.sum(axis=1)[:, None]
