@@ -8,3 +8,4 @@ from wrapjax.osim.model import spanned_coordinates as spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry as PathGeometry
 from wrapjax.osim.muscle_analysis import analyse_muscles as analyse_muscles
 from wrapjax.osim.muscle_analysis import touching_muscles as touching_muscles
+from wrapjax.osim.personalise import write_personalised_model as write_personalised_model

@@ -12,13 +12,14 @@ Two things here are many times faster than the obvious way and give the same num
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.osim.cylinders import NOMINAL, WrapParameters, nominal_cylinders
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import couplers_of, elements, independent_names
 
@@ -54,13 +55,7 @@ class PathEngine:
             for coupler in couplers_of(opensim, self._model)
         ]
         self._muscles = [self._model.getMuscles().get(name) for name in spans]
-        self._cylinders = {}
-        for component in self._model.getComponentsList():
-            cylinder = opensim.WrapCylinder.safeDownCast(component)
-            if cylinder is not None:
-                nominal = cylinder.getTransform()
-                pose = opensim.Transform(nominal.R(), nominal.p())
-                self._cylinders[cylinder.getName()] = (cylinder, pose, cylinder.get_radius())
+        self._cylinders = nominal_cylinders(opensim, self._model)
         # For each coordinate the muscles (by number) that span it: quick ones and those that need the judge.
         quick = [_has_a_plain_path(muscle) for muscle in self._muscles]
         spanning = [[i for i, span in enumerate(spans.values()) if name in span] for name in coordinates]
@@ -86,29 +81,17 @@ class PathEngine:
                         arm_rows[index, muscle] = -self._muscles[muscle].getLengtheningSpeed(self._state)
         return length, moment_arm
 
-    def place(self, wraps: dict[str, Sequence[float]]) -> None:
+    def place(self, wraps: Mapping[str, WrapParameters]) -> None:
         """Move, turn and scale cylinders, each from where the model's file has it.
 
         Parameters
         ----------
         wraps
-            By name: translation (m) along the nominal frame's axes, turns (rad) about its x and then its
-            own y axis, and the factor of the radius. Others go back to where the file has them.
+            By name, the parameters that `NominalCylinder.place` takes. Others go back to where the file
+            has them.
         """
-        opensim = self._opensim
-        for name, (cylinder, pose, radius) in self._cylinders.items():
-            x, y, z, turn_x, turn_y, factor = wraps.get(name, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
-            turn = opensim.Rotation(
-                opensim.BodyRotationSequence,
-                turn_x,
-                opensim.CoordinateAxis(0),
-                turn_y,
-                opensim.CoordinateAxis(1),
-            )
-            moved = pose.compose(opensim.Transform(turn, opensim.Vec3(x, y, z)))
-            cylinder.set_translation(moved.p())
-            cylinder.set_xyz_body_rotation(moved.R().convertRotationToBodyFixedXYZ())
-            cylinder.set_radius(radius * factor)
+        for name, cylinder in self._cylinders.items():
+            cylinder.place(self._opensim, wraps.get(name, NOMINAL))
         self._state = self._model.initSystem()
         for coordinate in elements(self._model.getCoordinateSet()):
             coordinate.setValue(self._state, coordinate.getDefaultValue(), False)
