@@ -52,7 +52,7 @@ LAZY_PACKAGES: dict[str, set[str]] = {
     "matplotlib": {"report"},
     "rich": {"progress"},
     "pandas": set(),
-    "sklearn": set(),
+    "sklearn": {"geometry"},
     "xarray": set(),
 }
 

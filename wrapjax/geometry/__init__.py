@@ -1,5 +1,9 @@
 """Muscle paths: length, rate and moment arms as functions of joint angles."""
 
+from wrapjax.geometry.feasibility import Feasibility as Feasibility
+from wrapjax.geometry.feasibility import FeasibilityQuality as FeasibilityQuality
+from wrapjax.geometry.feasibility import feasibility_quality as feasibility_quality
+from wrapjax.geometry.feasibility_fit import fit_feasibility as fit_feasibility
 from wrapjax.geometry.paths import AbstractPath as AbstractPath
 from wrapjax.geometry.paths import AdjustablePath as AdjustablePath
 from wrapjax.geometry.paths import PathState as PathState
