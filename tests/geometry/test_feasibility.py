@@ -91,6 +91,13 @@ def test_chosen_constants_are_the_best_of_the_grid_in_cross_validation(fitted, t
     assert len(set(accuracy.values())) > 5
 
 
+def test_of_equally_good_constants_the_smallest_are_chosen(training):
+    samples = training[0][np.abs(training[0][:, 0]) > 0.4 * HALF_RANGE[0]]
+    clear = samples, samples[:, 0] < 0.0
+    found = fit_feasibility(*clear, LOWER, UPPER)
+    np.testing.assert_array_equal(found.weights, machine_of(clear, GAMMAS[0], PENALTIES[0]).dual_coef_[0])
+
+
 def test_unseen_samples_are_sorted_rightly(fitted, validation):
     quality = feasibility_quality(fitted, *validation)
     # A coin would have 0.5 and 0.5.
@@ -125,6 +132,22 @@ def test_limit_of_probability_is_the_limit_of_score(fitted, validation):
     excess = np.asarray(jax.vmap(fitted.excess)(samples))
     np.testing.assert_array_equal(probability <= at_zero, excess <= 0.0)
     assert 0.1 < (excess <= 0.0).mean() < 0.9
+
+
+def test_sigmoid_is_fitted_to_scores_of_samples_left_out(training, fitted):
+    from sklearn.model_selection import StratifiedKFold, cross_val_predict
+
+    samples, physiological = training
+    folds = StratifiedKFold(FOLDS, shuffle=True, random_state=3)
+    scaled = (samples - CENTER) / HALF_RANGE
+    sigmoids = []
+    for penalty in PENALTIES:
+        machine = feasibility_fit._machine(penalty, float(fitted.gamma))
+        scores = cross_val_predict(machine, scaled, ~physiological, cv=folds, method="decision_function")
+        sigmoids.append(fit_sigmoid(scores, ~physiological))
+    assert (float(fitted.slope), float(fitted.intercept)) in sigmoids
+    surer, _ = fit_sigmoid(scores_of(fitted, samples), ~physiological)
+    assert surer < 1.2 * fitted.slope
 
 
 def test_probability_is_that_of_unseen_samples(fitted, validation):
@@ -206,7 +229,7 @@ def test_units_of_the_box_do_not_matter(training, fitted, validation):
         training[0] * units + shift, training[1], LOWER * units + shift, UPPER * units + shift, seed=3
     )
     np.testing.assert_allclose(
-        scores_of(other, validation[0] * units + shift), scores_of(fitted, validation[0]), rtol=0, atol=1e-2
+        scores_of(other, validation[0] * units + shift), scores_of(fitted, validation[0]), rtol=0, atol=1e-9
     )
     moved = feasibility_quality(other, validation[0] * units + shift, validation[1])
     assert moved == feasibility_quality(fitted, *validation)

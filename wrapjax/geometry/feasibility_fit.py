@@ -55,7 +55,7 @@ def fit_feasibility(
 
     Notes
     -----
-    About a second for 1000 samples.
+    Takes about a second for 1000 samples, and some seconds where the classes overlap much.
     """
     if not np.all(lower < upper):
         raise ValueError(f"the box is empty: lower {lower}, upper {upper}")
