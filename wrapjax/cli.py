@@ -13,9 +13,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wrapjax.errors import InputError, Problem
+
+if TYPE_CHECKING:
+    from wrapjax.api import ExactGeometry, Fit
 
 DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
@@ -76,10 +79,18 @@ def _parser() -> argparse.ArgumentParser:
 
     calibrate = command("calibrate", _calibrate, "Calibrate the model to the subject.", writing)
     calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
-    calibrate.add_argument("--method", choices=["NGA", "SGA", "LSGA"], required=True, help="what is adjusted")
+    calibrate.add_argument(
+        "--method", choices=["NGA", "SGA", "LSGA", "PGA"], required=True, help="what is adjusted"
+    )
     calibrate.add_argument("--out", type=Path, required=True, metavar="RUN")
     calibrate.add_argument(
         "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+    )
+    calibrate.add_argument(
+        "--geometry",
+        choices=["surrogate", "engine"],
+        default="surrogate",
+        help="source of the paths: polynomials, or the exact engine, which needs no fit (NGA and PGA)",
     )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     calibrate.add_argument(
@@ -135,13 +146,15 @@ def _fit(options: argparse.Namespace) -> int:
 
 def _calibrate(options: argparse.Namespace) -> int:
     _set_up_jax()
-    from wrapjax.api import calibrate, fit, load_fit, load_subject
+    from wrapjax.api import calibrate, exact_geometry, fit, load_fit, load_subject
     from wrapjax.api.text import calibration_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import say
     from wrapjax.subject import read_legs
 
     _refuse_existing(options.out, options.force)
+    if options.fit and options.geometry == "engine":
+        raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
     journal = options.out.with_name(f".{options.out.name}.unfinished")
     if journal.exists() and not (options.resume or options.force):
         raise InputError(
@@ -156,7 +169,10 @@ def _calibrate(options: argparse.Namespace) -> int:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
     read_legs(subject)  # whatever is wrong with the other leg is said before the long work
-    if options.fit:
+    paths: Fit | ExactGeometry
+    if options.geometry == "engine":
+        paths = exact_geometry(subject)
+    elif options.fit:
         paths = load_fit(options.fit, subject)
     else:
         paths = fit(subject, seed=options.seed, processes=options.threads, quiet=options.quiet)

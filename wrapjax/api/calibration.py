@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.api.assembly import recording
-from wrapjax.api.exact import ExactGeometry
+from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.polynomial_paths import modes_of
@@ -99,10 +99,11 @@ def calibrate(
         From `load_subject`.
     method
         What is adjusted: ``NGA``, nothing of the geometry; ``SGA``, the polynomials of all muscle
-        paths; ``LSGA``, those of muscles that touch a wrapping surface.
+        paths; ``LSGA``, those of muscles that touch a wrapping surface; ``PGA``, the place, turn and
+        size of the cylinders that muscles touch.
     fit
-        Fitted paths, from `wrapjax.fit`; made (or found in the cache) if not given, as the other
-        leg's always are.
+        Source of the paths: from `wrapjax.fit`, made (or found in the cache) if not given; or from
+        `wrapjax.exact_geometry`. The other leg's are always made, in the same way.
     freedom
         Another selection of what may move, with its own bounds and priors; for one leg alone.
     solver
@@ -169,9 +170,14 @@ def _legs(
         raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
     legs = []
     for leg in subjects:
-        fitted = fit if fit is not None and leg is subject else fit_paths(leg)
+        fitted = fit if fit is not None and leg is subject else _source_like(fit, leg)
         legs.append(_Leg(leg, fitted, freedom or method_freedom(method, leg, fitted)))
     return legs
+
+
+def _source_like(fit: Fit | ExactGeometry | None, leg: Subject) -> Fit | ExactGeometry:
+    """Take a leg's paths from where the other leg's come from."""
+    return exact_geometry(leg, fit.name) if isinstance(fit, ExactGeometry) else fit_paths(leg)
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:

@@ -22,6 +22,9 @@ from wrapjax.subject import Subject, Trials
 
 #: Ways in which the engine can wrap, by the names that commands know.
 WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
+# Spread of the prior on wrap parameters, in half widths of their boxes: the box says what is possible, and
+# the prior only that of two equally good cylinders the nearer one is likelier.
+_PRIOR = 4.0
 # Poses that bounds of translation are found in: every so many recorded frames.
 _EVERY = 4
 
@@ -32,23 +35,28 @@ class ExactGeometry:
 
     Parameters
     ----------
+    name
+        ``engine`` or ``engine-parity``.
     key
         Hash of what decides the paths.
     engine
         Of the subject's muscles and recorded coordinates.
-    wrapping
-        The shortest way, or OpenSim's.
     on_surface
         Which of its cylinders each muscle lies on in at least one recorded frame.
     translations
         How far each touched cylinder may move along each axis, to either side (m).
     """
 
+    name: str
     key: str
     engine: ExactPaths
-    wrapping: Wrapping
     on_surface: Bool[np.ndarray, "muscle wrap"]
     translations: dict[str, float]
+
+    @property
+    def wrapping(self) -> Wrapping:
+        """The shortest way, or OpenSim's."""
+        return WRAPPINGS[self.name]
 
     @property
     def touching(self) -> tuple[str, ...]:
@@ -98,7 +106,7 @@ class ExactGeometry:
             lower=lower,
             upper=upper,
             scale=half,
-            prior_sd=half,
+            prior_sd=_PRIOR * half,
         )
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
@@ -148,9 +156,9 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     )
     poses = np.moveaxis(angles, 1, -1).reshape(-1, len(coordinates))[::_EVERY]
     return ExactGeometry(
+        name=geometry,
         key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
         engine=engine,
-        wrapping=WRAPPINGS[geometry],
         on_surface=touching,
         translations=translation_bounds(engine, engine.posed(poses), touched),
     )

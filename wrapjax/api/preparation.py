@@ -13,7 +13,7 @@ from wrapjax.api.assembly import group_indices, model_parameters, recording
 from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
-from wrapjax.calibrate import Objective, path_limits, pipeline_penalties
+from wrapjax.calibrate import Objective, closeness_penalty, path_limits, pipeline_penalties
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry import fixed_path
 from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states
@@ -92,12 +92,11 @@ def stages(
     )
     if freedom.paths is None and freedom.wraps is None:
         return (held,)
-    moving = replace(
-        held,
-        recording=inputs,
-        variables=free_variables(base, freedom, names),
-        limits=path_limits(paths.nominal),
-    )
+    moving = replace(held, recording=inputs, variables=free_variables(base, freedom, names))
+    if freedom.wraps is None:
+        moving = replace(moving, limits=path_limits(paths.nominal))
+    else:
+        moving = replace(moving, penalties=(*held.penalties, closeness_penalty(len(names))))
     return held, moving
 
 

@@ -50,6 +50,11 @@ class Legs(AbstractCalibration):
         """Upper bounds; where a variable is shared, the lower."""
         return self.bounds[1]
 
+    @property
+    def resolution(self) -> float:
+        """That of the coarser one."""
+        return max(leg.resolution for leg in self.legs)
+
     def with_limits(self, limits: tuple[Limit, ...]) -> Legs:
         """Take others in their place, in the same order."""
         first = len(self.legs[0].limits)

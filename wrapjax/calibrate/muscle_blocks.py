@@ -102,7 +102,7 @@ def curvature(
 
 
 def _units(path: PathState) -> list[PathState]:
-    """Directions that move length, rate, all moment arms or clearance alone, at all frames at once."""
+    """Directions that move length, rate, all moment arms or closeness alone, at all frames at once."""
     leaves, form = jax.tree.flatten(path)
     nothing = [jnp.zeros_like(leaf) for leaf in leaves]
     return [
@@ -113,13 +113,13 @@ def _units(path: PathState) -> list[PathState]:
 
 def _chain(by: tuple[Array, ...], modes: PathState) -> Array:
     """Multiply derivatives of one output by each part of the path with those of that part by modes."""
-    by_length, by_rate, by_arm, *by_clearance = by
+    by_length, by_rate, by_arm, *by_closeness = by
     if by_length.ndim == 0:
         return jnp.zeros(modes.length.shape[0])
     if by_length.ndim == 3:
         length, rate = modes.length[:, :, None], modes.velocity[:, :, None]
         return by_length[None] * length + by_rate[None] * rate + by_arm[None] * modes.moment_arm
     total = by_length[None] * modes.length + by_rate[None] * modes.velocity
-    if modes.clearance is None:
+    if modes.closeness is None:
         return total
-    return total + by_clearance[0][None] * modes.clearance
+    return total + by_closeness[0][None] * modes.closeness

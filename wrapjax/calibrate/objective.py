@@ -46,6 +46,11 @@ class Objective(AbstractCalibration):
         """Upper bounds of the scaled variables."""
         return self.variables.upper
 
+    @property
+    def resolution(self) -> float:
+        """As fine as the paths are smooth."""
+        return self.recording.path.resolution
+
     def with_limits(self, limits: tuple[Limit, ...]) -> Objective:
         """Take others in their place."""
         return replace(self, limits=limits)
@@ -104,7 +109,8 @@ class Objective(AbstractCalibration):
         small block a muscle. Only the joint moments add up over muscles.
         """
         index = self.variables.index
-        moment, values, moment_slopes, value_slopes = self._muscle_slopes(variables)
+        inputs = self._muscle_inputs(variables)
+        moment, values, moment_slopes, value_slopes = self._muscle_slopes(inputs)
         rows = self._moment_rows(moment.sum(axis=0))
         transposed = self.variables.gather(moment_slopes)
         prior_rows, prior_slope = self._prior_rows(variables), jnp.asarray(self._prior_weight())
@@ -124,7 +130,8 @@ class Objective(AbstractCalibration):
             own_gram += gram.own
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block
-        curvatures = self._muscle_curvatures(variables, rows, tuple(multipliers))
+        curvatures = self._muscle_curvatures(inputs, rows, tuple(multipliers))
+        curvatures += self._path_curvatures(variables, inputs, rows, tuple(multipliers))
         return Linearization(
             cost=cost,
             gradient=gradient + self.variables.gather(local_gradient[..., None])[:, 0],
@@ -134,7 +141,7 @@ class Objective(AbstractCalibration):
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
         """Differentiate the moment residuals, muscle by muscle."""
-        _, _, moment_slopes, _ = self._muscle_slopes(variables)
+        _, _, moment_slopes, _ = self._muscle_slopes(self._muscle_inputs(variables))
         return self.variables.gather(moment_slopes).T
 
     @property
@@ -146,10 +153,9 @@ class Objective(AbstractCalibration):
         count, modes = len(self.variables.names), self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
-        path = self.recording.path.at(changes)
+        path, by_change = self.recording.path.linearized(changes)
         unit_modes = jax.tree.map(
-            lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]),
-            self.recording.path.slopes(changes),
+            lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]), by_change
         )
         single = self.variables.localize(variables)[:, :count]
         return single, path, unit_modes, scale[:, :count], self.variables.base, self.recording.emg
@@ -160,7 +166,7 @@ class Objective(AbstractCalibration):
         state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding)
         return state.moment, tuple(restraint.read(parameters, state) for restraint in self._restraints)
 
-    def _muscle_slopes(self, variables: Float[Array, " variable"]):
+    def _muscle_slopes(self, inputs: tuple):
         """Values and derivatives by local variables, of every muscle."""
 
         def of_one(single, path, modes, *inputs):
@@ -173,11 +179,11 @@ class Objective(AbstractCalibration):
             flat = moment_slope.reshape(moment_slope.shape[0], -1)
             return moment, values, self._moment_scale() * flat, value_slopes
 
-        return jax.vmap(of_one)(*self._muscle_inputs(variables))
+        return jax.vmap(of_one)(*inputs)
 
     def _muscle_curvatures(
         self,
-        variables: Float[Array, " variable"],
+        inputs: tuple,
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local local"]:
@@ -190,7 +196,7 @@ class Objective(AbstractCalibration):
 
         def lever(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
-            return PathState(path.length, path.velocity, arm[..., None, :], path.clearance)
+            return PathState(path.length, path.velocity, arm[..., None, :], path.closeness)
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(single, path):
@@ -203,7 +209,35 @@ class Objective(AbstractCalibration):
 
             return curvature(weighted, single, lever(path), lever(modes))
 
-        return jax.vmap(of_one)(multipliers, *self._muscle_inputs(variables))
+        return jax.vmap(of_one)(multipliers, *inputs)
+
+    def _path_curvatures(
+        self,
+        variables: Float[Array, " variable"],
+        inputs: tuple,
+        rows: Float[Array, " row"],
+        multipliers: tuple[Float[Array, "muscle _"], ...],
+    ) -> Float[Array, "muscle local local"]:
+        """What curved paths add to the same sum: slopes of everything by the path times its Hessians."""
+        weights = (self._moment_scale() * rows).reshape(self.measured.shape)
+        count = len(self.variables.names)
+
+        def of_one(own, single, path, modes, *inputs):
+            def weighted(path):
+                moment, quantities = self._muscle_outputs(single, path, *inputs)
+                total = jnp.vdot(weights, moment)
+                for multiplier, restraint, quantity in zip(own, self._restraints, quantities, strict=True):
+                    total += multiplier @ restraint.reduce(quantity)
+                return total
+
+            return jax.grad(weighted)(path)
+
+        changes = self.variables.unpack(variables).path_changes
+        curvature = self.recording.path.curvature(changes, jax.vmap(of_one)(multipliers, *inputs))
+        scale = jnp.asarray(self.variables.scale)[:, count:]
+        modes = scale.shape[1]
+        block = scale[:, :, None] * curvature[:, :modes, :modes] * scale[:, None, :]
+        return jnp.zeros((len(scale), count + modes, count + modes)).at[:, count:, count:].set(block)
 
     def _moment_scale(self) -> Float[Array, ""]:
         return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))

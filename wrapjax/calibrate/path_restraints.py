@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.calibrate.penalties import Limit, normalized_length, whole
+from wrapjax.calibrate.penalties import Limit, MusclePenalty, normalized_length, whole
 from wrapjax.geometry import PathState
 from wrapjax.model import ModelParameters, MuscleState
 
@@ -32,8 +32,8 @@ _COEFFICIENT = 3e-3
 #: length of one like a moment error of 1 N m, which holds paths where they are (errors fall by a seventh);
 #: here it only keeps changes from being larger than the moments ask for.
 PATH_CHANGE = 15.0
-#: How far paths stay from where their length would jump (m).
-LEAST_CLEARANCE = 1e-4
+#: Allowable closeness to a jump in length, root mean square over muscles and frames.
+CLOSENESS = 2.0
 # Moment arms are limited in units of this (m), to be of the order of fiber lengths.
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
@@ -90,11 +90,9 @@ def path_modes(
 
 
 def path_limits(nominal: PathState) -> tuple[Limit, ...]:
-    """Build the hard limits: fibers within their working range, moment arms keeping their sign, no jumps.
+    """Build the hard limits on free polynomials: fibers in working range, moment arms of the same sign.
 
-    A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt. Paths
-    of which it is known how far they are from a jump in length keep `LEAST_CLEARANCE`, or what they
-    have in the nominal model where that is less.
+    A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt.
 
     Parameters
     ----------
@@ -109,7 +107,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
     shortest, longest = FIBER_LENGTH_RANGE
     each, no_shift = jnp.ones((muscles, 1)), jnp.zeros((muscles, trials * frames))
     weight = jnp.full(no_shift.shape, _FIRST_WEIGHT)
-    limits = (
+    return (
         Limit("longest_fiber", normalized_length, whole, each, longest * each, no_shift, weight),
         Limit("shortest_fiber", normalized_length, whole, -each, -shortest * each, no_shift, weight),
         Limit(
@@ -122,19 +120,22 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
             jnp.full(kept.shape, _FIRST_WEIGHT),
         ),
     )
-    if nominal.clearance is None:
-        return limits
-    least = -jnp.minimum(nominal.clearance, LEAST_CLEARANCE).reshape(muscles, -1) / _ARM_UNIT
-    away = -each / _ARM_UNIT
-    return (
-        *limits,
-        Limit("clearance", _clearance, whole, away, least, jnp.zeros(least.shape), weight),
-    )
 
 
-def _clearance(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
-    assert state.path.clearance is not None
-    return state.path.clearance
+def closeness_penalty(muscles: int) -> MusclePenalty:
+    """Keep paths round cylinders from where their length would jump.
+
+    Closeness grows without bound there, so that no path ever gets over. It is seen from afar, unlike a
+    limit: the solver need not run into each of many walls to learn of it. Fibers and signs of moment
+    arms have no hard limits here: cylinders of possible place and size keep paths physiological, and
+    fiber lengths are held as in NGA.
+    """
+    return MusclePenalty("closeness", _closeness, whole, jnp.zeros((muscles, 1)), CLOSENESS)
+
+
+def _closeness(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    assert state.path.closeness is not None
+    return state.path.closeness
 
 
 def _moment_arm(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial coordinate frame"]:

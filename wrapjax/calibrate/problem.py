@@ -39,6 +39,11 @@ class AbstractLeastSquares(eqx.Module):
     def upper(self) -> Float[Array | np.ndarray, " variable"]:
         """Upper bounds."""
 
+    @property
+    def resolution(self) -> float:
+        """Relative fall of the cost below which its expansion does not hold; zero for a smooth one."""
+        return 0.0
+
     @abstractmethod
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Cost and derivatives at a point."""

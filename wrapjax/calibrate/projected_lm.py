@@ -42,7 +42,8 @@ class ProjectedLM(AbstractBoundedSolver):
         Stop when projected steepest descent would move no variable by more (solver units). Lower it
         when the optimum must be sharp; it is the only test of first-order optimality.
     ftol
-        Stop when both the predicted and the actual relative fall of the cost are less.
+        Stop when both the predicted and the actual relative fall of the cost are less, or less than
+        the problem's own resolution: at a kink no gradient vanishes.
     xtol
         Stop when the relative length of the step is less.
     max_iterations
@@ -109,7 +110,7 @@ class ProjectedLM(AbstractBoundedSolver):
                     state, tried, convex, accepted = self._advance(problem, state, convex)
                     step, actual, predicted = float(tried.length), float(tried.actual), float(tried.predicted)
                     note(number, step)
-                    limit = self.ftol * history[-1].cost
+                    limit = max(self.ftol, problem.resolution) * history[-1].cost
                     if history[-1].optimality <= self.gtol:
                         status = Status.gradient
                     elif 0.0 < predicted <= limit and actual <= limit and (accepted or previous <= 1.0):

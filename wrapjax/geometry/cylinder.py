@@ -73,8 +73,14 @@ class Decision(eqx.Module):
     #: Counterclockwise about z.
     counterclockwise: Bool[Array, "*piece"]
     long_way: Bool[Array, "*piece"]
-    #: Distance of the nearer end from the axis, less the radius (m).
-    clearance: Float[Array, "*piece"]
+    #: Distances of the two ends from the surface (m), negative inside.
+    start_clearance: Float[Array, "*piece"]
+    end_clearance: Float[Array, "*piece"]
+
+    @property
+    def clearance(self) -> Float[Array, "*piece"]:
+        """Distance of the nearer end from the surface (m)."""
+        return jnp.minimum(self.start_clearance, self.end_clearance)
 
 
 class Contact(eqx.Module):
@@ -147,7 +153,8 @@ def decide(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
         last=last,
         counterclockwise=jnp.where(restricted, leftward, ~left_longer),
         long_way=restricted & (outward < 0.0),
-        clearance=jnp.minimum(first_distance, last_distance) - radius,
+        start_clearance=first_distance - radius,
+        end_clearance=last_distance - radius,
     )
 
 

@@ -22,8 +22,8 @@ class PathState(eqx.Module):
     velocity: Float[Array, "*muscle trial frame"]
     #: m (m/rad)
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
-    #: How far the path is from where its length would jump (m), for paths that can.
-    clearance: Float[Array, "*muscle trial frame"] | None = None
+    #: How near to where the length would jump, for paths that can: see `wrapped_paths`.
+    closeness: Float[Array, "*muscle trial frame"] | None = None
 
 
 class AbstractPath(eqx.Module):
@@ -40,13 +40,27 @@ class AbstractPath(eqx.Module):
     def modes_count(self) -> int:
         """How many changes a muscle has at most."""
 
+    @property
+    def resolution(self) -> float:
+        """Relative change below which a function of the paths need not follow its expansion."""
+        return 0.0
+
     @abc.abstractmethod
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
         """Give all paths, changed by these amounts."""
 
     @abc.abstractmethod
-    def slopes(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Differentiate each path by its own changes; leaves lead with ``muscle mode``."""
+    def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
+        """Give all paths, and how each moves with its own changes (leaves lead with ``muscle mode``)."""
+
+    @abc.abstractmethod
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: PathState
+    ) -> Float[Array, "muscle mode mode"]:
+        """Differentiate each path twice by its own changes, and sum with these weights.
+
+        What costs more than it helps may be left out: a solver gets to the same end without.
+        """
 
 
 class AdjustablePath(AbstractPath):
@@ -75,9 +89,15 @@ class AdjustablePath(AbstractPath):
             self.modes,
         )
 
-    def slopes(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Give the modes, whatever the changes."""
-        return self.modes
+    def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
+        """Give all paths, and the modes."""
+        return self.at(changes), self.modes
+
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: PathState
+    ) -> Float[Array, "muscle mode mode"]:
+        """Zero: paths are linear in their modes."""
+        return jnp.zeros((changes.shape[0], self.modes_count, self.modes_count))
 
 
 def fixed_path(path: PathState) -> AdjustablePath:

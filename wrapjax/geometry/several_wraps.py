@@ -68,6 +68,14 @@ class _Path(NamedTuple):
     margins: Margins
 
 
+class _Held(NamedTuple):
+    """The path on the cylinders that hold it: how long it is there, and how far from slipping off."""
+
+    length: Float[Array, " wrap"]
+    off_end: Float[Array, " wrap"]
+    long_wrap: Float[Array, " wrap"]
+
+
 class _Bodies(NamedTuple):
     """What the knots belong to: a body, and a cylinder (-1: none)."""
 
@@ -118,7 +126,7 @@ def wrap_in_parity(path: PointsAndCarriers, cylinders: Cylinder) -> WrappedPath:
         *(jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(False)),
     )
     way, *_ = jax.lax.while_loop(unfinished, sweep, start)
-    return _outcome(way, path, wraps)
+    return _outcome(way, path, placed, way.margins.off_end, way.margins.long_wrap)
 
 
 def wrap_shortest(path: PointsAndCarriers, cylinders: Cylinder) -> WrappedPath:
@@ -131,13 +139,14 @@ def wrap_shortest(path: PointsAndCarriers, cylinders: Cylinder) -> WrappedPath:
     cylinders
         Each in the frame of the body that carries it.
     """
-    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
+    points = path.position.shape[0]
     way = _settled(*jax.lax.stop_gradient((path, cylinders)))
     contacts = _with_derivatives(way.position[points:], way.knots, path, cylinders)
-    contacts, on_surface = _refitted(contacts, way.knots, path, _in_ground(path, cylinders))
+    placed = _in_ground(path, cylinders)
+    contacts, held = _refitted(contacts, way.knots, path, placed)
     position = jnp.concatenate([path.position, contacts])
-    way = way._replace(position=position, seen=position, on_surface=on_surface)
-    return _outcome(way, path, wraps)
+    way = way._replace(position=position, seen=position, on_surface=held.length)
+    return _outcome(way, path, placed, held.off_end, held.long_wrap)
 
 
 def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
@@ -200,8 +209,10 @@ def _with_derivatives(
 
 @_with_derivatives.def_jvp
 def _with_derivatives_jvp(primals, tangents):
-    contacts, knots, path, cylinders = primals
+    _, knots, path, cylinders = primals
     _, _, path_tangent, cylinders_tangent = tangents
+    # Not the bare points: derivatives of this rule are second derivatives, and they move with everything.
+    contacts = _with_derivatives(*primals)
 
     def refit(x, path, cylinders):
         placed = _in_ground(path, cylinders)
@@ -223,7 +234,7 @@ def _refitted(
     knots: Int[Array, " place"],
     path: PointsAndCarriers,
     placed: Cylinder,
-) -> tuple[Float[Array, "contact 3"], Float[Array, " wrap"]]:
+) -> tuple[Float[Array, "contact 3"], _Held]:
     """Fit every touched cylinder in once more, each between its neighbours on the path as it is."""
     points = path.position.shape[0]
 
@@ -239,11 +250,15 @@ def _refitted(
         found = jnp.stack([_rows(cylinder.outward(contact.first)), _rows(cylinder.outward(contact.last))])
         kept = jax.lax.stop_gradient(position[rows])
         moved = position.at[rows].set(jnp.where(touched, found, kept))
-        return moved, jnp.where(touched, contact.length, 0.0)
+        return moved, _Held(
+            length=jnp.where(touched, contact.length, 0.0),
+            off_end=jnp.where(touched, contact.off_end, FREE),
+            long_wrap=jnp.where(touched, HALF_TURN - contact.turn, FREE),
+        )
 
     start = jnp.concatenate([path.position, contacts])
-    position, lengths = jax.lax.scan(refit, start, (jnp.arange(placed.radius.shape[0]), placed))
-    return position[points:], lengths
+    position, held = jax.lax.scan(refit, start, (jnp.arange(placed.radius.shape[0]), placed))
+    return position[points:], held
 
 
 def _fit_in(
@@ -385,8 +400,14 @@ def _length(way: _Path, points: int) -> Float[Array, ""]:
     return jnp.sum(jnp.where(there & straight, way_along, 0.0)) + jnp.sum(way.on_surface)
 
 
-def _outcome(way: _Path, path: PointsAndCarriers, wraps: int) -> WrappedPath:
-    points = path.position.shape[0]
+def _outcome(
+    way: _Path,
+    path: PointsAndCarriers,
+    placed: Cylinder,
+    off_end: Float[Array, " wrap"],
+    long_wrap: Float[Array, " wrap"],
+) -> WrappedPath:
+    points, wraps = path.position.shape[0], placed.radius.size
     before, after, there, _ = _pieces(way, points)
     body = _bodies(path, wraps).body
     pulls = there & (body[before] != body[after])
@@ -403,4 +424,17 @@ def _outcome(way: _Path, path: PointsAndCarriers, wraps: int) -> WrappedPath:
         moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
         touching=jnp.any(way.knots[None] == points + 2 * jnp.arange(wraps)[:, None], axis=1),
         margins=jax.tree.map(jnp.min, way.margins),
+        clearances=jnp.concatenate([_outside(path, placed).ravel(), off_end, placed.radius * long_wrap]),
     )
+
+
+def _outside(path: PointsAndCarriers, placed: Cylinder) -> Float[Array, "wrap point"]:
+    """Distance of the path's points from each surface that they may wrap round (m)."""
+
+    def of_wrap(cylinder: Cylinder) -> Float[Array, " point"]:
+        seen = cylinder.inward(vector(path.position))
+        return safe_sqrt(seen.x**2 + seen.y**2) - cylinder.radius
+
+    place = jnp.arange(path.position.shape[0])[None]
+    in_range = (place >= path.first_point[:, None]) & (place <= path.last_point[:, None])
+    return jnp.where(in_range, jax.vmap(of_wrap)(placed), FREE)

@@ -17,7 +17,26 @@ from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
 from wrapjax.geometry.wrapping import StraightPath, WrappedPath
 
 _PER_WRAP = len(WRAP_PARAMETERS)
+# Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
+# the second figure in any frame, they are taken to cross anyway.
+_ROOM, _CROSSED = 1e-3, 1e-4
+_RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
+
+
+class _Walls(eqx.Module):
+    """What a path must not get over, as clearances to keep (m)."""
+
+    limit: Float[Array, "*muscle wall"]
+    #: Clearance beyond the limit at which closeness is one.
+    room: Float[Array, "*muscle wall"]
+
+    def closeness(self, clearances: Float[Array, "pose wall"]) -> Float[Array, " pose"]:
+        """Root of the sum over walls of ``(room / clearance)**4``; infinite beyond a wall."""
+        left = clearances - self.limit[None]
+        inverse = self.room[None] / jnp.where(left > 0.0, left, 1.0)
+        within = jnp.sqrt(jnp.sum(inverse**4, axis=-1))
+        return jnp.where(jnp.all(left > 0.0, axis=-1), within, jnp.inf)
 
 
 class _Alike(eqx.Module):
@@ -26,6 +45,7 @@ class _Alike(eqx.Module):
     muscles: Int[np.ndarray, " muscle"]
     #: Leaves lead with ``muscle pose``.
     posed: PosedPath
+    walls: _Walls
 
 
 class WrappedPaths(AbstractPath):
@@ -50,50 +70,95 @@ class WrappedPaths(AbstractPath):
         """How many changes a muscle has at most."""
         return self.wraps * _PER_WRAP
 
+    @property
+    def resolution(self) -> float:
+        """Paths have kinks where they come to touch a cylinder, in one frame or another."""
+        return _RESOLUTION
+
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
         """Give all paths round their cylinders where these changes put them."""
         state = self.nominal
         for group in self.alike:
             own = changes[group.muscles, : _changes_of(group)]
-            moved = jax.vmap(self._path)(group.posed, own)
+            moved = jax.vmap(self._path)(group.posed, group.walls, own)
             state = jax.tree.map(
                 lambda whole, part, rows=group.muscles: whole.at[rows].set(part), state, moved
             )
         return state
 
-    def slopes(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Differentiate each path by its own changes, in forward mode."""
-        count = changes.shape[1]
-        slopes = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], count, *leaf.shape[1:])), self.nominal)
+    def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
+        """Give all paths, and differentiate each by its own changes in forward mode."""
+        state, count = self.nominal, changes.shape[1]
+        slopes = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], count, *leaf.shape[1:])), state)
         for group in self.alike:
-            size = _changes_of(group)
-            by_change = jax.vmap(self._slope)(group.posed, changes[group.muscles, :size])
+            rows, size = group.muscles, _changes_of(group)
+            moved, by_change = jax.vmap(self._linearized_path)(group.posed, group.walls, changes[rows, :size])
+            state = jax.tree.map(lambda whole, part, rows=rows: whole.at[rows].set(part), state, moved)
             slopes = jax.tree.map(
-                lambda whole, part, rows=group.muscles, size=size: whole.at[rows, :size].set(part),
-                slopes,
-                by_change,
+                lambda whole, part, rows=rows, size=size: whole.at[rows, :size].set(part), slopes, by_change
             )
-        return slopes
+        return state, slopes
 
-    def _path(self, posed: PosedPath, changes: Float[Array, " mode"]) -> PathState:
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: PathState
+    ) -> Float[Array, "muscle mode mode"]:
+        """Differentiate paths round one cylinder twice by its parameters, and sum with these weights.
+
+        Paths round several are left out: to compile their second derivatives takes minutes.
+        """
+
+        def of_one(
+            posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"], weights: PathState
+        ) -> Array:
+            def total(at: Float[Array, " mode"]) -> Float[Array, ""]:
+                products = jax.tree.map(
+                    lambda one, weight: jnp.vdot(one, weight), self._path(posed, walls, at), weights
+                )
+                return jax.tree.reduce(jnp.add, products)
+
+            return jax.hessian(total)(changes)
+
+        count = changes.shape[1]
+        curvature = jnp.zeros((changes.shape[0], count, count))
+        for group in self.alike:
+            if not isinstance(group.posed.path, StraightPath):
+                continue
+            rows, size = group.muscles, _changes_of(group)
+            own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], weights)
+            found = jax.vmap(of_one)(group.posed, group.walls, changes[rows, :size], own)
+            curvature = curvature.at[rows, :size, :size].set(found)
+        return curvature
+
+    def _path(self, posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"]) -> PathState:
         parameters = changes.reshape(-1, _PER_WRAP) + jnp.asarray(NOMINAL)[None]
-        radius = jnp.min(posed.surfaces.radius)
-        return _over_cycles(posed.wrapped(parameters, self.wrapping), radius, self.velocities, self.columns)
+        path = posed.wrapped(parameters, self.wrapping)
+        return _over_cycles(path, walls, self.velocities, self.columns)
 
-    def _slope(self, posed: PosedPath, changes: Float[Array, " mode"]) -> PathState:
-        def along(direction: Float[Array, " mode"]) -> PathState:
-            return jax.jvp(lambda at: self._path(posed, at), (changes,), (direction,))[1]
+    def _linearized_path(
+        self, posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"]
+    ) -> tuple[PathState, PathState]:
+        def along(direction: Float[Array, " mode"]) -> tuple[PathState, PathState]:
+            return jax.jvp(lambda at: self._path(posed, walls, at), (changes,), (direction,))
 
-        return jax.vmap(along)(jnp.eye(changes.size))
+        return jax.vmap(along, out_axes=(None, 0))(jnp.eye(changes.size))
 
 
 def _changes_of(group: _Alike) -> int:
     return _PER_WRAP * group.posed.surfaces.radius.shape[1]
 
 
+def _walls(clearances: Float[Array, "muscle pose wall"]) -> _Walls:
+    """Set up walls where the nominal paths leave room; where they cross one, a little further on."""
+    least = jnp.min(clearances, axis=1)
+    free = least > _CROSSED
+    return _Walls(
+        limit=jnp.where(free, 0.0, least - _ROOM), room=jnp.where(free, jnp.minimum(least, _ROOM), _ROOM)
+    )
+
+
 def _over_cycles(
     path: WrappedPath,
-    radius: Float[Array, ""],
+    walls: _Walls,
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[np.ndarray, " moment_coordinate"],
 ) -> PathState:
@@ -101,13 +166,11 @@ def _over_cycles(
     trials, coordinates, frames = velocities.shape
     arms = jnp.moveaxis(path.moment_arm.reshape(trials, frames, coordinates), -1, 1)
     nothing = jnp.zeros((trials, 1, frames))
-    margins = path.margins
-    clearance = jnp.minimum(jnp.minimum(margins.inside, margins.off_end), radius * margins.long_wrap)
     return PathState(
         length=path.length.reshape(trials, frames),
         velocity=-jnp.sum(arms * velocities, axis=1),
         moment_arm=jnp.concatenate([arms, nothing], axis=1)[:, columns],
-        clearance=clearance.reshape(trials, frames),
+        closeness=walls.closeness(path.clearances).reshape(trials, frames),
     )
 
 
@@ -150,22 +213,22 @@ def wrapped_paths(
     )
     most = max((len(engine.wraps_of(name)) for name in engine.muscles), default=0)
     touching = np.zeros((len(engine.muscles), most), dtype=bool)
-    states: list[PathState | None] = [None] * len(engine.muscles)
+    states: dict[int, PathState] = {}
     movable = []
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
+        walls = _walls(wrapped.clearances)
         rows = [engine.muscles.index(name) for name in kind]
         for place, row in enumerate(rows):
-            one, radii = _rows_of((wrapped, posed_alike.surfaces.radius), place)
-            touching[row, : radii.size] = np.asarray(one.touching).any(axis=0)
-            states[row] = _over_cycles(one, jnp.min(radii, initial=1.0), jnp.asarray(velocities), columns)
-        moved = np.array([bool(set(engine.wraps_of(name)) & set(free)) for name in kind])
-        if moved.any():
-            own = np.flatnonzero(moved)
-            movable.append(_Alike(np.array(rows)[own], _rows_of(posed_alike, own)))
+            one, own_walls = _rows_of((wrapped, walls), place)
+            touching[row, : one.touching.shape[-1]] = np.asarray(one.touching).any(axis=0)
+            states[row] = _over_cycles(one, own_walls, jnp.asarray(velocities), columns)
+        own = np.flatnonzero([bool(set(engine.wraps_of(name)) & set(free)) for name in kind])
+        if own.size:
+            movable.append(_Alike(np.array(rows)[own], *_rows_of((posed_alike, walls), own)))
     paths = WrappedPaths(
-        nominal=jax.tree.map(lambda *leaves: jnp.stack(leaves), *states),
+        nominal=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(states[row] for row in range(len(states)))),
         alike=tuple(movable),
         velocities=jnp.asarray(velocities),
         columns=columns,

@@ -52,6 +52,8 @@ class WrappedPath(eqx.Module):
     #: Which of its cylinders it lies on.
     touching: Bool[Array, "*pose wrap"]
     margins: Margins
+    #: Distances (m) from everything that would make the length jump, one by one: each is smooth by itself.
+    clearances: Float[Array, "*pose wall"]
 
 
 class StraightPath(eqx.Module):
@@ -115,15 +117,20 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
     # The surface stands still: what moves are the ends, towards it or away.
     at_start, at_end = (first_pull - straight_pull).at(None), (last_pull - straight_pull).at(None)
     change = at_start.dot(path.start_velocity) - at_end.dot(path.end_velocity)
+    margins = Margins(
+        inside=jnp.min(jnp.where(path.eligible, decision.clearance, FREE), axis=-1),
+        off_end=jnp.min(jnp.where(crossing, contact.off_end, FREE), axis=-1),
+        long_wrap=jnp.min(jnp.where(wraps, HALF_TURN - jnp.abs(contact.turn), FREE), axis=-1),
+    )
+    at_starts = jnp.where(path.eligible, decision.start_clearance, FREE)
+    at_last = jnp.where(jnp.any(path.eligible, axis=-1), decision.end_clearance[..., -1], FREE)
+    others = jnp.stack([at_last, margins.off_end, cylinder.radius * margins.long_wrap], axis=-1)
     return WrappedPath(
         length=path.length + jnp.sum(jnp.where(chosen, longer, 0.0), axis=-1),
         moment_arm=path.moment_arm + jnp.sum(jnp.where(chosen[None], change, 0.0), axis=-1),
         touching=jnp.any(chosen, axis=-1, keepdims=True),
-        margins=Margins(
-            inside=jnp.min(jnp.where(path.eligible, decision.clearance, FREE), axis=-1),
-            off_end=jnp.min(jnp.where(crossing, contact.off_end, FREE), axis=-1),
-            long_wrap=jnp.min(jnp.where(wraps, HALF_TURN - jnp.abs(contact.turn), FREE), axis=-1),
-        ),
+        margins=margins,
+        clearances=jnp.concatenate([at_starts, others], axis=-1),
     )
 
 
@@ -135,4 +142,5 @@ def unwrapped(path: StraightPath) -> WrappedPath:
         moment_arm=path.moment_arm,
         touching=jnp.zeros((*path.length.shape, 0), dtype=bool),
         margins=Margins(free, free, free),
+        clearances=jnp.zeros((*path.length.shape, 0)),
     )

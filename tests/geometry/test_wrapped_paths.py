@@ -1,0 +1,122 @@
+"""Paths that follow their cylinders: derivatives of both orders, rates, and walls that are not got over."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.osim import describe_model
+
+COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
+MUSCLES = ("psoas_l", "soleus_l", "gasmed_l", "addlong_l")
+FREE = ("PS_at_brim_l", "GasMed_at_shank_l", "Gastroc_at_condyles_l")
+MOMENTS = ("knee_angle_l", "hip_flexion_l", "subtalar_angle_l")
+
+
+@pytest.fixture(scope="module")
+def engine(s1_left):
+    return ExactPaths(describe_model(s1_left / "model.osim"), MUSCLES, COORDINATES)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Two cycles of four frames: angles and angular velocities."""
+    generator = np.random.default_rng(3)
+    low, high = np.array([-0.3, -0.1, -0.1, 0.1, -0.2]), np.array([0.4, 0.1, 0.1, 0.9, 0.2])
+    angles = low[:, None] + (high - low)[:, None] * generator.uniform(size=(2, 5, 4))
+    return angles, generator.normal(size=(2, 5, 4))
+
+
+@pytest.fixture(scope="module")
+def paths(engine, motion):
+    return wrapped_paths(engine, *motion, MOMENTS, FREE)[0]
+
+
+@pytest.fixture(scope="module")
+def moved(paths):
+    """A change of every freed cylinder, small enough to stay off the walls."""
+    size = np.array([1e-3, 1e-3, 1e-3, 0.03, 0.03, 0.03])
+    change = np.tile(size, 2) * np.random.default_rng(4).uniform(-1, 1, (len(MUSCLES), 12))
+    assert np.isfinite(paths.at(jnp.asarray(change)).closeness).all()
+    return jnp.asarray(change)
+
+
+def test_no_change_leaves_paths_as_the_model_has_them(paths):
+    path = paths.at(jnp.zeros((4, 12)))
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, atol=1e-13), path, paths.nominal)
+    # The subtalar joint is no coordinate of this engine.
+    assert not np.asarray(path.moment_arm[:, :, 2]).any()
+
+
+def test_only_muscles_by_free_cylinders_move(paths, moved):
+    path = paths.at(moved)
+    change = np.abs(path.length - paths.nominal.length).max(axis=(1, 2))
+    assert change[0] > 1e-5
+    assert change[2] > 1e-5
+    np.testing.assert_array_equal(change[[1, 3]], 0.0)
+
+
+def test_rate_is_that_of_the_length_while_joints_move(engine, motion, paths):
+    angles, velocities = motion
+    step = 1e-6
+    ahead, behind = (
+        wrapped_paths(engine, angles + sign * step * velocities, velocities, MOMENTS, ())[0]
+        for sign in (1, -1)
+    )
+    rate = (ahead.nominal.length - behind.nominal.length) / (2 * step)
+    np.testing.assert_allclose(paths.nominal.velocity, rate, atol=1e-8)
+
+
+def test_first_derivatives_equal_differences(paths, moved):
+    at = jax.jit(lambda changes: paths.at(changes))
+    here, slopes = jax.jit(lambda changes: paths.linearized(changes))(moved)
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, atol=1e-13), here, at(moved))
+    for mode in range(12):
+        step = jnp.zeros((4, 12)).at[:, mode].set(1e-6)
+        difference = jax.tree.map(lambda a, b: (a - b) / 2e-6, at(moved + step), at(moved - step))
+        jax.tree.map(
+            lambda slope, other, mode=mode: np.testing.assert_allclose(
+                slope[:, mode], other, atol=2e-6, rtol=1e-5
+            ),
+            slopes,
+            difference,
+        )
+
+
+def test_second_derivatives_equal_differences_of_first_ones(paths, moved):
+    """Of paths round one cylinder; those round several are left out."""
+    generator = np.random.default_rng(5)
+    weights = jax.tree.map(lambda leaf: jnp.asarray(generator.normal(size=leaf.shape)), paths.nominal)
+    curvature = jax.jit(lambda changes: paths.curvature(changes, weights))(moved)
+
+    @jax.jit
+    def slope(changes):
+        products = jax.tree.map(
+            lambda leaf, weight: jnp.einsum("mk...,m...->mk", leaf, weight),
+            paths.linearized(changes)[1],
+            weights,
+        )
+        return jax.tree.reduce(jnp.add, products)
+
+    for mode in range(12):
+        step = jnp.zeros((4, 12)).at[:, mode].set(1e-6)
+        difference = (slope(moved + step) - slope(moved - step)) / 2e-6
+        np.testing.assert_allclose(curvature[0, mode], difference[0], atol=1e-5 * np.abs(curvature[0]).max())
+    assert np.abs(curvature[0]).max() > 1.0
+    np.testing.assert_array_equal(curvature[1:], 0.0)
+
+
+def test_closeness_grows_without_bound_towards_a_wall(paths):
+    """A cylinder is moved on to the path's points: closeness rises, and beyond them it is infinite."""
+    reach = np.linspace(0.0, 0.03, 61)
+    at = jax.jit(lambda changes: paths.at(changes))
+    largest = []
+    for step in reach:
+        change = jnp.zeros((4, 12)).at[0, 1].set(-step)
+        largest.append(float(jnp.max(at(change).closeness[0])))
+    wall = np.flatnonzero(np.isinf(largest))
+    assert wall.size
+    assert np.isinf(largest[wall[0] :]).all()
+    assert largest[wall[0] - 1] > 3.0 > 1.0 > largest[0]
