@@ -1,8 +1,9 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients.
 
 ``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``calibrate``
-fits the model to the person, ``objective`` gives what is minimised as a pure function for `jax.grad`,
-and ``prepare`` all that is behind it.
+fits the model to the person, ``compare`` does so by several methods and tests which differ,
+``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that is
+behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -17,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
+    from wrapjax.api import Comparison as Comparison
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import calibrate as calibrate
+    from wrapjax.api import compare as compare
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
     from wrapjax.api import load_fit as load_fit
@@ -33,10 +36,12 @@ __version__ = version("wrapjax")
 # Imported on first use: the command line must be able to set thread counts before JAX is loaded.
 _PLACES = {
     "Calibration": "wrapjax.api",
+    "Comparison": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
     "InputError": "wrapjax.errors",
     "calibrate": "wrapjax.api",
+    "compare": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",
     "load_fit": "wrapjax.api",

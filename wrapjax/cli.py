@@ -10,7 +10,7 @@ import io
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,6 +106,26 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with an interrupted calibration of the same RUN"
     )
 
+    compare = command("compare", _compare, "Calibrate by every method, and test which differ.", writing)
+    compare.add_argument("subjects", type=Path, nargs="+", metavar="SUBJECT")
+    compare.add_argument("--out", type=Path, required=True, metavar="DIR")
+    compare.add_argument(
+        "--methods",
+        type=lambda text: tuple(text.split(",")),
+        metavar="NAME,NAME",
+        help="the first is what others are tested against (default: all, against NGA)",
+    )
+    compare.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    compare.add_argument(
+        "--starts", type=_positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
+    )
+    compare.add_argument(
+        "--max-iterations", type=_positive, metavar="N", help="of each start (default: the solver's)"
+    )
+    compare.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted comparison of the same DIR"
+    )
+
     demo = command("demo", _demo, "Calibrate a virtual subject of known truth by every method.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
     return parser
@@ -155,15 +175,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     _refuse_existing(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
-    journal = options.out.with_name(f".{options.out.name}.unfinished")
-    if journal.exists() and not (options.resume or options.force):
-        raise InputError(
-            Problem(
-                str(options.out),
-                "was begun and interrupted",
-                hint="go on with --resume, or begin anew with --force",
-            )
-        )
+    journal = _journal(options)
     inner = {"lm": ProjectedLM, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
@@ -199,6 +211,61 @@ def _calibrate(options: argparse.Namespace) -> int:
         print("\n\n".join(map(calibration_table, done.legs)))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE if done.status.converged else NOT_CONVERGED
+
+
+def _compare(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api import compare, load_subject
+    from wrapjax.api.preparation import METHODS
+    from wrapjax.api.text import comparison_table, iteration_printer
+    from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
+    from wrapjax.progress import say
+
+    _refuse_existing(options.out, options.force)
+    journal = _journal(options)
+    inner = ProjectedLM()
+    if options.max_iterations:
+        inner = replace(inner, max_iterations=options.max_iterations)
+    try:
+        done = compare(
+            _load_all(options.subjects, load_subject),
+            options.methods or METHODS,
+            solver=AugmentedLagrangian(inner),
+            starts=options.starts,
+            seed=options.seed,
+            callback=iteration_printer(quiet=options.quiet),
+            curves=options.curves,
+            processes=options.threads,
+            quiet=options.quiet,
+            journal=journal,
+            resume=options.resume,
+        )
+    except KeyboardInterrupt:
+        if not journal.exists():
+            raise
+        say("interrupted; go on where it stopped with --resume", quiet=False)
+        return NOT_CONVERGED
+    done.save(options.out, force=options.force)
+    if options.json:
+        _print_json(_stored(options.out / "comparison.json"))
+    else:
+        print(comparison_table(done))
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    return DONE if done.converged else NOT_CONVERGED
+
+
+def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]:
+    """Read every subject, and say of all of them at once what is wrong."""
+    subjects: list[Any] = []
+    problems: list[Problem] = []
+    for folder in folders:
+        try:
+            subjects.append(load(folder))
+        except InputError as error:
+            problems += error.problems
+    if problems:
+        raise InputError(problems)
+    return subjects
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -238,6 +305,20 @@ def _refuse_existing(folder: Path, force: bool) -> None:
         raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
     if not os.access(parent, os.W_OK):
         raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
+
+
+def _journal(options: argparse.Namespace) -> Path:
+    """Name the folder of unfinished work, which is not thrown away unasked."""
+    journal = options.out.with_name(f".{options.out.name}.unfinished")
+    if journal.exists() and not (options.resume or options.force):
+        raise InputError(
+            Problem(
+                str(options.out),
+                "was begun and interrupted",
+                hint="go on with --resume, or begin anew with --force",
+            )
+        )
+    return journal
 
 
 def _set_threads(threads: int | None) -> None:

@@ -2,6 +2,8 @@
 
 from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
+from wrapjax.api.comparison import Comparison as Comparison
+from wrapjax.api.comparison import compare as compare
 from wrapjax.api.exact import ExactGeometry as ExactGeometry
 from wrapjax.api.exact import exact_geometry as exact_geometry
 from wrapjax.api.fitting import Fit as Fit
@@ -13,9 +15,11 @@ from wrapjax.subject import read_subject as load_subject
 
 __all__ = [
     "Calibration",
+    "Comparison",
     "ExactGeometry",
     "Fit",
     "calibrate",
+    "compare",
     "exact_geometry",
     "fit",
     "load_fit",

@@ -42,7 +42,10 @@ ul { padding-left: 1.2rem; }
 }
 """
 
-_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?|nan|inf|\N{EN DASH}")
+_ONE = r"-?\d+(\.\d+)?(e[+-]?\d+)?"
+# Also with its mark, its deviation, or what it goes with: "* 1.5 ± 0.2", "< 0.001", "1.2 to 1.4", "2, 27",
+# "0.3 (0.02)".
+_NUMBER = re.compile(rf"(\* |< )?{_ONE}(( ± | to | of |, ){_ONE}| \((< )?{_ONE}\))?|nan|inf|\u2013")
 _NUMBER_AND_UNIT = re.compile(r"(\d) N m\b")
 
 

@@ -1,0 +1,257 @@
+"""``compare``: calibrate persons by several methods, and test whether the methods differ."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wrapjax.api.calibration import STARTS, Calibration, calibrate
+from wrapjax.api.fitting import Fit
+from wrapjax.api.fitting import fit as fit_paths
+from wrapjax.api.preparation import METHODS, method_freedom
+from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.files import new_folder
+from wrapjax.progress import say
+from wrapjax.subject import Subject, read_legs
+
+if TYPE_CHECKING:
+    from wrapjax.report.comparison.numbers import Row
+    from wrapjax.report.comparison.samples import ComparedLeg
+
+_SIDES = {"l": "left", "r": "right"}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Legs calibrated by several methods.
+
+    Parameters
+    ----------
+    methods
+        The first is the one that others are compared with.
+    calibrations
+        One row a subject, one column a method.
+    labels
+        Names of the subjects, no two alike: also of their folders.
+    journal
+        Where unfinished work was kept.
+    """
+
+    methods: tuple[str, ...]
+    calibrations: tuple[tuple[Calibration, ...], ...]
+    labels: tuple[str, ...]
+    journal: Path | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether every calibration did."""
+        return all(one.status.converged for row in self.calibrations for one in row)
+
+    @cached_property
+    def legs(self) -> tuple[ComparedLeg, ...]:
+        """Every calibrated leg, both of a person whose legs were calibrated together."""
+        from wrapjax.report.comparison.samples import ComparedLeg
+        from wrapjax.report.run_folder import OTHER_LEG
+
+        found: list[ComparedLeg] = []
+        taken = set(self.labels)
+        for label, row in zip(self.labels, self.calibrations, strict=True):
+            for number, leg in enumerate(row[0].legs):
+                within = f"/{OTHER_LEG}" if number else ""
+                own = _file_name(leg.subject.name)
+                name = label if not number else own if own not in taken else f"{label} (other leg)"
+                taken.add(name)
+                found.append(
+                    ComparedLeg(
+                        name,
+                        leg.subject,
+                        {
+                            method: one.legs[number].result
+                            for method, one in zip(self.methods, row, strict=True)
+                        },
+                        {method: f"{label}/{method}{within}" for method in self.methods},
+                    )
+                )
+        return tuple(found)
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        """Means, spreads and tests of everything that is compared."""
+        from wrapjax.report.comparison.numbers import comparison_rows
+
+        return comparison_rows(self.legs, self.methods)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``<subject>/<METHOD>/`` for every calibration, ``comparison.json``, tables and report."""
+        from wrapjax.report.comparison.folder import write_comparison
+
+        with new_folder(Path(folder), force=force) as place:
+            for label, row in zip(self.labels, self.calibrations, strict=True):
+                for method, one in zip(self.methods, row, strict=True):
+                    # Journals are kept until all is written.
+                    replace(one, journal=None).save(place / label / method)
+            write_comparison(self.legs, self.methods, self.rows, place)
+        if self.journal is not None:
+            shutil.rmtree(self.journal, ignore_errors=True)
+
+
+def compare(
+    subjects: Sequence[Subject],
+    methods: Sequence[str] = METHODS,
+    *,
+    solver: AugmentedLagrangian | None = None,
+    starts: int = STARTS,
+    seed: int = 0,
+    callback: Watch | None = None,
+    curves: str = "paper",
+    processes: int | None = None,
+    quiet: bool = True,
+    journal: Path | None = None,
+    resume: bool = False,
+) -> Comparison:
+    """Calibrate every subject by every method, and test whether the methods differ.
+
+    Where a subject names its ``other_leg``, both legs are calibrated together and both are compared; the
+    other leg is not calibrated again if it is among the subjects, too.
+
+    Parameters
+    ----------
+    subjects
+        From `load_subject`.
+    methods
+        The first is the one that others are compared with.
+    solver, starts, seed, callback, curves
+        As in `calibrate`, for every calibration; paths are fitted by the same seed.
+    processes
+        As in `fit`.
+    quiet
+        Print no progress.
+    journal
+        Folder in which to keep where the work stands, so that it can be resumed; removed when the
+        result is saved.
+    resume
+        Go on with the journal's work instead of beginning anew.
+
+    Returns
+    -------
+    Comparison
+        Whether all converged is in ``converged``.
+
+    Raises
+    ------
+    InputError
+        Before the long work, if a method is not known or frees nothing of a subject, or if subjects
+        cannot be told apart.
+    KeyboardInterrupt
+        If interrupted; the journal then holds what was done.
+    """
+    methods = _checked(methods)
+    persons = _persons(subjects)
+    labels = _labels(persons)
+    fits = [fit_paths(person, seed=seed, processes=processes, quiet=quiet) for person in persons]
+    for person, fit in zip(persons, fits, strict=True):
+        _refuse_empty(methods, person, fit)
+    if journal is not None:
+        _open(journal, resume=resume)
+    done = []
+    for label, person, fit in zip(labels, persons, fits, strict=True):
+        row = []
+        for method in methods:
+            say(f"calibrating {label} by {method}", quiet=quiet)
+            place = None if journal is None else journal / label / method
+            one = calibrate(
+                person,
+                method,
+                fit,
+                solver=solver,
+                starts=starts,
+                seed=seed,
+                callback=callback,
+                curves=curves,
+                journal=place,
+                resume=place is not None and (place / "question.json").exists(),
+            )
+            if one.status is Status.interrupted:
+                raise KeyboardInterrupt
+            row.append(one)
+        done.append(tuple(row))
+    return Comparison(methods, tuple(done), labels, journal)
+
+
+def _checked(methods: Sequence[str]) -> tuple[str, ...]:
+    problems = [
+        Problem("methods", f"'{method}' is not known", hint=nearest_name(method, METHODS))
+        for method in dict.fromkeys(methods)
+        if method not in METHODS
+    ]
+    if not problems and len(set(methods)) < max(2, len(methods)):
+        problems = [
+            Problem("methods", f"expected two or more, each once, found {', '.join(methods) or 'none'}")
+        ]
+    if problems:
+        raise InputError(problems)
+    return tuple(methods)
+
+
+def _persons(subjects: Sequence[Subject]) -> list[Subject]:
+    """Leave out the legs that are calibrated with another's."""
+    if not subjects:
+        raise InputError(Problem("subjects", "expected at least one, found none"))
+    by_folder = {subject.folder.resolve(): subject for subject in subjects}
+    taken: set[Path] = set()
+    chosen = set()
+    # Those first that name another leg: it may not name them.
+    for folder, subject in sorted(by_folder.items(), key=lambda entry: entry[1].other_leg is None):
+        if folder not in taken:
+            chosen.add(folder)
+            taken |= {leg.folder.resolve() for leg in read_legs(subject)}
+    return [subject for folder, subject in by_folder.items() if folder in chosen]
+
+
+def _labels(persons: Sequence[Subject]) -> tuple[str, ...]:
+    """Name subjects so that they can be told apart, also as folders: by side where names are the same."""
+    names = [_file_name(person.name) for person in persons]
+    lowered = [name.lower() for name in names]
+    labels = [
+        f"{name}_{_SIDES[person.side]}" if lowered.count(name.lower()) > 1 else name
+        for name, person in zip(names, persons, strict=True)
+    ]
+    first: dict[str, Subject] = {}
+    problems = []
+    for label, person in zip(labels, persons, strict=True):
+        other = first.setdefault(label.lower(), person)
+        if other is not person:
+            message = f"has the name of {other.folder}, '{person.name}', and the same side"
+            hint = "give each a [subject] name of its own"
+            problems.append(Problem(str(person.folder / "subject.toml"), message, hint=hint))
+    if problems:
+        raise InputError(problems)
+    return tuple(labels)
+
+
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.+-]+", "_", name).strip(".") or "subject"
+
+
+def _refuse_empty(methods: Sequence[str], person: Subject, fit: Fit) -> None:
+    """Find out before the long work if a method frees nothing."""
+    for leg in read_legs(person):
+        own = fit if leg is person else fit_paths(leg)
+        for method in methods:
+            method_freedom(method, leg, own)
+
+
+def _open(journal: Path, *, resume: bool) -> None:
+    if resume and not journal.is_dir():
+        raise InputError(
+            Problem(str(journal), "holds no interrupted work to resume", hint="leave out --resume")
+        )
+    if not resume:
+        shutil.rmtree(journal, ignore_errors=True)
+    journal.mkdir(parents=True, exist_ok=True)
