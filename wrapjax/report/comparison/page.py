@@ -102,6 +102,11 @@ def _errors_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: S
                 "t-test, p < 0.05 after Holm's correction for the number of coordinates (none for the mean "
                 "over coordinates).",
             ),
+        ]
+        if not any(row.variance for row in everything):
+            parts.append(markup.paragraph(f"Too few {own[0].unit_of_analysis}s for tests."))
+            continue
+        parts += [
             variance_table(
                 everything,
                 caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: do the methods differ? One-way analysis "

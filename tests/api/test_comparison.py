@@ -1,0 +1,203 @@
+"""``compare`` from Python: who is calibrated, what is refused before the work, and what is saved."""
+
+import inspect
+import json
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+import wrapjax
+from tests.api.test_two_legs import name_other_leg, write_right_leg
+from tests.subject.synthetic import write_subject
+from wrapjax.api import calibrate, compare, load_subject
+from wrapjax.api.preparation import METHODS
+from wrapjax.errors import InputError
+
+#: The synthetic leg touches no wrapping surface: LSGA has nothing to free.
+BOTH = ("NGA", "SGA")
+
+
+@pytest.fixture(scope="module")
+def done(person, tmp_path_factory):
+    journal = tmp_path_factory.mktemp("journals") / "journal"
+    return compare([person], BOTH, starts=1, journal=journal)
+
+
+@pytest.fixture(scope="module")
+def saved(done, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("comparisons") / "out"
+    done.save(folder)
+    return folder
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    def started(*arguments, **options):
+        raise AssertionError("it started to work")
+
+    monkeypatch.setattr("wrapjax.api.comparison.calibrate", started)
+
+
+def test_it_is_what_calibrate_gives(done, person, paths):
+    alone = calibrate(person, "NGA", paths, starts=1)
+    assert done.converged and done.methods == BOTH and done.labels == ("synthetic",)
+    np.testing.assert_allclose(done.calibrations[0][0].result.modelled, alone.result.modelled, rtol=1e-9)
+    (leg,) = done.legs
+    assert list(leg.results) == list(BOTH) and leg.results["SGA"].method == "SGA"
+    with pytest.raises(FrozenInstanceError):
+        done.methods = ("PGA",)
+
+
+def test_public_names():
+    assert wrapjax.compare is compare and isinstance(wrapjax.Comparison, type)
+
+
+def test_folder(saved, done):
+    assert [path.name for path in saved.parent.iterdir()] == ["out"]
+    files = {"comparison.json", "cycles.csv", "means.csv", "report.html", "tests.csv"}
+    assert {path.name for path in saved.iterdir()} == files | {"synthetic"}
+    content = json.loads((saved / "comparison.json").read_text(encoding="utf-8"))
+    for leg in content["legs"]:
+        for method, run in leg["runs"].items():
+            summary = json.loads((saved / run["folder"] / "summary.json").read_text(encoding="utf-8"))
+            assert (summary["method"], summary["cost"]) == (method, run["cost"])
+            # The table of the comparison and the run's own summary tell the same.
+            (row,) = [
+                row
+                for row in content["quantities"]["moment_error"]
+                if (row["use"], row["speed"], row["item"]) == ("calibration", "all speeds", "mean")
+            ]
+            assert row["methods"][method]["mean"] == pytest.approx(summary["mae_Nm"]["calibration"]["mean"])
+            change = [
+                next(row for row in content["quantities"][name] if row["item"] == "mean")["methods"][method]
+                for name in ("length_change", "moment_arm_change")
+            ]
+            expected = summary["geometry_change"]
+            assert change[0]["mean"] == pytest.approx(expected["length_mae_m"])
+            assert change[1]["mean"] == pytest.approx(expected["moment_arm_mae_m"])
+    assert not done.journal.exists(), "the journal is thrown away once all is written"
+
+
+def test_saving_again_is_refused(saved, done):
+    before = (saved / "comparison.json").read_bytes()
+    with pytest.raises(InputError, match="exists already"):
+        done.save(saved)
+    assert (saved / "comparison.json").read_bytes() == before
+    done.save(saved, force=True)
+    assert (saved / "synthetic" / "NGA" / "report.html").is_file()
+
+
+def test_interrupted_and_resumed(person, done, tmp_path):
+    journal = tmp_path / "journal"
+    calls = []
+
+    def stop(start, iteration, state):
+        calls.append(iteration.number)
+        if len(calls) > len(done.calibrations[0][0].result.solution.history) + 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compare([person], BOTH, starts=1, journal=journal, callback=stop)
+    first = len(calls)
+    with pytest.raises(InputError, match="other data or settings"):
+        compare([person], BOTH, starts=1, seed=0, curves="opensim", journal=journal, resume=True)
+    again = compare(
+        [person], BOTH, starts=1, journal=journal, resume=True, callback=lambda *_: calls.append(None)
+    )
+    for ours, theirs in zip(again.calibrations[0], done.calibrations[0], strict=True):
+        assert ours.result.solution.cost == pytest.approx(theirs.result.solution.cost, rel=1e-10)
+    # What was finished is not done again.
+    whole = sum(len(one.result.solution.history) for one in done.calibrations[0])
+    assert len(calls) - first < whole - len(done.calibrations[0][0].result.solution.history) + 2
+
+
+class TestRefused:
+    """Before any calibration."""
+
+    def test_method_that_frees_nothing(self, person, no_work):
+        with pytest.raises(InputError, match="LSGA frees nothing"):
+            compare([person])
+
+    @pytest.mark.parametrize(
+        ("methods", "words"),
+        [
+            (("NGA", "SGAA"), "'SGAA' is not known; did you mean 'SGA'"),
+            (("NGA",), "expected two or more, each once, found NGA"),
+            (("NGA", "NGA"), "expected two or more, each once, found NGA, NGA"),
+            ((), "found none"),
+        ],
+    )
+    def test_methods(self, person, no_work, methods, words):
+        with pytest.raises(InputError, match=words):
+            compare([person], methods)
+
+    def test_nobody(self, no_work):
+        with pytest.raises(InputError, match="expected at least one"):
+            compare([], BOTH)
+
+    def test_namesakes(self, person, no_work, tmp_path):
+        other = load_subject(write_subject(tmp_path / "other"))
+        with pytest.raises(InputError, match=r"has the name of .*'synthetic', and the same side"):
+            compare([person, other], BOTH)
+
+    def test_nothing_to_resume(self, person, no_work, tmp_path):
+        with pytest.raises(InputError, match="no interrupted work"):
+            compare([person], BOTH, journal=tmp_path / "journal", resume=True)
+
+
+class TestNames:
+    """Of folders, whatever a person is called."""
+
+    @pytest.fixture
+    def calls(self, monkeypatch, calibrated):
+        found = []
+
+        def note(subject, method, fit, **options):
+            found.append((subject.name, subject.side, method))
+            return replace(calibrated, subject=subject)
+
+        monkeypatch.setattr("wrapjax.api.comparison.calibrate", note)
+        return found
+
+    @pytest.mark.parametrize(
+        ("name", "label"), [("../../Zoë M.", "_.._Zoë_M"), ("..", "subject"), ("a/b", "a_b")]
+    )
+    def test_stay_within_the_folder(self, person, calls, name, label):
+        assert compare([replace(person, name=name)], BOTH).labels == (label,)
+
+    def test_sides_tell_namesakes_apart(self, person, calls, tmp_path):
+        right = load_subject(write_right_leg(tmp_path / "right"))
+        assert compare([person, right], BOTH).labels == ("synthetic_left", "synthetic_right")
+
+    def test_a_subject_given_twice_is_calibrated_once(self, person, calls):
+        assert compare([person, person], BOTH).labels == ("synthetic",)
+        assert calls == [("synthetic", "l", method) for method in BOTH]
+
+    @pytest.mark.parametrize("both_point", [True, False])
+    def test_legs_calibrated_together_are_calibrated_once(self, calls, tmp_path, both_point):
+        left, right = write_subject(tmp_path / "left"), write_right_leg(tmp_path / "right")
+        name_other_leg(left, "../right")
+        if both_point:
+            name_other_leg(right, "../left")
+        # Whichever comes first.
+        compare([load_subject(right), load_subject(left)], BOTH)
+        assert {side for _, side, _ in calls} == ({"r"} if both_point else {"l"})
+        assert len(calls) == 2
+
+
+def test_both_legs_are_compared(calibrated, person):
+    """The other leg has a label and a folder of its own, though it may bear the same name."""
+    other = replace(calibrated, subject=replace(person, side="r"))
+    both = replace(calibrated, other_leg=other)
+    shown = wrapjax.Comparison(BOTH, ((both, both),), ("synthetic",))
+    assert [leg.label for leg in shown.legs] == ["synthetic", "synthetic (other leg)"]
+    assert shown.legs[1].folders["SGA"] == "synthetic/SGA/other_leg"
+    named = replace(calibrated, other_leg=replace(other, subject=replace(person, name="right", side="r")))
+    shown = wrapjax.Comparison(BOTH, ((named, named),), ("synthetic",))
+    assert [leg.label for leg in shown.legs] == ["synthetic", "right"]
+
+
+def test_every_method_is_compared_unless_told_otherwise():
+    """Whatever is added to the methods is compared, too."""
+    assert inspect.signature(compare).parameters["methods"].default is METHODS
