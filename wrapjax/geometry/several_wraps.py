@@ -54,6 +54,20 @@ class PointsAndCarriers(eqx.Module):
     last_point: Int[Array, "*pose wrap"]
 
 
+class Way(NamedTuple):
+    """Where a path runs, in ground's frame.
+
+    Knots are numbered: points first, then the two ends of each cylinder's contact. ``knots`` is the path,
+    filled up with -1 at its end; ``on_surface`` is the length of each contact (m), zero where a cylinder is
+    not touched.
+    """
+
+    knots: Int[Array, " place"]
+    position: Float[Array, "knot 3"]
+    on_surface: Float[Array, " wrap"]
+    cylinders: Cylinder
+
+
 class _Path(NamedTuple):
     """The path while cylinders are fitted in.
 
@@ -139,14 +153,24 @@ def wrap_shortest(path: PointsAndCarriers, cylinders: Cylinder) -> WrappedPath:
     cylinders
         Each in the frame of the body that carries it.
     """
+    way, held = _laid(path, cylinders)
+    return _outcome(way, path, _in_ground(path, cylinders), held.off_end, held.long_wrap)
+
+
+def shortest_way(path: PointsAndCarriers, cylinders: Cylinder) -> Way:
+    """Say where the path of `wrap_shortest` runs, round any number of cylinders, in one pose."""
+    way, _ = _laid(path, cylinders)
+    return Way(way.knots, way.position, way.on_surface, _in_ground(path, cylinders))
+
+
+def _laid(path: PointsAndCarriers, cylinders: Cylinder) -> tuple[_Path, _Held]:
+    """Lay the path the shortest way; it follows the points and the cylinders as these move."""
     points = path.position.shape[0]
     way = _settled(*jax.lax.stop_gradient((path, cylinders)))
     contacts = _with_derivatives(way.position[points:], way.knots, path, cylinders)
-    placed = _in_ground(path, cylinders)
-    contacts, held = _refitted(contacts, way.knots, path, placed)
+    contacts, held = _refitted(contacts, way.knots, path, _in_ground(path, cylinders))
     position = jnp.concatenate([path.position, contacts])
-    way = way._replace(position=position, seen=position, on_surface=held.length)
-    return _outcome(way, path, placed, held.off_end, held.long_wrap)
+    return way._replace(position=position, seen=position, on_surface=held.length), held
 
 
 def _settled(path: PointsAndCarriers, cylinders: Cylinder) -> _Path:
