@@ -35,6 +35,7 @@ from wrapjax.calibrate import (
 )
 from wrapjax.files import content_hash
 from wrapjax.model import Freedom, muscle_states
+from wrapjax.osim import describe_model
 from wrapjax.subject import Subject, read_legs
 
 #: Starts of a calibration that does not ask for another number.
@@ -67,7 +68,8 @@ class Calibration:
         """Write the run's folder: summary, parameters, curves and report; ``other_leg/`` within it."""
         from wrapjax.report.run_folder import write_run
 
-        write_run([(leg.subject, leg.result) for leg in self.legs], Path(folder), force=force)
+        legs = [(leg.subject, leg.result) for leg in self.legs]
+        write_run(legs, Path(folder), force=force, describe_model=describe_model)
         if self.journal is not None:
             self.journal.close()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from wrapjax.calibrate import CalibrationResult
@@ -13,6 +14,7 @@ from wrapjax.report.curve_sections import (
     fiber_lengths_section,
     moments_section,
 )
+from wrapjax.report.moved_paths import MovedPath
 from wrapjax.report.parameter_section import parameters_section
 from wrapjax.report.path_section import path_section
 from wrapjax.report.solver_section import solver_section
@@ -23,7 +25,11 @@ from wrapjax.subject import Subject
 
 
 def render_report(
-    subject: Subject, result: CalibrationResult, summary: dict[str, Any], settings: dict[str, Any]
+    subject: Subject,
+    result: CalibrationResult,
+    summary: dict[str, Any],
+    settings: dict[str, Any],
+    moves: Sequence[MovedPath] = (),
 ) -> str:
     """Write the report of a calibration as one HTML page with nothing outside it.
 
@@ -35,6 +41,8 @@ def render_report(
         From `summarize`.
     settings
         From `describe_settings`.
+    moves
+        From `moved_paths`.
     """
     title = f"{subject.name}: {result.method} calibration"
     side = {"l": "left", "r": "right"}[subject.side]
@@ -55,7 +63,7 @@ def render_report(
             moments_section(result, summary),
             activations_section(subject, result),
             fiber_lengths_section(result),
-            path_section(result),
+            path_section(result, moves),
             parameters_section(result),
             starts_section(result),
             solver_section(result, summary),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.report import markup
 from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
+from wrapjax.report.moved_paths import MovedPath
+from wrapjax.report.path_views import path_views
 from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, Figure, in_style, panel_grid
 from wrapjax.report.wording import counted
 
@@ -17,8 +21,16 @@ MOST_PANELS = 12
 Arms = Float[np.ndarray, "muscle trial coordinate frame"]
 
 
-def path_section(result: CalibrationResult) -> str:
-    """Write the part of the report on paths; empty where they were held."""
+def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> str:
+    """Write the part of the report on paths; empty where they were held.
+
+    Parameters
+    ----------
+    result
+        What came of the calibration.
+    moves
+        From `moved_paths`: what is shown in space.
+    """
     moving = result.freedom.moving_paths
     if moving is None:
         return ""
@@ -46,6 +58,7 @@ def path_section(result: CalibrationResult) -> str:
             "(blue), mean and one standard deviation to either side. Those that changed most on average, in "
             "this order. Scales differ.",
         ),
+        path_views(moves),
         markup.table(
             ("muscle", "length: mean", "length: largest", "arms: mean", "arms: largest", "largest about"),
             [_row(result, muscle) for muscle in order.tolist()],

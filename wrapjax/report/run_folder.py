@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.files import new_folder, write_json, write_text
 from wrapjax.report.html import render_report
+from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings
 from wrapjax.report.starts import starts_csv
 from wrapjax.report.summary import file_stems, summarize
 from wrapjax.report.tables import curve_tables, parameters_csv
 from wrapjax.subject import Subject, write_storage
 
+if TYPE_CHECKING:
+    from wrapjax.skeleton import ModelDescription
+
+#: Reads what decides muscle paths from a model's file: `wrapjax.osim.describe_model`.
+DescribeModel = Callable[[Path], "ModelDescription"]
+
 #: In the folder of a leg, that of the leg that was calibrated with it.
 OTHER_LEG = "other_leg"
 
 
 def write_run(
-    legs: Sequence[tuple[Subject, CalibrationResult]], folder: Path, *, force: bool = False
+    legs: Sequence[tuple[Subject, CalibrationResult]],
+    folder: Path,
+    *,
+    force: bool = False,
+    describe_model: DescribeModel | None = None,
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -32,6 +44,8 @@ def write_run(
         Where to; it appears when complete.
     force
         Replace a folder that exists.
+    describe_model
+        What moved cylinders are shown by; without it they are not.
 
     Raises
     ------
@@ -40,10 +54,12 @@ def write_run(
     """
     with new_folder(folder, force=force) as run:
         for place, (subject, result) in zip((run, run / OTHER_LEG), legs, strict=False):
-            _write_leg(subject, result, place)
+            _write_leg(subject, result, place, describe_model)
 
 
-def _write_leg(subject: Subject, result: CalibrationResult, run: Path) -> None:
+def _write_leg(
+    subject: Subject, result: CalibrationResult, run: Path, describe_model: DescribeModel | None
+) -> None:
     summary = summarize(subject, result)
     settings = describe_settings(subject, result, run)
     write_json(run / "summary.json", summary)
@@ -53,4 +69,7 @@ def _write_leg(subject: Subject, result: CalibrationResult, run: Path) -> None:
     for trial, stem in enumerate(file_stems(result.trials).values()):
         for kind, table in curve_tables(result, trial).items():
             write_storage(run / kind / f"{stem}.sto", table)
-    write_text(run / "report.html", render_report(subject, result, summary, settings))
+    moves: list[MovedPath] = []
+    if describe_model is not None and result.freedom.wraps is not None:
+        moves = moved_paths(subject, result, describe_model(subject.model_file))
+    write_text(run / "report.html", render_report(subject, result, summary, settings, moves))

@@ -1,0 +1,149 @@
+"""Moved cylinders in words and pictures: the muscles that changed most, true distances, one scale."""
+
+import re
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import opensim
+import pytest
+
+from tests.report.conftest import COORDINATES, MUSCLES
+from wrapjax.geometry.path_points import route_path
+from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
+from wrapjax.model import FreedWraps, with_wraps
+from wrapjax.osim import describe_model
+from wrapjax.report.moved_paths import describe_move, moved_paths
+from wrapjax.report.path_section import path_section
+from wrapjax.report.path_views import look_at, path_view_figure
+from wrapjax.report.run_folder import write_run
+from wrapjax.virtual import build_leg_model
+
+#: 3 and 4 mm across the axis, 10 degrees about x, a tenth larger.
+CHANGE = np.array([0.003, 0.004, 0.0, np.deg2rad(10.0), 0.0, 0.1])
+#: Frame of the second cycle in which the hip's moment arm changed most.
+FRAME = 3
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    opensim.Logger.setLevelString("Off")
+    file = tmp_path_factory.mktemp("leg") / "model.osim"
+    build_leg_model(file, "l")
+    return describe_model(file)
+
+
+@pytest.fixture
+def moved(result):
+    """A calibration that moved the iliacus' cylinder, and with it its moment arm at the hip."""
+    box = np.full((1, 6), 0.4)
+    wraps = FreedWraps(
+        names=("IL_at_brim_l",),
+        quantities=WRAP_PARAMETERS,
+        units=("m", "m", "m", "rad", "rad", "1"),
+        places=np.array([[0], [-1]]),
+        lower=-box,
+        upper=box,
+        scale=box,
+        prior_sd=box,
+    )
+    before = result.initial_states
+    arm = before.path.moment_arm.at[0, :, 0].add(0.001).at[0, 1, 0, FRAME].add(0.002)
+    # What a held path seems to change by must not be drawn: no cylinder of its moved.
+    arm = arm.at[1, :, 1].add(0.02)
+    states = replace(before, path=replace(before.path, moment_arm=arm))
+    return replace(
+        result,
+        method="PGA",
+        freedom=with_wraps(result.freedom, "PGA", wraps),
+        parameters=replace(result.parameters, path_changes=jnp.asarray(np.stack([CHANGE, np.zeros(6)]))),
+        paths=None,
+        states=states,
+    )
+
+
+@pytest.fixture
+def walking(subject):
+    angles = 0.1 + 0.05 * np.arange(subject.trials.angles.size).reshape(subject.trials.angles.shape)
+    return replace(subject, trials=replace(subject.trials, angles=angles))
+
+
+@pytest.fixture
+def move(walking, moved, model):
+    (found,) = moved_paths(walking, moved, model)
+    return found
+
+
+def test_drawn_is_the_muscle_that_moved_in_the_frame_where_it_changed_most(move, walking, model):
+    assert (move.muscle, move.coordinate) == (MUSCLES[0], COORDINATES[0])
+    assert (move.trial, move.percent) == ("walk/02", 75)
+    assert move.arm_after - move.arm_before == pytest.approx(0.003)
+    pose = walking.trials.angles[1, :1, FRAME]
+    for route, parameters in ((move.before, NOMINAL), (move.after, NOMINAL + CHANGE)):
+        expected = route_path(model, MUSCLES[0], COORDINATES[:1], pose, parameters[None])
+        np.testing.assert_array_equal(route.line, expected.line)
+    assert move.before.contacts and move.after.contacts
+
+
+def test_how_far_it_moved_in_words(move):
+    (pair,) = move.touched
+    assert describe_move(*pair) == (
+        "IL_at_brim_l: moved 5.0 mm, turned 10.0\N{DEGREE SIGN}, radius \N{MULTIPLICATION SIGN} 1.10 "
+        "(35.0 to 38.5 mm)"
+    )
+
+
+def test_nothing_is_drawn_where_cylinders_were_held_or_stayed(walking, moved, result, model):
+    assert moved_paths(walking, result, model) == []
+    assert moved_paths(walking, replace(moved, states=moved.initial_states), model) == []
+
+
+class TestCamera:
+    def test_along_the_cylinder_it_is_a_circle_of_its_radius(self, move):
+        camera = look_at(move, 0.0)
+        np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(camera.axes) == pytest.approx(1.0)
+        cylinder = move.before.cylinders[0]
+        angles = np.linspace(0.0, 2.0 * np.pi, 9)
+        ring = cylinder.radius * np.stack([np.cos(angles), np.sin(angles), 0.7 + 0.0 * angles], axis=1)
+        across = camera.seen(cylinder.outward(ring))[:, :2] - camera.seen(cylinder.center[None])[:, :2]
+        np.testing.assert_allclose(np.linalg.norm(across, axis=1), 1e3 * cylinder.radius, rtol=1e-9)
+
+    def test_from_the_side_the_muscle_is_on_the_near_side(self, move):
+        camera = look_at(move, np.deg2rad(68.0))
+        cylinder = move.before.cylinders[0]
+        contacts = np.concatenate([move.before.contacts[cylinder.name], move.after.contacts[cylinder.name]])
+        depth = camera.seen(contacts)[:, 2].mean() - camera.seen(cylinder.center[None])[0, 2]
+        assert depth > 0.0
+
+
+def test_figure(move):
+    figure = path_view_figure([move, move, move])
+    assert [len(part.axes) for part in figure.subfigs] == [2, 2, 2, 0]
+    for panel, tilt in zip(figure.subfigs[0].axes, (0.0, np.deg2rad(68.0)), strict=True):
+        assert panel.get_aspect() == 1.0
+        assert np.ptp(panel.get_xlim()) == np.ptp(panel.get_ylim())
+        drawn = [line.get_xydata() for line in panel.get_lines()]
+        for route in (move.before, move.after):
+            seen = look_at(move, tilt).seen(route.line)[:, :2]
+            assert any(one.shape == seen.shape and np.allclose(one, seen) for one in drawn)
+
+
+def test_the_report_of_a_run_shows_it(move, moved, walking, model, tmp_path):
+    page = path_section(moved, [move])
+    assert page.count("<img") == path_section(moved).count("<img") + 1
+    assert re.search(r'alt="Paths and cylinders in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
+    asked = []
+
+    def describe(file):
+        asked.append(file)
+        return model
+
+    write_run([(walking, moved)], tmp_path / "run", describe_model=describe)
+    assert asked == [walking.model_file]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "IL_at_brim_l: moved 5.0\N{NO-BREAK SPACE}mm" in page or "IL_at_brim_l: moved 5.0 mm" in page
+
+
+def test_a_model_is_not_opened_without_need(result, subject, tmp_path):
+    write_run([(subject, result)], tmp_path / "run", describe_model=lambda file: pytest.fail("opened"))

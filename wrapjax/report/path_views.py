@@ -1,0 +1,214 @@
+"""Muscle paths and their cylinders in space, before and after calibration.
+
+Parallel projection, drawn back to front: distances across the line of sight are true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+
+from wrapjax.geometry.path_points import PlacedCylinder, RoutedPath
+from wrapjax.report import markup
+from wrapjax.report.figures import PAGE_WIDTH
+from wrapjax.report.moved_paths import MovedPath, describe_move
+from wrapjax.report.style import BLACK, BLUE, GRAY, Axes, Figure, in_style, new_figure
+
+_FACETS = 36
+_PANEL = PAGE_WIDTH / 4
+_TITLE = 0.75
+# From the cylinder's axis to the line of sight.
+_VIEWS = (("along the cylinder", 0.0), ("from the side", np.deg2rad(68.0)))
+# OpenSim's axes of ground: x to the front, y up, z to the right.
+_DIRECTIONS = (("up", (0.0, 1.0, 0.0)), ("front", (1.0, 0.0, 0.0)), ("right", (0.0, 0.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Looks at a point: rows of ``axes`` are to the right, up, and towards who looks, in ground's frame."""
+
+    axes: Float[np.ndarray, "3 3"]
+    target: Float[np.ndarray, " 3"]
+
+    def seen(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+        """Turn points (m) into mm to the right, up and towards who looks."""
+        return 1e3 * (points - self.target) @ self.axes.T
+
+
+def path_views(moves: Sequence[MovedPath], *, of: str = "") -> str:
+    """Write the pictures of moved paths for a page; empty if there are none."""
+    if not moves:
+        return ""
+    told = "; ".join(
+        f"{move.muscle} round {', '.join(describe_move(*pair) for pair in move.touched)}" for move in moves
+    )
+    whose = f" of {of}" if of else ""
+    return markup.picture(
+        path_view_figure(moves),
+        alternative=f"Paths and cylinders{whose} in space before and after calibration: {told}.",
+        caption=f"The muscles{whose} whose moment arms changed most as their cylinders moved: path and "
+        "cylinder before (gray) and after calibration (blue), each seen along the cylinder and from the "
+        "side, in the recorded frame where the moment arm changed most. Dots: the model's path points "
+        "(black), and where the path meets and leaves the cylinder (white). Only the part near the cylinder "
+        "is shown; cylinders are cut off where the path is far, a thick edge is a real end. Scales differ.",
+    )
+
+
+@in_style
+def path_view_figure(moves: Sequence[MovedPath]) -> Figure:
+    """Draw each moved path in two views, two muscles a row."""
+    rows = -(-len(moves) // 2)
+    columns = 2 * min(2, len(moves))
+    figure = new_figure(_PANEL * columns, rows * (_PANEL + _TITLE))
+    figure.get_layout_engine().set(wspace=0.01, hspace=0.04)
+    parts = figure.subfigures(rows, columns // 2, squeeze=False).ravel()
+    for part, move in zip(parts, moves, strict=False):
+        lines = [
+            f"{move.muscle}, {move.percent} % of {move.trial}: moment arm about {move.coordinate} "
+            f"{1e3 * move.arm_before:.1f} to {1e3 * move.arm_after:.1f} mm",
+            *(describe_move(*pair) for pair in move.touched),
+        ]
+        part.suptitle("\n".join(lines), x=0.02, ha="left", fontsize=8.0, parse_math=False)
+        for panel, (words, tilt) in zip(part.subplots(1, 2), _VIEWS, strict=True):
+            _draw_view(panel, move, tilt)
+            panel.text(
+                *(0.98, 0.02, words),
+                transform=panel.transAxes,
+                ha="right",
+                fontsize=7.0,
+                color="#555555",
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+                zorder=6,
+            )
+    return figure
+
+
+def look_at(move: MovedPath, tilt: float) -> Camera:
+    """Place a camera ``tilt`` (rad) off the axis of the cylinder that moved most, on the muscle's side."""
+    before, after = max(move.touched, key=_most_moved)
+    contacts = [route.contacts.get(after.name, route.line) for route in (move.before, move.after)]
+    target = np.concatenate(contacts).mean(axis=0)
+    axis = before.axes[:, 2]
+    outward = target - before.center
+    outward = outward - (outward @ axis) * axis
+    outward = outward / np.linalg.norm(outward)
+    toward = np.cos(tilt) * axis + np.sin(tilt) * outward
+    # The way up is up in the picture, unless one looks straight along it.
+    up = np.array([0.0, 1.0, 0.0]) if abs(toward[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    right = np.cross(up, toward)
+    right = right / np.linalg.norm(right)
+    middle = target if tilt else 0.5 * (target + before.center + axis * ((target - before.center) @ axis))
+    return Camera(np.stack([right, np.cross(toward, right), toward]), middle)
+
+
+def _most_moved(pair: tuple[PlacedCylinder, PlacedCylinder]) -> float:
+    """How far the surface of a cylinder moved, about (m)."""
+    before, after = pair
+    turn = np.linalg.norm(before.axes[:, 2] - after.axes[:, 2])
+    shift = np.linalg.norm(after.center - before.center)
+    return float(shift + turn * before.half_length + abs(after.radius - before.radius))
+
+
+def _draw_view(panel: Axes, move: MovedPath, tilt: float) -> None:
+    camera = look_at(move, tilt)
+    reach = 0.0
+    for place, color in enumerate((GRAY, BLUE)):
+        for pair in move.touched:
+            stretch = _shown_stretch(pair[place], move)
+            reach = max(reach, _draw_cylinder(panel, camera, pair[place], *stretch, color))
+    _draw_path(panel, camera, move.before, GRAY)
+    _draw_path(panel, camera, move.after, BLUE)
+    reach = 1.12 * max(reach, *(np.abs(camera.seen(ends)[:, :2]).max() for ends in _all_contacts(move)))
+    panel.set_xlim(-reach, reach)
+    panel.set_ylim(-reach, reach)
+    panel.set_aspect("equal")
+    panel.set_axis_off()
+    _draw_scale(panel, reach)
+    _draw_directions(panel, camera)
+
+
+def _all_contacts(move: MovedPath) -> list[Float[np.ndarray, "2 3"]]:
+    found = [ends for route in (move.before, move.after) for ends in route.contacts.values()]
+    return found or [np.zeros((2, 3)) + pair[0].center for pair in move.touched]
+
+
+def _shown_stretch(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, float]:
+    """Which stretch of its axis to draw (m): that near the contacts."""
+    heights = cylinder.inward(np.concatenate(_all_contacts(move)))[:, 2]
+    margin = 0.9 * cylinder.radius
+    low = np.clip(heights.min() - margin, -cylinder.half_length, cylinder.half_length)
+    high = np.clip(heights.max() + margin, -cylinder.half_length, cylinder.half_length)
+    return (float(low), float(high)) if low < high else (-cylinder.half_length, cylinder.half_length)
+
+
+def _draw_cylinder(
+    panel: Axes, camera: Camera, cylinder: PlacedCylinder, low: float, high: float, color: str
+) -> float:
+    """Draw a translucent surface, its axis and both edges; say how far it reaches from the middle (mm)."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _FACETS + 1)
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
+    rings = [
+        camera.seen(cylinder.outward(cylinder.radius * circle + [0.0, 0.0, height])) for height in (low, high)
+    ]
+    both = np.concatenate(rings)[:, :2]
+    panel.fill(*both[ConvexHull(both).vertices].T, color=color, alpha=0.2, linewidth=0)
+    # Lines along the near side make it look round.
+    near = (circle @ cylinder.axes.T @ camera.axes.T)[:, 2] > 0.0
+    for place in np.flatnonzero(near[:-1])[::2]:
+        ends = np.stack([ring[place, :2] for ring in rings])
+        panel.plot(*ends.T, color=color, linewidth=0.5, alpha=0.35)
+    for ring, height in zip(rings, (low, high), strict=True):
+        real = abs(abs(height) - cylinder.half_length) < 1e-9
+        panel.plot(*ring[:, :2].T, color=color, linewidth=1.6 if real else 0.6, alpha=0.9 if real else 0.5)
+    axis = camera.seen(cylinder.outward(np.array([[0.0, 0.0, low], [0.0, 0.0, high]])))
+    panel.plot(*axis[:, :2].T, color=color, linewidth=0.7, linestyle=(0, (6, 3)))
+    panel.plot(*axis[-1:, :2].T, "+", color=color, markersize=6.0)
+    return float(np.abs(np.concatenate(rings)[:, :2]).max())
+
+
+def _draw_path(panel: Axes, camera: Camera, route: RoutedPath, color: str) -> None:
+    panel.plot(
+        *camera.seen(route.line)[:, :2].T, color=color, linewidth=2.0, solid_capstyle="round", zorder=3
+    )
+    panel.plot(*camera.seen(route.points)[:, :2].T, "o", color=BLACK, markersize=3.5, zorder=5)
+    for ends in route.contacts.values():
+        places = camera.seen(ends)[:, :2].T
+        panel.plot(*places, "o", markerfacecolor="white", markeredgecolor=color, markersize=4.0, zorder=4)
+
+
+def _draw_scale(panel: Axes, reach: float) -> None:
+    length = max(step for step in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if step < 0.6 * reach or step == 2.0)
+    left, height = 0.96 * reach - length, 0.95 * reach
+    panel.plot([left, left + length], [height, height], color=BLACK, linewidth=1.4, solid_capstyle="butt")
+    place = (left + 0.5 * length, height - 0.03 * reach)
+    panel.text(*place, f"{length:g} mm", ha="center", va="top", fontsize=7.0)
+
+
+def _draw_directions(panel: Axes, camera: Camera) -> None:
+    """Draw which way is up, to the front and to the right, as far as they lie in the picture."""
+    middle, size = np.array([0.13, 0.13]), 0.09
+    drawn: list[Float[np.ndarray, " 2"]] = []
+    for name, direction in _DIRECTIONS:
+        across = camera.axes[:2] @ np.array(direction)
+        length = np.linalg.norm(across)
+        # One on top of another could not be read.
+        if length < 0.5 or any(across @ other > 0.9 * length for other in drawn):
+            continue
+        drawn.append(across / length)
+        tip = middle + size * across
+        panel.annotate(
+            "",
+            tip,
+            middle,
+            xycoords="axes fraction",
+            textcoords="axes fraction",
+            arrowprops={"arrowstyle": "->", "color": "#555555", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
+        )
+        place = middle + size * across + 0.045 * across / length
+        panel.text(
+            *place, name, transform=panel.transAxes, ha="center", va="center", fontsize=6.5, color="#555555"
+        )
