@@ -117,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     compare.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     compare.add_argument(
+        "--geometry",
+        choices=["surrogate", "engine"],
+        default="surrogate",
+        help="what NGA and PGA take paths from (SGA and LSGA: always the polynomials)",
+    )
+    compare.add_argument(
         "--starts", type=_positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
     )
     compare.add_argument(
@@ -230,6 +236,7 @@ def _compare(options: argparse.Namespace) -> int:
         done = compare(
             _load_all(options.subjects, load_subject),
             options.methods or METHODS,
+            geometry=options.geometry,
             solver=AugmentedLagrangian(inner),
             starts=options.starts,
             seed=options.seed,

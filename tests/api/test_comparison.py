@@ -9,19 +9,26 @@ import pytest
 
 import wrapjax
 from tests.api.test_two_legs import name_other_leg, write_right_leg
-from tests.subject.synthetic import write_subject
-from wrapjax.api import calibrate, compare, load_subject
+from tests.subject.synthetic import write_subject, write_wrapped_subject
+from wrapjax.api import ExactGeometry, Fit, calibrate, compare, load_subject
 from wrapjax.api.preparation import METHODS
 from wrapjax.errors import InputError
 
-#: The synthetic leg touches no wrapping surface: LSGA has nothing to free.
+#: Where a leg touches no wrapping surface, LSGA has nothing to free.
 BOTH = ("NGA", "SGA")
+WITHOUT_CYLINDERS = ("NGA", "SGA", "LSGA")
 
 
 @pytest.fixture(scope="module")
-def done(person, tmp_path_factory):
+def wrapped(tmp_path_factory):
+    """One of the two muscles wraps round a cylinder."""
+    return load_subject(write_wrapped_subject(tmp_path_factory.mktemp("subjects") / "wrapped"))
+
+
+@pytest.fixture(scope="module")
+def done(wrapped, tmp_path_factory):
     journal = tmp_path_factory.mktemp("journals") / "journal"
-    return compare([person], BOTH, starts=1, journal=journal)
+    return compare([wrapped], WITHOUT_CYLINDERS, starts=1, journal=journal)
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +46,14 @@ def no_work(monkeypatch):
     monkeypatch.setattr("wrapjax.api.comparison.calibrate", started)
 
 
-def test_it_is_what_calibrate_gives(done, person, paths):
-    alone = calibrate(person, "NGA", paths, starts=1)
-    assert done.converged and done.methods == BOTH and done.labels == ("synthetic",)
+def test_it_is_what_calibrate_gives(done, wrapped):
+    alone = calibrate(wrapped, "NGA", starts=1)
+    assert done.converged and done.methods == WITHOUT_CYLINDERS and done.labels == ("synthetic",)
     np.testing.assert_allclose(done.calibrations[0][0].result.modelled, alone.result.modelled, rtol=1e-9)
     (leg,) = done.legs
-    assert list(leg.results) == list(BOTH) and leg.results["SGA"].method == "SGA"
+    assert list(leg.results) == list(WITHOUT_CYLINDERS) and leg.results["SGA"].method == "SGA"
+    assert leg.results["LSGA"].freedom.paths.muscles.tolist() == [False, True]
+    assert leg.model is None, "no cylinder moved: no model is opened"
     with pytest.raises(FrozenInstanceError):
         done.methods = ("PGA",)
 
@@ -62,6 +71,7 @@ def test_folder(saved, done):
         for method, run in leg["runs"].items():
             summary = json.loads((saved / run["folder"] / "summary.json").read_text(encoding="utf-8"))
             assert (summary["method"], summary["cost"]) == (method, run["cost"])
+            assert (run["seconds"], run["geometry"]) == (summary["seconds"], "surrogate")
             # The table of the comparison and the run's own summary tell the same.
             (row,) = [
                 row
@@ -88,28 +98,29 @@ def test_saving_again_is_refused(saved, done):
     assert (saved / "synthetic" / "NGA" / "report.html").is_file()
 
 
-def test_interrupted_and_resumed(person, done, tmp_path):
+def test_interrupted_and_resumed(wrapped, done, tmp_path):
     journal = tmp_path / "journal"
+    lengths = [len(one.result.solution.history) for one in done.calibrations[0]]
     calls = []
 
     def stop(start, iteration, state):
         calls.append(iteration.number)
-        if len(calls) > len(done.calibrations[0][0].result.solution.history) + 2:
+        if len(calls) > lengths[0] + 2:
             raise KeyboardInterrupt
 
+    def again(methods, **options):
+        return compare([wrapped], methods, starts=1, journal=journal, **options)
+
     with pytest.raises(KeyboardInterrupt):
-        compare([person], BOTH, starts=1, journal=journal, callback=stop)
+        again(WITHOUT_CYLINDERS, callback=stop)
     first = len(calls)
     with pytest.raises(InputError, match="other data or settings"):
-        compare([person], BOTH, starts=1, seed=0, curves="opensim", journal=journal, resume=True)
-    again = compare(
-        [person], BOTH, starts=1, journal=journal, resume=True, callback=lambda *_: calls.append(None)
-    )
-    for ours, theirs in zip(again.calibrations[0], done.calibrations[0], strict=True):
+        again(WITHOUT_CYLINDERS, curves="opensim", resume=True)
+    resumed = again(WITHOUT_CYLINDERS, resume=True, callback=lambda *_: calls.append(None))
+    for ours, theirs in zip(resumed.calibrations[0], done.calibrations[0], strict=True):
         assert ours.result.solution.cost == pytest.approx(theirs.result.solution.cost, rel=1e-10)
     # What was finished is not done again.
-    whole = sum(len(one.result.solution.history) for one in done.calibrations[0])
-    assert len(calls) - first < whole - len(done.calibrations[0][0].result.solution.history) + 2
+    assert len(calls) - first < sum(lengths) - lengths[0] + 2
 
 
 class TestRefused:
@@ -135,6 +146,18 @@ class TestRefused:
     def test_nobody(self, no_work):
         with pytest.raises(InputError, match="expected at least one"):
             compare([], BOTH)
+
+    def test_geometry(self, person, no_work):
+        with pytest.raises(ValueError, match="unknown geometry 'opensim': expected one of surrogate, engine"):
+            compare([person], BOTH, geometry="opensim")
+
+    def test_two_legs_by_the_engine(self, no_work, tmp_path):
+        """The other leg's paths are polynomials: half of a person by each would be no comparison."""
+        left = write_subject(tmp_path / "left")
+        write_right_leg(tmp_path / "right")
+        name_other_leg(left, "../right")
+        with pytest.raises(InputError, match="calibrated together through polynomials only"):
+            compare([load_subject(left)], BOTH, geometry="engine")
 
     def test_namesakes(self, person, no_work, tmp_path):
         other = load_subject(write_subject(tmp_path / "other"))
@@ -184,6 +207,50 @@ class TestNames:
         compare([load_subject(right), load_subject(left)], BOTH)
         assert {side for _, side, _ in calls} == ({"r"} if both_point else {"l"})
         assert len(calls) == 2
+
+
+def test_what_feeds_what(wrapped, calibrated, monkeypatch):
+    """By the engine NGA and PGA have exact paths; SGA and LSGA change polynomials and must have those."""
+    fed = {}
+
+    def note(subject, method, fit, **options):
+        fed[method] = fit
+        return replace(calibrated, fit=fit)
+
+    monkeypatch.setattr("wrapjax.api.comparison.calibrate", note)
+    compared = compare([wrapped], METHODS, geometry="engine")
+    assert {method: type(fit) for method, fit in fed.items()} == {
+        "NGA": ExactGeometry,
+        "SGA": Fit,
+        "LSGA": Fit,
+        "PGA": ExactGeometry,
+    }
+    assert fed["NGA"] is fed["PGA"] and fed["SGA"] is fed["LSGA"]
+    assert compared.legs[0].geometry == {
+        "NGA": "engine",
+        "SGA": "surrogate",
+        "LSGA": "surrogate",
+        "PGA": "engine",
+    }
+    compare([wrapped], WITHOUT_CYLINDERS)
+    assert {type(fed[method]) for method in WITHOUT_CYLINDERS} == {Fit}
+
+
+@pytest.mark.slow
+def test_all_four_methods_by_the_engine(wrapped, tmp_path):
+    compared = compare([wrapped], geometry="engine", starts=1)
+    compared.save(tmp_path / "out")
+    costs = {
+        method: one.result.solution.cost
+        for method, one in zip(METHODS, compared.calibrations[0], strict=True)
+    }
+    assert compared.converged and costs["PGA"] < costs["NGA"]
+    for page in (tmp_path / "out" / "synthetic" / "PGA" / "report.html", tmp_path / "out" / "report.html"):
+        assert "ST_at_condyles_l: moved" in page.read_text(encoding="utf-8")
+    content = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
+    (row,) = [one for one in content["quantities"]["length_change"] if one["item"] == "mean"]
+    pairs = {(test["method"], test["against"]) for test in row["paired_t"]}
+    assert pairs == {("LSGA", "SGA"), ("PGA", "SGA"), ("PGA", "LSGA")}
 
 
 def test_both_legs_are_compared(calibrated, person):

@@ -57,6 +57,20 @@ def write_subject(folder: Path) -> Path:
     return folder
 
 
+def write_wrapped_subject(folder: Path) -> Path:
+    """Write the same subject with a cylinder behind the knee that ``semiten_l`` wraps round."""
+    write_subject(folder)
+    model = MODEL
+    for place, ending, added in (
+        ('<Body name="femur_l">', "</Body>", CYLINDER),
+        ('<Millard2012EquilibriumMuscle name="semiten_l">', "</GeometryPath>", PATH_WRAP),
+    ):
+        at = model.index(ending, model.index(place))
+        model = model[:at] + added + model[at:]
+    (folder / "model.osim").write_text(model, encoding="utf-8")
+    return folder
+
+
 SETTINGS = f"""[subject]
 name = "synthetic"
 mass_kg = {MASS}
@@ -132,6 +146,14 @@ def _muscle(name: str, forward: float, force: float, fiber: float, tendon: float
  <pennation_angle_at_optimal>0.1</pennation_angle_at_optimal>
 </Millard2012EquilibriumMuscle>"""
 
+
+CYLINDER = """<WrapObjectSet name="wrapobjectset"><objects><WrapCylinder name="ST_at_condyles_l">
+ <active>true</active><xyz_body_rotation>0 0 0</xyz_body_rotation><translation>-0.01 -0.4 0</translation>
+ <quadrant>-x</quadrant><radius>0.035</radius><length>0.2</length>
+</WrapCylinder></objects></WrapObjectSet>"""
+PATH_WRAP = """<PathWrapSet><objects><PathWrap name="pathwrap">
+ <wrap_object>ST_at_condyles_l</wrap_object>
+</PathWrap></objects></PathWrapSet>"""
 
 #: A thigh and a shank on two pin joints, a muscle in front and one behind. OpenSim 4 opens it.
 MODEL = f"""<?xml version="1.0" encoding="UTF-8" ?>

@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wrapjax.api.calibration import STARTS, Calibration, calibrate
+from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.preparation import METHODS, method_freedom
 from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder
+from wrapjax.osim import describe_model
 from wrapjax.progress import say
 from wrapjax.subject import Subject, read_legs
 
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
     from wrapjax.report.comparison.numbers import Row
     from wrapjax.report.comparison.samples import ComparedLeg
 
+#: Where NGA and PGA may take paths from.
+GEOMETRIES = ("surrogate", "engine")
+#: The methods that need no polynomials.
+BY_ENGINE = ("NGA", "PGA")
 _SIDES = {"l": "left", "r": "right"}
 
 
@@ -62,6 +68,7 @@ class Comparison:
         found: list[ComparedLeg] = []
         taken = set(self.labels)
         for label, row in zip(self.labels, self.calibrations, strict=True):
+            moves = any(one.result.freedom.wraps is not None for one in row)
             for number, leg in enumerate(row[0].legs):
                 within = f"/{OTHER_LEG}" if number else ""
                 own = _file_name(leg.subject.name)
@@ -76,6 +83,8 @@ class Comparison:
                             for method, one in zip(self.methods, row, strict=True)
                         },
                         {method: f"{label}/{method}{within}" for method in self.methods},
+                        describe_model(leg.subject.model_file) if moves else None,
+                        {method: _source(one) for method, one in zip(self.methods, row, strict=True)},
                     )
                 )
         return tuple(found)
@@ -105,6 +114,7 @@ def compare(
     subjects: Sequence[Subject],
     methods: Sequence[str] = METHODS,
     *,
+    geometry: str = "surrogate",
     solver: AugmentedLagrangian | None = None,
     starts: int = STARTS,
     seed: int = 0,
@@ -117,6 +127,11 @@ def compare(
 ) -> Comparison:
     """Calibrate every subject by every method, and test whether the methods differ.
 
+    What feeds what: SGA and LSGA change polynomials, so that they always take the paths of `fit`. NGA and
+    PGA take those too (``geometry="surrogate"``), or the exact engine's (``geometry="engine"``). NGA held
+    by the engine and SGA started from polynomials then differ by the error of the polynomials, too, as
+    `fit` reports it.
+
     Where a subject names its ``other_leg``, both legs are calibrated together and both are compared; the
     other leg is not calibrated again if it is among the subjects, too.
 
@@ -126,6 +141,8 @@ def compare(
         From `load_subject`.
     methods
         The first is the one that others are compared with.
+    geometry
+        Where NGA and PGA take paths from: ``surrogate`` or ``engine``; see above.
     solver, starts, seed, callback, curves
         As in `calibrate`, for every calibration; paths are fitted by the same seed.
     processes
@@ -152,15 +169,17 @@ def compare(
         If interrupted; the journal then holds what was done.
     """
     methods = _checked(methods)
+    if geometry not in GEOMETRIES:
+        raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
     persons = _persons(subjects)
     labels = _labels(persons)
-    fits = [fit_paths(person, seed=seed, processes=processes, quiet=quiet) for person in persons]
-    for person, fit in zip(persons, fits, strict=True):
-        _refuse_empty(methods, person, fit)
+    sources = [
+        _sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet) for person in persons
+    ]
     if journal is not None:
         _open(journal, resume=resume)
     done = []
-    for label, person, fit in zip(labels, persons, fits, strict=True):
+    for label, person, source in zip(labels, persons, sources, strict=True):
         row = []
         for method in methods:
             say(f"calibrating {label} by {method}", quiet=quiet)
@@ -168,7 +187,7 @@ def compare(
             one = calibrate(
                 person,
                 method,
-                fit,
+                source[method],
                 solver=solver,
                 starts=starts,
                 seed=seed,
@@ -182,6 +201,10 @@ def compare(
             row.append(one)
         done.append(tuple(row))
     return Comparison(methods, tuple(done), labels, journal)
+
+
+def _source(calibration: Calibration) -> str:
+    return "engine" if isinstance(calibration.fit, ExactGeometry) else "surrogate"
 
 
 def _checked(methods: Sequence[str]) -> tuple[str, ...]:
@@ -239,12 +262,43 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^\w.+-]+", "_", name).strip(".") or "subject"
 
 
-def _refuse_empty(methods: Sequence[str], person: Subject, fit: Fit) -> None:
-    """Find out before the long work if a method frees nothing."""
-    for leg in read_legs(person):
-        own = fit if leg is person else fit_paths(leg)
+def _sources(
+    methods: Sequence[str],
+    person: Subject,
+    geometry: str,
+    *,
+    seed: int,
+    processes: int | None,
+    quiet: bool,
+) -> dict[str, Fit | ExactGeometry]:
+    """Say where each method takes a subject's paths from.
+
+    Raises
+    ------
+    InputError
+        Before the long work, if a method frees nothing.
+    """
+    legs = read_legs(person)
+    by_engine = set(methods) & set(BY_ENGINE) if geometry == "engine" else set()
+    if by_engine and len(legs) > 1:
+        raise InputError(
+            Problem(
+                str(person.folder),
+                "names its other leg, and legs are calibrated together through polynomials only",
+                hint="use --geometry surrogate, or take other_leg out of subject.toml",
+            )
+        )
+    found: dict[str, Fit | ExactGeometry] = {}
+    if by_engine:
+        say(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
+        found |= dict.fromkeys(by_engine, exact_geometry(person))
+    if set(methods) - by_engine:
+        fit = fit_paths(person, seed=seed, processes=processes, quiet=quiet)
+        found |= dict.fromkeys(set(methods) - by_engine, fit)
+    for leg in legs:
         for method in methods:
-            method_freedom(method, leg, own)
+            method_freedom(method, leg, found[method] if leg is person else fit_paths(leg))
+    return found
 
 
 def _open(journal: Path, *, resume: bool) -> None:

@@ -180,7 +180,8 @@ def describe_comparison(
                         "cost": result.solution.cost,
                         "starts": len(result.outcomes),
                         "n_variables": len(result.solution.variables),
-                        "seconds": result.solve_seconds,
+                        "geometry": leg.geometry.get(method),
+                        "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
                     }
                     for method, result in leg.results.items()
                 },

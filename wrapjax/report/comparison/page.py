@@ -23,6 +23,8 @@ from wrapjax.report.comparison.html_tables import (
 )
 from wrapjax.report.comparison.numbers import Row, note
 from wrapjax.report.comparison.samples import ALL_SPEEDS, MEAN, ComparedLeg, unit_of_analysis
+from wrapjax.report.moved_paths import MOST_MUSCLES, moved_paths
+from wrapjax.report.path_views import path_views
 from wrapjax.report.provenance import package_versions
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import counted, decimals
@@ -151,6 +153,7 @@ def _paths_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Se
     if not moving:
         return markup.section("Muscle paths", markup.paragraph("No method changed a muscle path."))
     unit = unit_of_analysis(legs, "cycle")
+    most = MOST_MUSCLES if len(legs) == 1 else 2
     parts = []
     for quantity, words in (("length_change", "muscle-tendon lengths"), ("moment_arm_change", "moment arms")):
         own = [row for row in rows if row.quantity == quantity]
@@ -185,6 +188,12 @@ def _paths_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Se
                 "that changed most on average by any method, in this order. Scales differ.",
             )
         )
+    parts += [
+        path_views(moved_paths(leg.subject, result, leg.model, most), of=f"{leg.label} by {method}")
+        for leg in legs
+        if leg.model is not None
+        for method, result in leg.results.items()
+    ]
     return markup.section("Muscle paths", *parts)
 
 
@@ -227,12 +236,21 @@ def _runs_section(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
                     f"{result.solution.cost:#.5g}",
                     str(len(result.outcomes)),
                     str(len(result.solution.variables)),
+                    leg.geometry.get(method, "\N{EN DASH}"),
+                    f"{result.compile_seconds:.1f}",
                     f"{result.solve_seconds:.1f}",
                     leg.folders[method],
                 )
             )
-    header = ("calibration", "converged", "cost", "starts", "variables", "seconds", "folder with its report")
-    return markup.section("Calibrations", markup.table(header, lines, caption="How each calibration ended."))
+    header = (
+        *("calibration", "converged", "cost", "starts", "variables", "paths from"),
+        *("compiling (s)", "solving (s)", "folder with its report"),
+    )
+    caption = (
+        "How each calibration ended. Paths from: surrogate, fitted polynomials; engine, exact wrapping. Both "
+        "differ by the error of the polynomials even before anything is calibrated."
+    )
+    return markup.section("Calibrations", markup.table(header, lines, caption=caption))
 
 
 def _notes() -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,6 +13,9 @@ from wrapjax.calibrate import CalibrationResult
 from wrapjax.evaluate.statistics import FEWEST_UNITS
 from wrapjax.subject import Subject
 from wrapjax.subject.legs import name_without_side
+
+if TYPE_CHECKING:
+    from wrapjax.skeleton import ModelDescription
 
 #: Speeds that are told apart; where there are more, cycles of all speeds stand together.
 MOST_SPEEDS = 4
@@ -32,12 +36,18 @@ class ComparedLeg:
         The leg.
     results, folders
         By method: what came of it, and the run's folder within that of the comparison.
+    model
+        What decides its muscle paths, where a method moved cylinders.
+    geometry
+        By method: where its paths are from, ``surrogate`` or ``engine``.
     """
 
     label: str
     subject: Subject
     results: dict[str, CalibrationResult]
     folders: dict[str, str]
+    model: ModelDescription | None = None
+    geometry: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def recorded(self) -> CalibrationResult:
