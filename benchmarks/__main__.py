@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
+from benchmarks.subjects import default_subject, set_up_jax
 
 GROUPS = ("kernels", "compile", "solve", "paths", "surrogate")
 
@@ -21,8 +18,8 @@ def main() -> int:
     options = _parser().parse_args()
     # Before JAX and NumPy are loaded, which read it once.
     pin_threads()
-    _set_up_jax()
-    with _subject_folder(options.subject) as folder:
+    set_up_jax()
+    with default_subject(options.subject) as folder:
         metrics = _measure(folder, options)
     from benchmarks.metric import text_table
 
@@ -88,29 +85,6 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
             say(f"measuring: {name}")
             metrics += runs[name]()
     return metrics
-
-
-def _set_up_jax() -> None:
-    import jax
-
-    from wrapjax.files import cache_folder
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
-
-
-@contextmanager
-def _subject_folder(given: Path | None) -> Iterator[Path]:
-    if given:
-        yield given
-    elif os.environ.get("WRAPJAX_DATA"):
-        yield Path(os.environ["WRAPJAX_DATA"]) / "s1_left"
-    else:
-        from wrapjax.virtual import write_virtual_subject
-
-        with tempfile.TemporaryDirectory() as folder:
-            write_virtual_subject(Path(folder) / "virtual")
-            yield Path(folder) / "virtual"
 
 
 if __name__ == "__main__":

@@ -1,0 +1,158 @@
+"""Calibrate a subject by NGA, SGA, LSGA and PGA: errors in the layout of the paper's Table I, and times.
+
+``python -m benchmarks.compare_methods [SUBJECT]`` prints Markdown, ``--out FILE.json`` writes JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from benchmarks.machine import commit, describe_machine, pin_threads, versions
+from benchmarks.subjects import default_subject, set_up_jax
+
+if TYPE_CHECKING:
+    from wrapjax.api import Comparison
+
+_METHODS = ("NGA", "SGA", "LSGA", "PGA")
+
+
+def main() -> int:
+    options = _parser().parse_args()
+    # Before JAX and NumPy are loaded, which read it once.
+    pin_threads()
+    set_up_jax()
+    import wrapjax
+    from wrapjax.api.text import iteration_printer
+    from wrapjax.files import write_json
+
+    with default_subject(options.subject) as folder:
+        done = wrapjax.compare(
+            [wrapjax.load_subject(folder)],
+            options.methods,
+            geometry=options.geometry,
+            starts=options.starts,
+            callback=iteration_printer(quiet=options.quiet),
+            quiet=options.quiet,
+        )
+        print("\n".join(markdown(done)))
+        if options.out:
+            about = {
+                "schema": 1,
+                "date": datetime.now(UTC).isoformat(timespec="seconds"),
+                "subject": folder.name,
+                "geometry": options.geometry,
+                "commit": commit(),
+                "machine": describe_machine(),
+                "versions": versions(),
+            }
+            write_json(options.out, about | {"methods": describe(done)})
+    return 0 if done.converged else 1
+
+
+def describe(done: Comparison) -> dict[str, Any]:
+    """Give errors, change of geometry, size and seconds of every method; SI units, N m."""
+    (leg, *_) = done.legs
+    found = {}
+    for method, result in leg.results.items():
+        solution = result.solution
+        found[method] = {
+            "geometry": leg.geometry[method],
+            "converged": solution.status.converged,
+            "message": solution.status.value,
+            "starts": len(result.outcomes),
+            "iterations": solution.iterations,
+            "n_variables": len(result.labels),
+            "cost": solution.cost,
+            "max_constraint_violation": solution.max_violation,
+            "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
+            "mae_Nm": [
+                {"use": row.use, "speed": row.speed, "coordinate": row.item, "n": row.n}
+                | vars(row.spreads[method])
+                for row in done.rows
+                if row.quantity == "moment_error"
+            ],
+            "geometry_change_m": [
+                {"quantity": row.quantity, "coordinate": row.item, "n": row.n} | vars(row.spreads[method])
+                for row in done.rows
+                if row.quantity in ("length_change", "moment_arm_change")
+            ],
+        }
+    return found
+
+
+def markdown(done: Comparison) -> Iterator[str]:
+    """Write tables: errors by speed, change of geometry, how each calibration ended."""
+    for quantity, title, factor in (
+        ("moment_error", "Mean absolute moment error, N m: mean ± standard deviation over cycles", 1.0),
+        ("length_change", "Mean absolute change of muscle-tendon lengths, mm", 1e3),
+        ("moment_arm_change", "Mean absolute change of moment arms, mm", 1e3),
+    ):
+        rows = [row for row in done.rows if row.quantity == quantity]
+        items = list(dict.fromkeys(row.item for row in rows))
+        yield from ("", title, "")
+        yield from _head(["cycles", "method", *items])
+        for use, speed in dict.fromkeys((row.use, row.speed) for row in rows):
+            cells = {row.item: row for row in rows if (row.use, row.speed) == (use, speed)}
+            for method in done.methods:
+                own = (cells[item].spreads[method] if item in cells else None for item in items)
+                shown = ["" if one is None else _mean_and_sd(one.mean, one.sd, factor) for one in own]
+                yield _line([f"{use}, {speed}", method, *shown])
+    names = ["method", "paths from", "variables", "iterations", "compile (s)", "solve (s)", "converged"]
+    yield from ("", "How each calibration ended; iterations are of the start that was taken", "")
+    yield from _head([*names, "largest violation"])
+    for method, one in describe(done).items():
+        seconds = one["seconds"]
+        yield _line(
+            [
+                *(method, one["geometry"], str(one["n_variables"]), str(one["iterations"])),
+                *(f"{seconds['compile']:.1f}", f"{seconds['solve']:.1f}"),
+                *("yes" if one["converged"] else "no", f"{one['max_constraint_violation']:.0e}"),
+            ]
+        )
+
+
+def _mean_and_sd(mean: float, sd: float, factor: float) -> str:
+    text = f"{factor * mean:.2f}"
+    return text if sd != sd else f"{text} ± {factor * sd:.2f}"
+
+
+def _head(names: Sequence[str]) -> Iterator[str]:
+    yield _line(names)
+    yield _line(["---"] * len(names))
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.compare_methods", description=__doc__)
+    parser.add_argument(
+        "subject",
+        type=Path,
+        nargs="?",
+        metavar="SUBJECT",
+        help="subject folder (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+    )
+    parser.add_argument(
+        "--methods", nargs="+", choices=_METHODS, default=_METHODS, metavar="NAME", help="default: all four"
+    )
+    parser.add_argument(
+        "--geometry",
+        choices=("surrogate", "engine"),
+        default="surrogate",
+        help="what NGA and PGA take paths from",
+    )
+    parser.add_argument("--starts", type=int, default=1, metavar="N", help="of each calibration (default: 1)")
+    parser.add_argument("--quiet", action="store_true", help="print no progress")
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
