@@ -247,8 +247,8 @@ def _runs_section(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
         *("compiling (s)", "solving (s)", "folder with its report"),
     )
     caption = (
-        "How each calibration ended. Paths from: surrogate, fitted polynomials; engine, exact wrapping. Both "
-        "differ by the error of the polynomials even before anything is calibrated."
+        "How each calibration ended. Paths from: surrogate, fitted polynomials; engine, exact wrapping. The "
+        "two differ by the polynomials' error even before anything is calibrated."
     )
     return markup.section("Calibrations", markup.table(header, lines, caption=caption))
 
@@ -262,6 +262,7 @@ def _notes() -> str:
                 "Lower errors are no evidence that changed paths or parameters are the person's.",
                 "All means are in means.csv, all tests in tests.csv, the error of every cycle in cycles.csv; "
                 "comparison.json holds the same for programs. Names are without '_l' and '_r'.",
+                "d_z: the mean of paired differences over their standard deviation (Cohen 1988).",
                 "A dash: not defined, or too few observations.",
                 f"{versions}.",
             ]
