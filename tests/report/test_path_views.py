@@ -13,6 +13,9 @@ from wrapjax.geometry.path_points import route_path
 from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model import FreedWraps, with_wraps
 from wrapjax.osim import describe_model
+from wrapjax.report.comparison.numbers import comparison_rows
+from wrapjax.report.comparison.page import render_comparison
+from wrapjax.report.comparison.samples import ComparedLeg
 from wrapjax.report.moved_paths import describe_move, moved_paths
 from wrapjax.report.path_section import path_section
 from wrapjax.report.path_views import look_at, path_view_figure
@@ -147,3 +150,14 @@ def test_the_report_of_a_run_shows_it(move, moved, walking, model, tmp_path):
 
 def test_a_model_is_not_opened_without_need(result, subject, tmp_path):
     write_run([(subject, result)], tmp_path / "run", describe_model=lambda file: pytest.fail("opened"))
+
+
+def test_a_comparison_shows_it_of_the_method_that_moved_cylinders(walking, moved, result, model):
+    methods = ("NGA", "PGA")
+    results = {"NGA": replace(result, initial_states=result.states), "PGA": moved}
+    leg = ComparedLeg("left leg", walking, results, dict.fromkeys(methods, "folder"), model)
+    page = render_comparison([leg], methods, comparison_rows([leg], methods))
+    assert page.count("Paths and cylinders of left leg by PGA in space") == 1
+    assert "of left leg by NGA in space" not in page
+    without = replace(leg, model=None)
+    assert "in space" not in render_comparison([without], methods, comparison_rows([without], methods))
