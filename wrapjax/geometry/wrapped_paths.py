@@ -160,7 +160,7 @@ def _over_cycles(
     path: WrappedPath,
     walls: _Walls,
     velocities: Float[Array, "trial coordinate frame"],
-    columns: Int[np.ndarray, " moment_coordinate"],
+    columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
     """Arrange a path's poses by cycle and frame, and add its rate."""
     trials, coordinates, frames = velocities.shape
