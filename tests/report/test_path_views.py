@@ -161,3 +161,15 @@ def test_a_comparison_shows_it_of_the_method_that_moved_cylinders(walking, moved
     assert "of left leg by NGA in space" not in page
     without = replace(leg, model=None)
     assert "in space" not in render_comparison([without], methods, comparison_rows([without], methods))
+
+
+def test_a_path_half_way_round_has_a_near_side_too(move):
+    """Its two contacts are then opposite each other, and their middle is on the axis."""
+    cylinder = replace(move.before.cylinders[0], name="half")
+    angle = np.linspace(0.0, np.pi, 50)
+    arc = cylinder.outward(cylinder.radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+    route = replace(
+        move.before, line=arc, points=arc[[0, -1]], contacts={"half": arc[[0, -1]]}, cylinders=(cylinder,)
+    )
+    camera = look_at(replace(move, before=route, after=route), np.pi / 2)
+    np.testing.assert_allclose(camera.axes[2], cylinder.axes[:, 1], atol=1e-6)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from wrapjax.api.calibration import STARTS, Calibration, calibrate
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
+from wrapjax.api.persons import file_name, labels_of, persons_of
 from wrapjax.api.preparation import METHODS, method_freedom
 from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
 from wrapjax.errors import InputError, Problem, nearest_name
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 GEOMETRIES = ("surrogate", "engine")
 #: The methods that need no polynomials.
 BY_ENGINE = ("NGA", "PGA")
-_SIDES = {"l": "left", "r": "right"}
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class Comparison:
             moves = any(one.result.freedom.wraps is not None for one in row)
             for number, leg in enumerate(row[0].legs):
                 within = f"/{OTHER_LEG}" if number else ""
-                own = _file_name(leg.subject.name)
+                own = file_name(leg.subject.name)
                 name = label if not number else own if own not in taken else f"{label} (other leg)"
                 taken.add(name)
                 found.append(
@@ -171,8 +170,8 @@ def compare(
     methods = _checked(methods)
     if geometry not in GEOMETRIES:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
-    persons = _persons(subjects)
-    labels = _labels(persons)
+    persons = persons_of(subjects)
+    labels = labels_of(persons)
     sources = [
         _sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet) for person in persons
     ]
@@ -220,46 +219,6 @@ def _checked(methods: Sequence[str]) -> tuple[str, ...]:
     if problems:
         raise InputError(problems)
     return tuple(methods)
-
-
-def _persons(subjects: Sequence[Subject]) -> list[Subject]:
-    """Leave out the legs that are calibrated with another's."""
-    if not subjects:
-        raise InputError(Problem("subjects", "expected at least one, found none"))
-    by_folder = {subject.folder.resolve(): subject for subject in subjects}
-    taken: set[Path] = set()
-    chosen = set()
-    # Those first that name another leg: it may not name them.
-    for folder, subject in sorted(by_folder.items(), key=lambda entry: entry[1].other_leg is None):
-        if folder not in taken:
-            chosen.add(folder)
-            taken |= {leg.folder.resolve() for leg in read_legs(subject)}
-    return [subject for folder, subject in by_folder.items() if folder in chosen]
-
-
-def _labels(persons: Sequence[Subject]) -> tuple[str, ...]:
-    """Name subjects so that they can be told apart, also as folders: by side where names are the same."""
-    names = [_file_name(person.name) for person in persons]
-    lowered = [name.lower() for name in names]
-    labels = [
-        f"{name}_{_SIDES[person.side]}" if lowered.count(name.lower()) > 1 else name
-        for name, person in zip(names, persons, strict=True)
-    ]
-    first: dict[str, Subject] = {}
-    problems = []
-    for label, person in zip(labels, persons, strict=True):
-        other = first.setdefault(label.lower(), person)
-        if other is not person:
-            message = f"has the name of {other.folder}, '{person.name}', and the same side"
-            hint = "give each a [subject] name of its own"
-            problems.append(Problem(str(person.folder / "subject.toml"), message, hint=hint))
-    if problems:
-        raise InputError(problems)
-    return tuple(labels)
-
-
-def _file_name(name: str) -> str:
-    return re.sub(r"[^\w.+-]+", "_", name).strip(".") or "subject"
 
 
 def _sources(

@@ -90,12 +90,13 @@ def path_view_figure(moves: Sequence[MovedPath]) -> Figure:
 def look_at(move: MovedPath, tilt: float) -> Camera:
     """Place a camera ``tilt`` (rad) off the axis of the cylinder that moved most, on the muscle's side."""
     before, after = max(move.touched, key=_most_moved)
-    contacts = [route.contacts.get(after.name, route.line) for route in (move.before, move.after)]
-    target = np.concatenate(contacts).mean(axis=0)
+    target = np.concatenate([_near(before, move.before), _near(after, move.after)]).mean(axis=0)
     axis = before.axes[:, 2]
     outward = target - before.center
     outward = outward - (outward @ axis) * axis
-    outward = outward / np.linalg.norm(outward)
+    distance = np.linalg.norm(outward)
+    # A path through the axis is on no side: any will do.
+    outward = outward / distance if distance > 1e-6 else before.axes[:, 0]
     toward = np.cos(tilt) * axis + np.sin(tilt) * outward
     # The way up is up in the picture, unless one looks straight along it.
     up = np.array([0.0, 1.0, 0.0]) if abs(toward[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
@@ -103,6 +104,13 @@ def look_at(move: MovedPath, tilt: float) -> Camera:
     right = right / np.linalg.norm(right)
     middle = target if tilt else 0.5 * (target + before.center + axis * ((target - before.center) @ axis))
     return Camera(np.stack([right, np.cross(toward, right), toward]), middle)
+
+
+def _near(cylinder: PlacedCylinder, route: RoutedPath) -> Float[np.ndarray, "vertex 3"]:
+    """Take the part of a path that lies on the cylinder, or what comes nearest to it."""
+    distance = np.linalg.norm(cylinder.inward(route.line)[:, :2], axis=1)
+    on_surface = distance < cylinder.radius + 1e-6
+    return route.line[on_surface if on_surface.any() else [int(distance.argmin())]]
 
 
 def _most_moved(pair: tuple[PlacedCylinder, PlacedCylinder]) -> float:
