@@ -69,8 +69,9 @@ def compare_with_opensim(file, side, poses, samples):
         touched += found.touching.any(axis=-1).sum()
         if len(engine.wraps_of(name)) == 1:
             shortest = wrap_at_samples(posed, parameters, GEODESIC)
-            margins = shortest.margins
-            clear = (margins.inside > 0) & (margins.off_end > 0) & (margins.long_wrap > 0)
+            # Neither path's: OpenSim's contact may slip off the end where the shortest path's does not.
+            clear = clear_of_jumps(shortest.margins, 0.0) & clear_of_jumps(found.margins, 0.0)
+            assert clear.mean() > 0.3
             assert (shortest.length - length[:, :, place])[clear].max() < 1e-9, name
     return touched
 
