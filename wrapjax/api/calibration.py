@@ -16,6 +16,7 @@ from wrapjax.api.assembly import recording
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
+from wrapjax.api.personalised import write_model
 from wrapjax.api.polynomial_paths import modes_of
 from wrapjax.api.preparation import method_freedom, stages
 from wrapjax.calibrate import (
@@ -69,7 +70,7 @@ class Calibration:
         from wrapjax.report.run_folder import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
-        write_run(legs, Path(folder), force=force, describe_model=describe_model)
+        write_run(legs, Path(folder), force=force, describe_model=describe_model, write_model=write_model)
         if self.journal is not None:
             self.journal.close()
 

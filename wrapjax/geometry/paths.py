@@ -97,7 +97,7 @@ class AdjustablePath(AbstractPath):
         self, changes: Float[Array, "muscle mode"], weights: PathState
     ) -> Float[Array, "muscle mode mode"]:
         """Zero: paths are linear in their modes."""
-        return jnp.zeros((changes.shape[0], self.modes_count, self.modes_count))
+        return jnp.zeros((*changes.shape, changes.shape[1]))
 
 
 def fixed_path(path: PathState) -> AdjustablePath:
