@@ -90,11 +90,12 @@ def path_modes(
 
 
 def path_limits(nominal: PathState) -> tuple[Limit, ...]:
-    """Build the hard limits: fibers within their working range, moment arms keeping their sign, no jumps.
+    """Build the hard limits: fibers in their working range, arms keeping their sign, paths physiological.
 
     A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt. Paths
     of which it is known how far they are from a jump in length keep `LEAST_CLEARANCE`, or what they
-    have in the nominal model where that is less.
+    have in the nominal model where that is less. Cylinders of which it is known where they leave paths
+    physiological stay there, or where they are in the nominal model.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
     shortest, longest = FIBER_LENGTH_RANGE
     each, no_shift = jnp.ones((muscles, 1)), jnp.zeros((muscles, trials * frames))
     weight = jnp.full(no_shift.shape, _FIRST_WEIGHT)
-    limits = (
+    limits: tuple[Limit, ...] = (
         Limit("longest_fiber", normalized_length, whole, each, longest * each, no_shift, weight),
         Limit("shortest_fiber", normalized_length, whole, -each, -shortest * each, no_shift, weight),
         Limit(
@@ -122,14 +123,20 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
             jnp.full(kept.shape, _FIRST_WEIGHT),
         ),
     )
-    if nominal.clearance is None:
-        return limits
-    least = -jnp.minimum(nominal.clearance, LEAST_CLEARANCE).reshape(muscles, -1) / _ARM_UNIT
-    away = -each / _ARM_UNIT
-    return (
-        *limits,
-        Limit("clearance", _clearance, whole, away, least, jnp.zeros(least.shape), weight),
-    )
+    if nominal.clearance is not None:
+        least = -jnp.minimum(nominal.clearance, LEAST_CLEARANCE).reshape(muscles, -1) / _ARM_UNIT
+        away = -each / _ARM_UNIT
+        limits += (Limit("clearance", _clearance, whole, away, least, jnp.zeros(least.shape), weight),)
+    if nominal.infeasibility is not None:
+        most = jnp.maximum(nominal.infeasibility, 0.0)
+        none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_WEIGHT)
+        limits += (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)
+    return limits
+
+
+def _infeasibility(parameters: ModelParameters, state: MuscleState) -> Float[Array, " wrap"]:
+    assert state.path.infeasibility is not None
+    return state.path.infeasibility
 
 
 def _clearance(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:

@@ -24,6 +24,9 @@ class PathState(eqx.Module):
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
     #: How far the path is from where its length would jump (m), for paths that can.
     clearance: Float[Array, "*muscle trial frame"] | None = None
+    #: How far each of its cylinders is beyond where paths are physiological (`Feasibility.excess`; no
+    #: unit), for paths that have learned it.
+    infeasibility: Float[Array, "*muscle wrap"] | None = None
 
 
 class AbstractPath(eqx.Module):
