@@ -1,6 +1,7 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients.
 
-``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``calibrate``
+``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
+learns how those follow the cylinders that muscles wrap round, ``calibrate``
 fits the model to the person, ``objective`` gives what is minimised as a pure function for `jax.grad`,
 and ``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
+    from wrapjax.api import fit_wraps as fit_wraps
     from wrapjax.api import load_fit as load_fit
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
@@ -39,6 +41,7 @@ _PLACES = {
     "calibrate": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",
+    "fit_wraps": "wrapjax.api",
     "load_fit": "wrapjax.api",
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",

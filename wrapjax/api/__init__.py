@@ -9,6 +9,7 @@ from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
 from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
+from wrapjax.api.wrap_fitting import fit_wraps as fit_wraps
 from wrapjax.subject import read_subject as load_subject
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "calibrate",
     "exact_geometry",
     "fit",
+    "fit_wraps",
     "load_fit",
     "load_subject",
     "objective",

@@ -1,0 +1,44 @@
+"""What calibrations may change of cylinders, whatever the source of the paths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.wrap_boxes import box
+from wrapjax.model import FreedWraps
+
+_UNITS = ("m", "m", "m", "rad", "rad", "1")
+
+
+def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
+    """Free cylinders within their boxes; what is expected is nominal, within half a box's width.
+
+    Parameters
+    ----------
+    wraps_of
+        The cylinders of each muscle, in the order of its path.
+    translations
+        Half width of the box of each freed cylinder, m.
+    """
+    names = tuple(translations)
+    places = np.full((len(wraps_of), max(map(len, wraps_of), default=0)), -1)
+    for row, wraps in enumerate(wraps_of):
+        for place, wrap in enumerate(wraps):
+            if wrap in names:
+                places[row, place] = names.index(wrap)
+    boxes = [box(translations[name]) for name in names]
+    lower, upper = (np.stack(ends) - NOMINAL for ends in zip(*boxes, strict=True))
+    half = 0.5 * (upper - lower)
+    return FreedWraps(
+        names=names,
+        quantities=WRAP_PARAMETERS,
+        units=_UNITS,
+        places=places,
+        lower=lower,
+        upper=upper,
+        scale=half,
+        prior_sd=half,
+    )
