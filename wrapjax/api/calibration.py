@@ -15,9 +15,8 @@ import numpy as np
 from wrapjax.api.assembly import recording
 from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
-from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.polynomial_paths import modes_of
-from wrapjax.api.preparation import method_freedom, stages
+from wrapjax.api.preparation import method_freedom, source_for, stages
 from wrapjax.calibrate import (
     AbstractCalibration,
     AugmentedLagrangian,
@@ -169,7 +168,7 @@ def _legs(
         raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
     legs = []
     for leg in subjects:
-        fitted = fit if fit is not None and leg is subject else fit_paths(leg)
+        fitted = fit if fit is not None and leg is subject else source_for(method, leg)
         legs.append(_Leg(leg, fitted, freedom or method_freedom(method, leg, fitted)))
     return legs
 

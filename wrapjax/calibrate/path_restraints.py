@@ -38,6 +38,8 @@ LEAST_CLEARANCE = 1e-4
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
 _FIRST_WEIGHT = 100.0
+# A score of one is the width of the margin between the classes: far, where a fiber length of one is not.
+_FIRST_SCORE_WEIGHT = 1.0
 
 
 def path_modes(
@@ -90,12 +92,11 @@ def path_modes(
 
 
 def path_limits(nominal: PathState) -> tuple[Limit, ...]:
-    """Build the hard limits: fibers in their working range, arms keeping their sign, paths physiological.
+    """Build the hard limits: fibers within their working range, moment arms keeping their sign, no jumps.
 
     A moment arm that crosses zero in the nominal model, or that a muscle does not have, is exempt. Paths
     of which it is known how far they are from a jump in length keep `LEAST_CLEARANCE`, or what they
-    have in the nominal model where that is less. Cylinders of which it is known where they leave paths
-    physiological stay there, or where they are in the nominal model.
+    have in the nominal model where that is less.
 
     Parameters
     ----------
@@ -127,11 +128,26 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
         least = -jnp.minimum(nominal.clearance, LEAST_CLEARANCE).reshape(muscles, -1) / _ARM_UNIT
         away = -each / _ARM_UNIT
         limits += (Limit("clearance", _clearance, whole, away, least, jnp.zeros(least.shape), weight),)
-    if nominal.infeasibility is not None:
-        most = jnp.maximum(nominal.infeasibility, 0.0)
-        none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_WEIGHT)
-        limits += (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)
     return limits
+
+
+def feasibility_limits(nominal: PathState) -> tuple[Limit, ...]:
+    """Hold cylinders to where their paths are physiological, or to where they are in the nominal model.
+
+    Nothing else is limited: fibers and signs of moment arms follow from cylinders of a place and size
+    that can be, and hard limits on every frame of every fiber would stop calibrations half-way.
+
+    Parameters
+    ----------
+    nominal
+        Paths of all muscles over the calibration cycles.
+    """
+    if nominal.infeasibility is None:
+        return ()
+    most = jnp.maximum(nominal.infeasibility, 0.0)
+    none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_SCORE_WEIGHT)
+    each = jnp.ones((most.shape[0], 1))
+    return (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)
 
 
 def _infeasibility(parameters: ModelParameters, state: MuscleState) -> Float[Array, " wrap"]:

@@ -51,6 +51,16 @@ class InnerLevel(eqx.Module):
 
         return jax.vmap(lambda level, own: jax.jacfwd(level.of_one)(own).T)(self, changes)
 
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: Float[Array, "muscle term"]
+    ) -> Float[Array, "muscle mode mode"]:
+        """Differentiate each muscle's coefficients twice, and sum with these weights."""
+
+        def of_one(level, own, weight):
+            return jax.hessian(lambda at: weight @ level.of_one(at))(own)
+
+        return jax.vmap(of_one)(self, changes, weights)
+
     def of_one(self, changes: Float[Array, " mode"]) -> Float[Array, " term"]:
         """Do the same for a level that is of one muscle, without the axis ``muscle``."""
         scaled = changes.reshape(self.half_range.shape) / self.half_range

@@ -33,18 +33,31 @@ class PlacedLimits(eqx.Module):
     def excess(self, changes: Float[Array, "muscle mode"], wraps: int) -> Float[Array, "muscle wrap"]:
         """Give how far each cylinder is beyond its limit; those without one are well within."""
         changed = changes.reshape(-1, wraps, _PER_WRAP)
-        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)
+        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
         excess = jax.vmap(Feasibility.excess)(self.feasibility, own)
         return jnp.full(changed.shape[:2], _FREE).at[self.muscles, self.places].set(excess)
 
     def slopes(self, changes: Float[Array, "muscle mode"], wraps: int) -> Float[Array, "muscle mode wrap"]:
         """Differentiate it by each muscle's own changes."""
         changed = changes.reshape(-1, wraps, _PER_WRAP)
-        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)
+        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
         slopes = jax.vmap(jax.grad(Feasibility.excess, argnums=1))(self.feasibility, own)
         nothing = jnp.zeros((*changed.shape, wraps))
         placed = nothing.at[self.muscles, self.places, :, self.places].set(slopes)
         return placed.reshape(*changes.shape, wraps)
+
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: Float[Array, "muscle wrap"]
+    ) -> Float[Array, "muscle mode mode"]:
+        """Differentiate it twice, and sum with these weights."""
+        wraps = weights.shape[1]
+        changed = changes.reshape(-1, wraps, _PER_WRAP)
+        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
+        hessians = jax.vmap(jax.hessian(Feasibility.excess, argnums=1))(self.feasibility, own)
+        weighted = weights[self.muscles, self.places, None, None] * hessians
+        nothing = jnp.zeros((len(changed), wraps, wraps, _PER_WRAP, _PER_WRAP))
+        placed = nothing.at[self.muscles, self.places, self.places].set(weighted)
+        return jnp.swapaxes(placed, 2, 3).reshape(*changes.shape, changes.shape[1])
 
 
 class TwoLevelPaths(AbstractPath):
@@ -92,6 +105,25 @@ class TwoLevelPaths(AbstractPath):
 
         infeasibility = None if self.limits is None else self.limits.slopes(changes, self.wraps)
         return replace(jax.tree.map(placed, self.by_coefficient), infeasibility=infeasibility)
+
+    def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
+        """Give all paths, and how each moves with its own changes (leaves lead with ``muscle mode``)."""
+        return self.at(changes), self.slopes(changes)
+
+    def curvature(
+        self, changes: Float[Array, "muscle mode"], weights: PathState
+    ) -> Float[Array, "muscle mode mode"]:
+        """Differentiate each path twice by its own changes, and sum with these weights."""
+        own = jax.tree.map(lambda leaf: leaf[self.moving], replace(weights, infeasibility=None))
+        by_term = jax.tree.map(
+            lambda by, weight: jnp.einsum("mt...,m...->mt", by, weight), self.by_coefficient, own
+        )
+        of_moving = self.inner.curvature(changes[self.moving], jax.tree.reduce(jnp.add, by_term))
+        muscles, modes = changes.shape
+        total = jnp.zeros((muscles, modes, modes)).at[self.moving].set(of_moving)
+        if self.limits is None or weights.infeasibility is None:
+            return total
+        return total + self.limits.curvature(changes, weights.infeasibility)
 
 
 def two_level_paths(
