@@ -62,7 +62,8 @@ def paths():
         return PathState(*(jnp.asarray(generator.normal(size=(*lead, *shape))) for shape in shapes))
 
     inner = InnerLevel(
-        jnp.asarray(0.1 * generator.normal(size=(2, 2, 83, TERMS))), jnp.asarray(np.tile(HALF_RANGE, (2, 1, 1)))
+        jnp.asarray(0.1 * generator.normal(size=(2, 2, 83, TERMS))),
+        jnp.asarray(np.tile(HALF_RANGE, (2, 1, 1))),
     )
     limits = [(1, 0, limit(1)), (1, 1, limit(2)), (3, 1, limit(3))]
     return two_level_paths(state(4), [1, 3], inner, state(2, TERMS), limits)

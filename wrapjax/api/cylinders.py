@@ -29,8 +29,8 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         for place, wrap in enumerate(wraps):
             if wrap in names:
                 places[row, place] = names.index(wrap)
-    boxes = [box(translations[name]) for name in names]
-    lower, upper = (np.stack(ends) - NOMINAL for ends in zip(*boxes, strict=True))
+    boxes = np.reshape([box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
+    lower, upper = boxes[:, 0] - NOMINAL, boxes[:, 1] - NOMINAL
     half = 0.5 * (upper - lower)
     return FreedWraps(
         names=names,

@@ -195,7 +195,7 @@ def read_fit(folder: Path) -> Fit:
             raise InputError(Problem(str(folder), f"is no FIT folder: {file.name} is missing"))
     try:
         content = json.loads(json_file.read_text(encoding="utf-8"))
-        with np.load(array_file, allow_pickle=False) as stored:
+        with array_file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = dict(stored)
         muscles, coordinates = (tuple(arrays.pop(key).tolist()) for key in ("muscles", "coordinates"))
         # Arrays of cylinders have a dot in their names.

@@ -24,6 +24,7 @@ from wrapjax.geometry.wrapping import WrappedPath
 _CYCLES = {"training": SMOOTH_POSES, "validation": slice(0, 0)}
 
 Labels = Bool[np.ndarray, " sample"]
+UnseenLabels = Bool[np.ndarray, " unseen_sample"]
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class LearnedMuscle:
     inner: Float[np.ndarray, "wrap monomial term"]
     half_range: Float[np.ndarray, "wrap wrap_parameter"]
     error: PathError
-    verdicts: dict[str, tuple[Labels, Labels]]
+    verdicts: dict[str, tuple[Labels, UnseenLabels]]
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -87,12 +87,20 @@ class OpenSimSource:
             processes=self.processes,
             quiet=self.quiet,
         )
-        length, moment_arm = map(jnp.asarray, analysed.of(muscle))
+        judged = analysed.of(muscle)
         found, nominal = self.flags.paths(muscle, samples, poses)
         return (
-            replace(found, length=length[1:], moment_arm=moment_arm[1:]),
-            replace(nominal, length=length[:1], moment_arm=moment_arm[:1]),
+            _with(found, *(part[1:] for part in judged)),
+            _with(nominal, *(part[:1] for part in judged)),
         )
+
+
+def _with(
+    path: WrappedPath,
+    length: Float[np.ndarray, "sample pose"],
+    moment_arm: Float[np.ndarray, "sample pose coordinate"],
+) -> WrappedPath:
+    return eqx.tree_at(lambda path: (path.length, path.moment_arm), path, (length, moment_arm))
 
 
 def _with_nominal_first(
