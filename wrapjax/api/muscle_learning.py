@@ -82,9 +82,11 @@ class MuscleLearner:
         physiological = self._physiological(found, nominal, "training")
         # One factorisation serves all samples.
         to_coefficients = np.linalg.pinv(self.surrogate.design(muscle, self.source.poses["training"]))
-        change = self._rows(muscle, found)[physiological] - self._rows(muscle, nominal)
-        moved = samples.parameters(wraps)[physiological] - NOMINAL
-        return fit_inner_level(moved, self._half_range(wraps), change @ to_coefficients.T), physiological
+        change = self._rows(muscle, found) - self._rows(muscle, nominal)
+        moved = samples.parameters(wraps) - NOMINAL
+        coefficients = change @ to_coefficients.T
+        inner = fit_inner_level(moved, self._half_range(wraps), coefficients, physiological)
+        return inner, physiological
 
     def _judged(
         self, muscle: str, wraps: tuple[str, ...], inner: Float[np.ndarray, "wrap monomial term"]
@@ -93,13 +95,13 @@ class MuscleLearner:
         samples, row = self.validation.together, self.surrogate.muscles.index(muscle)
         found, nominal = self.source.paths(muscle, samples, "validation")
         physiological = self._labels(muscle, samples) & self._physiological(found, nominal, "validation")
-        moved = samples.parameters(wraps)[physiological] - NOMINAL
+        moved = samples.parameters(wraps) - NOMINAL
         level = InnerLevel(jnp.asarray(inner), jnp.asarray(self._half_range(wraps)))
         nominal_coefficients = np.asarray(self.surrogate.coefficients[row])[
             np.asarray(self.surrogate.used[row])
         ]
         changes = np.asarray(jax.vmap(level.of_one)(jnp.asarray(moved.reshape(len(moved), -1))))
-        coefficients = nominal_coefficients + changes
+        coefficients = nominal_coefficients + changes[physiological]
         predicted = coefficients @ self.surrogate.design(muscle, self.source.poses["validation"]).T
         error = predicted - self._rows(muscle, found)[physiological]
         poses = found.length.shape[1]

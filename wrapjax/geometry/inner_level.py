@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.polynomial import monomial_exponents, monomials
 from wrapjax.geometry.surfaces import WRAP_PARAMETERS
@@ -71,6 +71,7 @@ def fit_inner_level(
     changes: Float[np.ndarray, "sample wrap wrap_parameter"],
     half_range: Float[np.ndarray, "wrap wrap_parameter"],
     coefficients: Float[np.ndarray, "sample term"],
+    used: Bool[np.ndarray, " sample"],
 ) -> Float[np.ndarray, "wrap monomial term"]:
     """Fit one muscle's inner level by least squares.
 
@@ -82,6 +83,8 @@ def fit_inner_level(
         Of the sampled box.
     coefficients
         What outer coefficients differ from the nominal path's by at each sample, m.
+    used
+        Which samples count.
 
     Returns
     -------
@@ -91,5 +94,5 @@ def fit_inner_level(
     scaled = (changes / half_range).reshape(-1, _PER_WRAP)
     count, wraps = changes.shape[:2]
     design = np.asarray(monomials(jnp.asarray(_EXPONENTS), jnp.asarray(scaled))).reshape(count, -1)
-    weights = np.linalg.lstsq(design, coefficients, rcond=None)[0]
+    weights = np.linalg.lstsq(design[used], coefficients[used], rcond=None)[0]
     return weights.reshape(wraps, len(_EXPONENTS), -1)
