@@ -38,6 +38,9 @@ LEAST_CLEARANCE = 1e-4
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
 _FIRST_WEIGHT = 100.0
+#: How far cylinders stay within what was learned to be physiological: a score of one is the margin between
+#: the classes. A calibration looks for the places where what was learned is wrong.
+CAUTION = 0.5
 # A score of one is the width of the margin between the classes: far, where a fiber length of one is not.
 _FIRST_SCORE_WEIGHT = 1.0
 
@@ -132,7 +135,7 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
 
 
 def feasibility_limits(nominal: PathState) -> tuple[Limit, ...]:
-    """Hold cylinders to where their paths are physiological, or to where they are in the nominal model.
+    """Hold cylinders well within where their paths are physiological, or to as near to it as nominal ones.
 
     Nothing else is limited: fibers and signs of moment arms follow from cylinders of a place and size
     that can be, and hard limits on every frame of every fiber would stop calibrations half-way.
@@ -144,7 +147,7 @@ def feasibility_limits(nominal: PathState) -> tuple[Limit, ...]:
     """
     if nominal.infeasibility is None:
         return ()
-    most = jnp.maximum(nominal.infeasibility, 0.0)
+    most = jnp.maximum(nominal.infeasibility, -CAUTION)
     none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_SCORE_WEIGHT)
     each = jnp.ones((most.shape[0], 1))
     return (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)
