@@ -75,7 +75,12 @@ def _parser() -> argparse.ArgumentParser:
     fit = command("fit", _fit, "Replace the subject's muscle paths by polynomials.", writing)
     fit.add_argument("subject", type=Path, metavar="SUBJECT")
     fit.add_argument("--out", type=Path, required=True, metavar="FIT")
-    fit.add_argument("--geometry", choices=["opensim"], default="opensim", help="source of the paths")
+    fit.add_argument(
+        "--geometry",
+        choices=["opensim", "engine", "engine-parity"],
+        default="opensim",
+        help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
+    )
 
     calibrate = command("calibrate", _calibrate, "Calibrate the model to the subject.", writing)
     calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
@@ -155,17 +160,20 @@ def _check(options: argparse.Namespace) -> int:
 
 def _fit(options: argparse.Namespace) -> int:
     _set_up_jax()
-    from wrapjax.api import fit, load_subject
-    from wrapjax.api.text import fit_table
+    from wrapjax.api import fit, fit_wraps, load_subject
+    from wrapjax.api.text import fit_table, wrap_table
 
     _refuse_existing(options.out, options.force)
     subject = load_subject(options.subject)
-    result = fit(subject, options.geometry, seed=options.seed, processes=options.threads, quiet=options.quiet)
+    how = {"processes": options.threads, "quiet": options.quiet}
+    result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     result.save(options.out, force=options.force)
     if options.json:
         _print_json(_stored(options.out / "fit.json"))
     else:
         print(fit_table(result))
+        if result.wraps is not None and result.wraps.quality:
+            print(f"\n{wrap_table(result.wraps)}")
         print(f"\nwritten to {options.out}")
     return DONE
 

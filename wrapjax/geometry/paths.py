@@ -24,6 +24,9 @@ class PathState(eqx.Module):
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
     #: How near to where the length would jump, for paths that can: see `wrapped_paths`.
     closeness: Float[Array, "*muscle trial frame"] | None = None
+    #: How far each of its cylinders is beyond where paths are physiological (`Feasibility.excess`; no
+    #: unit), for paths that have learned it.
+    infeasibility: Float[Array, "*muscle wrap"] | None = None
 
 
 class AbstractPath(eqx.Module):
