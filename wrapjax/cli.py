@@ -180,7 +180,8 @@ def _fit(options: argparse.Namespace) -> int:
 
 def _calibrate(options: argparse.Namespace) -> int:
     _set_up_jax()
-    from wrapjax.api import calibrate, exact_geometry, fit, load_fit, load_subject
+    from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
+    from wrapjax.api.preparation import source_for
     from wrapjax.api.text import calibration_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import say
@@ -201,7 +202,9 @@ def _calibrate(options: argparse.Namespace) -> int:
     elif options.fit:
         paths = load_fit(options.fit, subject)
     else:
-        paths = fit(subject, seed=options.seed, processes=options.threads, quiet=options.quiet)
+        paths = source_for(
+            options.method, subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+        )
     say("compiling (once; later runs take it from the cache)", quiet=options.quiet)
     done = calibrate(
         subject,

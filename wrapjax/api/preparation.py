@@ -107,10 +107,27 @@ def stages(
     return held, moving
 
 
-def source_for(method: str, subject: Subject) -> Fit:
-    """Make the paths that a method needs, or find them in the cache: for PGA with sampled cylinders."""
-    fitted = fit_paths(subject)
-    return fit_wraps(subject, fitted) if method == "PGA" else fitted
+def source_for(
+    method: str, subject: Subject, *, seed: int = 0, processes: int | None = None, quiet: bool = True
+) -> Fit:
+    """Make the polynomials that a method needs, or find them in the cache.
+
+    Those of PGA know how they follow cylinders. They are made from the exact engine's paths: half a
+    million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`.
+    subject
+        From `load_subject`.
+    seed, processes, quiet
+        As of `wrapjax.fit`.
+    """
+    if method != "PGA":
+        return fit_paths(subject, seed=seed, processes=processes, quiet=quiet)
+    fitted = fit_paths(subject, "engine", seed=seed, processes=processes, quiet=quiet)
+    return fit_wraps(subject, fitted, processes=processes, quiet=quiet)
 
 
 def objective(
