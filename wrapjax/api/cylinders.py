@@ -12,7 +12,7 @@ from wrapjax.model import FreedWraps
 
 # Spread of the prior on wrap parameters, in half widths of their boxes: the box says what is possible, and
 # the prior only that of two equally good cylinders the nearer one is likelier.
-_PRIOR = 4.0
+_PRIOR = 2.0
 _UNITS = ("m", "m", "m", "rad", "rad", "1")
 
 
