@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.metric import Metric
+from benchmarks.plain_opensim import plain_seconds
 from benchmarks.timing import median_seconds
 from wrapjax.geometry import random_poses
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
@@ -28,6 +29,8 @@ POSES = 500
 #: Samples that all poses are analysed at, of every wrapped muscle: 500,000 analyses a muscle.
 ALL_SAMPLES = 1000
 SAMPLES = 40
+#: OpenSim used the obvious way is timed on so many poses.
+PLAIN_POSES = 50
 #: OpenSim is timed on every so manyth of the samples; paths round several cylinders take it much longer.
 OPENSIM_STEP = {"single": 10, "several": 20}
 #: How many times as fast as OpenSim, by number of cylinders and way of wrapping.
@@ -42,10 +45,11 @@ Lengths = Float[np.ndarray, "sample pose muscle"]
 
 
 class Judged(NamedTuple):
-    """What OpenSim found, and how long one analysis took it (s)."""
+    """What OpenSim found, how long one analysis took it (s), and how long in the obvious way."""
 
     length: Lengths
     seconds: float
+    plain_seconds: float
 
 
 def engine_speed(subject: Subject, *, quick: bool = False, full: bool = False) -> list[Metric]:
@@ -128,7 +132,14 @@ def _beside_opensim(
             "us",
             "lower",
             f"an analysis; {counted}, every {OPENSIM_STEP[group]}th sample, one process",
-        )
+        ),
+        Metric(
+            f"engine/{group}/opensim_plain",
+            1e6 * judged.plain_seconds,
+            "us",
+            "lower",
+            f"an analysis the obvious way: Model.assemble, computeMomentArm; {PLAIN_POSES} poses",
+        ),
     ]
     seconds, compiling = {}, {}
     for wrapping in (GEODESIC, PARITY):
@@ -152,6 +163,13 @@ def _beside_opensim(
                 "x",
                 "higher",
                 f"its time over ours; target at least {SPEED_TARGETS[name]}",
+            ),
+            Metric(
+                f"engine/{name}/opensim_plain_slower",
+                judged.plain_seconds / seconds[name],
+                "x",
+                "higher",
+                "its time in the obvious way, over ours",
             ),
         ]
         if wrapping is PARITY:
@@ -183,7 +201,8 @@ def _judge(subject: Subject, muscles: Sequence[str], poses: Poses, samples: Samp
         opensim.place(dict.fromkeys(wraps, sample))
         lengths.append(opensim.analyse(poses)[0])
     taken = time.perf_counter() - began
-    return Judged(np.stack(lengths), taken / (len(samples) * len(poses) * len(muscles)))
+    plain = plain_seconds(subject.model_file, coordinates, spans, poses[:: POSES // PLAIN_POSES])
+    return Judged(np.stack(lengths), taken / (len(samples) * len(poses) * len(muscles)), plain)
 
 
 def _all_analyses(paths: Sequence[PosedPath]) -> float:

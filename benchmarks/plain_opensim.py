@@ -1,0 +1,48 @@
+"""OpenSim used the obvious way: assemble the model in each pose, ask for each moment arm by itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.osim.loading import load_model
+
+
+def plain_seconds(
+    model_file: Path | str,
+    coordinates: Sequence[str],
+    spans: Mapping[str, Sequence[str]],
+    poses: Float[np.ndarray, "pose coordinate"],
+) -> float:
+    """Time the length and all moment arms of one muscle in one pose (s), on average.
+
+    `wrapjax.osim` does the same thing many times faster; this is what that is spared.
+
+    Parameters
+    ----------
+    coordinates, poses
+        Their values, rad or m.
+    spans
+        The muscles, and the coordinates that each one's length depends on.
+    """
+    model, state = load_model(model_file)
+    coordinate_set, muscle_set = model.getCoordinateSet(), model.getMuscles()
+    given = [coordinate_set.get(name) for name in coordinates]
+    asked = [
+        (muscle_set.get(name), [coordinate_set.get(own) for own in span]) for name, span in spans.items()
+    ]
+    began = time.perf_counter()
+    for pose in poses:
+        for coordinate, value in zip(given, pose, strict=True):
+            coordinate.setValue(state, float(value), False)
+        model.assemble(state)
+        model.realizePosition(state)
+        for muscle, about in asked:
+            muscle.getLength(state)
+            for coordinate in about:
+                muscle.computeMomentArm(state, coordinate)
+    return (time.perf_counter() - began) / (len(poses) * len(asked))
