@@ -118,7 +118,8 @@ def compare_wrapping_modes(
 def wrapping_modes_figure(compared: Sequence[WrappingModes]) -> Figure:
     """Draw length and moment arms over the gait cycle, and under each how the ways of wrapping differ.
 
-    One pair of rows a muscle. Frames are taken to go evenly from 0 to 100 % of a cycle.
+    One pair of rows a muscle; the lower one names the largest difference of what OpenSim gives, of moment
+    arms the arm's and that of its length's slope. Frames are taken to go evenly from 0 to 100 % of a cycle.
     """
     columns = 1 + max(len(one.coordinates) for one in compared)
     figure = new_figure(PAGE_WIDTH, 2 * _ROW_HEIGHT * len(compared) + 0.5)
@@ -144,7 +145,7 @@ def _draw_length(above: Axes, below: Axes, one: WrappingModes) -> None:
     above.set_title(f"{one.muscle}: length", loc="left", parse_math=False)
     _draw_curve(above, one.opensim.length, VERMILION, linewidth=2.4, alpha=0.5)
     _draw_curve(above, one.shortest.length, BLUE)
-    below.set_title(f"OpenSim's: {_mm(longer)} mm at most", loc="left")
+    below.set_title(f"largest: {_mm(longer)} mm", loc="left")
     _draw_curve(below, longer, VERMILION, linewidth=2.4, alpha=0.5)
     _finish(below)
 
@@ -160,7 +161,7 @@ def _draw_arm(above: Axes, below: Axes, one: WrappingModes, row: int, name: str)
         _draw_curve(panel, arms[1], BLUE, label="the shortest path's moment arm")
         _draw_curve(panel, slopes[1], GRAY, linestyle=(0, (2, 4)), label="-dL/dq of the shortest length")
     arm, slope = (_mm(values[row] - reference) for values in (one.opensim.moment_arm, one.opensim.slope))
-    below.set_title(f"OpenSim's: {arm} mm; -dL/dq: {slope} mm", loc="left")
+    below.set_title(f"largest: {arm} and {slope} mm", loc="left")
     _finish(below)
 
 
