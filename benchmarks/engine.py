@@ -29,7 +29,7 @@ POSES = 500
 #: Samples that all poses are analysed at, of every wrapped muscle: 500,000 analyses a muscle.
 ALL_SAMPLES = 1000
 SAMPLES = 40
-#: OpenSim used the obvious way is timed on so many poses.
+#: OpenSim's `computeMomentArm` is timed in so many poses.
 PLAIN_POSES = 50
 #: OpenSim is timed on every so manyth of the samples; paths round several cylinders take it much longer.
 OPENSIM_STEP = {"single": 10, "several": 20}
@@ -45,7 +45,7 @@ Lengths = Float[np.ndarray, "sample pose muscle"]
 
 
 class Judged(NamedTuple):
-    """What OpenSim found, how long one analysis took it (s), and how long in the obvious way."""
+    """What OpenSim found, how long one analysis took it (s), and how long by `computeMomentArm`."""
 
     length: Lengths
     seconds: float
@@ -138,7 +138,7 @@ def _beside_opensim(
             1e6 * judged.plain_seconds,
             "us",
             "lower",
-            f"an analysis the obvious way: Model.assemble, computeMomentArm; {PLAIN_POSES} poses",
+            f"an analysis by computeMomentArm, posing not counted; {PLAIN_POSES} poses",
         ),
     ]
     seconds, compiling = {}, {}
@@ -169,7 +169,7 @@ def _beside_opensim(
                 judged.plain_seconds / seconds[name],
                 "x",
                 "higher",
-                "its time in the obvious way, over ours",
+                "its time by computeMomentArm, over ours",
             ),
         ]
         if wrapping is PARITY:
