@@ -1,9 +1,9 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients.
 
-``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``calibrate``
-fits the model to the person, ``compare`` does so by several methods and tests which differ,
-``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that is
-behind it.
+``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
+learns how those follow the cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
+``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
+pure function for `jax.grad`, and ``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from wrapjax.api import compare as compare
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
+    from wrapjax.api import fit_wraps as fit_wraps
     from wrapjax.api import load_fit as load_fit
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
@@ -44,6 +45,7 @@ _PLACES = {
     "compare": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",
+    "fit_wraps": "wrapjax.api",
     "load_fit": "wrapjax.api",
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",

@@ -75,7 +75,12 @@ def _parser() -> argparse.ArgumentParser:
     fit = command("fit", _fit, "Replace the subject's muscle paths by polynomials.", writing)
     fit.add_argument("subject", type=Path, metavar="SUBJECT")
     fit.add_argument("--out", type=Path, required=True, metavar="FIT")
-    fit.add_argument("--geometry", choices=["opensim"], default="opensim", help="source of the paths")
+    fit.add_argument(
+        "--geometry",
+        choices=["opensim", "engine", "engine-parity"],
+        default="opensim",
+        help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
+    )
 
     calibrate = command("calibrate", _calibrate, "Calibrate the model to the subject.", writing)
     calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
@@ -155,24 +160,28 @@ def _check(options: argparse.Namespace) -> int:
 
 def _fit(options: argparse.Namespace) -> int:
     _set_up_jax()
-    from wrapjax.api import fit, load_subject
-    from wrapjax.api.text import fit_table
+    from wrapjax.api import fit, fit_wraps, load_subject
+    from wrapjax.api.text import fit_table, wrap_table
 
     _refuse_existing(options.out, options.force)
     subject = load_subject(options.subject)
-    result = fit(subject, options.geometry, seed=options.seed, processes=options.threads, quiet=options.quiet)
+    how = {"processes": options.threads, "quiet": options.quiet}
+    result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     result.save(options.out, force=options.force)
     if options.json:
         _print_json(_stored(options.out / "fit.json"))
     else:
         print(fit_table(result))
+        if result.wraps is not None and result.wraps.quality:
+            print(f"\n{wrap_table(result.wraps)}")
         print(f"\nwritten to {options.out}")
     return DONE
 
 
 def _calibrate(options: argparse.Namespace) -> int:
     _set_up_jax()
-    from wrapjax.api import calibrate, exact_geometry, fit, load_fit, load_subject
+    from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
+    from wrapjax.api.preparation import source_for
     from wrapjax.api.text import calibration_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import say
@@ -193,7 +202,9 @@ def _calibrate(options: argparse.Namespace) -> int:
     elif options.fit:
         paths = load_fit(options.fit, subject)
     else:
-        paths = fit(subject, seed=options.seed, processes=options.threads, quiet=options.quiet)
+        paths = source_for(
+            options.method, subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+        )
     say("compiling (once; later runs take it from the cache)", quiet=options.quiet)
     done = calibrate(
         subject,

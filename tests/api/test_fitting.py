@@ -74,5 +74,5 @@ def test_moments_and_emg_are_no_part_of_the_question(person, paths):
 
 
 def test_unknown_geometry(person):
-    with pytest.raises(ValueError, match="unknown geometry 'guess': expected 'opensim'"):
+    with pytest.raises(ValueError, match="unknown geometry 'guess': expected one of opensim, engine"):
         fit(person, "guess")

@@ -11,6 +11,8 @@ from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
 from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
+from wrapjax.api.wrap_fitting import fit_wraps as fit_wraps
+from wrapjax.api.wrap_pictures import physiological_picture as physiological_picture
 from wrapjax.subject import read_subject as load_subject
 
 __all__ = [
@@ -22,8 +24,10 @@ __all__ = [
     "compare",
     "exact_geometry",
     "fit",
+    "fit_wraps",
     "load_fit",
     "load_subject",
     "objective",
+    "physiological_picture",
     "prepare",
 ]

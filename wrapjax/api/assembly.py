@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from wrapjax.geometry import AbstractPath, AdjustablePath, PathState, PathSurrogate, fixed_path
 from wrapjax.model import ModelParameters, Recording, initial_parameters
@@ -50,9 +51,7 @@ def surrogate_paths(
     modes
         Coefficients, in m, of the changes that are possible; the subject's muscles in their order.
     """
-    columns = [trials.coordinates.index(name) for name in surrogate.coordinates]
-    angles = jnp.asarray(trials.angles[:, columns])
-    velocities = jnp.asarray(trials.angular_velocities[:, columns])
+    angles, velocities = _recorded(surrogate, trials)
     own = surrogate.of_muscles(subject.muscles.names)
     arms = functools.partial(_about, surrogate.coordinates, trials.moment_coordinates)
     nominal = arms(eqx.filter_jit(own)(angles, velocities))
@@ -60,6 +59,23 @@ def surrogate_paths(
         return fixed_path(nominal)
     changes = eqx.filter_jit(PathSurrogate.along_modes)(own, angles, velocities, jnp.asarray(modes))
     return AdjustablePath(nominal, arms(changes))
+
+
+def coefficient_paths(surrogate: PathSurrogate, muscles: Sequence[str], trials: Trials) -> PathState:
+    """Evaluate what a unit (1 m) of each coefficient adds to paths; leaves lead with ``muscle term``."""
+    own = surrogate.of_muscles(muscles)
+    count, terms = own.coefficients.shape
+    single = jnp.broadcast_to(jnp.eye(terms), (count, terms, terms))
+    path = eqx.filter_jit(PathSurrogate.along_modes)(own, *_recorded(surrogate, trials), single)
+    return _about(surrogate.coordinates, trials.moment_coordinates, path)
+
+
+def _recorded(
+    surrogate: PathSurrogate, trials: Trials
+) -> tuple[Float[Array, "trial coordinate frame"], Float[Array, "trial coordinate frame"]]:
+    """Angles and angular velocities of the surrogate's coordinates."""
+    columns = [trials.coordinates.index(name) for name in surrogate.coordinates]
+    return jnp.asarray(trials.angles[:, columns]), jnp.asarray(trials.angular_velocities[:, columns])
 
 
 def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:

@@ -15,9 +15,9 @@ import numpy as np
 from wrapjax.api.assembly import recording
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
-from wrapjax.api.fitting import fit as fit_paths
+from wrapjax.api.personalised import write_model
 from wrapjax.api.polynomial_paths import modes_of
-from wrapjax.api.preparation import method_freedom, stages
+from wrapjax.api.preparation import method_freedom, source_for, stages
 from wrapjax.calibrate import (
     AbstractCalibration,
     AugmentedLagrangian,
@@ -69,7 +69,7 @@ class Calibration:
         from wrapjax.report.run_folder import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
-        write_run(legs, Path(folder), force=force, describe_model=describe_model)
+        write_run(legs, Path(folder), force=force, describe_model=describe_model, write_model=write_model)
         if self.journal is not None:
             self.journal.close()
 
@@ -172,14 +172,14 @@ def _legs(
         raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
     legs = []
     for leg in subjects:
-        fitted = fit if fit is not None and leg is subject else _source_like(fit, leg)
+        fitted = fit if fit is not None and leg is subject else _source_like(fit, method, leg)
         legs.append(_Leg(leg, fitted, freedom or method_freedom(method, leg, fitted)))
     return legs
 
 
-def _source_like(fit: Fit | ExactGeometry | None, leg: Subject) -> Fit | ExactGeometry:
+def _source_like(fit: Fit | ExactGeometry | None, method: str, leg: Subject) -> Fit | ExactGeometry:
     """Take a leg's paths from where the other leg's come from."""
-    return exact_geometry(leg, fit.name) if isinstance(fit, ExactGeometry) else fit_paths(leg)
+    return exact_geometry(leg, fit.name) if isinstance(fit, ExactGeometry) else source_for(method, leg)
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:

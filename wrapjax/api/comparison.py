@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from wrapjax.api.calibration import STARTS, Calibration, calibrate
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
-from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.persons import file_name, labels_of, persons_of
-from wrapjax.api.preparation import METHODS, method_freedom
+from wrapjax.api.preparation import METHODS, method_freedom, source_for
 from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder
@@ -251,12 +250,12 @@ def _sources(
     if by_engine:
         say(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
         found |= dict.fromkeys(by_engine, exact_geometry(person))
-    if set(methods) - by_engine:
-        fit = fit_paths(person, seed=seed, processes=processes, quiet=quiet)
-        found |= dict.fromkeys(set(methods) - by_engine, fit)
+    for method in methods:
+        if method not in by_engine:
+            found[method] = source_for(method, person, seed=seed, processes=processes, quiet=quiet)
     for leg in legs:
         for method in methods:
-            method_freedom(method, leg, found[method] if leg is person else fit_paths(leg))
+            method_freedom(method, leg, found[method] if leg is person else source_for(method, leg))
     return found
 
 

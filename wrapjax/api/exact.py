@@ -8,23 +8,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.api.assembly import model_parameters
+from wrapjax.api.cylinders import freed_wraps
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash
 from wrapjax.geometry import AbstractPath, fixed_path
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
-from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
-from wrapjax.geometry.wrap_boxes import box, translation_bounds
+from wrapjax.geometry.wrap_boxes import translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.model import Freedom, FreedWraps, nga, with_wraps
+from wrapjax.model import Freedom, nga, with_wraps
 from wrapjax.osim import describe_model
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject, Trials
 
 #: Ways in which the engine can wrap, by the names that commands know.
 WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
-# Spread of the prior on wrap parameters, in half widths of their boxes: the box says what is possible, and
-# the prior only that of two equally good cylinders the nearer one is likelier.
-_PRIOR = 4.0
 # Poses that bounds of translation are found in: every so many recorded frames.
 _EVERY = 4
 
@@ -86,28 +83,8 @@ class ExactGeometry:
                     hint="use NGA or SGA",
                 )
             )
-        return with_wraps(freedom, method, self._freed_wraps())
-
-    def _freed_wraps(self) -> FreedWraps:
-        names = tuple(self.translations)
-        places = np.full(self.on_surface.shape, -1)
-        for row, muscle in enumerate(self.engine.muscles):
-            for place, wrap in enumerate(self.engine.wraps_of(muscle)):
-                if wrap in names:
-                    places[row, place] = names.index(wrap)
-        boxes = [box(self.translations[name]) for name in names]
-        lower, upper = (np.stack(ends) - NOMINAL for ends in zip(*boxes, strict=True))
-        half = 0.5 * (upper - lower)
-        return FreedWraps(
-            names=names,
-            quantities=WRAP_PARAMETERS,
-            units=("m", "m", "m", "rad", "rad", "1"),
-            places=places,
-            lower=lower,
-            upper=upper,
-            scale=half,
-            prior_sd=_PRIOR * half,
-        )
+        wraps_of = [self.engine.wraps_of(name) for name in self.engine.muscles]
+        return with_wraps(freedom, method, freed_wraps(wraps_of, self.translations))
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
         """Lay the paths through cycles, with all that the freedom may change."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.api.assembly import model_parameters, surrogate_paths
+from wrapjax.api.assembly import coefficient_paths, model_parameters, surrogate_paths
+from wrapjax.api.wrap_fit import WrapFit
 from wrapjax.calibrate import PATH_CHANGE, path_modes
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry import AdjustablePath, PathSurrogate
-from wrapjax.model import Freedom, nga, with_paths
+from wrapjax.geometry import AdjustablePath, PathSurrogate, TwoLevelPaths, two_level_paths
+from wrapjax.model import Freedom, FreedWraps, nga, with_paths
 from wrapjax.subject import Subject, Trials
 
 
@@ -60,3 +61,20 @@ def _own_modes(subject: Subject, surrogate: PathSurrogate) -> Bool[np.ndarray, "
     """Mark the modes that a muscle has: as many as it has coefficients, the first ones."""
     used = np.asarray(surrogate.of_muscles(subject.muscles.names).used)
     return np.arange(used.shape[1])[None] < used.sum(axis=1)[:, None]
+
+
+def wrapped_polynomial_paths(
+    subject: Subject, trials: Trials, surrogate: PathSurrogate, wraps: WrapFit, freed: FreedWraps
+) -> TwoLevelPaths:
+    """Evaluate the paths over cycles, with coefficients that follow the freed cylinders."""
+    muscles = subject.muscles.names
+    nominal = surrogate_paths(surrogate, subject, trials).nominal
+    moving = np.flatnonzero((freed.places >= 0).any(axis=1))
+    names = [muscles[row] for row in moving]
+    return two_level_paths(
+        nominal,
+        moving.tolist(),
+        wraps.inner_of(names, freed.places.shape[1]),
+        coefficient_paths(surrogate, names, trials),
+        wraps.limits(muscles, freed.names),
+    )

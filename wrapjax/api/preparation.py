@@ -13,7 +13,14 @@ from wrapjax.api.assembly import group_indices, model_parameters, recording
 from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
-from wrapjax.calibrate import Objective, closeness_penalty, path_limits, pipeline_penalties
+from wrapjax.api.wrap_fitting import fit_wraps
+from wrapjax.calibrate import (
+    Objective,
+    closeness_penalty,
+    feasibility_limits,
+    path_limits,
+    pipeline_penalties,
+)
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry import fixed_path
 from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states
@@ -71,7 +78,7 @@ def stages(
         raise InputError(
             Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
         )
-    fitted = fit_paths(subject) if fit is None else fit
+    fitted = source_for(method, subject) if fit is None else fit
     freedom = freedom or method_freedom(method, subject, fitted)
     paths = fitted.paths(subject, trials, freedom)
     inputs = recording(subject, trials, paths)
@@ -94,10 +101,33 @@ def stages(
         return (held,)
     moving = replace(held, recording=inputs, variables=free_variables(base, freedom, names))
     if freedom.wraps is None:
-        moving = replace(moving, limits=path_limits(paths.nominal))
-    else:
-        moving = replace(moving, penalties=(*held.penalties, closeness_penalty(len(names))))
+        return held, replace(moving, limits=path_limits(paths.nominal))
+    kept = () if paths.nominal.closeness is None else (closeness_penalty(len(names)),)
+    moving = replace(moving, penalties=(*held.penalties, *kept), limits=feasibility_limits(paths.nominal))
     return held, moving
+
+
+def source_for(
+    method: str, subject: Subject, *, seed: int = 0, processes: int | None = None, quiet: bool = True
+) -> Fit:
+    """Make the polynomials that a method needs, or find them in the cache.
+
+    Those of PGA know how they follow cylinders. They are made from the exact engine's paths: half a
+    million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`.
+    subject
+        From `load_subject`.
+    seed, processes, quiet
+        As of `wrapjax.fit`.
+    """
+    if method != "PGA":
+        return fit_paths(subject, seed=seed, processes=processes, quiet=quiet)
+    fitted = fit_paths(subject, "engine", seed=seed, processes=processes, quiet=quiet)
+    return fit_wraps(subject, fitted, processes=processes, quiet=quiet)
 
 
 def objective(

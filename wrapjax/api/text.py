@@ -11,6 +11,7 @@ from wrapjax.api.calibration import Calibration
 from wrapjax.api.comparison import Comparison
 from wrapjax.api.demo import Demonstration
 from wrapjax.api.fitting import Fit
+from wrapjax.api.wrap_fit import WrapFit
 from wrapjax.calibrate import CalibrationResult, Iteration, LagrangianState, Watch
 from wrapjax.evaluate import moment_errors, pooled_mae
 
@@ -57,6 +58,22 @@ def fit_table(fit: Fit) -> str:
         lines.append(
             f"{name:16s}{wrapped:>13s}{error.terms:13d}" + "".join(f"{value:13.3f}" for value in errors)
         )
+    return "\n".join(lines)
+
+
+def wrap_table(wraps: WrapFit) -> str:
+    """Show how a fit's cylinders fared, one by one."""
+    titles = ("box", "physiological", "accuracy", "let through", "touched")
+    lines = [
+        "Cylinders, on samples never used in fitting: half width of the box (mm), share of it that leaves",
+        "paths physiological, balanced accuracy of the limit, share of other samples that it lets through",
+        f"{'cylinder':24s}" + "".join(f"{title:>15s}" for title in titles),
+    ]
+    for name, quality in wraps.quality.items():
+        shares = (quality.physiological_share, quality.balanced_accuracy, quality.false_physiological)
+        columns = "".join(f"{'-':>15s}" if share is None else f"{share:15.3f}" for share in shares)
+        touched = "yes" if name in wraps.touched else "no"
+        lines.append(f"{name:24s}{1e3 * wraps.translations[name]:15.1f}{columns}{touched:>15s}")
     return "\n".join(lines)
 
 

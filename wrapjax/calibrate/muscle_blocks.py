@@ -9,6 +9,7 @@ arms, frame by frame: three directions instead of a hundred.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -17,8 +18,8 @@ from jaxtyping import Array, Float
 
 from wrapjax.geometry import PathState
 
-#: From single parameters and the path to any tree of outputs: numbers, or arrays ``trial frame`` or
-#: ``trial coordinate frame``.
+#: From single parameters and the path to any tree of outputs: numbers, or arrays ``trial frame``,
+#: ``trial coordinate frame`` or, of the path's infeasibility alone, ``wrap``.
 Outputs = Callable[[Float[Array, " single"], PathState], Any]
 
 
@@ -50,8 +51,9 @@ def slopes(
     values, by_single = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
     if not modes.length.shape[0]:
         return values, by_single
-    by_path = [jax.jvp(lambda at: outputs(single, at), (path,), (unit,))[1] for unit in _units(path)]
-    by_modes = jax.tree.map(lambda *by: _chain(by, modes), *by_path)
+    units = _units(path)
+    by_path = [jax.jvp(lambda at: outputs(single, at), (path,), (unit,))[1] for unit in units.values()]
+    by_modes = jax.tree.map(lambda *by: _chain(dict(zip(units, by, strict=True)), modes), *by_path)
     return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
 
 
@@ -83,9 +85,9 @@ def curvature(
     mixed = jax.vmap(along)(jnp.eye(single.size))
     products = jax.tree.map(lambda one, mode: jnp.einsum("s...,m...->sm", one, mode), mixed, modes)
     cross = jax.tree.reduce(jnp.add, products)
-    length, rate, *_ = _units(path)
-    by_length = jax.jvp(lambda at: path_slope(single, at), (path,), (length,))[1]
-    by_rate = jax.jvp(lambda at: path_slope(single, at), (path,), (rate,))[1]
+    units = _units(path)
+    by_length = jax.jvp(lambda at: path_slope(single, at), (path,), (units["length"],))[1]
+    by_rate = jax.jvp(lambda at: path_slope(single, at), (path,), (units["velocity"],))[1]
     # One half of a symmetric sum; what two moment arms have in common is zero.
     beside_length = (
         0.5 * by_length.length[None] * modes.length
@@ -101,25 +103,26 @@ def curvature(
     return jnp.block([[by_single, cross], [cross.T, half + half.T]])
 
 
-def _units(path: PathState) -> list[PathState]:
-    """Directions that move length, rate, all moment arms or closeness alone, at all frames at once."""
-    leaves, form = jax.tree.flatten(path)
-    nothing = [jnp.zeros_like(leaf) for leaf in leaves]
-    return [
-        jax.tree.unflatten(form, [*nothing[:place], jnp.ones_like(leaf), *nothing[place + 1 :]])
-        for place, leaf in enumerate(leaves)
-    ]
+def _units(path: PathState) -> dict[str, PathState]:
+    """Directions that move one part of the path alone, by its name, at all frames at once."""
+    nothing = jax.tree.map(jnp.zeros_like, path)
+    parts = {name: part for name, part in vars(path).items() if part is not None}
+    return {name: replace(nothing, **{name: jnp.ones_like(part)}) for name, part in parts.items()}
 
 
-def _chain(by: tuple[Array, ...], modes: PathState) -> Array:
+def _chain(by: dict[str, Array], modes: PathState) -> Array:
     """Multiply derivatives of one output by each part of the path with those of that part by modes."""
-    by_length, by_rate, by_arm, *by_closeness = by
-    if by_length.ndim == 0:
+    dimensions = by["length"].ndim
+    if dimensions == 0:
         return jnp.zeros(modes.length.shape[0])
-    if by_length.ndim == 3:
+    if dimensions == 1:
+        assert modes.infeasibility is not None, "nothing else is an array of one dimension"
+        return by["infeasibility"][None] * modes.infeasibility
+    if dimensions == 3:
         length, rate = modes.length[:, :, None], modes.velocity[:, :, None]
-        return by_length[None] * length + by_rate[None] * rate + by_arm[None] * modes.moment_arm
-    total = by_length[None] * modes.length + by_rate[None] * modes.velocity
+        by_frame = by["length"][None] * length + by["velocity"][None] * rate
+        return by_frame + by["moment_arm"][None] * modes.moment_arm
+    total = by["length"][None] * modes.length + by["velocity"][None] * modes.velocity
     if modes.closeness is None:
         return total
-    return total + by_closeness[0][None] * modes.closeness
+    return total + by["closeness"][None] * modes.closeness

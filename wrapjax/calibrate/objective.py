@@ -196,7 +196,7 @@ class Objective(AbstractCalibration):
 
         def lever(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
-            return PathState(path.length, path.velocity, arm[..., None, :], path.closeness)
+            return replace(path, moment_arm=arm[..., None, :])
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(single, path):

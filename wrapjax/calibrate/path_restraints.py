@@ -38,6 +38,11 @@ CLOSENESS = 2.0
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
 _FIRST_WEIGHT = 100.0
+#: How far cylinders stay within what was learned to be physiological: a score of one is the margin between
+#: the classes. A calibration looks for the places where what was learned is wrong.
+CAUTION = 0.5
+# A score of one is the width of the margin between the classes: far, where a fiber length of one is not.
+_FIRST_SCORE_WEIGHT = 1.0
 
 
 def path_modes(
@@ -120,6 +125,29 @@ def path_limits(nominal: PathState) -> tuple[Limit, ...]:
             jnp.full(kept.shape, _FIRST_WEIGHT),
         ),
     )
+
+
+def feasibility_limits(nominal: PathState) -> tuple[Limit, ...]:
+    """Hold cylinders well within where their paths are physiological, or to as near to it as nominal ones.
+
+    There are none for paths that have not learned where that is.
+
+    Parameters
+    ----------
+    nominal
+        Paths of all muscles over the calibration cycles.
+    """
+    if nominal.infeasibility is None:
+        return ()
+    most = jnp.maximum(nominal.infeasibility, -CAUTION)
+    none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_SCORE_WEIGHT)
+    each = jnp.ones((most.shape[0], 1))
+    return (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)
+
+
+def _infeasibility(parameters: ModelParameters, state: MuscleState) -> Float[Array, " wrap"]:
+    assert state.path.infeasibility is not None
+    return state.path.infeasibility
 
 
 def closeness_penalty(muscles: int) -> MusclePenalty:

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float
 from wrapjax.model import ModelParameters, MuscleState
 
 #: Reads a quantity off one muscle: one number; one a frame, which may depend on the path at that frame
-#: alone; or one a frame and coordinate, which may depend on that coordinate's moment arm as well.
+#: alone; one a frame and coordinate, which may depend on that coordinate's moment arm as well; or the
+#: path's infeasibility, one a cylinder.
 Reader = Callable[[ModelParameters, MuscleState], Float[Array, "..."]]
 #: What of the quantity counts: a linear function of it.
 Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]

@@ -24,6 +24,9 @@ class PathState(eqx.Module):
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
     #: How near to where the length would jump, for paths that can: see `wrapped_paths`.
     closeness: Float[Array, "*muscle trial frame"] | None = None
+    #: How far each of its cylinders is beyond where paths are physiological (`Feasibility.excess`; no
+    #: unit), for paths that have learned it.
+    infeasibility: Float[Array, "*muscle wrap"] | None = None
 
 
 class AbstractPath(eqx.Module):
@@ -97,7 +100,7 @@ class AdjustablePath(AbstractPath):
         self, changes: Float[Array, "muscle mode"], weights: PathState
     ) -> Float[Array, "muscle mode mode"]:
         """Zero: paths are linear in their modes."""
-        return jnp.zeros((changes.shape[0], self.modes_count, self.modes_count))
+        return jnp.zeros((*changes.shape, changes.shape[1]))
 
 
 def fixed_path(path: PathState) -> AdjustablePath:

@@ -81,6 +81,25 @@ class PathSurrogate(eqx.Module):
         picked = {field: getattr(self, field)[rows] for field in fields}
         return replace(self, muscles=tuple(names), **picked)
 
+    def design(
+        self, muscle: str, poses: Float[np.ndarray, "pose coordinate"]
+    ) -> Float[np.ndarray, "row term"]:
+        """Give what a unit of each of a muscle's coefficients adds to its length and moment arms.
+
+        Rows are the lengths in all poses (rad), then the moment arms about each coordinate it spans, in
+        the order of its slots; columns are the terms in use.
+        """
+        row = self.muscles.index(muscle)
+        slots, used = self.slots(muscle), np.asarray(self.used[row])
+        exponents = np.asarray(self.exponents[row])[used][:, : len(slots)]
+        scaled = (poses - np.asarray(self.center)) / np.asarray(self.half_range)
+        return _design(exponents, scaled[:, slots], np.asarray(self.half_range)[slots])
+
+    def slots(self, muscle: str) -> list[int]:
+        """Number the coordinates that a muscle spans."""
+        row = self.muscles.index(muscle)
+        return np.asarray(self.spans[row])[np.asarray(self.spanned[row])].tolist()
+
     def term_names(self) -> tuple[tuple[str, ...], ...]:
         """Name the terms in use of each muscle: ``hip_flexion_l^2*knee_angle_l``, the constant ``1``.
 
@@ -173,9 +192,7 @@ def fit_surrogate(
     for index, muscle in enumerate(muscles):
         slots = [coordinates.index(name) for name in spanned[muscle] if name in coordinates]
         exponents = monomial_exponents(len(slots), degree)
-        values = np.asarray(monomials(jnp.asarray(exponents), jnp.asarray(scaled[:, slots])))
-        slopes = np.asarray(monomial_gradients(jnp.asarray(exponents), jnp.asarray(scaled[:, slots])))
-        design = np.concatenate([values, *(-slopes / half_range[slots][:, None, None])])
+        design = _design(exponents, scaled[:, slots], half_range[slots])
         target = np.concatenate([length[:, index], *moment_arm[:, slots, index].T])
         keep, coefficients = _fit_pruned(design, target, tolerance)
         fits.append((slots, exponents[keep], coefficients))
@@ -204,6 +221,17 @@ def fit_surrogate(
         center=jnp.asarray(center),
         half_range=jnp.asarray(half_range),
     )
+
+
+def _design(
+    exponents: Int[np.ndarray, "term slot"],
+    scaled: Float[np.ndarray, "pose slot"],
+    half_range: Float[np.ndarray, " slot"],
+) -> Float[np.ndarray, "row term"]:
+    """Lengths, then moment arms about each slot, of a unit of each term."""
+    values = np.asarray(monomials(jnp.asarray(exponents), jnp.asarray(scaled)))
+    slopes = np.asarray(monomial_gradients(jnp.asarray(exponents), jnp.asarray(scaled)))
+    return np.concatenate([values, *(-slopes / half_range[:, None, None])])
 
 
 def _fit_pruned(

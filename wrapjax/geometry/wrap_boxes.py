@@ -27,12 +27,16 @@ LEAST_USABLE = 0.5
 _SAMPLES = 96
 
 
-def hammersley(count: int) -> Float[np.ndarray, "sample wrap_parameter"]:
+def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_parameter"]:
     """Spread points evenly over the unit box of six wrap parameters (Hammersley's set).
 
-    The first coordinate counts, the others are van der Corput's in the first prime bases.
+    The first coordinate counts, the others are van der Corput's in the first prime bases. With as many
+    of those skipped as another set has, the points are other ones.
     """
-    halton = qmc.Halton(d=5, scramble=False).random(count)
+    sequence = qmc.Halton(d=5, scramble=False)
+    if skipped:
+        sequence.fast_forward(skipped)
+    halton = sequence.random(count)
     return np.column_stack([(np.arange(count) + 0.5) / count, halton])
 
 

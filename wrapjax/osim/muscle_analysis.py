@@ -108,7 +108,7 @@ def analyse_muscles(
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     path = check_is_file(model_file)
-    _check_poses(path, coordinates, poses)
+    check_poses(path, coordinates, poses)
     question = content_hash(path, repr(muscles), repr(coordinates), version("opensim"), _FORMAT)
     chunks = {start: poses[start : start + CHUNK] for start in range(0, len(poses), CHUNK)}
     files = {start: _cache_file(question, chunk) for start, chunk in chunks.items()}
@@ -121,7 +121,7 @@ def analyse_muscles(
         if not _recall(files[start], length[here], moment_arm[here]):
             missing[start] = chunk
     if missing or not chunks:
-        spans = _check_question(path, muscles, coordinates, poses)
+        spans = check_question(path, muscles, coordinates, poses)
         done = len(poses) - sum(len(chunk) for chunk in missing.values())
         with (
             progress_bar("OpenSim muscle analysis, poses", len(poses), quiet=quiet) as advance,
@@ -154,15 +154,16 @@ def touching_muscles(
     """
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     path = check_is_file(model_file)
-    _check_poses(path, coordinates, poses)
-    spans = _check_question(path, muscles, coordinates, poses)
+    check_poses(path, coordinates, poses)
+    spans = check_question(path, muscles, coordinates, poses)
     found = PathEngine(path, coordinates, spans).touching(poses)
     return tuple(name for number, name in enumerate(muscles) if number in found)
 
 
-def _check_poses(
+def check_poses(
     path: Path, coordinates: tuple[str, ...], poses: Float[np.ndarray, "pose coordinate"]
 ) -> None:
+    """Refuse poses that are not finite or do not fit the coordinates."""
     if poses.shape[1:] != (len(coordinates),):
         raise ValueError(f"poses of shape {poses.shape} do not fit {len(coordinates)} coordinates")
     bad = np.argwhere(~np.isfinite(poses))
@@ -173,7 +174,7 @@ def _check_poses(
         )
 
 
-def _check_question(
+def check_question(
     path: Path,
     muscles: tuple[str, ...],
     coordinates: tuple[str, ...],

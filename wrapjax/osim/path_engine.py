@@ -81,6 +81,19 @@ class PathEngine:
                         arm_rows[index, muscle] = -self._muscles[muscle].getLengtheningSpeed(self._state)
         return length, moment_arm
 
+    def analyse_placed(
+        self, placements: Sequence[Mapping[str, WrapParameters]], poses: Float[np.ndarray, "pose coordinate"]
+    ) -> tuple[
+        Float[np.ndarray, "placement pose muscle"], Float[np.ndarray, "placement pose coordinate muscle"]
+    ]:
+        """Do the same with cylinders moved, once for each placement (see `place`)."""
+        found = []
+        for wraps in placements:
+            self.place(wraps)
+            found.append(self.analyse(poses))
+        length, moment_arm = zip(*found, strict=True)
+        return np.stack(length), np.stack(moment_arm)
+
     def place(self, wraps: Mapping[str, WrapParameters]) -> None:
         """Move, turn and scale cylinders, each from where the model's file has it.
 

@@ -7,17 +7,19 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.osim.cylinders import WrapParameters
 from wrapjax.osim.path_engine import PathEngine
 
 #: Starting workers, each of which imports OpenSim and loads the model, costs a few seconds.
@@ -26,8 +28,20 @@ POOL_PAYS_AFTER_S = 6.0
 MOST_WORKERS = 8
 
 Poses = Float[np.ndarray, "pose coordinate"]
-Lengths = Float[np.ndarray, "pose muscle"]
-MomentArms = Float[np.ndarray, "pose coordinate muscle"]
+#: With an axis ``placement`` in front where cylinders are placed.
+Lengths = Float[np.ndarray, "*placement pose muscle"]
+MomentArms = Float[np.ndarray, "*placement pose coordinate muscle"]
+
+
+class Placed(NamedTuple):
+    """Poses to analyse once for each placement of cylinders."""
+
+    placements: tuple[Mapping[str, WrapParameters], ...]
+    poses: Poses
+
+
+#: What is analysed at a time.
+Chunk = Poses | Placed
 
 _engine: PathEngine | None = None
 
@@ -36,7 +50,7 @@ def analyse_chunks(
     model_file: Path | str,
     coordinates: Sequence[str],
     spans: dict[str, tuple[str, ...]],
-    chunks: dict[int, Poses],
+    chunks: Mapping[int, Chunk],
     processes: int | None,
 ) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
     """Yield key, lengths (m) and moment arms (m) of each chunk, in order.
@@ -48,7 +62,7 @@ def analyse_chunks(
     model_file, coordinates, spans
         As `PathEngine` takes them.
     chunks
-        Poses (rad or m) by any key.
+        Poses (rad or m), with cylinders placed or not, by any key.
     processes
         Number of workers; 1 for none. None: start here, and call workers if much is left to do.
     """
@@ -58,7 +72,7 @@ def analyse_chunks(
         while waiting:
             started = time.monotonic()
             key = waiting.pop(0)
-            yield key, *engine.analyse(chunks[key])
+            yield key, *_answer(engine, chunks[key])
             if processes is None:
                 left = (time.monotonic() - started) * len(waiting)
                 processes = min(_cores(), MOST_WORKERS) if left > POOL_PAYS_AFTER_S else 1
@@ -73,7 +87,7 @@ def analyse_chunks(
 
 
 def _analyse_in_workers(
-    engine_arguments: tuple, chunks: dict[int, Poses], processes: int
+    engine_arguments: tuple, chunks: dict[int, Chunk], processes: int
 ) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
     # Not by fork: JAX has threads running, and a fork of those may hang.
     pool = ProcessPoolExecutor(
@@ -142,9 +156,15 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _analyse_in_worker(poses: Poses) -> tuple[Lengths, MomentArms]:
+def _analyse_in_worker(chunk: Chunk) -> tuple[Lengths, MomentArms]:
     assert _engine is not None, "the pool starts every worker by _start_worker"
-    return _engine.analyse(poses)
+    return _answer(_engine, chunk)
+
+
+def _answer(engine: PathEngine, chunk: Chunk) -> tuple[Lengths, MomentArms]:
+    if isinstance(chunk, Placed):
+        return engine.analyse_placed(*chunk)
+    return engine.analyse(chunk)
 
 
 def _cores() -> int:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Bool
 
 from wrapjax.calibrate import CalibrationResult
+from wrapjax.model import MuscleState
 
 #: Limits on fiber length, in the order of `wrapjax.calibrate.FIBER_LENGTH_RANGE`.
 FIBER_LIMITS = ("shortest_fiber", "longest_fiber")
@@ -31,7 +34,8 @@ def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
     dict
         By limit: ``pushing`` (how many values of the calibration cycles do), their ``muscles``,
         ``largest_multiplier`` (how much the cost would fall for one unit of room) and ``largest_excess``
-        in the limit's unit (normalised fiber length, or cm of moment arm), 0 where it is kept.
+        in the limit's unit (normalised fiber length, cm of moment arm or clearance, the feasibility's
+        score), 0 where it is kept.
     """
     muscles, excess = pushing_muscles(result), largest_excess(result)
     return {
@@ -48,9 +52,18 @@ def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 def largest_excess(result: CalibrationResult) -> dict[str, float]:
     """Give by how much each limit is exceeded at most on the calibration cycles, in its unit."""
     kept = np.array([use == "calibration" for use in result.uses])
-    states = jax.tree.map(lambda leaf: leaf[:, kept], result.states)
+    states = _of_trials(result.states, kept)
     found = {}
     for limit in result.solution.problem.limits:
         excess = np.asarray(limit.excess(limit.values(result.parameters, states)))
         found[limit.name] = float(np.maximum(excess, 0.0).max())
     return found
+
+
+def _of_trials(states: MuscleState, kept: Bool[np.ndarray, " trial"]) -> MuscleState:
+    """Pick trials; how feasible cylinders are does not depend on them."""
+    infeasibility = states.path.infeasibility
+    picked = jax.tree.map(
+        lambda leaf: leaf[:, kept], replace(states, path=replace(states.path, infeasibility=None))
+    )
+    return replace(picked, path=replace(picked.path, infeasibility=infeasibility))

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 #: Reads what decides muscle paths from a model's file: `wrapjax.osim.describe_model`.
 DescribeModel = Callable[[Path], "ModelDescription"]
 
+#: Writes a subject's model with what a calibration found, to a file: `wrapjax.api.personalised.write_model`.
+WriteModel = Callable[[Subject, CalibrationResult, Path], None]
+
+#: Of a leg whose cylinders were moved: opens in OpenSim.
+PERSONALISED_MODEL = "model_personalized.osim"
+
 #: In the folder of a leg, that of the leg that was calibrated with it.
 OTHER_LEG = "other_leg"
 
@@ -32,6 +38,7 @@ def write_run(
     *,
     force: bool = False,
     describe_model: DescribeModel | None = None,
+    write_model: WriteModel | None = None,
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -46,6 +53,8 @@ def write_run(
         Replace a folder that exists.
     describe_model
         What moved cylinders are shown by; without it they are not.
+    write_model
+        What writes the model with moved cylinders; without it none is written.
 
     Raises
     ------
@@ -55,6 +64,8 @@ def write_run(
     with new_folder(folder, force=force) as run:
         for place, (subject, result) in zip((run, run / OTHER_LEG), legs, strict=False):
             _write_leg(subject, result, place, describe_model)
+            if write_model is not None and result.freedom.wraps is not None:
+                write_model(subject, result, place / PERSONALISED_MODEL)
 
 
 def _write_leg(

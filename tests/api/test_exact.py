@@ -1,0 +1,111 @@
+"""PGA through the exact engine: cylinders found, kept in their boxes, and written as OpenSim has them."""
+
+import numpy as np
+import pytest
+
+from tests.subject.synthetic import write_subject, write_wrapped_subject
+from wrapjax.api import calibrate, exact_geometry, load_subject
+from wrapjax.cli import main
+from wrapjax.errors import InputError
+from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
+from wrapjax.geometry.surfaces import NOMINAL
+from wrapjax.osim import analyse_muscles, describe_model
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_wrapped_subject(tmp_path_factory.mktemp("wrapped") / "synthetic")
+
+
+@pytest.fixture(scope="module")
+def subject(folder):
+    """Two muscles, one of them over a cylinder behind the knee."""
+    return load_subject(folder)
+
+
+@pytest.fixture(scope="module")
+def geometry(subject):
+    return exact_geometry(subject)
+
+
+@pytest.fixture(scope="module")
+def run(folder, tmp_path_factory):
+    """The folder that the command wrote."""
+    out = tmp_path_factory.mktemp("runs") / "PGA"
+    arguments = ["calibrate", str(folder), "--method", "PGA", "--geometry", "engine", "--starts", "1"]
+    assert main([*arguments, "--out", str(out), "--quiet"]) == 0
+    return out
+
+
+def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
+    assert geometry.touching == ("semiten_l",)
+    wraps = geometry.freedom("PGA", subject).wraps
+    (name,) = wraps.names
+    assert wraps.places.tolist() == [[-1], [0]]
+    assert geometry.translations[name] in (0.01, 0.0075, 0.005)
+    np.testing.assert_allclose(wraps.upper[0, 3:], [np.radians(20), np.radians(20), 0.2])
+    assert geometry.freedom("NGA", subject).wraps is None
+
+
+def test_command_calibrates_cylinders(run):
+    rows = [line.split(",") for line in (run / "parameters.csv").read_text().splitlines()]
+    wraps = {row[2]: [float(value) for value in (row[3], row[5], row[6])] for row in rows if row[1] == "wrap"}
+    assert list(wraps) == [
+        *("translation_x_m", "translation_y_m", "translation_z_m"),
+        *("rotation_x_rad", "rotation_y_rad", "radius_factor"),
+    ]
+    assert all(lower <= value <= upper for value, lower, upper in wraps.values())
+    nominal = dict(zip(wraps, NOMINAL, strict=True))
+    assert any(abs(value - nominal[name]) > 1e-3 for name, (value, _, _) in wraps.items())
+
+
+def test_personalised_model_has_the_paths_of_the_calibration(subject, geometry, run):
+    """Lengths and moment arms of OpenSim over the recorded cycles."""
+    coordinates = geometry.engine.coordinates
+    columns = [subject.trials.coordinates.index(name) for name in coordinates]
+    poses = np.moveaxis(subject.trials.angles[:, columns], 1, -1).reshape(-1, len(coordinates))
+    written = analyse_muscles(run / "model_personalized.osim", ("semiten_l",), coordinates, poses)
+    rows = [line.split(",") for line in (run / "parameters.csv").read_text().splitlines()]
+    found = np.array([[[float(row[3]) for row in rows if row[1] == "wrap"]]])
+    engine = ExactPaths(describe_model(subject.model_file), ("semiten_l",), coordinates)
+    posed = engine.posed(poses)["semiten_l"]
+    parity, shortest = wrap_at_samples(posed, found, PARITY), wrap_at_samples(posed, found)
+    assert shortest.touching.any()
+    np.testing.assert_allclose(written.length[:, 0], parity.length[0], atol=1e-6)
+    np.testing.assert_allclose(written.moment_arm[:, :, 0], parity.moment_arm[0], atol=1e-6)
+    assert np.sqrt(np.mean((written.length[:, 0] - shortest.length[0]) ** 2)) < 0.5e-3
+    assert np.sqrt(np.mean((written.moment_arm[:, :, 0] - shortest.moment_arm[0]) ** 2)) < 1e-3
+    # And it is another model: with the nominal cylinder lengths are not these.
+    nominal = analyse_muscles(subject.model_file, ("semiten_l",), coordinates, poses)
+    assert np.abs(nominal.length - written.length).max() > 1e-4
+
+
+def test_same_paths_as_polynomials_give_the_same_calibration(subject, geometry):
+    """NGA through either source ends alike: polynomials are fitted to the same paths."""
+    exact = calibrate(subject, "NGA", geometry, starts=1)
+    fitted = calibrate(subject, "NGA", starts=1)
+    error = np.abs(exact.result.modelled - fitted.result.modelled).mean()
+    assert error < 0.05 * np.abs(exact.result.modelled).mean()
+
+
+def test_methods_of_polynomials_are_refused(subject, geometry):
+    with pytest.raises(InputError, match="SGA changes polynomials, and the exact engine has none"):
+        calibrate(subject, "SGA", geometry)
+
+
+def test_nothing_to_wrap_round_is_said(tmp_path):
+    plain = load_subject(write_subject(tmp_path / "plain"))
+    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+        exact_geometry(plain).freedom("PGA", plain)
+
+
+def test_unknown_geometry_is_refused(subject):
+    with pytest.raises(ValueError, match="expected one of engine, engine-parity"):
+        exact_geometry(subject, "surrogate")
+
+
+def test_a_fit_is_not_for_the_engine(folder, tmp_path, capsys):
+    arguments = ["calibrate", str(folder), "--method", "PGA", "--geometry", "engine"]
+    assert main([*arguments, "--fit", str(tmp_path), "--out", str(tmp_path / "run")]) == 2
+    assert "the exact engine needs no fit" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,117 @@
+"""Defends: each criterion catches what it is there for, and nothing else."""
+
+from dataclasses import fields
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from wrapjax.geometry.physiological import PhysiologicalThresholds, measure_paths
+from wrapjax.geometry.wrapping import Margins, WrappedPath
+
+POSES, CYCLE = 60, slice(20, None)
+WAVE = np.sin(2.0 * np.pi * np.arange(POSES) / 40.0)
+
+
+def paths(samples, change=None):
+    """A nominal path that moves, lies on its cylinder, and is inside it in pose 3; and copies of it.
+
+    The second copy is changed.
+    """
+    parts = {
+        "length": np.tile(0.3 + 0.02 * WAVE, (samples, 1)),
+        "moment_arm": np.tile((0.04 + 0.004 * WAVE)[:, None], (samples, 1, 2)),
+        "touching": np.ones((samples, POSES, 1), dtype=bool),
+        "inside": np.full((samples, POSES), 0.01),
+        "off_end": np.full((samples, POSES), 0.02),
+        "long_wrap": np.full((samples, POSES), 1.0),
+    }
+    parts["inside"][:, 3] = -0.001
+    if change is not None:
+        change(**{name: part[1] for name, part in parts.items()})
+    parts = {name: jnp.asarray(part) for name, part in parts.items()}
+    margins = Margins(*(parts.pop(name) for name in ("inside", "off_end", "long_wrap")))
+    return WrappedPath(margins=margins, **parts)
+
+
+def longer_everywhere(length, **_):
+    length += 0.03
+
+
+def another_moment_arm(moment_arm, **_):
+    moment_arm[:, 1] -= 0.0195
+    moment_arm[5, 1] -= 0.001
+
+
+def moves_much_more(moment_arm, **_):
+    # The change is smooth, and nowhere as large as a deviation may be.
+    moment_arm[:, 0] += 0.015 * WAVE
+
+
+def steps_along_the_cycle(length, **_):
+    length[40:] += 0.0015
+
+
+def steps_from_the_last_frame_to_the_first(length, **_):
+    length[CYCLE] += np.linspace(0.0, 0.0015, 40)
+
+
+def kinks(moment_arm, **_):
+    moment_arm[30:50, 1] += 0.004
+
+
+def comes_to_lie_inside(inside, **_):
+    inside[7] = -1e-6
+
+
+def gets_off_the_end(off_end, **_):
+    off_end[7] = -1e-6
+
+
+def goes_round_the_long_way(long_wrap, **_):
+    long_wrap[7] = -1e-6
+
+
+def never_touches(touching, **_):
+    touching[:] = False
+
+
+FAULTS = {
+    longer_everywhere: {"length_deviation"},
+    another_moment_arm: {"moment_arm_deviation"},
+    moves_much_more: {"variability"},
+    steps_along_the_cycle: {"length_step"},
+    steps_from_the_last_frame_to_the_first: {"length_step"},
+    kinks: {"moment_arm_step"},
+    comes_to_lie_inside: {"jumps"},
+    gets_off_the_end: {"jumps"},
+    goes_round_the_long_way: {"jumps"},
+    never_touches: {"never_touches"},
+}
+
+
+@pytest.mark.parametrize("change", FAULTS, ids=lambda change: change.__name__)
+def test_each_criterion_catches_its_fault(change):
+    """One of three samples has it. The nominal path itself is inside in one pose, which is no fault."""
+    measures = measure_paths(paths(3, change), paths(1), CYCLE)
+    caught = {name for name, failed in measures.faults().items() if failed[1]}
+    assert caught == FAULTS[change]
+    np.testing.assert_array_equal(measures.physiological(), [True, False, True])
+
+
+def test_poses_in_no_order_have_no_steps():
+    found = paths(3, steps_along_the_cycle)
+    assert measure_paths(found, paths(1), slice(0, 0)).physiological().all()
+
+
+def changed_a_little(length, moment_arm, **_):
+    length *= 1.001
+    moment_arm *= 1.001
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(PhysiologicalThresholds)])
+def test_thresholds_are_settings(name):
+    measures = measure_paths(paths(3, changed_a_little), paths(1), CYCLE)
+    assert measures.physiological().all()
+    strict = PhysiologicalThresholds(**{name: 1.0 if name == "variability" else 0.0})
+    np.testing.assert_array_equal(measures.physiological(strict), [True, False, True])

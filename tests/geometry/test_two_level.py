@@ -1,0 +1,114 @@
+"""Defends: coefficients follow cylinders as they were seen to, and every slope is that of the paths."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from wrapjax.geometry import Feasibility, InnerLevel, PathState, fit_inner_level, two_level_paths
+from wrapjax.geometry.polynomial import monomial_exponents
+from wrapjax.geometry.surfaces import NOMINAL
+
+HALF_RANGE = np.array([[0.01, 0.01, 0.01, 0.35, 0.35, 0.2], [0.005, 0.005, 0.005, 0.35, 0.35, 0.2]])
+TERMS = 4
+
+
+def cubic(changes, weights):
+    """All monomials of degree 1 to 3 of each cylinder's scaled changes, written out."""
+    total = 0.0
+    for place, half in enumerate(HALF_RANGE):
+        scaled = changes[place] / half
+        for row, powers in enumerate(monomial_exponents(6, 3)[1:]):
+            total = total + weights[place, row] * np.prod(scaled**powers)
+    return total
+
+
+def test_fit_finds_the_cubics_that_made_the_samples():
+    generator = np.random.default_rng(1)
+    weights = generator.normal(size=(2, 83, TERMS))
+    changes = generator.uniform(-1.0, 1.0, size=(400, 2, 6)) * HALF_RANGE
+    coefficients = np.array([cubic(one, weights) for one in changes])
+    coefficients[::10] = 1.0  # not physiological, and not to count
+    used = np.arange(400) % 10 > 0
+    np.testing.assert_allclose(fit_inner_level(changes, HALF_RANGE, coefficients, used), weights, atol=1e-9)
+
+
+def test_nominal_cylinders_give_the_nominal_coefficients_exactly():
+    weights = jnp.asarray(np.random.default_rng(2).normal(size=(3, 2, 83, TERMS)))
+    level = InnerLevel(weights, jnp.asarray(np.tile(HALF_RANGE, (3, 1, 1))))
+    assert (level(jnp.zeros((3, 12))) == 0.0).all()
+
+
+def limit(seed):
+    generator = np.random.default_rng(seed)
+    count = 3 + seed
+    return Feasibility(
+        support=jnp.asarray(generator.uniform(-1.0, 1.0, (count, 6))),
+        weights=jnp.asarray(generator.normal(size=count)),
+        offset=jnp.asarray(-0.3),
+        gamma=jnp.asarray(0.5),
+        center=jnp.asarray(NOMINAL),
+        half_range=jnp.asarray(HALF_RANGE[0]),
+        slope=jnp.asarray(-1.0),
+        intercept=jnp.asarray(0.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def paths():
+    """Four muscles, of which the second and the last follow two cylinders each."""
+    generator = np.random.default_rng(3)
+
+    def state(*lead):
+        shapes = ((2, 5), (2, 5), (2, 3, 5))
+        return PathState(*(jnp.asarray(generator.normal(size=(*lead, *shape))) for shape in shapes))
+
+    inner = InnerLevel(
+        jnp.asarray(0.1 * generator.normal(size=(2, 2, 83, TERMS))),
+        jnp.asarray(np.tile(HALF_RANGE, (2, 1, 1))),
+    )
+    limits = [(1, 0, limit(1)), (1, 1, limit(2)), (3, 1, limit(3))]
+    return two_level_paths(state(4), [1, 3], inner, state(2, TERMS), limits)
+
+
+@pytest.fixture(scope="module")
+def changes():
+    return jnp.asarray(np.random.default_rng(4).uniform(-0.7, 0.7, (4, 12)) * HALF_RANGE.ravel())
+
+
+def test_held_muscles_stay(paths, changes):
+    moved = paths.at(changes)
+    held = np.array([0, 2])
+    for name in ("length", "velocity", "moment_arm"):
+        now, before = getattr(moved, name), getattr(paths.nominal, name)
+        np.testing.assert_array_equal(now[held], before[held])
+        assert (np.abs(now - before)[np.array([1, 3])] > 0.0).all()
+
+
+def test_each_limit_reads_its_own_cylinder(paths, changes):
+    excess = paths.at(changes).infeasibility
+    for muscle, place, feasibility in ((1, 0, limit(1)), (1, 1, limit(2)), (3, 1, limit(3))):
+        own = changes[muscle].reshape(2, 6)[place] + NOMINAL
+        np.testing.assert_allclose(excess[muscle, place], feasibility.excess(own), rtol=1e-13)
+    assert (excess[np.array([0, 0, 2, 2, 3]), np.array([0, 1, 0, 1, 0])] < 0.0).all()
+
+
+def test_slopes_and_curvature_are_those_of_the_paths(paths, changes):
+    """Against differentiating everything by everything: no muscle follows another's cylinders."""
+    dense = jax.jacfwd(paths.at)(changes)
+    found, slopes = paths.linearized(changes)
+    weights = jax.tree.map(lambda leaf: jnp.cos(jnp.arange(leaf.size)).reshape(leaf.shape), found)
+
+    def total(changes):
+        products = jax.tree.map(lambda one, weight: jnp.sum(one * weight), paths.at(changes), weights)
+        return jax.tree.reduce(jnp.add, products)
+
+    hessian, curvature = jax.hessian(total)(changes), paths.curvature(changes, weights)
+    for muscle in range(4):
+        for other in range(4):
+            for own, all_of_them in zip(jax.tree.leaves(slopes), jax.tree.leaves(dense), strict=True):
+                by_other = np.moveaxis(np.asarray(all_of_them[muscle, ..., other, :]), -1, 0)
+                expected = own[muscle] if other == muscle else np.zeros(by_other.shape)
+                np.testing.assert_allclose(by_other, expected, atol=1e-9)
+            expected = curvature[muscle] if other == muscle else np.zeros((12, 12))
+            np.testing.assert_allclose(hessian[muscle, :, other], expected, rtol=1e-8, atol=1e-6)

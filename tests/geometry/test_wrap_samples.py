@@ -1,0 +1,57 @@
+"""Defends: samples fill the boxes, validation sees others, and verdicts can be told apart."""
+
+import numpy as np
+import pytest
+
+from wrapjax.geometry.surfaces import NOMINAL
+from wrapjax.geometry.wrap_boxes import box
+from wrapjax.geometry.wrap_samples import plan_samples
+
+WRAPS = {
+    "psoas": ("brim",),
+    "gaslat": ("lateral_shank", "condyles"),
+    "gasmed": ("medial_shank", "condyles"),
+    "vasti": ("femur",),
+}
+TRANSLATIONS = {"brim": 0.004, "condyles": 0.01, "femur": 0.01, "lateral_shank": 0.01, "medial_shank": 0.002}
+
+
+@pytest.fixture(scope="module")
+def plans():
+    return plan_samples(WRAPS, TRANSLATIONS, seed=3)
+
+
+def test_samples_fill_their_boxes(plans):
+    for plan, count in zip(plans, (1000, 250), strict=True):
+        for wrap, samples in plan.together.moved.items():
+            lower, upper = box(TRANSLATIONS[wrap])
+            scaled = (samples - lower) / (upper - lower)
+            assert scaled.shape == (count, 6) and (scaled > -1e-12).all() and (scaled < 1.0 + 1e-12).all()
+            # Evenly: every tenth of every axis has about a tenth of the samples.
+            shares = [np.histogram(column, 10, (0.0, 1.0))[0] / count for column in scaled.T]
+            assert np.abs(np.array(shares) - 0.1).max() < 0.02
+
+
+def test_validation_sees_other_samples(plans):
+    training, validation = (plan.together.moved["brim"] for plan in plans)
+    nearest = np.abs(validation[:, None] - training[None]).max(axis=2).min(axis=1)
+    assert nearest.min() > 1e-5
+
+
+def test_cylinders_of_one_muscle_do_not_move_in_step(plans):
+    parameters = plans[0].together.parameters(WRAPS["gaslat"])
+    together = np.corrcoef(parameters.reshape(1000, 12).T)
+    assert np.abs(together - np.eye(12)).max() < 0.12
+
+
+def test_alone_means_alone(plans):
+    """For the cylinders of muscles with several; the same samples, so that muscles that share agree."""
+    for plan in plans:
+        for muscle in ("gaslat", "gasmed"):
+            for place, wrap in enumerate(WRAPS[muscle]):
+                samples = plan.set_for(muscle, wrap, WRAPS[muscle])
+                parameters = samples.parameters(WRAPS[muscle])
+                np.testing.assert_array_equal(parameters[:, place], plan.together.moved[wrap])
+                assert (parameters[:, 1 - place] == NOMINAL).all()
+        assert len(plan.alone) == 2
+        assert plan.set_for("psoas", "brim", WRAPS["psoas"]) is plan.together

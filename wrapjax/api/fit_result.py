@@ -1,0 +1,227 @@
+"""What ``fit`` gives: a subject's muscle paths as polynomials, in memory and on disk."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.api.assembly import model_parameters
+from wrapjax.api.polynomial_paths import polynomial_freedom, polynomial_paths, wrapped_polynomial_paths
+from wrapjax.api.wrap_fit import WrapFit, wrap_fit_from
+from wrapjax.errors import InputError, Problem
+from wrapjax.files import content_hash, new_folder, write_json, write_whole
+from wrapjax.geometry import AbstractPath, PathSurrogate
+from wrapjax.model import Freedom, nga, with_wraps
+from wrapjax.subject import Subject, Trials
+
+
+@dataclass(frozen=True)
+class PathError:
+    """Errors of one muscle's path on poses never used in fitting, pooled over coordinates.
+
+    Once its cylinders have been sampled: on samples never used either, those that are physiological.
+    """
+
+    wrapped: bool
+    length_rmse_mm: float
+    length_max_mm: float
+    moment_arm_rmse_mm: float
+    moment_arm_max_mm: float
+    terms: int
+
+    @classmethod
+    def of(
+        cls,
+        length: Float[np.ndarray, "..."],
+        moment_arm: Float[np.ndarray, "..."],
+        *,
+        wrapped: bool,
+        terms: int,
+    ) -> PathError:
+        """Pool errors in m; none at all count as zero."""
+        return cls(
+            wrapped=wrapped,
+            length_rmse_mm=1e3 * _root_mean_square(length),
+            length_max_mm=1e3 * float(np.abs(length).max(initial=0.0)),
+            moment_arm_rmse_mm=1e3 * _root_mean_square(moment_arm),
+            moment_arm_max_mm=1e3 * float(np.abs(moment_arm).max(initial=0.0)),
+            terms=terms,
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A subject's muscle paths as polynomials, with their errors.
+
+    Parameters
+    ----------
+    key
+        Hash of what the fit was made from; a fit serves only the subject it was made for.
+    surrogate
+        The polynomials.
+    errors
+        By muscle.
+    touching
+        The muscles that lie on a wrapping surface in at least one recorded frame.
+    seconds
+        What took how long.
+    geometry, seed
+        What it was made with.
+    wraps
+        How the paths follow their cylinders, which PGA needs; None until `wrapjax.fit_wraps` has sampled
+        them.
+    """
+
+    key: str
+    surrogate: PathSurrogate
+    errors: dict[str, PathError]
+    touching: tuple[str, ...]
+    seconds: dict[str, float]
+    geometry: str
+    seed: int
+    wraps: WrapFit | None = None
+
+    def freedom(self, method: str, subject: Subject) -> Freedom:
+        """Say what a method frees: nothing of the paths (NGA), their coefficients (SGA, LSGA) or cylinders.
+
+        Raises
+        ------
+        InputError
+            Where there is nothing to free; for PGA also where cylinders have not been sampled.
+        """
+        if method != "PGA":
+            return polynomial_freedom(method, subject, self.surrogate, self.touching)
+        if self.wraps is None:
+            raise InputError(
+                Problem(
+                    str(subject.folder),
+                    "PGA moves cylinders, and this fit has not sampled them",
+                    hint="make it with 'wrapjax fit', or use --geometry engine",
+                )
+            )
+        freed = self.wraps.freed(subject.muscles.names)
+        if not freed.names:
+            raise InputError(
+                Problem(
+                    str(subject.model_file),
+                    "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+                    hint="use NGA or SGA",
+                )
+            )
+        return with_wraps(nga(model_parameters(subject)), method, freed)
+
+    def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
+        """Evaluate the paths over cycles, with all that the freedom may change."""
+        if freedom.wraps is None or self.wraps is None:
+            return polynomial_paths(subject, trials, self.surrogate, freedom)
+        return wrapped_polynomial_paths(subject, trials, self.surrogate, self.wraps, freedom.wraps)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``fit.json`` and ``fit.npz`` into a new folder."""
+        with new_folder(Path(folder), force=force) as temporary:
+            self._write(temporary)
+
+    def _write(self, folder: Path) -> None:
+        names = {"muscles": self.surrogate.muscles, "coordinates": self.surrogate.coordinates}
+        arrays = _arrays(self.surrogate) | {name: np.array(value) for name, value in names.items()}
+        if self.wraps is not None:
+            arrays |= self.wraps.arrays()
+
+        def write(path: Path) -> None:
+            np.savez(path, allow_pickle=False, **arrays)
+
+        write_whole(folder / "fit.npz", write)
+        content = {
+            "schema": 1,
+            "key": self.key,
+            "seconds": self.seconds,
+            "muscles": {name: vars(error) for name, error in self.errors.items()},
+            "touching": list(self.touching),
+            "geometry": self.geometry,
+            "seed": self.seed,
+            "wraps": {} if self.wraps is None else self.wraps.content(),
+            "wraps_of": None if self.wraps is None else self.wraps.wraps_of,
+        }
+        write_json(folder / "fit.json", content)
+
+
+def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:
+    """Read a fit that `Fit.save` wrote.
+
+    Parameters
+    ----------
+    folder
+        Where it is.
+    subject
+        If given, a fit that does not cover its muscles and coordinates, or is of another model, is refused.
+    """
+    found = read_fit(Path(folder))
+    if subject is not None:
+        own = subject.muscles.names
+        missing = [name for name in own if name not in found.surrogate.muscles]
+        if missing or found.key.split("-")[0] != content_hash(subject.model_file):
+            reason = f"it lacks muscle '{missing[0]}'" if missing else "it was made from another model file"
+            raise InputError(
+                Problem(
+                    str(folder),
+                    f"is no fit of subject '{subject.name}': {reason}",
+                    hint="make it anew with 'wrapjax fit'",
+                )
+            )
+    return found
+
+
+def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def _arrays(surrogate: PathSurrogate) -> dict[str, np.ndarray]:
+    return {name: np.asarray(value) for name, value in vars(surrogate).items() if eqx.is_array(value)}
+
+
+def read_fit(folder: Path) -> Fit:
+    """Read a fit, whoever's it is."""
+    json_file, array_file = folder / "fit.json", folder / "fit.npz"
+    for file in (json_file, array_file):
+        if not file.is_file():
+            raise InputError(Problem(str(folder), f"is no FIT folder: {file.name} is missing"))
+    try:
+        content = json.loads(json_file.read_text(encoding="utf-8"))
+        with array_file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            arrays = dict(stored)
+        muscles, coordinates = (tuple(arrays.pop(key).tolist()) for key in ("muscles", "coordinates"))
+        # Arrays of cylinders have a dot in their names.
+        outer = {name: jnp.asarray(value) for name, value in arrays.items() if "." not in name}
+        wraps = None
+        if content["wraps_of"] is not None:
+            wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"])
+        return Fit(
+            key=content["key"],
+            surrogate=PathSurrogate(muscles, coordinates, **outer),
+            errors={name: PathError(**entry) for name, entry in content["muscles"].items()},
+            touching=tuple(content["touching"]),
+            seconds=content["seconds"],
+            geometry=content["geometry"],
+            seed=content["seed"],
+            wraps=wraps,
+        )
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        EOFError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InputError(
+            Problem(str(folder), f"is damaged ({error})", hint="make it anew with 'wrapjax fit'")
+        ) from error

@@ -1,0 +1,147 @@
+"""Muscle lengths and moment arms by OpenSim with wrap cylinders moved, at many placements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.files import cache_folder, content_hash, write_whole
+from wrapjax.osim.cylinders import WrapParameters
+from wrapjax.osim.loading import check_is_file
+from wrapjax.osim.muscle_analysis import check_poses, check_question
+from wrapjax.osim.workers import Placed, analyse_chunks
+from wrapjax.progress import progress_bar
+
+#: Placements analysed, and kept, at a time: some seconds of work for 20 muscles in 500 poses.
+CHUNK = 8
+# Part of every cache key: raise it when the same question would get another answer.
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class PlacedAnalysis:
+    """Lengths and moment arms of muscles at placements and poses, on disk.
+
+    Parameters
+    ----------
+    coordinates
+        Names.
+    spans
+        The muscles, and the coordinates that each one's length depends on.
+    files
+        One each `CHUNK` placements: an array ``placement pose column``, with a column for the length of
+        each muscle and one for each of its moment arms.
+    """
+
+    coordinates: tuple[str, ...]
+    spans: dict[str, tuple[str, ...]]
+    files: tuple[Path, ...]
+
+    def of(
+        self, muscle: str
+    ) -> tuple[Float[np.ndarray, "placement pose"], Float[np.ndarray, "placement pose coordinate"]]:
+        """Read one muscle's lengths (m) and moment arms (m, zero where not spanned)."""
+        columns = [place for place, (name, _) in enumerate(_columns(self.spans)) if name == muscle]
+        # Only what is read of the files is ever in memory.
+        parts = [np.load(file, mmap_mode="r")[:, :, columns].astype(np.float64) for file in self.files]
+        values = np.concatenate(parts)
+        moment_arm = np.zeros((*values.shape[:2], len(self.coordinates)))
+        for place, name in enumerate(self.spans[muscle], start=1):
+            if name in self.coordinates:
+                moment_arm[:, :, self.coordinates.index(name)] = values[:, :, place]
+        return values[:, :, 0], moment_arm
+
+
+def analyse_placements(
+    model_file: Path | str,
+    muscles: Sequence[str],
+    coordinates: Sequence[str],
+    poses: Float[np.ndarray, "pose coordinate"],
+    placements: Sequence[Mapping[str, WrapParameters]],
+    *,
+    processes: int | None = None,
+    quiet: bool = False,
+) -> PlacedAnalysis:
+    """Compute muscle-tendon lengths and moment arms with OpenSim, for many placements of cylinders.
+
+    Parameters
+    ----------
+    model_file, muscles, coordinates, poses, processes, quiet
+        As `analyse_muscles` takes them, and with the same refusals.
+    placements
+        Each one wrap parameters by cylinder, as `PathEngine.place` takes them.
+
+    Returns
+    -------
+    PlacedAnalysis
+        Kept in the user's cache, some placements a file, in single precision: lengths are rounded by
+        30 nm at most. The same question is answered at once, and interrupted work goes on where it stopped.
+    """
+    muscles, coordinates = tuple(muscles), tuple(coordinates)
+    path = check_is_file(model_file)
+    check_poses(path, coordinates, poses)
+    spans = check_question(path, muscles, coordinates, poses)
+    question = content_hash(path, repr(muscles), repr(coordinates), poses, version("opensim"), _FORMAT)
+    starts = range(0, len(placements), CHUNK)
+    chunks = {start: Placed(tuple(placements[start : start + CHUNK]), poses) for start in starts}
+    folder = cache_folder("placed_analysis")
+    files = {
+        start: folder / f"{content_hash(question, *_parts(chunk.placements))}.npy"
+        for start, chunk in chunks.items()
+    }
+    missing = {start: chunk for start, chunk in chunks.items() if not files[start].exists()}
+    if missing:
+        done = len(placements) - sum(len(chunk.placements) for chunk in missing.values())
+        with (
+            progress_bar(
+                "OpenSim analysis, placements of cylinders", len(placements), quiet=quiet
+            ) as advance,
+            closing(analyse_chunks(path, coordinates, spans, missing, processes)) as results,
+        ):
+            for start, length, moment_arm in results:
+                _keep(files[start], _table(spans, coordinates, length, moment_arm))
+                done += len(chunks[start].placements)
+                advance(done)
+    return PlacedAnalysis(coordinates, spans, tuple(files.values()))
+
+
+def _columns(spans: Mapping[str, tuple[str, ...]]) -> list[tuple[str, str | None]]:
+    """What stands in each column: a muscle's length, then its moment arms by coordinate."""
+    return [(muscle, name) for muscle, span in spans.items() for name in (None, *span)]
+
+
+def _table(
+    spans: Mapping[str, tuple[str, ...]],
+    coordinates: tuple[str, ...],
+    length: Float[np.ndarray, "placement pose muscle"],
+    moment_arm: Float[np.ndarray, "placement pose coordinate muscle"],
+) -> Float[np.ndarray, "placement pose column"]:
+    muscles = list(spans)
+    table = np.zeros((*length.shape[:2], len(_columns(spans))), dtype=np.float32)
+    for place, (muscle, name) in enumerate(_columns(spans)):
+        row = muscles.index(muscle)
+        if name is None:
+            table[:, :, place] = length[:, :, row]
+        elif name in coordinates:
+            table[:, :, place] = moment_arm[:, :, coordinates.index(name), row]
+    return table
+
+
+def _keep(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
+    write_whole(file, lambda whole: np.save(whole, table, allow_pickle=False))
+
+
+def _parts(placements: Sequence[Mapping[str, WrapParameters]]) -> list[str | np.ndarray]:
+    """All that makes up some placements, for a hash."""
+    return [
+        part
+        for number, wraps in enumerate(placements)
+        for wrap, parameters in sorted(wraps.items())
+        for part in (f"{number} {wrap}", np.asarray(parameters, dtype=np.float64))
+    ]
