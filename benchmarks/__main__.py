@@ -11,13 +11,13 @@ from typing import Any
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
 from benchmarks.subjects import default_subject, set_up_jax
 
-GROUPS = ("kernels", "compile", "solve", "paths", "surrogate")
+GROUPS = ("kernels", "compile", "solve", "paths", "surrogate", "engine")
 
 
 def main() -> int:
     options = _parser().parse_args()
     # Before JAX and NumPy are loaded, which read it once.
-    pin_threads()
+    pin_threads(options.threads)
     set_up_jax()
     with default_subject(options.subject) as folder:
         metrics = _measure(folder, options)
@@ -57,13 +57,19 @@ def _parser() -> argparse.ArgumentParser:
         "--limit", type=float, default=120.0, metavar="SECONDS", help="for each peer's solve (default: 120)"
     )
     parser.add_argument("--quick", action="store_true", help="few repeats, 15 s for a peer, two muscles")
+    parser.add_argument(
+        "--full", action="store_true", help="do all 500,000 analyses of a muscle, rather than extrapolate"
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="of the numerical libraries (default: 1)"
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
     return parser
 
 
 def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
     import wrapjax
-    from benchmarks import calibration, surrogate
+    from benchmarks import calibration, engine, surrogate
     from benchmarks.case import nga_case
     from benchmarks.paths import path_methods
     from wrapjax.progress import say
@@ -72,13 +78,14 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
     limit = min(options.limit, 15.0) if options.quick else options.limit
     muscles = options.muscles or surrogate.default_muscles(subject)
     metrics = []
-    case = nga_case(subject) if set(options.only) - {"paths", "surrogate"} else None
+    case = nga_case(subject) if set(options.only) - {"paths", "surrogate", "engine"} else None
     runs = {
         "kernels": lambda: calibration.kernels(case, quick=options.quick),
         "compile": lambda: calibration.compilation(case),
         "solve": lambda: calibration.solves(case, quick=options.quick, limit=limit),
         "paths": lambda: path_methods(subject, wrapjax.fit(subject), quick=options.quick),
         "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
+        "engine": lambda: engine.engine_speed(subject, quick=options.quick, full=options.full),
     }
     for name in GROUPS:
         if name in options.only:

@@ -15,13 +15,13 @@ THREAD_VARIABLES = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 _PACKAGES = ("wrapjax", "jax", "jaxlib", "equinox", "numpy", "scipy", "opensim", "optimistix", "jaxopt")
 
 
-def pin_threads() -> None:
-    """Give every numerical library one thread: ours and the peers' alike.
+def pin_threads(count: int = 1) -> None:
+    """Give every numerical library so many threads: ours and the peers' alike.
 
     To be called before any of them is loaded.
     """
     for variable in THREAD_VARIABLES:
-        os.environ[variable] = "1"
+        os.environ[variable] = str(count)
 
 
 def describe_machine() -> dict[str, Any]:

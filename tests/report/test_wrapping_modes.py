@@ -1,0 +1,79 @@
+"""Both ways of wrapping side by side: each is what it says, and both are drawn to the same scale."""
+
+from dataclasses import replace
+
+import numpy as np
+import opensim
+import pytest
+
+from wrapjax.osim import analyse_muscles, describe_model
+from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
+from wrapjax.virtual import build_leg_model
+
+COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
+MUSCLE = "glmax3_l"
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory):
+    opensim.Logger.setLevelString("Off")
+    file = tmp_path_factory.mktemp("leg") / "model.osim"
+    build_leg_model(file, "l")
+    return file
+
+
+@pytest.fixture(scope="module")
+def poses():
+    phase = np.linspace(0.0, 2.0 * np.pi, 11)[:, None]
+    return np.array([0.3, 0.0, 0.0, 0.6, 0.0]) + np.array([0.5, 0.3, 0.4, 0.5, 0.3]) * np.sin(
+        phase + np.arange(5)
+    )
+
+
+@pytest.fixture(scope="module")
+def compared(model_file, poses):
+    return compare_wrapping_modes(describe_model(model_file), MUSCLE, COORDINATES, poses)
+
+
+def test_one_is_opensims(compared, model_file, poses):
+    found = analyse_muscles(model_file, (MUSCLE,), COORDINATES, poses, processes=1, quiet=True)
+    np.testing.assert_allclose(compared.opensim.length, found.length[:, 0], atol=1e-9)
+    assert compared.coordinates == COORDINATES[:3]
+    np.testing.assert_allclose(compared.opensim.moment_arm, found.moment_arm[:, :3, 0].T, atol=1e-8)
+
+
+def test_the_other_is_shortest_and_its_moment_arms_are_slopes(compared):
+    """OpenSim's path slants along this cylinder, is not the shortest, and its arms are no slopes."""
+    longer = compared.opensim.length - compared.shortest.length
+    assert longer.min() > -1e-9
+    assert longer.max() > 1e-7
+    assert compared.shortest.disagreement < 1e-7
+    assert compared.opensim.disagreement > 1e-5
+
+
+def test_parameters_move_the_cylinder_in_both(model_file, poses, compared):
+    thicker = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.1]])
+    moved = compare_wrapping_modes(describe_model(model_file), MUSCLE, COORDINATES, poses, thicker)
+    for before, after in ((compared.opensim, moved.opensim), (compared.shortest, moved.shortest)):
+        assert np.abs(after.length - before.length).max() > 1e-4
+
+
+def test_figure_has_every_curve_and_the_differences_below(compared):
+    fewer = replace(compared, muscle="other_l", coordinates=compared.coordinates[:2])
+    figure = wrapping_modes_figure([compared, fewer])
+    assert [
+        panel.get_title(loc="left") for panel in figure.axes if "length" in panel.get_title(loc="left")
+    ] == [
+        f"{MUSCLE}: length",
+        "other_l: length",
+    ]
+    assert len(figure.axes) == 8 + 6
+    (arm,) = [panel for panel in figure.axes[:4] if "hip_adduction_l" in panel.get_title(loc="left")]
+    below = figure.axes[4 + figure.axes.index(arm)]
+    drawn = [line.get_ydata() for line in arm.get_lines()]
+    differences = [line.get_ydata() for line in below.get_lines()]
+    reference = 1e3 * compared.shortest.moment_arm[1]
+    for curve, difference in zip(drawn, differences, strict=False):
+        np.testing.assert_allclose(difference, curve - reference, atol=1e-9)
+    np.testing.assert_allclose(drawn[0], 1e3 * compared.opensim.moment_arm[1])
+    np.testing.assert_allclose(drawn[1], 1e3 * compared.opensim.slope[1])
