@@ -89,7 +89,7 @@ class FreedWraps:
     names: tuple[str, ...]
     quantities: tuple[str, ...]
     units: tuple[str, ...]
-    places: Int[np.ndarray, "muscle wrap"]
+    places: Int[np.ndarray, "muscle place"]
     lower: Float[np.ndarray, "wrap wrap_parameter"]
     upper: Float[np.ndarray, "wrap wrap_parameter"]
     scale: Float[np.ndarray, "wrap wrap_parameter"]
