@@ -250,11 +250,16 @@ def _sources(
     if by_engine:
         say(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
         found |= dict.fromkeys(by_engine, exact_geometry(person))
+    fitted: dict[bool, Fit] = {}
     for method in methods:
         if method not in by_engine:
-            found[method] = source_for(method, person, seed=seed, processes=processes, quiet=quiet)
-    for leg in legs:
-        for method in methods:
+            knows_cylinders = method == "PGA"
+            if knows_cylinders not in fitted:
+                fitted[knows_cylinders] = source_for(
+                    method, person, seed=seed, processes=processes, quiet=quiet
+                )
+            found[method] = fitted[knows_cylinders]
+        for leg in legs:
             method_freedom(method, leg, found[method] if leg is person else source_for(method, leg))
     return found
 
