@@ -31,7 +31,7 @@ def paths(samples, change=None):
         change(**{name: part[1] for name, part in parts.items()})
     parts = {name: jnp.asarray(part) for name, part in parts.items()}
     margins = Margins(*(parts.pop(name) for name in ("inside", "off_end", "long_wrap")))
-    return WrappedPath(margins=margins, **parts)
+    return WrappedPath(margins=margins, clearances=jnp.zeros((samples, POSES, 0)), **parts)
 
 
 def longer_everywhere(length, **_):

@@ -10,14 +10,11 @@ from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
 from wrapjax.geometry.wrap_boxes import box
 from wrapjax.model import FreedWraps
 
-# Spread of the prior on wrap parameters, in half widths of their boxes: the box says what is possible, and
-# the prior only that of two equally good cylinders the nearer one is likelier.
-_PRIOR = 2.0
 _UNITS = ("m", "m", "m", "rad", "rad", "1")
 
 
 def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
-    """Free cylinders within their boxes.
+    """Free cylinders within their boxes; what is expected is nominal, within half a box's width.
 
     Parameters
     ----------
@@ -43,5 +40,5 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         lower=lower,
         upper=upper,
         scale=half,
-        prior_sd=_PRIOR * half,
+        prior_sd=half,
     )

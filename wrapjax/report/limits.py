@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -61,9 +60,5 @@ def largest_excess(result: CalibrationResult) -> dict[str, float]:
 
 
 def _of_trials(states: MuscleState, kept: Bool[np.ndarray, " trial"]) -> MuscleState:
-    """Pick trials; how feasible cylinders are does not depend on them."""
-    infeasibility = states.path.infeasibility
-    picked = jax.tree.map(
-        lambda leaf: leaf[:, kept], replace(states, path=replace(states.path, infeasibility=None))
-    )
-    return replace(picked, path=replace(picked.path, infeasibility=infeasibility))
+    """Pick trials; how feasible cylinders are, ``muscle wrap``, does not depend on them."""
+    return jax.tree.map(lambda leaf: leaf[:, kept] if leaf.ndim > 2 else leaf, states)
