@@ -20,7 +20,7 @@ from benchmarks.plain_opensim import plain_seconds
 from benchmarks.timing import median_seconds
 from wrapjax.geometry import random_poses
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
-from wrapjax.geometry.wrap_boxes import TRANSLATIONS, box, hammersley
+from wrapjax.geometry.wrap_boxes import NARROWER, box, hammersley
 from wrapjax.osim import describe_model
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.subject import Subject
@@ -109,7 +109,7 @@ def engine_speed(subject: Subject, *, quick: bool = False, full: bool = False) -
 
 def samples_in_the_box(count: int) -> Samples:
     """Spread samples of wrap parameters over the widest box that fitting tries."""
-    lower, upper = box(max(TRANSLATIONS))
+    lower, upper = box(max(NARROWER))
     return lower + (upper - lower) * hammersley(count)
 
 

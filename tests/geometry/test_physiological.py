@@ -21,7 +21,7 @@ def paths(samples, change=None):
     parts = {
         "length": np.tile(0.3 + 0.02 * WAVE, (samples, 1)),
         "moment_arm": np.tile((0.04 + 0.004 * WAVE)[:, None], (samples, 1, 2)),
-        "touching": np.ones((samples, POSES, 1), dtype=bool),
+        "on_surface": np.full((samples, POSES, 1), 0.02),
         "inside": np.full((samples, POSES), 0.01),
         "off_end": np.full((samples, POSES), 0.02),
         "long_wrap": np.full((samples, POSES), 1.0),
@@ -72,8 +72,8 @@ def goes_round_the_long_way(long_wrap, **_):
     long_wrap[7] = -1e-6
 
 
-def never_touches(touching, **_):
-    touching[:] = False
+def never_touches(on_surface, **_):
+    on_surface[:] = 0.0
 
 
 FAULTS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wrapjax.geometry import Feasibility, InnerLevel, PathState, fit_inner_level, two_level_paths
-from wrapjax.geometry.polynomial import monomial_exponents
+from wrapjax.geometry.polynomial import monomial_exponents, monomials
 from wrapjax.geometry.surfaces import NOMINAL
 
 HALF_RANGE = np.array([[0.01, 0.01, 0.01, 0.35, 0.35, 0.2], [0.005, 0.005, 0.005, 0.35, 0.35, 0.2]])
@@ -30,7 +30,28 @@ def test_fit_finds_the_cubics_that_made_the_samples():
     coefficients = np.array([cubic(one, weights) for one in changes])
     coefficients[::10] = 1.0  # not physiological, and not to count
     used = np.arange(400) % 10 > 0
-    np.testing.assert_allclose(fit_inner_level(changes, HALF_RANGE, coefficients, used), weights, atol=1e-9)
+    found = fit_inner_level(changes, HALF_RANGE, coefficients, used, np.eye(TERMS))
+    np.testing.assert_allclose(found, weights, atol=1e-9)
+
+
+def test_few_rough_samples_foretell_others_better_than_least_squares_would():
+    generator, half_range = np.random.default_rng(4), HALF_RANGE[:1]
+
+    def design(changes):
+        exponents = jnp.asarray(monomial_exponents(6, 3)[1:])
+        return np.asarray(monomials(exponents, jnp.asarray(changes[:, 0] / half_range)))
+
+    changes = generator.uniform(-1.0, 1.0, size=(510, 1, 6)) * half_range
+    # A kink, which no cubic follows.
+    kinked = np.maximum(design(changes) @ generator.normal(size=(83, TERMS)), 0.0)
+    seen, unseen = np.arange(510) < 110, np.arange(510) >= 110
+    found = fit_inner_level(changes, half_range, kinked, seen, np.eye(TERMS))[0]
+    least_squares = np.linalg.lstsq(design(changes[seen]), kinked[seen], rcond=None)[0]
+    missed, usual = (
+        np.sqrt(np.mean((design(changes[unseen]) @ own - kinked[unseen]) ** 2))
+        for own in (found, least_squares)
+    )
+    assert missed < 0.8 * usual
 
 
 def test_nominal_cylinders_give_the_nominal_coefficients_exactly():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from wrapjax.geometry import wrap_boxes
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.wrap_boxes import box
 from wrapjax.geometry.wrap_samples import plan_samples
@@ -55,3 +56,23 @@ def test_alone_means_alone(plans):
                 assert (parameters[:, 1 - place] == NOMINAL).all()
         assert len(plan.alone) == 2
         assert plan.set_for("psoas", "brim", WRAPS["psoas"]) is plan.together
+
+
+@pytest.mark.parametrize(
+    "reach, expected",
+    [
+        (0.5, 0.02),
+        (0.016, 0.02),
+        (0.0125, 0.015),
+        (0.008, 0.01),
+        (0.004, 0.0075),
+        (0.003, 0.005),
+        (1e-4, 0.005),
+    ],
+)
+def test_boxes_are_as_wide_as_most_of_them_is_usable(monkeypatch, reach, expected):
+    """Usable is what moves along x by less than ``reach``: the share of a box follows from its width."""
+    monkeypatch.setattr(
+        wrap_boxes, "usable_by_all", lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach
+    )
+    assert wrap_boxes.translation_bounds(None, {}, ["brim"]) == {"brim": expected}

@@ -1,10 +1,13 @@
 """Paths that follow their cylinders: derivatives of both orders, rates, and walls that are not got over."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from wrapjax.geometry import AdjustablePath, guarded_paths
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim import describe_model
@@ -120,3 +123,32 @@ def test_closeness_grows_without_bound_towards_a_wall(paths):
     assert wall.size
     assert np.isinf(largest[wall[0] :]).all()
     assert largest[wall[0] - 1] > 3.0 > 1.0 > largest[0]
+
+
+def test_to_lose_a_cylinder_is_a_wall(paths):
+    """A cylinder is moved out of a muscle's reach: what no pose touches any more is infinitely close."""
+    at = jax.jit(lambda changes: paths.at(changes))
+    psoas = MUSCLES.index("psoas_l")
+    lost = at(jnp.zeros((4, 12)).at[psoas, 0].set(-0.05))
+    assert np.isinf(lost.closeness[psoas]).all()
+    np.testing.assert_array_less(lost.length[psoas], paths.nominal.length[psoas].max())
+    assert np.isfinite(lost.closeness[MUSCLES.index("gasmed_l")]).all()
+
+
+def test_guarded_paths_know_the_closeness_of_the_exact_ones(s1_left, motion):
+    angles, velocities = motion
+    engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
+    every_third = angles[:, :, ::3], velocities[:, :, ::3]
+    exact = wrapped_paths(engine, *every_third, MOMENTS, ("PS_at_brim_l",))[0]
+    held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, closeness=None)
+    none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
+    guarded = guarded_paths(AdjustablePath(held, none), exact, 3)
+    changes = jnp.zeros((2, 6)).at[0].set(jnp.array([1e-3, -1e-3, 1e-3, 0.02, -0.02, 0.02]))
+    state, slopes = jax.jit(lambda at: guarded.linearized(at))(changes)
+    known, known_slopes = jax.jit(lambda at: exact.linearized(at))(changes)
+    frames = [0, 0, 0, 1]
+    np.testing.assert_array_equal(state.length, held.length)
+    np.testing.assert_array_equal(state.closeness, known.closeness[..., frames])
+    np.testing.assert_array_equal(slopes.closeness, known_slopes.closeness[..., frames])
+    assert np.abs(slopes.closeness[0]).max() > 0.0
+    assert not np.asarray(slopes.length).any()

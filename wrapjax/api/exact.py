@@ -91,7 +91,7 @@ class ExactGeometry:
         free = () if freedom.wraps is None else freedom.wraps.names
         paths, _ = wrapped_paths(
             self.engine,
-            *_recorded(trials, self.engine.coordinates),
+            *recorded(trials, self.engine.coordinates),
             trials.moment_coordinates,
             free,
             self.wrapping,
@@ -117,11 +117,8 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     require_float64()
     if geometry not in WRAPPINGS:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
-    model = describe_model(subject.model_file)
-    spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
-    coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
-    engine = ExactPaths(model, subject.muscles.names, coordinates)
-    angles, velocities = _recorded(subject.trials, coordinates)
+    engine = engine_of(subject)
+    angles, velocities = recorded(subject.trials, engine.coordinates)
     _, touching = wrapped_paths(engine, angles, velocities, subject.trials.moment_coordinates, (), GEODESIC)
     touched = sorted(
         {
@@ -131,7 +128,7 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
             if touching[row, place]
         }
     )
-    poses = np.moveaxis(angles, 1, -1).reshape(-1, len(coordinates))[::_EVERY]
+    poses = np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
     return ExactGeometry(
         name=geometry,
         key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
@@ -141,7 +138,15 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     )
 
 
-def _recorded(
+def engine_of(subject: Subject) -> ExactPaths:
+    """Build the exact engine of a subject's muscles, over the recorded coordinates that they span."""
+    model = describe_model(subject.model_file)
+    spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
+    coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
+    return ExactPaths(model, subject.muscles.names, coordinates)
+
+
+def recorded(
     trials: Trials, coordinates: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
     """Angles and angular velocities of the engine's coordinates."""

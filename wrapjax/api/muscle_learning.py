@@ -81,11 +81,13 @@ class MuscleLearner:
         found, nominal = self.source.paths(muscle, samples, "training")
         physiological = self._physiological(found, nominal, "training")
         # One factorisation serves all samples.
-        to_coefficients = np.linalg.pinv(self.surrogate.design(muscle, self.source.poses["training"]))
+        design = self.surrogate.design(muscle, self.source.poses["training"])
+        to_coefficients = np.linalg.pinv(design)
         change = self._rows(muscle, found) - self._rows(muscle, nominal)
         moved = samples.parameters(wraps) - NOMINAL
         coefficients = change @ to_coefficients.T
-        inner = fit_inner_level(moved, self._half_range(wraps), coefficients, physiological)
+        half_range = self._half_range(wraps)
+        inner = fit_inner_level(moved, half_range, coefficients, physiological, design.T @ design)
         return inner, physiological
 
     def _judged(

@@ -6,12 +6,24 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.api.assembly import coefficient_paths, model_parameters, surrogate_paths
+from wrapjax.api.exact import engine_of, recorded
 from wrapjax.api.wrap_fit import WrapFit
 from wrapjax.calibrate import PATH_CHANGE, path_modes
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry import AdjustablePath, PathSurrogate, TwoLevelPaths, two_level_paths
+from wrapjax.geometry import (
+    AdjustablePath,
+    GuardedPaths,
+    PathSurrogate,
+    TwoLevelPaths,
+    guarded_paths,
+    two_level_paths,
+)
+from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.model import Freedom, FreedWraps, nga, with_paths
 from wrapjax.subject import Subject, Trials
+
+# Frames in which the engine guards polynomials: paths come to jump over several of them.
+_GUARDED_EVERY = 4
 
 
 def polynomial_freedom(
@@ -65,8 +77,26 @@ def _own_modes(subject: Subject, surrogate: PathSurrogate) -> Bool[np.ndarray, "
 
 def wrapped_polynomial_paths(
     subject: Subject, trials: Trials, surrogate: PathSurrogate, wraps: WrapFit, freed: FreedWraps
+) -> GuardedPaths:
+    """Evaluate the paths over cycles, with coefficients that follow the freed cylinders.
+
+    The exact engine guards them where they would jump.
+    """
+    engine = engine_of(subject)
+    angles, velocities = recorded(trials, engine.coordinates)
+    exact, _ = wrapped_paths(
+        engine,
+        angles[:, :, ::_GUARDED_EVERY],
+        velocities[:, :, ::_GUARDED_EVERY],
+        trials.moment_coordinates,
+        freed.names,
+    )
+    return guarded_paths(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
+
+
+def _two_level(
+    subject: Subject, trials: Trials, surrogate: PathSurrogate, wraps: WrapFit, freed: FreedWraps
 ) -> TwoLevelPaths:
-    """Evaluate the paths over cycles, with coefficients that follow the freed cylinders."""
     muscles = subject.muscles.names
     nominal = surrogate_paths(surrogate, subject, trials).nominal
     moving = np.flatnonzero((freed.places >= 0).any(axis=1))

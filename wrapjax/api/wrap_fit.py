@@ -23,7 +23,8 @@ class WrapQuality:
     physiological_share
         Of its box.
     balanced_accuracy, false_physiological
-        Of its limit; see `wrapjax.geometry.FeasibilityQuality`.
+        Of its learned limit and the exact margins together, as PGA has both; see
+        `wrapjax.geometry.FeasibilityQuality`. The margins are asked in recorded poses, the truth in others.
     """
 
     physiological_share: float

@@ -19,7 +19,7 @@ from wrapjax.files import cache_folder, content_hash
 from wrapjax.geometry import Feasibility, feasibility_quality, fit_feasibility
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS, PhysiologicalThresholds
-from wrapjax.geometry.wrap_boxes import translation_bounds
+from wrapjax.geometry.wrap_boxes import translation_bounds, usable_by_all
 from wrapjax.geometry.wrap_samples import plan_samples
 from wrapjax.osim import describe_model
 from wrapjax.precision import require_float64
@@ -29,7 +29,7 @@ from wrapjax.subject import Subject
 # Poses that boxes are found in: every so many recorded frames.
 _EVERY = 4
 # Raise when the same fit would get another inner level.
-_FORMAT = 1
+_FORMAT = 2
 
 
 def fit_wraps(
@@ -99,7 +99,8 @@ def _fit_wraps(
         if touches
     }
     say(f"finding boxes for {len(wraps)} cylinders", quiet=quiet)
-    translations = translation_bounds(engine, engine.posed(poses.recorded[::_EVERY]), wraps)
+    near = engine.posed(poses.recorded[::_EVERY])
+    translations = translation_bounds(engine, near, wraps)
     boxed = time.perf_counter()
     training, validation = plan_samples(wraps_of, translations, fit.seed)
     by_name = {"training": poses.training, "validation": poses.validation}
@@ -120,9 +121,12 @@ def _fit_wraps(
     for wrap in wraps:
         users = [learned[name].verdicts[wrap] for name, own in wraps_of.items() if wrap in own]
         seen, unseen = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
-        samples, ends = training.together.moved[wrap], training.boxes[wrap]
-        feasibility[wrap] = fit_feasibility(samples, seen, *ends, seed=fit.seed)
-        judged = feasibility_quality(feasibility[wrap], validation.together.moved[wrap], unseen)
+        samples, others = (plan.together.moved[wrap] for plan in (training, validation))
+        usable, also_usable = (usable_by_all(engine, near, wrap, own) for own in (samples, others))
+        feasibility[wrap] = fit_feasibility(
+            samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed
+        )
+        judged = feasibility_quality(feasibility[wrap], others, unseen, also_usable)
         quality[wrap] = WrapQuality(float(unseen.mean()), **vars(judged))
     return replace(
         fit,

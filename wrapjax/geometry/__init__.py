@@ -5,6 +5,8 @@ from wrapjax.geometry.feasibility import Feasibility as Feasibility
 from wrapjax.geometry.feasibility import FeasibilityQuality as FeasibilityQuality
 from wrapjax.geometry.feasibility import feasibility_quality as feasibility_quality
 from wrapjax.geometry.feasibility_fit import fit_feasibility as fit_feasibility
+from wrapjax.geometry.guarded_paths import GuardedPaths as GuardedPaths
+from wrapjax.geometry.guarded_paths import guarded_paths as guarded_paths
 from wrapjax.geometry.inner_level import InnerLevel as InnerLevel
 from wrapjax.geometry.inner_level import fit_inner_level as fit_inner_level
 from wrapjax.geometry.paths import AbstractPath as AbstractPath

@@ -78,8 +78,9 @@ def feasibility_quality(
     feasibility: Feasibility | None,
     samples: Float[np.ndarray, "sample wrap_parameter"],
     physiological: Bool[np.ndarray, " sample"],
+    usable: Bool[np.ndarray, " sample"] | None = None,
 ) -> FeasibilityQuality:
-    """Judge a surface's limit by labeled samples.
+    """Judge what limits a surface by labeled samples: its learned limit and the exact margins together.
 
     Parameters
     ----------
@@ -89,10 +90,12 @@ def feasibility_quality(
         Wrap parameters, other ones than it was fitted to.
     physiological
         What they truly are.
+    usable
+        What the exact engine's margins allow; everything if not given.
     """
-    allowed = np.ones(len(samples), dtype=bool)
+    allowed = np.ones_like(physiological) if usable is None else usable
     if feasibility is not None:
-        allowed = np.asarray(jax.vmap(feasibility.excess)(jnp.asarray(samples))) <= 0.0
+        allowed = allowed & (np.asarray(jax.vmap(feasibility.excess)(jnp.asarray(samples))) <= 0.0)
     return FeasibilityQuality(
         balanced_accuracy=None
         if has_rare_class(physiological)

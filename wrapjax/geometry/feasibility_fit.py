@@ -27,14 +27,16 @@ def fit_feasibility(
     lower: Float[np.ndarray, " wrap_parameter"],
     upper: Float[np.ndarray, " wrap_parameter"],
     *,
+    usable: Bool[np.ndarray, " sample"] | None = None,
     seed: int = 0,
 ) -> Feasibility | None:
     """Fit a support vector machine of cubic kernel, and the sigmoid that makes its score a probability.
 
-    Both classes count alike, however rare one is. C and gamma are those of `PENALTIES` and `GAMMAS` with the
-    highest balanced accuracy in stratified cross-validation; of equals the smallest C, then the
-    smallest gamma. The sigmoid is fitted to the scores that cross-validation gave each sample while
-    leaving it out: on samples that it was fitted to, a machine is surer than it should be.
+    Both classes count alike, however rare one is. C and gamma are those of `PENALTIES` and `GAMMAS` by which
+    machine and exact margins together have the highest balanced accuracy in stratified cross-validation; of
+    equals the smallest C, then the smallest gamma. The sigmoid is fitted to the scores that cross-validation
+    gave each sample while leaving it out: on samples that it was fitted to, a machine is surer than it
+    should be.
 
     Parameters
     ----------
@@ -44,6 +46,8 @@ def fit_feasibility(
         What each of them is.
     lower, upper
         The box that was sampled, which is scaled to [-1, 1].
+    usable
+        What the exact engine's margins allow; everything if not given.
     seed
         Decides which samples are left out together. The same seed gives the same bits.
 
@@ -64,7 +68,9 @@ def fit_feasibility(
         return None
     center, half_range = 0.5 * (upper + lower), 0.5 * (upper - lower)
     scaled = (samples - center) / half_range
-    penalty, gamma, scores = _cross_validated(scaled, physiological, seed)
+    penalty, gamma, scores = _cross_validated(
+        scaled, physiological, np.ones_like(physiological) if usable is None else usable, seed
+    )
     machine = _machine(penalty, gamma).fit(scaled, ~physiological)
     slope, intercept = fit_sigmoid(scores, ~physiological)
     arrays = {
@@ -126,7 +132,10 @@ def fit_sigmoid(
 
 
 def _cross_validated(
-    scaled: Float[np.ndarray, "sample wrap_parameter"], physiological: Bool[np.ndarray, " sample"], seed: int
+    scaled: Float[np.ndarray, "sample wrap_parameter"],
+    physiological: Bool[np.ndarray, " sample"],
+    usable: Bool[np.ndarray, " sample"],
+    seed: int,
 ) -> tuple[float, float, Float[np.ndarray, " sample"]]:
     """Choose C and gamma; return them and the score of each sample by the machine that left it out."""
     from sklearn.model_selection import StratifiedKFold
@@ -138,7 +147,7 @@ def _cross_validated(
         for others, left_out in folds:
             machine = _machine(penalty, gamma).fit(scaled[others], ~physiological[others])
             scores[left_out] = machine.decision_function(scaled[left_out])
-        accuracy = balanced_accuracy(scores <= 0.0, physiological)
+        accuracy = balanced_accuracy(usable & (scores <= 0.0), physiological)
         if accuracy > best:
             best, chosen = accuracy, (penalty, gamma, scores)
     assert chosen is not None, "the grid is not empty"

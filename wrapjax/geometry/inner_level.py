@@ -20,6 +20,10 @@ from wrapjax.geometry.surfaces import WRAP_PARAMETERS
 DEGREE = 3
 _PER_WRAP = len(WRAP_PARAMETERS)
 _EXPONENTS = monomial_exponents(_PER_WRAP, DEGREE)[1:]
+#: How strongly weights are held to zero, in samples at an end of the box; what foretells best is taken.
+RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0)
+# A sample that alone decides its own value is foretold by nothing.
+_LEAST = 1e-6
 #: Monomials of one cylinder's changes.
 MONOMIALS = len(_EXPONENTS)
 
@@ -72,8 +76,12 @@ def fit_inner_level(
     half_range: Float[np.ndarray, "wrap wrap_parameter"],
     coefficients: Float[np.ndarray, "sample term"],
     used: Bool[np.ndarray, " sample"],
+    metric: Float[np.ndarray, "term term"],
 ) -> Float[np.ndarray, "wrap monomial term"]:
-    """Fit one muscle's inner level by least squares.
+    """Fit one muscle's inner level by ridge regression.
+
+    Where few placements are physiological, a cubic follows single samples. So of `RIDGES` the one is
+    taken by which each sample is best foretold from all others.
 
     Parameters
     ----------
@@ -85,6 +93,8 @@ def fit_inner_level(
         What outer coefficients differ from the nominal path's by at each sample, m.
     used
         Which samples count.
+    metric
+        Quadratic form of an error in the coefficients that says how bad it is.
 
     Returns
     -------
@@ -93,6 +103,18 @@ def fit_inner_level(
     """
     scaled = (changes / half_range).reshape(-1, _PER_WRAP)
     count, wraps = changes.shape[:2]
-    design = np.asarray(monomials(jnp.asarray(_EXPONENTS), jnp.asarray(scaled))).reshape(count, -1)
-    weights = np.linalg.lstsq(design[used], coefficients[used], rcond=None)[0]
+    design = np.asarray(monomials(jnp.asarray(_EXPONENTS), jnp.asarray(scaled))).reshape(count, -1)[used]
+    left, strengths, right = np.linalg.svd(design, full_matrices=False)
+    seen = strengths > strengths.max(initial=0.0) * max(design.shape) * np.finfo(float).eps
+    left, strengths, right = left[:, seen], strengths[seen], right[seen]
+    along = left.T @ coefficients[used]
+
+    def foretelling_error(ridge: float) -> float:
+        kept = strengths**2 / (strengths**2 + ridge)
+        own_share = np.sum(left**2 * kept, axis=1, keepdims=True)
+        missed = (coefficients[used] - left @ (kept[:, None] * along)) / np.maximum(1.0 - own_share, _LEAST)
+        return float(np.einsum("si,ij,sj->", missed, metric, missed))
+
+    ridge = min(RIDGES, key=foretelling_error)
+    weights = right.T @ ((strengths / (strengths**2 + ridge))[:, None] * along)
     return weights.reshape(wraps, len(_EXPONENTS), -1)

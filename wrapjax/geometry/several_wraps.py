@@ -446,7 +446,7 @@ def _outcome(
     return WrappedPath(
         length=_length(way, points),
         moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
-        touching=jnp.any(way.knots[None] == points + 2 * jnp.arange(wraps)[:, None], axis=1),
+        on_surface=way.on_surface,
         margins=jax.tree.map(jnp.min, way.margins),
         clearances=jnp.concatenate([_outside(path, placed).ravel(), off_end, placed.radius * long_wrap]),
     )

@@ -20,23 +20,39 @@ _PER_WRAP = len(WRAP_PARAMETERS)
 # Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
 # the second figure in any frame, they are taken to cross anyway.
 _ROOM, _CROSSED = 1e-3, 1e-4
+# Longest stretch on a cylinder (m) that makes closeness one, where nominal paths have so much.
+_GRIP = 2e-3
 _RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
 
 
 class _Walls(eqx.Module):
-    """What a path must not get over, as clearances to keep (m)."""
+    """What a path must not get over: clearances to keep, and cylinders to stay in touch with (m)."""
 
     limit: Float[Array, "*muscle wall"]
     #: Clearance beyond the limit at which closeness is one.
     room: Float[Array, "*muscle wall"]
+    #: Longest stretch on each cylinder, over all poses, at which closeness is one; zero for one that the
+    #: nominal path does not touch.
+    grip: Float[Array, "*muscle wrap"]
 
-    def closeness(self, clearances: Float[Array, "pose wall"]) -> Float[Array, " pose"]:
-        """Root of the sum over walls of ``(room / clearance)**4``; infinite beyond a wall."""
-        left = clearances - self.limit[None]
-        inverse = self.room[None] / jnp.where(left > 0.0, left, 1.0)
+    def closeness(
+        self, clearances: Float[Array, "pose wall"], on_surface: Float[Array, "pose wrap"]
+    ) -> Float[Array, " pose"]:
+        """Root of the sum over walls of ``(room / clearance)**4``; infinite beyond a wall.
+
+        To touch a cylinder in no pose is a wall to all of them.
+        """
+        left = jnp.append(
+            clearances - self.limit[None],
+            jnp.broadcast_to(jnp.max(on_surface, axis=0), on_surface.shape),
+            axis=-1,
+        )
+        room = jnp.append(self.room, self.grip)[None]
+        open_to = (left > 0.0) | (room == 0.0)
+        inverse = room / jnp.where(left > 0.0, left, 1.0)
         within = jnp.sqrt(jnp.sum(inverse**4, axis=-1))
-        return jnp.where(jnp.all(left > 0.0, axis=-1), within, jnp.inf)
+        return jnp.where(jnp.all(open_to, axis=-1), within, jnp.inf)
 
 
 class _Alike(eqx.Module):
@@ -147,12 +163,15 @@ def _changes_of(group: _Alike) -> int:
     return _PER_WRAP * group.posed.surfaces.radius.shape[1]
 
 
-def _walls(clearances: Float[Array, "muscle pose wall"]) -> _Walls:
+def _walls(nominal: WrappedPath) -> _Walls:
     """Set up walls where the nominal paths leave room; where they cross one, a little further on."""
-    least = jnp.min(clearances, axis=1)
+    least = jnp.min(nominal.clearances, axis=1)
     free = least > _CROSSED
+    longest = jnp.max(nominal.on_surface, axis=1)
     return _Walls(
-        limit=jnp.where(free, 0.0, least - _ROOM), room=jnp.where(free, jnp.minimum(least, _ROOM), _ROOM)
+        limit=jnp.where(free, 0.0, least - _ROOM),
+        room=jnp.where(free, jnp.minimum(least, _ROOM), _ROOM),
+        grip=jnp.where(longest > _CROSSED, jnp.minimum(longest, _GRIP), 0.0),
     )
 
 
@@ -170,7 +189,7 @@ def _over_cycles(
         length=path.length.reshape(trials, frames),
         velocity=-jnp.sum(arms * velocities, axis=1),
         moment_arm=jnp.concatenate([arms, nothing], axis=1)[:, columns],
-        closeness=walls.closeness(path.clearances).reshape(trials, frames),
+        closeness=walls.closeness(path.clearances, path.on_surface).reshape(trials, frames),
     )
 
 
@@ -218,7 +237,7 @@ def wrapped_paths(
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
-        walls = _walls(wrapped.clearances)
+        walls = _walls(wrapped)
         rows = [engine.muscles.index(name) for name in kind]
         for place, row in enumerate(rows):
             one, own_walls = _rows_of((wrapped, walls), place)

@@ -49,11 +49,16 @@ class WrappedPath(eqx.Module):
     length: Float[Array, "*pose"]
     #: By coordinate, m/rad: -dL/dq.
     moment_arm: Float[Array, "*pose coordinate"]
-    #: Which of its cylinders it lies on.
-    touching: Bool[Array, "*pose wrap"]
+    #: How far it runs on each of its cylinders (m): zero where it does not lie on one.
+    on_surface: Float[Array, "*pose wrap"]
     margins: Margins
     #: Distances (m) from everything that would make the length jump, one by one: each is smooth by itself.
     clearances: Float[Array, "*pose wall"]
+
+    @property
+    def touching(self) -> Bool[Array, "*pose wrap"]:
+        """Which of its cylinders it lies on."""
+        return self.on_surface > 0.0
 
 
 class StraightPath(eqx.Module):
@@ -128,7 +133,7 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
     return WrappedPath(
         length=path.length + jnp.sum(jnp.where(chosen, longer, 0.0), axis=-1),
         moment_arm=path.moment_arm + jnp.sum(jnp.where(chosen[None], change, 0.0), axis=-1),
-        touching=jnp.any(chosen, axis=-1, keepdims=True),
+        on_surface=jnp.sum(jnp.where(chosen, contact.length, 0.0), axis=-1, keepdims=True),
         margins=margins,
         clearances=jnp.concatenate([at_starts, others], axis=-1),
     )
@@ -140,7 +145,7 @@ def unwrapped(path: StraightPath) -> WrappedPath:
     return WrappedPath(
         length=path.length,
         moment_arm=path.moment_arm,
-        touching=jnp.zeros((*path.length.shape, 0), dtype=bool),
+        on_surface=jnp.zeros((*path.length.shape, 0)),
         margins=Margins(free, free, free),
         clearances=jnp.zeros((*path.length.shape, 0)),
     )
