@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from wrapjax.geometry import wrap_boxes
+from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.wrap_boxes import box
 from wrapjax.geometry.wrap_samples import plan_samples
@@ -75,4 +76,5 @@ def test_boxes_are_as_wide_as_most_of_them_is_usable(monkeypatch, reach, expecte
     monkeypatch.setattr(
         wrap_boxes, "usable_by_all", lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach
     )
-    assert wrap_boxes.translation_bounds(None, {}, ["brim"]) == {"brim": expected}
+    nobody = object.__new__(ExactPaths)
+    assert wrap_boxes.translation_bounds(nobody, {}, ["brim"]) == {"brim": expected}
