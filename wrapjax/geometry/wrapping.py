@@ -10,6 +10,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.cylinder import (
@@ -56,7 +57,7 @@ class WrappedPath(eqx.Module):
     clearances: Float[Array, "*pose wall"]
 
     @property
-    def touching(self) -> Bool[Array, "*pose wrap"]:
+    def touching(self) -> Bool[Array | np.ndarray, "*pose wrap"]:
         """Which of its cylinders it lies on."""
         return self.on_surface > 0.0
 
