@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +17,7 @@ from wrapjax.files import new_folder, write_text
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, initial_parameters, joint_moments
 from wrapjax.muscle import HILL_CURVES, fit_emg_spline
+from wrapjax.osim import write_personalised_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.precision import require_float64
 from wrapjax.subject.cycles import cycle_times, padding_frames
@@ -27,6 +28,7 @@ from wrapjax.virtual.leg import build_leg_model
 from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import MUSCLES
 from wrapjax.virtual.truth import VirtualTruth, draw_other_leg, draw_truth, parameter_names
+from wrapjax.virtual.wraps import draw_wraps
 
 #: Standard deviation in frames of the bell that noise is smoothed with: halves the power at 3.5 / cycle,
 #: where envelopes are cut off.
@@ -45,6 +47,7 @@ def write_virtual_subject(
     emg_noise: float = 0.1,
     moment_noise: float = 1.0,
     series: Sequence[Series] = DEFAULT_SERIES,
+    wrap_spread: float = 0.0,
     force: bool = False,
 ) -> VirtualTruth:
     """Make up a person, let them walk, and write what was recorded as a subject folder.
@@ -64,6 +67,9 @@ def write_virtual_subject(
         Standard deviation of the noise added to the moments, N m. Both kinds are as smooth as envelopes.
     series
         Speeds and numbers of cycles.
+    wrap_spread
+        How far the person's wrapping cylinders may be from the written model's: in 5 mm, 10 degrees and
+        10 % of the radius, along every parameter.
     force
         Replace a folder that exists.
 
@@ -73,8 +79,12 @@ def write_virtual_subject(
         What was written to ``truth.json``.
     """
     require_float64()
-    person, walking, noise, *_ = _generators(seed)
-    leg = _record(draw_truth(person), "r", walking, noise, emg_noise, moment_noise, series)
+    person, walking, noise, _, _, _, wraps = _generators(seed)
+    cycles = _walk(walking, series)
+    truth = draw_truth(person)
+    if wrap_spread:
+        truth = replace(truth, wraps=_hidden_wraps(wraps, cycles, wrap_spread))
+    leg = _record(truth, "r", cycles, noise, emg_noise, moment_noise, series)
     with new_folder(Path(folder), force=force) as temporary:
         leg.write(temporary, Path(folder).name)
     return leg.truth
@@ -107,12 +117,14 @@ def write_virtual_legs(
         By ``right`` and ``left``.
     """
     require_float64()
-    person, walking, noise, other_person, other_walking, other_noise = _generators(seed)
+    person, walking, noise, other_person, other_walking, other_noise, _ = _generators(seed)
     right = draw_truth(person)
     left = draw_other_leg(right, other_person)
     legs = {
-        "right": _record(right, "r", walking, noise, emg_noise, moment_noise, series),
-        "left": _record(left, "l", other_walking, other_noise, emg_noise, moment_noise, series),
+        "right": _record(right, "r", _walk(walking, series), noise, emg_noise, moment_noise, series),
+        "left": _record(
+            left, "l", _walk(other_walking, series), other_noise, emg_noise, moment_noise, series
+        ),
     }
     with new_folder(Path(folder), force=force) as temporary:
         for name, other in (("right", "left"), ("left", "right")):
@@ -122,8 +134,8 @@ def write_virtual_legs(
 
 
 def _generators(seed: int) -> list[np.random.Generator]:
-    """Give those of the person, the walking and the noise; then those of the left leg's own."""
-    return [np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(6)]
+    """Give those of the person, the walking and the noise; the left leg's own; that of the cylinders."""
+    return [np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(7)]
 
 
 @dataclass(frozen=True)
@@ -150,28 +162,45 @@ class _Leg:
         self.truth.write(folder)
 
 
+def _walk(walking: np.random.Generator, series: Sequence[Series]) -> list[WalkingCycle]:
+    return [
+        draw_cycle(walking, entry.speed, start=1.0)
+        for entry in series
+        for _ in range(entry.calibration + entry.validation)
+    ]
+
+
+def _hidden_wraps(
+    generator: np.random.Generator, cycles: Sequence[WalkingCycle], spread: float
+) -> dict[str, Float[np.ndarray, " wrap_parameter"]]:
+    """Draw the right leg's cylinders, with which it can walk these cycles."""
+    _, angles = _walked_angles(cycles)
+    with TemporaryDirectory() as place:
+        model_file = Path(place) / MODEL_FILE
+        build_leg_model(model_file)
+        return draw_wraps(generator, model_file, angles.reshape(-1, len(COORDINATES)), spread)
+
+
 def _record(
     truth: VirtualTruth,
     side: str,
-    walking: np.random.Generator,
+    cycles: list[WalkingCycle],
     noise: np.random.Generator,
     emg_noise: float,
     moment_noise: float,
     series: Sequence[Series],
 ) -> _Leg:
     """Let a leg walk and record it."""
-    cycles = [
-        draw_cycle(walking, entry.speed, start=1.0)
-        for entry in series
-        for _ in range(entry.calibration + entry.validation)
-    ]
     limits = [(cycle.start, cycle.end) for cycle in cycles]
     emg_time = cycle_times(limits, padding_frames(limits))
     emg = np.array([cycle.emg(time) for cycle, time in zip(cycles, emg_time, strict=True)])
     emg /= emg.max(axis=(0, 2))[None, :, None]
     with TemporaryDirectory() as place:
-        build_leg_model(Path(place) / MODEL_FILE, side)
-        path = walked_paths(Path(place) / MODEL_FILE, cycles, side)
+        model_file = Path(place) / MODEL_FILE
+        build_leg_model(model_file, side)
+        if truth.wraps:
+            write_personalised_model(model_file, model_file, truth.wraps, {})
+        path = walked_paths(model_file, cycles, side)
     moments = true_moments(truth, emg_time, emg, path)
     moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
     factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
@@ -199,8 +228,7 @@ def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "
     """
     muscles = tuple(on_side(name, side) for channel in CHANNELS.values() for name in channel.scales)
     coordinates = tuple(on_side(name, side) for name in COORDINATES)
-    time = cycle_times([(cycle.start, cycle.end) for cycle in cycles], MARGIN_FRAMES)
-    angles = np.array([cycle.angles(row).T for cycle, row in zip(cycles, time, strict=True)])
+    time, angles = _walked_angles(cycles)
     poses = angles.reshape(-1, len(COORDINATES))
     geometry = analyse_muscles(model_file, muscles, coordinates, poses, quiet=True)
     length = np.moveaxis(geometry.length.reshape(*time.shape, len(muscles)), -1, 0)
@@ -215,6 +243,14 @@ def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "
         velocity=jnp.asarray(rate[..., inside]),
         moment_arm=jnp.asarray(np.transpose(arms[:, inside], (3, 0, 2, 1))),
     )
+
+
+def _walked_angles(
+    cycles: Sequence[WalkingCycle],
+) -> tuple[Float[np.ndarray, "trial padded_frame"], Float[np.ndarray, "trial padded_frame coordinate"]]:
+    """Give times (s) and joint angles (rad) of the cycles, with frames before and after."""
+    time = cycle_times([(cycle.start, cycle.end) for cycle in cycles], MARGIN_FRAMES)
+    return time, np.array([cycle.angles(row).T for cycle, row in zip(cycles, time, strict=True)])
 
 
 def true_moments(

@@ -1,15 +1,17 @@
-"""The virtual person's hidden truth: muscle parameters that a calibration should find."""
+"""The virtual person's hidden truth: parameters of muscles and cylinders that a calibration should find."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from wrapjax.files import write_json
+from wrapjax.geometry.surfaces import WRAP_PARAMETERS
 from wrapjax.virtual.gait import CHANNELS
 from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import FIBER_LENGTH_CENTER, MUSCLES
@@ -34,7 +36,7 @@ _SHARED = 0.7
 
 @dataclass(frozen=True)
 class VirtualTruth:
-    """True parameters, one entry a muscle.
+    """True parameters, one entry a muscle, and true cylinders.
 
     Parameters
     ----------
@@ -46,6 +48,8 @@ class VirtualTruth:
         Without unit; the scale is the excitation where the written channel is 1.
     optimal_fiber_length, tendon_slack_length
         m.
+    wraps
+        By name, the cylinders that are elsewhere than in the model, as in `WRAP_PARAMETERS`.
     """
 
     muscles: tuple[str, ...]
@@ -55,6 +59,7 @@ class VirtualTruth:
     emg_scale: Float[np.ndarray, " muscle"]
     optimal_fiber_length: Float[np.ndarray, " muscle"]
     tendon_slack_length: Float[np.ndarray, " muscle"]
+    wraps: Mapping[str, Float[np.ndarray, " wrap_parameter"]] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
         """Write `TRUTH_FILE` into a folder."""
@@ -63,19 +68,28 @@ class VirtualTruth:
             muscle: {name: values[row] for name, values in columns.items()}
             for row, muscle in enumerate(self.muscles)
         }
-        write_json(Path(folder) / TRUTH_FILE, {"schema": 1, "units": "SI", "muscles": per_muscle})
+        per_wrap = {
+            name: dict(zip(WRAP_PARAMETERS, values, strict=True)) for name, values in self.wraps.items()
+        }
+        content = {"schema": 1, "units": "SI", "muscles": per_muscle, "wraps": per_wrap}
+        write_json(Path(folder) / TRUTH_FILE, content)
 
 
 def parameter_names() -> tuple[str, ...]:
-    """Name the parameters of `VirtualTruth`, as the model's parameter tree does."""
-    return tuple(field.name for field in fields(VirtualTruth) if field.name != "muscles")
+    """Name the muscles' parameters of `VirtualTruth`, as the model's parameter tree does."""
+    return tuple(own.name for own in fields(VirtualTruth) if own.name not in ("muscles", "wraps"))
 
 
 def read_truth(folder: Path) -> VirtualTruth:
     """Read the truth of a virtual subject from its folder."""
-    per_muscle = json.loads((Path(folder) / TRUTH_FILE).read_text(encoding="utf-8"))["muscles"]
+    content = json.loads((Path(folder) / TRUTH_FILE).read_text(encoding="utf-8"))
+    per_muscle = content["muscles"]
     columns = {name: np.array([entry[name] for entry in per_muscle.values()]) for name in parameter_names()}
-    return VirtualTruth(muscles=tuple(per_muscle), **columns)
+    wraps = {
+        name: np.array([values[own] for own in WRAP_PARAMETERS])
+        for name, values in content.get("wraps", {}).items()
+    }
+    return VirtualTruth(muscles=tuple(per_muscle), **columns, wraps=wraps)
 
 
 def draw_truth(generator: np.random.Generator) -> VirtualTruth:
