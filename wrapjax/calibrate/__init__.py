@@ -4,6 +4,7 @@ from wrapjax.calibrate.augmented_lagrangian import AugmentedLagrangian as Augmen
 from wrapjax.calibrate.augmented_lagrangian import ConstrainedSolution as ConstrainedSolution
 from wrapjax.calibrate.augmented_lagrangian import LagrangianState as LagrangianState
 from wrapjax.calibrate.identifiability import laplace_deviation as laplace_deviation
+from wrapjax.calibrate.identifiability import moment_arm_deviation as moment_arm_deviation
 from wrapjax.calibrate.journal import Journal as Journal
 from wrapjax.calibrate.lbfgs import BoundedLBFGS as BoundedLBFGS
 from wrapjax.calibrate.legs import join_legs as join_legs
