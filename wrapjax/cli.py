@@ -289,7 +289,12 @@ def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]
 def _demo(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api.demo import demo
-    from wrapjax.api.text import calibration_table, iteration_printer, recovery_table
+    from wrapjax.api.text import (
+        calibration_table,
+        iteration_printer,
+        recovery_table,
+        wrap_recovery_table,
+    )
 
     _refuse_existing(options.out, options.force)
     shown = demo(
@@ -306,7 +311,9 @@ def _demo(options: argparse.Namespace) -> int:
             print(calibration_table(calibration))
             print()
         print(recovery_table(shown))
-        print(f"\nwritten to {options.out}; open {options.out / 'SGA' / 'report.html'} in a browser")
+        print()
+        print(wrap_recovery_table(shown))
+        print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED
 
 

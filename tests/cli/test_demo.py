@@ -18,7 +18,14 @@ def test_everything_is_written_and_converged(shown):
     assert status == 0
     summary = json.loads((folder / "NGA" / "summary.json").read_text())
     assert summary["converged"] and summary["mae_Nm"]["validation"]["mean"] < 4.0
-    for file in ("virtual_subject/truth.json", "fit/fit.json", "NGA/report.html", "recovery.png"):
+    figures = ("recovery.png", "wrap_recovery.png")
+    for file in (
+        "virtual_subject/truth.json",
+        "fit/fit.json",
+        "NGA/report.html",
+        "PGA/report.html",
+        *figures,
+    ):
         assert (folder / file).stat().st_size > 0, file
 
 
@@ -29,6 +36,21 @@ def test_calibration_comes_closer_to_what_moments_can_tell(shown):
     assert recovery["emg_scale"]["median_error_after"] < 0.6 * recovery["emg_scale"]["median_error_before"]
     assert all(row["median_deviation"] > 0.0 for row in recovery.values())
     assert "not an accuracy" in content["note"]
+
+
+def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
+    """What noisy moments cannot tell must not look found: the table says how much they leave open."""
+    content = json.loads((shown[1] / "demo.json").read_text())
+    truth = json.loads((shown[1] / "virtual_subject" / "truth.json").read_text())
+    found = content["wrap_recovery"]
+    assert {name: wrap["true"] for name, wrap in found["wraps"].items()} == truth["wraps"]
+    assert all(wrap["found"] != wrap["true"] for wrap in found["wraps"].values())
+    errors = found["moment_arm_error"]["knee_angle_r"]
+    assert errors["before_m"] > 1e-4
+    assert errors["open_m"] > 1e-3 and errors["told_apart"] == 0
+    maes = {name: method["mae_calibration_Nm"] for name, method in content["methods"].items()}
+    assert set(maes) == {"NGA", "SGA", "LSGA", "PGA"}
+    assert maes["PGA"] < maes["NGA"]
 
 
 def test_existing_folder_is_left_alone(shown, capsys):
