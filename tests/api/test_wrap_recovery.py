@@ -13,7 +13,7 @@ import pytest
 
 from wrapjax.api.exact import exact_geometry
 from wrapjax.api.preparation import method_freedom, prepare
-from wrapjax.api.wrap_recovery import TOLD_APART, true_moment_arms
+from wrapjax.api.wrap_recovery import told_apart, true_moment_arms
 from wrapjax.calibrate import ProjectedLM, moment_arm_deviation
 from wrapjax.subject import read_subject
 from wrapjax.virtual import Series, read_truth, write_virtual_subject
@@ -21,8 +21,6 @@ from wrapjax.virtual.truth import parameter_names
 
 #: N m; about what remains of the moments' error where everything is true but the engine's last digits.
 NOISE = 0.003
-#: Arms that are nearer than this (m) to the true ones from the start show nothing.
-LEAST = 1e-4
 #: With penalties weak from the start the nearest minimum is a poor one: they are weakened in steps.
 MOMENT_ERRORS = (2.5, 0.5, 0.1, 0.02, 0.005)
 
@@ -54,10 +52,6 @@ def errors_of_arms(folder, cycles, seed, known=()):
         for path in (problem.recording.path.nominal, problem.recording.path.at(changes))
     )
     return before, after, moment_arm_deviation(problem, variables, NOISE)[moving].mean(axis=(1, 3))
-
-
-def told_apart(before, deviation):
-    return (before > LEAST) & (deviation < TOLD_APART * before)
 
 
 def test_cylinders_are_found_beside_gains(tmp_path):

@@ -19,6 +19,8 @@ from wrapjax.virtual import VirtualTruth
 
 #: An arm counts as told apart from other parameters where the moments leave this part of its change open.
 TOLD_APART = 0.1
+#: And where it is at least as far (m) from the true one: a smaller change shows nothing.
+LEAST_ERROR = 1e-4
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class WrapRecovery:
     @property
     def told_apart(self) -> Bool[np.ndarray, "muscle coordinate"]:
         """Arms whose change the moments tell apart from other parameters, to a tenth of its size."""
-        return self.deviation < TOLD_APART * self.error_before
+        return told_apart(self.error_before, self.deviation)
 
     def most_moved(self) -> tuple[int, int]:
         """Give muscle and coordinate, by number, of the arm that calibration moved most."""
@@ -119,6 +121,13 @@ def wrap_recovery(calibration: Calibration, truth: VirtualTruth, moment_noise: f
         true_wraps=np.stack([truth.wraps.get(name, NOMINAL) for name in freed.names]),
         found_wraps=NOMINAL + freed.changes_of(np.asarray(result.parameters.path_changes)),
     )
+
+
+def told_apart(
+    error_before: Float[np.ndarray, "muscle coordinate"], deviation: Float[np.ndarray, "muscle coordinate"]
+) -> Bool[np.ndarray, "muscle coordinate"]:
+    """Tell moment arms whose change the moments do not take for another parameter's; both are in m."""
+    return (error_before > LEAST_ERROR) & (deviation < TOLD_APART * error_before)
 
 
 def true_moment_arms(
