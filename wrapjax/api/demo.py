@@ -58,9 +58,8 @@ class Demonstration:
         return all(one.status.converged for one in self.calibrations.values())
 
     def save(self, folder: Path) -> None:
-        """Write ``demo.json``, and figures of parameters and of a moment arm against the truth."""
+        """Write ``demo.json``, and figures of parameters and of moment arms against the truth."""
         from wrapjax.report.recovery_figure import draw_recovery
-        from wrapjax.report.wrap_recovery_figure import draw_wrap_recovery
 
         content = {
             "schema": 1,
@@ -72,17 +71,7 @@ class Demonstration:
         write_json(folder / "demo.json", content)
         result = self.calibrations["NGA"].result
         draw_recovery(result.initial, result.parameters, self.truth, folder / "recovery.png")
-        muscle, coordinate = self.wraps.most_moved()
-        arms = (self.wraps.true, self.wraps.before, self.wraps.after)
-        true, before, after = (own[muscle, :, coordinate] for own in arms)
-        draw_wrap_recovery(
-            folder / "wrap_recovery.png",
-            arm=f"{self.wraps.muscles[muscle]} about {self.wraps.coordinates[coordinate]}",
-            trials=self.calibrations["PGA"].result.trials,
-            true=true,
-            before=before,
-            after=after,
-        )
+        self.wraps.draw(folder / "wrap_recovery.png")
 
 
 def demo(

@@ -19,6 +19,8 @@ from wrapjax.virtual import VirtualTruth
 
 #: An arm counts as told apart from other parameters where the moments leave this part of its change open.
 TOLD_APART = 0.1
+# How many arms the figure shows.
+_DRAWN = 8
 #: And where it is at least as far (m) from the true one: a smaller change shows nothing.
 LEAST_ERROR = 1e-4
 
@@ -65,11 +67,11 @@ class WrapRecovery:
         """Arms whose change the moments tell apart from other parameters, to a tenth of its size."""
         return told_apart(self.error_before, self.deviation)
 
-    def most_moved(self) -> tuple[int, int]:
-        """Give muscle and coordinate, by number, of the arm that calibration moved most."""
-        change = np.abs(self.after - self.before).mean(axis=(1, 3))
-        muscle, coordinate = np.unravel_index(int(change.argmax()), change.shape)
-        return int(muscle), int(coordinate)
+    def most_hidden(self, count: int) -> tuple[tuple[int, int], ...]:
+        """Give muscle and coordinate, by number, of the arms that are furthest from nominal."""
+        order = np.argsort(-self.error_before, axis=None, kind="stable")[:count]
+        muscles, coordinates = np.unravel_index(order, self.error_before.shape)
+        return tuple(zip(muscles.tolist(), coordinates.tolist(), strict=True))
 
     def content(self) -> dict[str, object]:
         """Arrange for JSON; moment-arm errors are means over these muscles and all frames."""
@@ -90,6 +92,25 @@ class WrapRecovery:
             for name, true, found in zip(self.wraps, self.true_wraps, self.found_wraps, strict=True)
         }
         return {"muscles": self.muscles, "moment_arm_error": errors, "wraps": wraps}
+
+    def draw(self, file: Path) -> None:
+        """Draw the arms that were hidden furthest, mean over cycles, with what the moments leave open."""
+        from wrapjax.report.wrap_recovery_figure import draw_wrap_recovery
+
+        shown = self.most_hidden(_DRAWN)
+        names = [f"{self.muscles[row]} about {self.coordinates[column]}" for row, column in shown]
+        rows, columns = np.array(shown).T
+        true, before, after = (
+            arms.mean(axis=1)[rows, columns] for arms in (self.true, self.before, self.after)
+        )
+        draw_wrap_recovery(
+            file,
+            arms=names,
+            true=true,
+            before=before,
+            after=after,
+            deviation=self.deviation[rows, columns],
+        )
 
 
 def wrap_recovery(calibration: Calibration, truth: VirtualTruth, moment_noise: float) -> WrapRecovery:

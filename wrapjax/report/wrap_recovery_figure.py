@@ -10,45 +10,58 @@ from jaxtyping import Float
 
 from wrapjax.files import write_whole
 from wrapjax.report.figures import PAGE_WIDTH
-from wrapjax.report.style import BLACK, BLUE, GRAY, Figure, in_style, panel_grid
+from wrapjax.report.style import BAND_ALPHA, BLACK, BLUE, GRAY, Figure, in_style, panel_grid
+
+_COLUMNS = 4
 
 
 def draw_wrap_recovery(
     file: Path,
     *,
-    arm: str,
-    trials: Sequence[str],
-    true: Float[np.ndarray, "trial frame"],
-    before: Float[np.ndarray, "trial frame"],
-    after: Float[np.ndarray, "trial frame"],
+    arms: Sequence[str],
+    true: Float[np.ndarray, "arm frame"],
+    before: Float[np.ndarray, "arm frame"],
+    after: Float[np.ndarray, "arm frame"],
+    deviation: Float[np.ndarray, " arm"],
 ) -> None:
-    """Draw one moment arm (m) over the gait cycle, one panel a trial, and write the picture.
+    """Draw moment arms (m) over the gait cycle, one panel each, and write the picture.
 
     Parameters
     ----------
     file
         Where to; written whole or not at all.
-    arm
-        Muscle and coordinate, for the title.
-    trials
-        Names.
+    arms
+        Muscle and coordinate, for the titles.
     true, before, after
         Round the true cylinders, the model's and those that were found.
+    deviation
+        What the moments leave open of an arm (m): half the width of the band about what was found.
     """
-    figure = _wrap_recovery_figure(arm, trials, 1e3 * true, 1e3 * before, 1e3 * after)
+    figure = _wrap_recovery_figure(arms, 1e3 * true, 1e3 * before, 1e3 * after, 1e3 * deviation)
     write_whole(file, lambda temporary: figure.savefig(temporary, dpi=130))
 
 
 @in_style
-def _wrap_recovery_figure(arm, trials, true, before, after) -> Figure:
-    figure, panels = panel_grid(len(trials), 4, width=PAGE_WIDTH, panel_height=1.7, sharex=True, sharey=True)
+def _wrap_recovery_figure(arms, true, before, after, deviation) -> Figure:
+    figure, panels = panel_grid(len(arms), _COLUMNS, width=PAGE_WIDTH, panel_height=2.0, sharex=True)
     percent = np.linspace(0.0, 100.0, true.shape[1])
-    for panel, name, *curves in zip(panels, trials, true, before, after, strict=True):
-        styles = ((BLACK, "-", "true"), (GRAY, "--", "nominal cylinder"), (BLUE, "-", "found by PGA"))
-        for values, (color, line, label) in zip(curves, styles, strict=True):
-            panel.plot(percent, values, line, color=color, label=label)
+    for panel, name, own, nominal, found, half in zip(
+        panels, arms, true, before, after, deviation, strict=True
+    ):
+        panel.fill_between(
+            percent,
+            found - half,
+            found + half,
+            color=BLUE,
+            alpha=BAND_ALPHA,
+            linewidth=0.0,
+            label="left open by the moments (± 1 SD)",
+        )
+        panel.plot(percent, nominal, "--", color=GRAY, label="nominal cylinder")
+        panel.plot(percent, found, color=BLUE, label="found by PGA")
+        panel.plot(percent, own, color=BLACK, label="true")
         panel.set_title(name, parse_math=False)
-    figure.supxlabel("gait cycle (%), same-form data of a virtual subject", fontsize=8.5)
-    figure.supylabel(f"{arm}, moment arm (mm)", fontsize=8.5, parse_math=False)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    figure.supxlabel("gait cycle (%), mean of all cycles; same-form data of a virtual subject", fontsize=8.5)
+    figure.supylabel("moment arm (mm)", fontsize=8.5)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
     return figure
