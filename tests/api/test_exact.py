@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.api.hidden_cylinders import errors_of_told_arms, hidden
 from tests.subject.synthetic import write_subject, write_wrapped_subject
-from wrapjax.api import calibrate, exact_geometry, load_subject
+from wrapjax.api import calibrate, exact_geometry, load_subject, prepare
 from wrapjax.cli import main
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
@@ -57,6 +58,17 @@ def test_command_calibrates_cylinders(run):
     assert all(lower <= value <= upper for value, lower, upper in wraps.values())
     nominal = dict(zip(wraps, NOMINAL, strict=True))
     assert any(abs(value - nominal[name]) > 1e-3 for name, (value, _, _) in wraps.items())
+
+
+def test_a_hidden_cylinder_is_found_beside_gains(subject, geometry):
+    """Without noise, and with everything of the muscles free, too."""
+    problem = prepare(subject, "PGA", geometry)
+    wraps = geometry.freedom("PGA", subject).wraps
+    true_wraps = {wraps.names[0]: NOMINAL + [0.003, 0.002, 0.0, 0.05, -0.05, 0.05]}
+    gains = problem.variables.base.emg_scale * np.array([0.9, 1.15])
+    before, after = errors_of_told_arms(*hidden(problem, wraps, true_wraps, emg_scale=gains))
+    assert before.size
+    assert after.mean() < 0.4 * before.mean()
 
 
 def test_personalised_model_has_the_paths_of_the_calibration(subject, geometry, run):

@@ -1,16 +1,24 @@
-"""The demo: a virtual person from nothing to a report and a comparison with the truth."""
+"""The demo: a virtual person from nothing to a report and a comparison with the truth.
+
+Methods that change polynomials take most of its time and are tested elsewhere: here they are left out, but
+for one slow test.
+"""
 
 import json
 
 import pytest
 
+import wrapjax.api.demo
 from wrapjax.cli import main
 
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
+    """Exit status and folder of a demo by NGA and PGA."""
     folder = tmp_path_factory.mktemp("demo") / "out"
-    return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(wrapjax.api.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
 
 
 def test_everything_is_written_and_converged(shown):
@@ -58,3 +66,14 @@ def test_existing_folder_is_left_alone(shown, capsys):
     assert main(["demo", "--out", str(shown[1])]) == 2
     assert "--force" in capsys.readouterr().err
     assert (shown[1] / "demo.json").read_bytes() == before
+
+
+@pytest.mark.slow
+def test_all_four_methods_are_shown(tmp_path):
+    assert main(["demo", "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    methods = json.loads((tmp_path / "out" / "demo.json").read_text())["methods"]
+    assert list(methods) == ["NGA", "SGA", "LSGA", "PGA"]
+    errors = {name: method["mae_calibration_Nm"] for name, method in methods.items()}
+    assert errors["NGA"] > max(errors["SGA"], errors["LSGA"], errors["PGA"])
+    for name in methods:
+        assert (tmp_path / "out" / name / "report.html").stat().st_size > 0
