@@ -71,8 +71,8 @@ def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> 
 def _origin(result: CalibrationResult) -> str:
     if result.freedom.wraps is not None:
         return (
-            "They follow the cylinders that the muscles wrap round (see Wrapping surfaces), within the "
-            "hard limits (see Solver)."
+            "They follow the cylinders that the muscles wrap round, each of which may move, turn and grow "
+            "within its bounds (kind 'wrap' in parameters.csv)."
         )
     return (
         "These are polynomials, not anatomy: no bone and no surface bounds them, only penalties on the "
