@@ -57,8 +57,7 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
     assert errors["before_m"] > 1e-4
     assert errors["open_m"] > 1e-3 and errors["told_apart"] == 0
     maes = {name: method["mae_calibration_Nm"] for name, method in content["methods"].items()}
-    assert set(maes) == {"NGA", "SGA", "LSGA", "PGA"}
-    assert maes["PGA"] < 1.1 * maes["NGA"]
+    assert maes["PGA"] < maes["NGA"]
 
 
 def test_existing_folder_is_left_alone(shown, capsys):
