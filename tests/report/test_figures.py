@@ -1,5 +1,6 @@
 """Figures show the numbers they should, in groups a reader can compare."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
 from wrapjax.report.figures import activation_figure, fiber_length_figure, moment_figure
 from wrapjax.report.parameter_figures import bounds_figure, cost_figure, history_figure, place_within_bounds
-from wrapjax.report.style import to_svg
+from wrapjax.report.style import new_figure, to_svg
 
 
 def _line(panel, label):
@@ -124,3 +125,20 @@ def test_the_users_own_style_is_neither_used_nor_changed(result):
         assert matplotlib.rcParams["lines.linewidth"] == 9.0
     assert "#ff0000" not in drawn
     assert "matplotlib.pyplot" not in __import__("sys").modules or not matplotlib.pyplot.get_fignums()
+
+
+def test_short_paths_are_the_same_paths():
+    """Letters are left out between points of straight lines, never within curves."""
+    figure = new_figure(2.0, 2.0)
+    panel = figure.subplots()
+    panel.plot([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 1.0])
+    panel.plot([0.0, 3.0], [0.0, 1.0], "o")
+    panel.set_title("8")
+    paths = re.findall(r' d="([^"]*)"', to_svg(figure))
+    line = next(path for path in paths if path.count(" ") >= 8 and not re.search("[CQz]", path))
+    assert re.fullmatch(r"M( -?\d+\.?\d*){8} *\n?", line)
+    curved = [path for path in paths if re.search("[CQ]", path)]
+    assert len(curved) >= 2
+    for path in curved:
+        for command, numbers in re.findall(r"([MLCQ])([^MLCQz]*)", path):
+            assert len(numbers.split()) == {"M": 2, "L": 2, "C": 6, "Q": 4}[command]

@@ -27,6 +27,7 @@ BAND_ALPHA = 0.2
 
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d\d)\d+")
+_CURVED = re.compile(r"[CQz]")
 _SETTINGS = {
     "font.size": 8.5,
     "axes.titlesize": 8.5,
@@ -102,4 +103,11 @@ def to_svg(figure: Figure) -> str:
     buffer = io.StringIO()
     with drawing_style():
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return _PATH.sub(lambda path: _DECIMALS.sub(r"\1", path[0]), buffer.getvalue())
+    return _PATH.sub(lambda path: _in_short(path[0]), buffer.getvalue())
+
+
+def _in_short(path: str) -> str:
+    """Write a path's points in fewer letters: reports hold many thousands."""
+    rounded = _DECIMALS.sub(r"\1", path)
+    # From one point to the next a path of straight lines goes on by itself; curves would take its place.
+    return rounded if _CURVED.search(rounded, 4) else rounded.replace(" \nL ", " ")
