@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wrapjax.report.physiological_figure import physiological_figure
+from wrapjax.report.physiological_figure import SampledPath, physiological_figure
 from wrapjax.report.style import to_svg
 
 FRAMES = 50
@@ -16,7 +16,8 @@ def test_samples_are_sorted_by_verdict():
         "jumps": np.array([False, False, True, False]),
         "length_step": np.array([False, False, True, True]),
     }
-    figure = physiological_figure("psoas_l", nominal, {"knee_angle_l": 0.1 * nominal}, length, arms, faults)
+    path = SampledPath("psoas_l", nominal, {"knee_angle_l": 0.1 * nominal}, length, arms, faults)
+    figure = physiological_figure(path)
     panels = figure.axes
     assert [panel.get_ylabel() for panel in panels] == ["accepted: 2", "", "rejected: 2", ""]
     # Every sample once, and the nominal path.

@@ -149,6 +149,7 @@ class Fit:
             "seed": self.seed,
             "wraps": {} if self.wraps is None else self.wraps.content(),
             "wraps_of": None if self.wraps is None else self.wraps.wraps_of,
+            "thresholds": None if self.wraps is None else vars(self.wraps.thresholds),
         }
         write_json(folder / "fit.json", content)
 
@@ -202,7 +203,9 @@ def read_fit(folder: Path) -> Fit:
         outer = {name: jnp.asarray(value) for name, value in arrays.items() if "." not in name}
         wraps = None
         if content["wraps_of"] is not None:
-            wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"])
+            # Fits made before they said so were held to the defaults.
+            thresholds = content.get("thresholds", {})
+            wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"], thresholds)
         return Fit(
             key=content["key"],
             surrogate=PathSurrogate(muscles, coordinates, **outer),

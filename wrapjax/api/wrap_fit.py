@@ -11,6 +11,7 @@ import numpy as np
 
 from wrapjax.api.cylinders import freed_wraps
 from wrapjax.geometry import RAREST_SHARE, Feasibility, InnerLevel
+from wrapjax.geometry.physiological import PhysiologicalThresholds
 from wrapjax.model import FreedWraps
 
 
@@ -50,6 +51,8 @@ class WrapFit:
         By cylinder; None where too few samples are of either kind to learn from.
     quality
         By cylinder.
+    thresholds
+        What counted as physiological.
     """
 
     wraps_of: dict[str, tuple[str, ...]]
@@ -58,6 +61,7 @@ class WrapFit:
     inner: InnerLevel
     feasibility: dict[str, Feasibility | None]
     quality: dict[str, WrapQuality]
+    thresholds: PhysiologicalThresholds
 
     @property
     def movable(self) -> tuple[str, ...]:
@@ -106,7 +110,10 @@ class WrapFit:
 
 
 def wrap_fit_from(
-    arrays: dict[str, np.ndarray], content: dict[str, dict], wraps_of: dict[str, list[str]]
+    arrays: dict[str, np.ndarray],
+    content: dict[str, dict],
+    wraps_of: dict[str, list[str]],
+    thresholds: dict[str, float],
 ) -> WrapFit:
     """Put together what `WrapFit.arrays` and `WrapFit.content` took apart."""
     names = ("weights", "half_range")
@@ -127,4 +134,5 @@ def wrap_fit_from(
         quality={
             wrap: WrapQuality(**{kind: entry[kind] for kind in kinds}) for wrap, entry in content.items()
         },
+        thresholds=PhysiologicalThresholds(**thresholds),
     )

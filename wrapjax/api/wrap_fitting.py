@@ -138,6 +138,7 @@ def _fit_wraps(
             inner=stack_inner_levels(surrogate, learned),
             feasibility=feasibility,
             quality=quality,
+            thresholds=thresholds,
         ),
         seconds=fit.seconds
         | {

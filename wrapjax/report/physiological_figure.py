@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,8 +21,8 @@ from wrapjax.report.style import (
 )
 from wrapjax.report.wording import plain
 
-#: At most so many samples of a kind are drawn.
-_MOST_CURVES = 25
+#: At most so many samples of a kind are drawn, unless the caller says otherwise.
+MOST_CURVES = 25
 #: Colors of what paths are rejected for, in this order; smoothness and deviation share theirs.
 _COLORS = {
     "jumps": VERMILION,
@@ -34,19 +35,9 @@ _COLORS = {
 }
 
 
-@in_style
-def physiological_figure(
-    muscle: str,
-    nominal: Float[np.ndarray, " frame"],
-    nominal_arms: Mapping[str, Float[np.ndarray, " frame"]],
-    length: Float[np.ndarray, "sample frame"],
-    moment_arms: Mapping[str, Float[np.ndarray, "sample frame"]],
-    faults: Mapping[str, Bool[np.ndarray, " sample"]],
-) -> Figure:
-    """Draw accepted and rejected paths over one recorded cycle.
-
-    Upper row: accepted ones. Lower row: rejected ones, in the color of the first criterion they fail.
-    Columns: what length differs from nominal by, then each moment arm.
+@dataclass(frozen=True)
+class SampledPath:
+    """A muscle's path at samples of its cylinders, over one recorded cycle.
 
     Parameters
     ----------
@@ -59,17 +50,45 @@ def physiological_figure(
     faults
         By criterion, which samples fail it (`PathMeasures.faults`).
     """
-    accepted = ~np.any(list(faults.values()), axis=0)
-    columns = 1 + len(moment_arms)
+
+    muscle: str
+    nominal: Float[np.ndarray, " frame"]
+    nominal_arms: Mapping[str, Float[np.ndarray, " frame"]]
+    length: Float[np.ndarray, "sample frame"]
+    moment_arms: Mapping[str, Float[np.ndarray, "sample frame"]]
+    faults: Mapping[str, Bool[np.ndarray, " sample"]]
+
+    @property
+    def accepted(self) -> Bool[np.ndarray, " sample"]:
+        """The samples that fail no criterion."""
+        return ~np.any(list(self.faults.values()), axis=0)
+
+
+@in_style
+def physiological_figure(path: SampledPath, most_curves: int = MOST_CURVES) -> Figure:
+    """Draw accepted and rejected paths over one recorded cycle.
+
+    Upper row: accepted ones. Lower row: rejected ones, in the color of the first criterion they fail.
+    Columns: what length differs from nominal by, then each moment arm.
+
+    Parameters
+    ----------
+    path
+        What was sampled.
+    most_curves
+        Draw at most so many samples of either kind.
+    """
+    accepted = path.accepted
+    columns = 1 + len(path.moment_arms)
     figure, panels = panel_grid(2 * columns, columns, width=PAGE_WIDTH, panel_height=2.1, sharex=True)
-    quantities = {"length, less nominal (mm)": length - nominal}
-    quantities |= {f"moment arm, {name} (mm)": arms for name, arms in moment_arms.items()}
-    usual = [0.0 * nominal, *nominal_arms.values()]
-    percent = np.linspace(0.0, 100.0, nominal.size, endpoint=False)
-    first = _first_fault(faults)
+    quantities = {"length (mm)\nless nominal": path.length - path.nominal}
+    quantities |= {f"moment arm (mm)\n{name}": arms for name, arms in path.moment_arms.items()}
+    usual = [0.0 * path.nominal, *path.nominal_arms.values()]
+    percent = np.linspace(0.0, 100.0, path.nominal.size, endpoint=False)
+    first = _first_fault(path.faults)
     for row, kept in enumerate((accepted, ~accepted)):
         drawn = np.flatnonzero(kept)
-        drawn = drawn[:: max(1, len(drawn) // _MOST_CURVES)]
+        drawn = drawn[:: max(1, -(-len(drawn) // most_curves))]
         for column, (title, values) in enumerate(quantities.items()):
             panel = panels[row * columns + column]
             for sample in drawn:
@@ -82,7 +101,7 @@ def physiological_figure(
                 panel.set_xlabel("gait cycle (%)")
             mark_gait_cycle(panel, step=50)
         panels[row * columns].set_ylabel(f"{'accepted' if row == 0 else 'rejected'}: {kept.sum()}")
-    _explain(figure, muscle, faults)
+    _explain(figure, path.muscle, path.faults)
     return figure
 
 
@@ -100,4 +119,4 @@ def _explain(figure: Figure, muscle: str, faults: Mapping[str, Bool[np.ndarray, 
     handles += [Line2D([], [], color=_COLORS[name]) for name in found]
     labels = [f"{muscle}, nominal", "accepted"]
     labels += [f"{plain(name)}: {count}" for name, count in found.items()]
-    figure.legend(handles, labels, loc="outside upper left", ncols=min(4, len(labels)))
+    figure.legend(handles, labels, loc="outside upper left", ncols=min(5, len(labels)))
