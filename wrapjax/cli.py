@@ -162,19 +162,21 @@ def _fit(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import fit, fit_wraps, load_subject
     from wrapjax.api.text import fit_table, wrap_table
+    from wrapjax.progress import say
 
     _refuse_existing(options.out, options.force)
     subject = load_subject(options.subject)
     how = {"processes": options.threads, "quiet": options.quiet}
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
-    result.save(options.out, force=options.force)
+    say("drawing the report", quiet=options.quiet)
+    result.save(options.out, subject=subject, force=options.force)
     if options.json:
         _print_json(_stored(options.out / "fit.json"))
     else:
         print(fit_table(result))
         if result.wraps is not None and result.wraps.quality:
             print(f"\n{wrap_table(result.wraps)}")
-        print(f"\nwritten to {options.out}")
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE
 
 

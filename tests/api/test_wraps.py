@@ -1,6 +1,9 @@
 """Defends: a fit that has sampled its cylinders says how good it is, comes back from disk, and serves PGA."""
 
 import json
+import os
+from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -87,6 +90,29 @@ def test_contract_of_the_folder(sampled, tmp_path):
     assert set(content["seconds"]) >= {"analysis", "fit", "boxes", "sampling", "feasibility"}
 
 
+def test_the_report_shows_paths_by_the_thresholds_of_the_fit(person, sampled, tmp_path):
+    """And a fit without cylinders has a report without them."""
+    usual = sampled.wraps.thresholds
+    strict = replace(sampled, wraps=replace(sampled.wraps, thresholds=replace(usual, length_deviation=0.0)))
+    saved = {"usual": sampled, "strict": strict, "plain": fit(person, "engine")}
+    for name, one in saved.items():
+        one.save(tmp_path / name, subject=person)
+    pages = {name: (tmp_path / name / "report.html").read_text() for name in saved}
+    assert "recfem_l (knee_front_l): 0 of 150 accepted" in pages["strict"]
+    assert "<details>" in pages["usual"] and "recfem_l (knee_front_l): 0 of" not in pages["usual"]
+    assert "<details>" not in pages["plain"] and "<h2>Cylinders" not in pages["plain"]
+    assert load_fit(tmp_path / "strict", person).wraps.thresholds.length_deviation == 0.0
+
+
+def test_a_report_that_fails_leaves_no_folder(person, sampled, tmp_path, monkeypatch):
+    monkeypatch.setattr("wrapjax.report.fit.page.render_fit", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        sampled.save(tmp_path / "fit")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match="is no fit of subject"):
+        replace(sampled, key="other-key").save(tmp_path / "fit", subject=person)
+
+
 def test_round_trip(person, sampled, tmp_path):
     sampled.save(tmp_path / "fit")
     again = load_fit(tmp_path / "fit", person)
@@ -117,6 +143,7 @@ def test_the_same_question_is_answered_from_the_cache(person, sampled, monkeypat
     monkeypatch.setattr(wrap_fitting, "_fit_wraps", None)
     again = fit_wraps(person, fit(person, "engine"))
     assert again.wraps.quality == sampled.wraps.quality
+    assert not list(Path(os.environ["WRAPJAX_CACHE"]).rglob("report.html"))
 
 
 def test_a_fit_without_samples_cannot_serve_pga(person):

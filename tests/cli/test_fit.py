@@ -11,11 +11,12 @@ def test_fit_prints_a_table_and_says_where_it_is(fitted):
     outcome, folder = fitted
     assert outcome.status == 0
     assert "recfem_l" in outcome.output and f"written to {folder}" in outcome.output
+    assert f"open {folder / 'report.html'} in a browser" in outcome.output
 
 
 def test_fit_folder_keeps_its_contract(fitted):
     _, folder = fitted
-    assert names(folder) == ["fit.json", "fit.npz"]
+    assert names(folder) == ["fit.json", "fit.npz", "report.html"]
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
     content = stored(folder / "fit.json")
     assert content["schema"] == 1

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,10 +19,13 @@ from wrapjax.api.assembly import model_parameters
 from wrapjax.api.polynomial_paths import polynomial_freedom, polynomial_paths, wrapped_polynomial_paths
 from wrapjax.api.wrap_fit import WrapFit, wrap_fit_from
 from wrapjax.errors import InputError, Problem
-from wrapjax.files import content_hash, new_folder, write_json, write_whole
+from wrapjax.files import content_hash, new_folder, write_json, write_text, write_whole
 from wrapjax.geometry import AbstractPath, PathSurrogate
 from wrapjax.model import Freedom, nga, with_wraps
 from wrapjax.subject import Subject, Trials
+
+if TYPE_CHECKING:
+    from wrapjax.report.physiological_figure import SampledPath
 
 
 @dataclass(frozen=True)
@@ -124,22 +129,66 @@ class Fit:
             return polynomial_paths(subject, trials, self.surrogate, freedom)
         return wrapped_polynomial_paths(subject, trials, self.surrogate, self.wraps, freedom.wraps)
 
-    def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write ``fit.json`` and ``fit.npz`` into a new folder."""
+    def save(self, folder: str | Path, *, subject: Subject | None = None, force: bool = False) -> None:
+        """Write ``fit.json``, ``fit.npz`` and ``report.html`` into a new folder.
+
+        Parameters
+        ----------
+        folder
+            Where to; it appears when complete.
+        subject
+            Whose fit it is. With it the report names the person and shows, of every muscle that touches
+            a cylinder, which sampled paths were accepted; these are laid once more, half a minute's work.
+        force
+            Replace a folder that exists.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not the
+            subject's.
+        """
+        from wrapjax.api.wrap_pictures import REPORTED_SAMPLES, sampled_paths
+        from wrapjax.report.fit.page import render_fit
+
+        if subject is not None:
+            self.refuse_others(subject, "fit")
         with new_folder(Path(folder), force=force) as temporary:
             self._write(temporary)
+            wraps_of = {} if self.wraps is None else self.wraps.wraps_of
+            shown = [name for name in self.touching if wraps_of.get(name)]
+            paths: Iterable[SampledPath] = ()
+            if subject is not None:
+                paths = sampled_paths(subject, self, shown, count=REPORTED_SAMPLES)
+            write_text(temporary / "report.html", render_fit(self.content(), subject, paths))
 
-    def _write(self, folder: Path) -> None:
-        names = {"muscles": self.surrogate.muscles, "coordinates": self.surrogate.coordinates}
-        arrays = _arrays(self.surrogate) | {name: np.array(value) for name, value in names.items()}
-        if self.wraps is not None:
-            arrays |= self.wraps.arrays()
+    def keep(self, folder: Path) -> None:
+        """Put the fit into a cache: whatever is there is replaced, and there is no report."""
+        with new_folder(folder, force=True) as temporary:
+            self._write(temporary)
 
-        def write(path: Path) -> None:
-            np.savez(path, allow_pickle=False, **arrays)
+    def refuse_others(self, subject: Subject, place: str) -> None:
+        """Raise an error if this is not a fit of the subject's model and of all its muscles.
 
-        write_whole(folder / "fit.npz", write)
-        content = {
+        Parameters
+        ----------
+        place
+            What the error names.
+        """
+        missing = [name for name in subject.muscles.names if name not in self.surrogate.muscles]
+        if missing or self.key.split("-")[0] != content_hash(subject.model_file):
+            reason = f"it lacks muscle '{missing[0]}'" if missing else "it was made from another model file"
+            raise InputError(
+                Problem(
+                    place,
+                    f"is no fit of subject '{subject.name}': {reason}",
+                    hint="make it anew with 'wrapjax fit'",
+                )
+            )
+
+    def content(self) -> dict[str, Any]:
+        """Describe the fit in plain values: what ``fit.json`` holds."""
+        return {
             "schema": 1,
             "key": self.key,
             "seconds": self.seconds,
@@ -151,7 +200,18 @@ class Fit:
             "wraps_of": None if self.wraps is None else self.wraps.wraps_of,
             "thresholds": None if self.wraps is None else vars(self.wraps.thresholds),
         }
-        write_json(folder / "fit.json", content)
+
+    def _write(self, folder: Path) -> None:
+        names = {"muscles": self.surrogate.muscles, "coordinates": self.surrogate.coordinates}
+        arrays = _arrays(self.surrogate) | {name: np.array(value) for name, value in names.items()}
+        if self.wraps is not None:
+            arrays |= self.wraps.arrays()
+
+        def write(path: Path) -> None:
+            np.savez(path, allow_pickle=False, **arrays)
+
+        write_whole(folder / "fit.npz", write)
+        write_json(folder / "fit.json", self.content())
 
 
 def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:
@@ -166,17 +226,7 @@ def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:
     """
     found = read_fit(Path(folder))
     if subject is not None:
-        own = subject.muscles.names
-        missing = [name for name in own if name not in found.surrogate.muscles]
-        if missing or found.key.split("-")[0] != content_hash(subject.model_file):
-            reason = f"it lacks muscle '{missing[0]}'" if missing else "it was made from another model file"
-            raise InputError(
-                Problem(
-                    str(folder),
-                    f"is no fit of subject '{subject.name}': {reason}",
-                    hint="make it anew with 'wrapjax fit'",
-                )
-            )
+        found.refuse_others(subject, str(folder))
     return found
 
 

@@ -85,7 +85,7 @@ def fit(
         except (InputError, OSError, ValueError, KeyError):
             say(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit(subject, geometry, key, seed, processes, quiet)
-    result.save(cached, force=True)
+    result.keep(cached)
     return result
 
 

@@ -77,7 +77,7 @@ def fit_wraps(
         except (InputError, OSError):
             say(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit_wraps(subject, fit, thresholds, processes, quiet)
-    result.save(cached, force=True)
+    result.keep(cached)
     return result
 
 

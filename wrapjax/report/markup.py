@@ -32,6 +32,8 @@ figure { margin: .8rem 0; }
 figure img { max-width: 100%; height: auto; }
 figcaption { color: #333; font-size: .92rem; max-width: 48rem; }
 ul { padding-left: 1.2rem; }
+details { border-bottom: 1px solid #e4e4e4; padding: .25rem 0; }
+summary { cursor: pointer; }
 @media print {
   html { font-size: 11.5px; }
   body { max-width: none; padding: 0; }
@@ -72,6 +74,11 @@ def box(content: str, kind: str) -> str:
 def section(title: str, *content: str) -> str:
     """Put pieces under a heading."""
     return "\n".join([f"<section>\n<h2>{text(title)}</h2>", *content, "</section>"])
+
+
+def folded(title: str, *content: str) -> str:
+    """Put pieces behind a line that opens them."""
+    return "\n".join([f"<details>\n<summary>{text(title)}</summary>", *content, "</details>"])
 
 
 def table(

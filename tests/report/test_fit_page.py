@@ -1,0 +1,130 @@
+"""Defends: the report of a fit names the muscles that polynomials follow badly, and opens offline."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.report.test_html import Page
+from wrapjax.report.fit.errors import error_figure, error_findings
+from wrapjax.report.fit.page import render_fit
+from wrapjax.report.physiological_figure import SampledPath
+
+
+def error(length, arm, *, wrapped=True):
+    return {
+        "wrapped": wrapped,
+        "length_rmse_mm": length,
+        "length_max_mm": 3.0 * length,
+        "moment_arm_rmse_mm": arm,
+        "moment_arm_max_mm": 3.0 * arm,
+        "terms": 20,
+    }
+
+
+def cylinder(share, accuracy, passed, *, touched=True):
+    return {
+        "physiological_share": share,
+        "balanced_accuracy": accuracy,
+        "false_physiological": passed,
+        "translation_m": 0.0075,
+        "touched": touched,
+    }
+
+
+PLAIN = {
+    "muscles": {
+        "psoas_l": error(0.05, 0.2),
+        "glmax1_l": error(0.1, 0.95),
+        "semimem_l": error(0.3, 0.1),
+        "soleus_l": error(1e-5, 1e-4, wrapped=False),
+    },
+    "touching": ["psoas_l"],
+    "geometry": "opensim",
+    "seed": 4,
+    "seconds": {"analysis": 10.0, "fit": 2.5},
+    "wraps": {},
+    "wraps_of": None,
+    "thresholds": None,
+}
+SAMPLED = PLAIN | {
+    "wraps": {"brim": cylinder(0.6, 0.9, 0.02), "pelvis": cylinder(0.99, None, 1.0, touched=False)},
+    "wraps_of": {"psoas_l": ("brim",), "glmax1_l": ("pelvis",), "semimem_l": (), "soleus_l": ()},
+    "thresholds": {
+        "length_deviation": 0.025,
+        "moment_arm_deviation": 0.02,
+        "variability": 3.0,
+        "length_step": 0.0015,
+        "moment_arm_step": 0.003,
+    },
+}
+
+
+def sampled_path():
+    nominal = 0.3 + 0.01 * np.sin(np.linspace(0.0, 6.0, 20))
+    length = nominal + np.array([0.0, 0.001, 0.05])[:, None]
+    arms, usual = {"hip": 0.1 * length}, {"hip": 0.1 * nominal}
+    return SampledPath("psoas_l", nominal, usual, length, arms, {"jumps": np.array([False, False, True])})
+
+
+def test_the_verdict_names_what_is_followed_less_closely_than_usual():
+    first, second = error_findings(PLAIN)
+    assert first == "Polynomials follow the paths of 3 of 4 muscles as closely as usual, but not of glmax1_l."
+    assert (
+        "Muscles that may wrap (3): length 0.100 mm in the median and 0.300 mm at worst (semimem_l)" in second
+    )
+    assert "moment arm 0.200 mm in the median and 0.950 mm at worst (glmax1_l)" in second
+    assert "Muscles that never wrap (1): length < 0.001 mm, moment arm < 0.001 mm" in second
+    good = PLAIN | {"muscles": {"psoas_l": error(0.05, 0.2)}}
+    assert error_findings(good)[0].endswith("1 muscle as closely as usual.")
+
+
+def test_an_error_that_is_not_a_number_is_unusual():
+    assert "psoas_l" in error_findings(PLAIN | {"muscles": {"psoas_l": error(float("nan"), 0.1)}})[0]
+
+
+def test_errors_are_drawn_where_they_are():
+    length, arm = error_figure(PLAIN).axes
+    for panel, expected in ((length, [0.1, 0.05, 0.3]), (arm, [0.95, 0.2, 0.1])):
+        drawn = next(line for line in panel.get_lines() if line.get_label() == "may wrap")
+        np.testing.assert_allclose(drawn.get_xdata(), expected)
+        assert panel.get_xlim()[1] > max(expected)
+    names = [label.get_text() for label in length.get_yticklabels()]
+    assert names == ["glmax1_l", "psoas_l", "semimem_l", "soleus_l"]
+
+
+@pytest.mark.parametrize("content", [PLAIN, SAMPLED])
+def test_the_page_is_balanced_loads_nothing_and_says_how_it_was_made(content, subject):
+    html = render_fit(content, subject, [sampled_path()] if content["wraps"] else [])
+    page = Page(html)
+    headings = re.findall(r"<h2>(.*?)</h2>", html)
+    cylinders = ["Cylinders", "Accepted and rejected paths"] if content["wraps"] else []
+    assert headings == ["Errors by muscle", *cylinders, "How it was made"]
+    assert not page.all("script") + page.all("link")
+    assert all(image["src"].startswith("data:image/svg+xml") for image in page.all("img"))
+    assert "http://" not in html and "https://" not in html
+    assert "made_by_hand: muscle paths as polynomials" in page.text
+    assert "OpenSim's muscle analysis" in page.text and "seed 4" in page.text and "12.5" in page.text
+
+
+def test_cylinders_are_told_in_numbers_and_pictures():
+    text = Page(render_fit(SAMPLED, None, [sampled_path()])).text
+    assert "2 cylinders were sampled for PGA; muscles lie on 1 of them" in text
+    assert re.search(r"brim psoas_l yes 7\.5 60\.0 90\.0 2\.0", text)
+    # Nearly everywhere physiological: whether its limit errs cannot be judged.
+    assert re.search(r"pelvis glmax1_l no 7\.5 99\.0 \N{EN DASH} \N{EN DASH}", text)
+    assert "psoas_l (brim): 2 of 3 accepted" in text
+    assert "length step 1.5 mm" in text
+
+
+def test_names_cannot_break_the_page(subject):
+    name = "<script>alert(1)</script>"
+    content = SAMPLED | {
+        "muscles": {name: error(0.5, 0.9)},
+        "touching": [name],
+        "wraps_of": {name: ("brim",)},
+    }
+    page = Page(render_fit(content, replace(subject, name=name), [replace(sampled_path(), muscle=name)]))
+    assert not page.all("script")
+    assert f"{name}: muscle paths" in page.text
