@@ -114,7 +114,7 @@ def demo(
     )
     subject = read_subject(folder / "virtual_subject")
     fitted = fit(subject, seed=seed, quiet=quiet)
-    fitted.save(folder / "fit", force=force)
+    fitted.save(folder / "fit", subject=subject, force=force)
     calibrations = {}
     for method, starts in _STARTS.items():
         say(f"calibrating by {method}", quiet=quiet)
