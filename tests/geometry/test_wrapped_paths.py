@@ -9,6 +9,7 @@ import pytest
 
 from wrapjax.geometry import AdjustablePath, guarded_paths
 from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.guarded_paths import STRAYING
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim import describe_model
 
@@ -146,7 +147,8 @@ def test_to_lose_a_cylinder_is_a_wall(paths):
     assert np.isfinite(lost.closeness[MUSCLES.index("gasmed_l")]).all()
 
 
-def test_guarded_paths_know_the_closeness_of_the_exact_ones(s1_left, motion):
+def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion):
+    """Paths that do not move at all: what the exact ones move by, they stray by."""
     angles, velocities = motion
     engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
     every_third = angles[:, :, ::3], velocities[:, :, ::3]
@@ -155,11 +157,19 @@ def test_guarded_paths_know_the_closeness_of_the_exact_ones(s1_left, motion):
     none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
     guarded = guarded_paths(AdjustablePath(held, none), exact, 3)
     changes = jnp.zeros((2, 6)).at[0].set(jnp.array([1e-3, -1e-3, 1e-3, 0.02, -0.02, 0.02]))
-    state, slopes = jax.jit(lambda at: guarded.linearized(at))(changes)
-    known, known_slopes = jax.jit(lambda at: exact.linearized(at))(changes)
-    frames = [0, 0, 0, 1]
+    at = jax.jit(lambda changes: guarded.at(changes))
+    state, slopes = jax.jit(lambda changes: guarded.linearized(changes))(changes)
+    known = jax.jit(lambda changes: exact.at(changes))(changes)
     np.testing.assert_array_equal(state.length, held.length)
-    np.testing.assert_array_equal(state.closeness, known.closeness[..., frames])
-    np.testing.assert_array_equal(slopes.closeness, known_slopes.closeness[..., frames])
+    strayed = known.length - exact.nominal.length
+    assert np.abs(strayed).max() > 1e-4
+    expected = np.sqrt(known.closeness**2 + (strayed / STRAYING) ** 4)
+    frames = [0, 0, 0, 1]
+    np.testing.assert_allclose(state.closeness, expected[..., frames], atol=1e-11)
+    np.testing.assert_allclose(guarded.nominal.closeness, exact.nominal.closeness[..., frames], atol=1e-11)
+    for mode in range(6):
+        step = jnp.zeros((2, 6)).at[0, mode].set(1e-6)
+        difference = (at(changes + step).closeness - at(changes - step).closeness) / 2e-6
+        np.testing.assert_allclose(slopes.closeness[:, mode], difference, atol=1e-5, rtol=1e-5)
     assert np.abs(slopes.closeness[0]).max() > 0.0
     assert not np.asarray(slopes.length).any()

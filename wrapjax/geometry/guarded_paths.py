@@ -1,22 +1,27 @@
-"""Paths of one source, guarded by the exact engine from where the true paths would jump."""
+"""Paths of one source, guarded by the exact engine: from where true paths would jump, and from straying."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from wrapjax.geometry.paths import AbstractPath, PathState
 from wrapjax.geometry.wrapped_paths import WrappedPaths
 
+#: Difference from the exact length (m), beyond that of nominal paths, that makes closeness one.
+STRAYING = 3e-4
+
 
 class GuardedPaths(AbstractPath):
-    """Paths that are told their closeness to a jump by the exact ones.
+    """Paths that are told by the exact ones how close they are to what they must not get to.
 
     Polynomials follow cylinders smoothly to where no real path would follow: a path point inside, the
-    cylinder's end, a cylinder lost. The exact paths know, and need only be asked in some frames.
+    cylinder's end, a cylinder lost. And in a corner of what they were learned from they can be wrong by a
+    millimeter. The exact paths know, and need only be asked in some frames.
     """
 
     nominal: PathState
@@ -38,13 +43,17 @@ class GuardedPaths(AbstractPath):
 
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
         """Give all paths, changed by these amounts."""
-        return _joined(self.paths.at(changes), self.exact.at(changes), self.every)
+        return self._guarded(self.paths.at(changes), self.exact.at(changes))
 
     def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
         """Give all paths, and how each moves with its own changes (leaves lead with ``muscle mode``)."""
-        state, slopes = self.paths.linearized(changes)
-        exact_state, exact_slopes = self.exact.linearized(changes)
-        return _joined(state, exact_state, self.every), _joined(slopes, exact_slopes, self.every)
+        at = self.paths.linearized(changes), self.exact.linearized(changes)
+        (state, slopes), (exact, exact_slopes) = at
+
+        def along(slope: PathState, exact_slope: PathState) -> tuple[PathState, PathState]:
+            return jax.jvp(self._guarded, (state, exact), (slope, exact_slope))
+
+        return jax.vmap(along, in_axes=1, out_axes=(None, 1))(slopes, exact_slopes)
 
     def curvature(
         self, changes: Float[Array, "muscle mode"], weights: PathState
@@ -52,14 +61,21 @@ class GuardedPaths(AbstractPath):
         """Differentiate the paths twice; the closeness is left out, as it costs more than all the rest."""
         return self.paths.curvature(changes, replace(weights, closeness=None))
 
+    def _guarded(self, state: PathState, exact: PathState) -> PathState:
+        """Add the closeness; it is held from one frame in which it is known to the next."""
+        assert exact.closeness is not None, "the engine's paths know it"
+        change = (state.length - self.nominal.length)[..., :: self.every]
+        strayed = change - (exact.length - self.exact.nominal.length)
+        closeness = jnp.sqrt(exact.closeness**2 + (strayed / STRAYING) ** 4 + _TINY)
+        frames = state.length.shape[-1]
+        return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
+
+
+# Keeps the root's slope finite for paths that no wall is near to.
+_TINY = 1e-24
+
 
 def guarded_paths(paths: AbstractPath, exact: WrappedPaths, every: int) -> GuardedPaths:
     """Guard paths over cycles by exact ones over every so many frames of them, from the first on."""
-    return GuardedPaths(_joined(paths.nominal, exact.nominal, every), paths, exact, every)
-
-
-def _joined(state: PathState, exact: PathState, every: int) -> PathState:
-    """Hold the exact paths' closeness until it is known anew."""
-    assert exact.closeness is not None, "the engine's paths know it"
-    frames = state.length.shape[-1]
-    return replace(state, closeness=jnp.repeat(exact.closeness, every, axis=-1)[..., :frames])
+    unguarded = GuardedPaths(paths.nominal, paths, exact, every)
+    return replace(unguarded, nominal=unguarded._guarded(paths.nominal, exact.nominal))

@@ -20,6 +20,9 @@ _PER_WRAP = len(WRAP_PARAMETERS)
 # Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
 # the second figure in any frame, they are taken to cross anyway.
 _ROOM, _CROSSED = 1e-3, 1e-4
+# Walls stand so far (m) before a jump, or half as far as nominal paths are from it if that is less: cycles
+# that are not calibrated on come a little nearer.
+_KEPT = 1e-3
 # Longest stretch on a cylinder (m) that makes closeness one, where nominal paths have so much.
 _GRIP = 2e-3
 _RESOLUTION = 1e-6
@@ -167,10 +170,11 @@ def _walls(nominal: WrappedPath) -> _Walls:
     """Set up walls where the nominal paths leave room; where they cross one, a little further on."""
     least = jnp.min(nominal.clearances, axis=1)
     free = least > _CROSSED
+    limit = jnp.where(free, jnp.minimum(0.5 * least, _KEPT), least - _ROOM)
     longest = jnp.max(nominal.on_surface, axis=1)
     return _Walls(
-        limit=jnp.where(free, 0.0, least - _ROOM),
-        room=jnp.where(free, jnp.minimum(least, _ROOM), _ROOM),
+        limit=limit,
+        room=jnp.minimum(least - limit, _ROOM),
         grip=jnp.where(longest > _CROSSED, jnp.minimum(longest, _GRIP), 0.0),
     )
 
