@@ -14,7 +14,19 @@ from wrapjax.calibrate.muscle_blocks import curvature, slopes
 from wrapjax.calibrate.penalties import AbstractPenalty, Limit
 from wrapjax.calibrate.problem import AbstractCalibration, Linearization
 from wrapjax.geometry import PathState
-from wrapjax.model import ModelParameters, Recording, Variables, muscle_state_along, muscle_states
+from wrapjax.model import (
+    Alteration,
+    ModelParameters,
+    MuscleState,
+    Recording,
+    Variables,
+    altered_emg,
+    altered_moments,
+    altered_paths,
+    muscle_parts,
+    muscle_state_along,
+    muscle_states,
+)
 from wrapjax.muscle import HillCurves
 
 #: Allowable error of a joint moment in N m (the NMSM Pipeline's default).
@@ -35,6 +47,13 @@ class Objective(AbstractCalibration):
     limits: tuple[Limit, ...]
     #: Allowable error of a moment, N m. Lowering it weakens every penalty against the moments.
     moment_error: Float[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
+    #: What else there is than the plain model, held at its amounts. Paths must then be held.
+    alterations: tuple[Alteration, ...] = ()
+
+    def __check_init__(self):
+        # An altered path may be a mix of several muscles' ones, and their modes then touch other forces.
+        if self.alterations and self.variables.modes:
+            raise ValueError("a model that is altered can be calibrated with held paths only")
 
     @property
     def lower(self) -> Float[Array | np.ndarray, " variable"]:
@@ -73,7 +92,7 @@ class Objective(AbstractCalibration):
 
         Limits are no terms: they cost nothing where they are kept.
         """
-        states = muscle_states(self.curves, parameters, self.recording)
+        states = self._states(parameters)
         residuals = {"joint_moment": self._moment_rows(states.moment.sum(axis=0))}
         for penalty in self.penalties:
             residuals[penalty.name] = penalty.rows(penalty.values(parameters, states)).ravel()
@@ -87,13 +106,13 @@ class Objective(AbstractCalibration):
     def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
         """Give how far each limited value is above its bound, by limit; negative: below."""
         parameters = self.variables.unpack(variables)
-        states = muscle_states(self.curves, parameters, self.recording)
+        states = self._states(parameters)
         return tuple(limit.excess(limit.values(parameters, states)) for limit in self.limits)
 
     def residuals(self, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
         """All residuals, those of limits too, as one vector for solvers that want nothing else."""
         parameters = self.variables.unpack(variables)
-        states = muscle_states(self.curves, parameters, self.recording)
+        states = self._states(parameters)
         limited = [limit.rows(limit.values(parameters, states)).ravel() for limit in self.limits]
         return jnp.concatenate([*self.terms(parameters).values(), *limited])
 
@@ -144,6 +163,9 @@ class Objective(AbstractCalibration):
         _, _, moment_slopes, _ = self._muscle_slopes(self._muscle_inputs(variables))
         return self.variables.gather(moment_slopes).T
 
+    def _states(self, parameters: ModelParameters) -> MuscleState:
+        return muscle_states(self.curves, parameters, self.recording, self.alterations)
+
     @property
     def _restraints(self) -> tuple[AbstractPenalty, ...]:
         return (*self.penalties, *self.limits)
@@ -158,12 +180,14 @@ class Objective(AbstractCalibration):
             lambda leaf: jnp.einsum("mk,mk...->mk...", scale[:, count:], leaf[:, :modes]), by_change
         )
         single = self.variables.localize(variables)[:, :count]
-        return single, path, unit_modes, scale[:, :count], self.variables.base, self.recording.emg
+        path = altered_paths(path, self.alterations)
+        emg, parts = altered_emg(self.recording.emg, self.alterations), muscle_parts(self.alterations)
+        return single, path, unit_modes, scale[:, :count], self.variables.base, emg, parts
 
-    def _muscle_outputs(self, single, path, scale, base, emg):
+    def _muscle_outputs(self, single, path, scale, base, emg, parts):
         """What the residuals are made of, for one muscle."""
         parameters = self.variables.insert(base, single * scale)
-        state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding)
+        state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding, parts)
         return state.moment, tuple(restraint.read(parameters, state) for restraint in self._restraints)
 
     def _muscle_slopes(self, inputs: tuple):
@@ -243,6 +267,7 @@ class Objective(AbstractCalibration):
         return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))
 
     def _moment_rows(self, modelled: Float[Array, "trial coordinate frame"]) -> Float[Array, " row"]:
+        modelled = altered_moments(modelled, self.alterations)
         return self._moment_scale() * (modelled - self.measured).ravel()
 
     def _prior_weight(self) -> Float[Array | np.ndarray, " variable"]:

@@ -1,5 +1,13 @@
 """The forward model, its parameter tree and the freedoms."""
 
+from wrapjax.model.alteration import Alteration as Alteration
+from wrapjax.model.alteration import MuscleAlteration as MuscleAlteration
+from wrapjax.model.alteration import MuscleInputs as MuscleInputs
+from wrapjax.model.alteration import altered_emg as altered_emg
+from wrapjax.model.alteration import altered_moments as altered_moments
+from wrapjax.model.alteration import altered_paths as altered_paths
+from wrapjax.model.alteration import fiber_parameters as fiber_parameters
+from wrapjax.model.alteration import muscle_parts as muscle_parts
 from wrapjax.model.forward import MuscleState as MuscleState
 from wrapjax.model.forward import Recording as Recording
 from wrapjax.model.forward import joint_moments as joint_moments

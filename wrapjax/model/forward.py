@@ -8,6 +8,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from wrapjax.geometry import AbstractPath, PathState
+from wrapjax.model.alteration import (
+    Alteration,
+    MuscleAlteration,
+    MuscleInputs,
+    altered_emg,
+    altered_moments,
+    altered_paths,
+    fiber_parameters,
+    muscle_parts,
+)
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle import (
     EmgSpline,
@@ -42,11 +52,17 @@ class MuscleState(eqx.Module):
 
 
 def muscle_state_along(
-    path: PathState, curves: HillCurves, parameters: ModelParameters, emg: EmgSpline, padding: int
+    path: PathState,
+    curves: HillCurves,
+    parameters: ModelParameters,
+    emg: EmgSpline,
+    padding: int,
+    alterations: tuple[MuscleAlteration, ...] = (),
 ) -> MuscleState:
     """Run one muscle along a path over all cycles.
 
-    Of the path, the tendon force at a frame depends on length and rate at that frame alone.
+    Of the path, the tendon force of a muscle that is not altered depends, at a frame, on length and rate
+    at that frame alone.
 
     Parameters
     ----------
@@ -56,36 +72,72 @@ def muscle_state_along(
         Normalised force curves.
     padding
         Frames of EMG before and after each cycle.
+    alterations
+        Of this muscle, in their order.
     """
-    excitation = parameters.emg_scale * emg.at_delay(parameters.electromechanical_delay)
-    neural = neural_activation(excitation, parameters.activation_time_constant, emg.step)
-    inside = slice(padding, neural.shape[-1] - padding)
-    activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), parameters.activation_nonlinearity)
-    fiber = rigid_tendon_fiber(
-        curves,
-        activation,
-        path.length,
-        path.velocity,
-        max_isometric_force=parameters.max_isometric_force,
-        optimal_fiber_length=parameters.optimal_fiber_length,
-        tendon_slack_length=parameters.tendon_slack_length,
-        pennation_angle=parameters.pennation_angle,
-        max_fiber_velocity=parameters.max_fiber_velocity,
+    inputs = MuscleInputs(curves, parameters, path, emg, padding)
+    for alteration in alterations:
+        inputs = alteration.inputs(inputs)
+    own = inputs.parameters
+    excitation = own.emg_scale * inputs.emg.at_delay(own.electromechanical_delay)
+    for alteration in alterations:
+        excitation = alteration.excitation(excitation, inputs)
+    neural = neural_activation(
+        excitation, own.activation_time_constant, inputs.emg.step, inputs.deactivation_ratio
     )
+    inside = slice(padding, neural.shape[-1] - padding)
+    activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), own.activation_nonlinearity)
+    for alteration in alterations:
+        activation = alteration.activation(activation, inputs)
+    for alteration in alterations:
+        inputs = alteration.fibers(inputs, activation)
+    fiber = rigid_tendon_fiber(
+        inputs.curves,
+        activation,
+        inputs.path.length,
+        inputs.path.velocity,
+        **fiber_parameters(inputs.parameters),
+    )
+    for alteration in alterations:
+        fiber = alteration.tendon(fiber, activation, inputs)
+    for alteration in alterations:
+        fiber = alteration.force(fiber, activation, inputs)
     moment = path.moment_arm * fiber.tendon_force[:, None, :]
     return MuscleState(excitation[:, inside], activation, path, fiber, moment)
 
 
-def muscle_states(curves: HillCurves, parameters: ModelParameters, recording: Recording) -> MuscleState:
+def muscle_states(
+    curves: HillCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    alterations: tuple[Alteration, ...] = (),
+) -> MuscleState:
     """Run every muscle over all cycles; leaves of the result lead with ``muscle``."""
-    path = recording.path.at(parameters.path_changes)
-    return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None))(
-        path, curves, parameters, recording.emg, recording.padding
+    path = altered_paths(recording.path.at(parameters.path_changes), alterations)
+    emg = altered_emg(recording.emg, alterations)
+    return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None, 0))(
+        path, curves, parameters, emg, recording.padding, muscle_parts(alterations)
     )
 
 
 def joint_moments(
-    curves: HillCurves, parameters: ModelParameters, recording: Recording
+    curves: HillCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    alterations: tuple[Alteration, ...] = (),
 ) -> Float[Array, "trial coordinate frame"]:
-    """Predict the joint moments of all cycles, in N m (sign of the model's coordinates)."""
-    return muscle_states(curves, parameters, recording).moment.sum(axis=0)
+    """Predict the joint moments of all cycles, in N m (sign of the model's coordinates).
+
+    Parameters
+    ----------
+    curves
+        Normalised force curves.
+    parameters
+        Of all muscles.
+    recording
+        EMG and paths.
+    alterations
+        What else there is than the plain model, in its order within each stage.
+    """
+    states = muscle_states(curves, parameters, recording, alterations)
+    return altered_moments(states.moment.sum(axis=0), alterations)

@@ -23,10 +23,11 @@ def neural_activation(
     excitation: Float[Array, "trial padded_frame"],
     activation_time_constant: Float[Array, ""],
     step: Float[Array, " trial"],
+    deactivation_ratio: Float[Array, ""] | float = DEACTIVATION_RATIO,
 ) -> Float[Array, "trial padded_frame"]:
     """Integrate first-order activation dynamics from rest.
 
-    ``da/dt = (c1 e + c2)(e - a)`` with ``c2 = 1/(4 ta)`` and ``c1 = 1/ta - c2``, discretised by the
+    ``da/dt = (c1 e + c2)(e - a)`` with ``c2 = 1/(r ta)`` and ``c1 = 1/ta - c2``, discretised by the
     implicit second-order backward difference; the first two frames are at rest.
 
     Parameters
@@ -37,6 +38,8 @@ def neural_activation(
         ta in s.
     step
         Time step of each cycle in s.
+    deactivation_ratio
+        r: how many times as long as activation deactivation takes.
 
     Returns
     -------
@@ -44,7 +47,7 @@ def neural_activation(
         Neural activation. It can undershoot zero by the order of the discretisation error.
     """
     fast = 1.0 / activation_time_constant
-    slow = fast / DEACTIVATION_RATIO
+    slow = fast / deactivation_ratio
     gain = 2.0 * step[:, None] * ((fast - slow) * excitation + slow)
 
     def advance(previous, inputs):

@@ -20,6 +20,8 @@ class EmgSpline(eqx.Module):
     coefficients: Float[Array, "*channel trial 4 interval"]
     #: Time between knots in s.
     step: Float[Array, "*channel trial"]
+    #: By how much more each cycle's EMG is delayed, s; None for none.
+    lag: Float[Array, "*channel trial"] | None = None
 
     def at_delay(self, delay: Float[Array, ""]) -> Float[Array, "trial knot"]:
         """Evaluate the envelopes at every knot's time less the delay.
@@ -33,7 +35,8 @@ class EmgSpline(eqx.Module):
             Electromechanical delay in s, not negative; one number for all cycles.
         """
         intervals = self.coefficients.shape[-1]
-        position = jnp.arange(intervals + 1.0)[None, :] - (delay / self.step)[:, None]
+        delays = delay if self.lag is None else delay + self.lag
+        position = jnp.arange(intervals + 1.0)[None, :] - (delays / self.step)[:, None]
         position = jnp.clip(position, 0.0, float(intervals))
         interval = jnp.clip(jnp.floor(position).astype(int), 0, intervals - 1)
         fraction = position - interval

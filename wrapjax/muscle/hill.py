@@ -30,11 +30,11 @@ def rigid_tendon_fiber(
     length: Float[Array, "*shape"],
     velocity: Float[Array, "*shape"],
     *,
-    max_isometric_force: Float[Array, ""],
-    optimal_fiber_length: Float[Array, ""],
-    tendon_slack_length: Float[Array, ""],
-    pennation_angle: Float[Array, ""],
-    max_fiber_velocity: Float[Array, ""],
+    max_isometric_force: Float[Array, "*#shape"],
+    optimal_fiber_length: Float[Array, "*#shape"],
+    tendon_slack_length: Float[Array, "*#shape"],
+    pennation_angle: Float[Array, "*#shape"],
+    max_fiber_velocity: Float[Array, "*#shape"],
 ) -> FiberState:
     """Compute fiber state and force of a muscle whose tendon does not stretch.
 
@@ -50,7 +50,7 @@ def rigid_tendon_fiber(
     length, velocity
         Muscle-tendon length in m and its rate in m/s, lengthening positive.
     max_isometric_force
-        F0 in N.
+        F0 in N. This and the following: one number, or one a frame.
     optimal_fiber_length, tendon_slack_length
         In m.
     pennation_angle
