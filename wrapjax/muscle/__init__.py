@@ -3,6 +3,7 @@
 from wrapjax.muscle.activation import DEACTIVATION_RATIO as DEACTIVATION_RATIO
 from wrapjax.muscle.activation import muscle_activation as muscle_activation
 from wrapjax.muscle.activation import neural_activation as neural_activation
+from wrapjax.muscle.compliant_tendon import compliant_tendon_fiber as compliant_tendon_fiber
 from wrapjax.muscle.curves import HILL_CURVES as HILL_CURVES
 from wrapjax.muscle.curves import HillCurves as HillCurves
 from wrapjax.muscle.excitation import EmgSpline as EmgSpline

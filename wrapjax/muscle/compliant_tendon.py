@@ -1,0 +1,189 @@
+"""A Hill-type muscle in series with a tendon that stretches: implicit equilibrium, exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from wrapjax.muscle.curves import HillCurves
+from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
+
+#: Force that damps what the tendon's stretching adds to fiber velocity, in maximum isometric forces at
+#: maximum fiber velocity (the value of Millard et al. 2013, doi:10.1115/1.4023390). With it equilibrium
+#: is unique on the falling side of the force-length curve too.
+FIBER_DAMPING = 0.1
+
+# Of the tendon's curve: how fast it stiffens with force.
+_STIFFENING = 8.0
+# Searches end where the force is known to so many maximum isometric forces, or after so many steps.
+_TOLERANCE, _STEPS = 1e-14, 60
+# No muscle gives less or more than these beyond its passive force, in maximum isometric forces.
+_LEAST, _MOST = -4.0, 6.0
+
+Frames = Float[Array, "trial frame"]
+
+
+def tendon_strain_curve(force: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Strain of a tendon over its force, in units of the strain at maximum isometric force.
+
+    ``ln(1 + 8 F) / ln 9``: 0 at 0, 1 at 1, with a toe region; below zero it goes on as a straight line.
+
+    Parameters
+    ----------
+    force
+        In maximum isometric forces.
+    """
+    pulled = jnp.log1p(_STIFFENING * jnp.maximum(force, 0.0)) + _STIFFENING * jnp.minimum(force, 0.0)
+    return pulled / np.log1p(_STIFFENING)
+
+
+def compliant_tendon_fiber(
+    curves: HillCurves,
+    activation: Frames,
+    length: Frames,
+    velocity: Frames,
+    step: Float[Array, " trial"],
+    strain_at_max_force: Float[Array, ""],
+    *,
+    max_isometric_force: Float[Array, "*#shape"],
+    optimal_fiber_length: Float[Array, "*#shape"],
+    tendon_slack_length: Float[Array, ""],
+    pennation_angle: Float[Array, ""],
+    max_fiber_velocity: Float[Array, "*#shape"],
+) -> FiberState:
+    """Compute fiber state and force of a muscle whose tendon stretches.
+
+    The tendon is as long as ``l_s (1 + e0 g(F / F0))``, and the fibers have what is left of length and
+    rate: from there on all is as with a rigid tendon. Force follows from its own past, for fiber velocity
+    holds the rate of the stretch: every frame is solved for the force at which fibers and tendon are in
+    equilibrium, with the rate as the second-order backward difference over frames. The first frame is at
+    a constant stretch.
+
+    Strain zero gives the rigid tendon, to the last bit, and derivatives there are those of the limit.
+    All derivatives are exact, by the implicit function theorem, of any order.
+
+    Parameters
+    ----------
+    curves, activation, length, velocity, max_isometric_force, optimal_fiber_length
+        As of `rigid_tendon_fiber`.
+    step
+        Time between frames of each cycle, s.
+    strain_at_max_force
+        e0: strain at maximum isometric force; about 0.04 (Zajac 1989, Crit Rev Biomed Eng 17:359).
+    tendon_slack_length, pennation_angle, max_fiber_velocity
+        As of `rigid_tendon_fiber`.
+
+    Returns
+    -------
+    FiberState
+        Damping is part of the passive force.
+    """
+    projection = jnp.cos(pennation_angle)
+    per_strain = strain_at_max_force * tendon_slack_length
+    strength = max_isometric_force * projection
+    fastest = max_fiber_velocity * optimal_fiber_length * projection
+
+    def fibers(own, stretch, rate, laws) -> FiberState:
+        activation, length, velocity, strong, fast = own
+        state = rigid_tendon_fiber(curves, activation, length - stretch, velocity - rate, **laws)
+        return replace(state, passive_force=state.passive_force - FIBER_DAMPING * strong * (rate / fast))
+
+    shape = activation.shape
+    whole = {
+        "max_isometric_force": max_isometric_force,
+        "optimal_fiber_length": optimal_fiber_length,
+        "tendon_slack_length": tendon_slack_length,
+        "pennation_angle": pennation_angle,
+        "max_fiber_velocity": max_fiber_velocity,
+    }
+
+    def by_frame(leaf: Array) -> Array:
+        return jnp.broadcast_to(leaf, shape).T
+
+    muscle = activation, length, velocity, strength, fastest
+    frames = jax.tree.map(by_frame, muscle)
+    laws = jax.tree.map(by_frame, whole)
+    highest = by_frame(
+        _MOST + curves.passive_force((length - tendon_slack_length) / (fastest / max_fiber_velocity))
+    )
+    weights = jnp.asarray(_backward_difference(shape[1]))
+
+    def advance(past, inputs):
+        (own, laws, highest, weight) = inputs
+        before, before_last, guess = past
+
+        def rate_of(strain: Float[Array, " trial"]) -> Float[Array, " trial"]:
+            return (weight[0] * strain + weight[1] * before + weight[2] * before_last) / step
+
+        def excess(force: Float[Array, " trial"]) -> Float[Array, " trial"]:
+            strain = tendon_strain_curve(force)
+            state = fibers(own, per_strain * strain, per_strain * rate_of(strain), laws)
+            return force - state.tendon_force / laws["max_isometric_force"]
+
+        force = increasing_root(excess, guess, jnp.full_like(highest, _LEAST), highest)
+        strain = tendon_strain_curve(force)
+        return (strain, before, jax.lax.stop_gradient(force)), (strain, rate_of(strain))
+
+    nothing = jnp.zeros(shape[0])
+    _, (strain, rate) = jax.lax.scan(advance, (nothing, nothing, nothing), (frames, laws, highest, weights))
+    return fibers(muscle, per_strain * strain.T, per_strain * rate.T, whole)
+
+
+def increasing_root(
+    function: Callable[[Float[Array, "*shape"]], Float[Array, "*shape"]],
+    guess: Float[Array, "*shape"],
+    lowest: Float[Array, "*shape"],
+    highest: Float[Array, "*shape"],
+) -> Float[Array, "*shape"]:
+    """Find where a function of each element alone, which increases, is zero; differentiable to any order.
+
+    Newton's method that falls back on halving the bracket wherever it would leave it.
+
+    Parameters
+    ----------
+    function
+        Elements must not mix. Its own parameters are differentiated by the implicit function theorem.
+    guess
+        Where to start; has no part in derivatives.
+    lowest, highest
+        A bracket; where it holds no root its nearer end is given.
+    """
+
+    def slope(function, at):
+        return jax.jvp(function, (at,), (jnp.ones_like(at),))
+
+    def solve(function, guess):
+        def unsettled(state):
+            at, _, _, change, count = state
+            return (count < _STEPS) & jnp.any(jnp.abs(change) > _TOLERANCE * (1.0 + jnp.abs(at)))
+
+        def improve(state):
+            at, lower, upper, _, count = state
+            value, rise = slope(function, at)
+            lower, upper = jnp.where(value <= 0.0, at, lower), jnp.where(value >= 0.0, at, upper)
+            newton = at - value / jnp.where(rise > 0.0, rise, 1.0)
+            inside = (rise > 0.0) & (newton >= lower) & (newton <= upper)
+            then = jnp.where(inside, newton, 0.5 * (lower + upper))
+            return then, lower, upper, then - at, count + 1
+
+        start = jnp.clip(guess, lowest, highest)
+        state = start, lowest, highest, jnp.full_like(start, jnp.inf), 0
+        return jax.lax.while_loop(unsettled, improve, state)[0]
+
+    lowest, highest, guess = jax.lax.stop_gradient((lowest, highest, guess))
+    return jax.lax.custom_root(
+        function, guess, solve, lambda linear, value: value / linear(jnp.ones_like(value))
+    )
+
+
+def _backward_difference(frames: int) -> Float[np.ndarray, "frame 3"]:
+    """Weights of a frame, the one before and the one before that: none at first, then of first order."""
+    weights = np.tile([1.5, -2.0, 0.5], (frames, 1))
+    weights[0] = 0.0
+    weights[1:2] = [1.0, -1.0, 0.0]
+    return weights
