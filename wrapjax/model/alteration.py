@@ -7,6 +7,7 @@ muscles acts before them, on the EMG, or on their paths, whose moment arms say w
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -14,6 +15,17 @@ from jaxtyping import Array, Float
 from wrapjax.geometry import PathState
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle import DEACTIVATION_RATIO, EmgSpline, FiberState, HillCurves
+
+
+def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
+    """Pick what the law of fibers takes by name."""
+    return {
+        "max_isometric_force": parameters.max_isometric_force,
+        "optimal_fiber_length": parameters.optimal_fiber_length,
+        "tendon_slack_length": parameters.tendon_slack_length,
+        "pennation_angle": parameters.pennation_angle,
+        "max_fiber_velocity": parameters.max_fiber_velocity,
+    }
 
 
 class MuscleInputs(eqx.Module):
@@ -27,17 +39,13 @@ class MuscleInputs(eqx.Module):
     padding: int = eqx.field(static=True)
     #: See `neural_activation`.
     deactivation_ratio: Float[Array, ""] | float = DEACTIVATION_RATIO
+    #: What multiplies the optimal fiber length, frame by frame; None for nothing.
+    length_factor: Float[Array, "trial frame"] | None = None
 
-
-def fiber_parameters(parameters: ModelParameters) -> dict[str, Float[Array, "..."]]:
-    """Pick what the laws of fibers and tendon take."""
-    return {
-        "max_isometric_force": parameters.max_isometric_force,
-        "optimal_fiber_length": parameters.optimal_fiber_length,
-        "tendon_slack_length": parameters.tendon_slack_length,
-        "pennation_angle": parameters.pennation_angle,
-        "max_fiber_velocity": parameters.max_fiber_velocity,
-    }
+    @property
+    def law(self) -> dict[str, Any]:
+        """What the laws of fibers and tendon take by name."""
+        return {**fiber_parameters(self.parameters), "length_factor": self.length_factor}
 
 
 class MuscleAlteration(eqx.Module):
@@ -63,7 +71,7 @@ class MuscleAlteration(eqx.Module):
         return activation
 
     def fibers(self, inputs: MuscleInputs, activation: Float[Array, "trial frame"]) -> MuscleInputs:
-        """Alter what fibers and tendon are, now that activation is known: curves, or parameters by frame."""
+        """Alter what fibers and tendon are, now that activation is known."""
         return inputs
 
     def tendon(

@@ -15,7 +15,6 @@ from wrapjax.model.alteration import (
     altered_emg,
     altered_moments,
     altered_paths,
-    fiber_parameters,
     muscle_parts,
 )
 from wrapjax.model.parameters import ModelParameters
@@ -96,7 +95,7 @@ def muscle_state_along(
         activation,
         inputs.path.length,
         inputs.path.velocity,
-        **fiber_parameters(inputs.parameters),
+        **inputs.law,
     )
     for alteration in alterations:
         fiber = alteration.tendon(fiber, activation, inputs)

@@ -50,11 +50,12 @@ def compliant_tendon_fiber(
     step: Float[Array, " trial"],
     strain_at_max_force: Float[Array, ""],
     *,
-    max_isometric_force: Float[Array, "*#shape"],
-    optimal_fiber_length: Float[Array, "*#shape"],
+    max_isometric_force: Float[Array, ""],
+    optimal_fiber_length: Float[Array, ""],
     tendon_slack_length: Float[Array, ""],
     pennation_angle: Float[Array, ""],
-    max_fiber_velocity: Float[Array, "*#shape"],
+    max_fiber_velocity: Float[Array, ""],
+    length_factor: Frames | None = None,
 ) -> FiberState:
     """Compute fiber state and force of a muscle whose tendon stretches.
 
@@ -69,32 +70,24 @@ def compliant_tendon_fiber(
 
     Parameters
     ----------
-    curves, activation, length, velocity, max_isometric_force, optimal_fiber_length
+    curves, activation, length, velocity
         As of `rigid_tendon_fiber`.
     step
         Time between frames of each cycle, s.
     strain_at_max_force
         e0: strain at maximum isometric force; about 0.04 (Zajac 1989, Crit Rev Biomed Eng 17:359).
-    tendon_slack_length, pennation_angle, max_fiber_velocity
-        As of `rigid_tendon_fiber`.
+    max_isometric_force, optimal_fiber_length, tendon_slack_length, pennation_angle, max_fiber_velocity
+        As of `rigid_tendon_fiber`, and so is ``length_factor``.
 
     Returns
     -------
     FiberState
         Damping is part of the passive force.
     """
-    projection = jnp.cos(pennation_angle)
+    reach = optimal_fiber_length * jnp.cos(pennation_angle)
+    strength = max_isometric_force * jnp.cos(pennation_angle)
     per_strain = strain_at_max_force * tendon_slack_length
-    strength = max_isometric_force * projection
-    fastest = max_fiber_velocity * optimal_fiber_length * projection
-
-    def fibers(own, stretch, rate, laws) -> FiberState:
-        activation, length, velocity, strong, fast = own
-        state = rigid_tendon_fiber(curves, activation, length - stretch, velocity - rate, **laws)
-        return replace(state, passive_force=state.passive_force - FIBER_DAMPING * strong * (rate / fast))
-
-    shape = activation.shape
-    whole = {
+    law = {
         "max_isometric_force": max_isometric_force,
         "optimal_fiber_length": optimal_fiber_length,
         "tendon_slack_length": tendon_slack_length,
@@ -102,19 +95,22 @@ def compliant_tendon_fiber(
         "max_fiber_velocity": max_fiber_velocity,
     }
 
-    def by_frame(leaf: Array) -> Array:
-        return jnp.broadcast_to(leaf, shape).T
+    def fibers(muscle, strain, strain_rate) -> FiberState:
+        activation, length, velocity, factor = muscle
+        stretch, rate = per_strain * strain, per_strain * strain_rate
+        state = rigid_tendon_fiber(
+            curves, activation, length - stretch, velocity - rate, **law, length_factor=factor
+        )
+        fastest = max_fiber_velocity * reach if factor is None else max_fiber_velocity * reach * factor
+        return replace(state, passive_force=state.passive_force - FIBER_DAMPING * strength * (rate / fastest))
 
-    muscle = activation, length, velocity, strength, fastest
-    frames = jax.tree.map(by_frame, muscle)
-    laws = jax.tree.map(by_frame, whole)
-    highest = by_frame(
-        _MOST + curves.passive_force((length - tendon_slack_length) / (fastest / max_fiber_velocity))
-    )
-    weights = jnp.asarray(_backward_difference(shape[1]))
+    muscle = activation, length, velocity, length_factor
+    unstretched = curves.passive_force((length - tendon_slack_length) / reach)
+    frames = jax.tree.map(jnp.transpose, (muscle, _MOST + unstretched))
+    weights = jnp.asarray(_backward_difference(activation.shape[-1]))
 
     def advance(past, inputs):
-        (own, laws, highest, weight) = inputs
+        (muscle, highest), weight = inputs
         before, before_last, guess = past
 
         def rate_of(strain: Float[Array, " trial"]) -> Float[Array, " trial"]:
@@ -122,16 +118,15 @@ def compliant_tendon_fiber(
 
         def excess(force: Float[Array, " trial"]) -> Float[Array, " trial"]:
             strain = tendon_strain_curve(force)
-            state = fibers(own, per_strain * strain, per_strain * rate_of(strain), laws)
-            return force - state.tendon_force / laws["max_isometric_force"]
+            return force - fibers(muscle, strain, rate_of(strain)).tendon_force / max_isometric_force
 
         force = increasing_root(excess, guess, jnp.full_like(highest, _LEAST), highest)
         strain = tendon_strain_curve(force)
         return (strain, before, jax.lax.stop_gradient(force)), (strain, rate_of(strain))
 
-    nothing = jnp.zeros(shape[0])
-    _, (strain, rate) = jax.lax.scan(advance, (nothing, nothing, nothing), (frames, laws, highest, weights))
-    return fibers(muscle, per_strain * strain.T, per_strain * rate.T, whole)
+    nothing = jnp.zeros_like(step)
+    _, (strain, strain_rate) = jax.lax.scan(advance, (nothing, nothing, nothing), (frames, weights))
+    return fibers(muscle, strain.T, strain_rate.T)
 
 
 def increasing_root(

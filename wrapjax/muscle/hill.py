@@ -30,11 +30,12 @@ def rigid_tendon_fiber(
     length: Float[Array, "*shape"],
     velocity: Float[Array, "*shape"],
     *,
-    max_isometric_force: Float[Array, "*#shape"],
-    optimal_fiber_length: Float[Array, "*#shape"],
-    tendon_slack_length: Float[Array, "*#shape"],
-    pennation_angle: Float[Array, "*#shape"],
-    max_fiber_velocity: Float[Array, "*#shape"],
+    max_isometric_force: Float[Array, ""],
+    optimal_fiber_length: Float[Array, ""],
+    tendon_slack_length: Float[Array, ""],
+    pennation_angle: Float[Array, ""],
+    max_fiber_velocity: Float[Array, ""],
+    length_factor: Float[Array, "*shape"] | None = None,
 ) -> FiberState:
     """Compute fiber state and force of a muscle whose tendon does not stretch.
 
@@ -50,18 +51,23 @@ def rigid_tendon_fiber(
     length, velocity
         Muscle-tendon length in m and its rate in m/s, lengthening positive.
     max_isometric_force
-        F0 in N. This and the following: one number, or one a frame.
+        F0 in N.
     optimal_fiber_length, tendon_slack_length
         In m.
     pennation_angle
         In rad, at optimal fiber length.
     max_fiber_velocity
         In optimal fiber lengths a second.
+    length_factor
+        What multiplies the optimal fiber length, frame by frame; nothing if not given.
     """
     projection = jnp.cos(pennation_angle)
     reach = optimal_fiber_length * projection
     normalized_length = (length - tendon_slack_length) / reach
     normalized_velocity = velocity / (max_fiber_velocity * reach)
+    if length_factor is not None:
+        normalized_length = normalized_length / length_factor
+        normalized_velocity = normalized_velocity / length_factor
     strength = max_isometric_force * projection
     return FiberState(
         normalized_length=normalized_length,
