@@ -1,0 +1,203 @@
+"""What an effect is: something that the plain model leaves out, off at zero."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from wrapjax.model import Alteration
+
+#: Where an effect can enter, in the order in which a recording becomes moments.
+FAMILIES = (
+    "measurement",
+    "kinematics",
+    "geometry",
+    "excitation",
+    "activation",
+    "fiber",
+    "tendon",
+    "joint",
+    "calibration",
+)
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One amount of an effect: zero is off.
+
+    Parameters
+    ----------
+    name
+        As reports and files call it.
+    unit
+        Of its value; ``1`` for a ratio.
+    prior_sd
+        How large it is expected to be, in its unit; of a half-normal distribution where it has a sign.
+    sign
+        1 where it cannot be negative, 0 where it may be either.
+    meaning
+        A phrase for reports.
+    source
+        Where the prior comes from, with a DOI where there is one.
+    limit
+        Largest amount at which the effect still makes sense.
+    """
+
+    name: str
+    unit: str
+    prior_sd: float
+    sign: int
+    meaning: str
+    source: str
+    limit: float = np.inf
+
+    def __post_init__(self):
+        if self.sign not in (0, 1):
+            raise ValueError(f"{self.name}: a sign is 0 or 1, not {self.sign}")
+        if not 0.0 < self.prior_sd <= self.limit:
+            raise ValueError(f"{self.name}: expected 0 < prior_sd <= limit")
+
+    @property
+    def lower(self) -> float:
+        """Smallest amount."""
+        return 0.0 if self.sign else -self.limit
+
+    @property
+    def upper(self) -> float:
+        """Largest amount."""
+        return self.limit
+
+
+#: From amounts, one a parameter, to what is different in the model: a `jax.tree_util.Partial`.
+Form = Callable[[Float[Array, " parameter"]], Alteration]
+
+
+class Variant(eqx.Module):
+    """One shape of an effect: a threshold, a phase, a time constant that zero amounts cannot tell."""
+
+    form: Form
+    #: Tells it from the effect's other variants; empty where there is one only.
+    label: str = eqx.field(static=True, default="")
+
+
+def _as_they_are(amounts: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    return amounts
+
+
+class Effect(eqx.Module):
+    """A mechanism that may be missing from the model, for one subject."""
+
+    #: As the catalogue and files call it.
+    id: str = eqx.field(static=True)
+    #: One of `FAMILIES`.
+    family: str = eqx.field(static=True)
+    parameters: tuple[EffectParameter, ...] = eqx.field(static=True)
+    #: All take the same parameters.
+    variants: tuple[Variant, ...]
+    #: It must stay quiet: what it does cannot be in such a recording.
+    negative_control: bool = eqx.field(static=True, default=False)
+    #: Allowed for in every comparison, as it passes for other effects.
+    nuisance: bool = eqx.field(static=True, default=False)
+    #: Names and units of what is reported in place of the parameters themselves; empty: them.
+    reported: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
+    #: From amounts to what is reported, in that order.
+    reading: Callable[[Float[Array, " parameter"]], Float[Array, " reading"]] = _as_they_are
+
+    def __check_init__(self):
+        if self.family not in FAMILIES:
+            raise ValueError(f"{self.id}: there is no family '{self.family}'")
+        names = [parameter.name for parameter in self.parameters]
+        if not names or not self.variants or len(set(names)) < len(names):
+            raise ValueError(f"{self.id}: expected variants, and parameters with names of their own")
+
+    def alteration(self, amounts: Float[Array, " parameter"], variant: int = 0) -> Alteration:
+        """Say what is different in the model at these amounts."""
+        return self.variants[variant].form(amounts)
+
+    def readings(self, amounts: Float[Array, " parameter"]) -> dict[str, Float[Array, ""]]:
+        """Turn amounts into what is reported, by name, in physical units."""
+        names = [name for name, _ in self.reported] or [entry.name for entry in self.parameters]
+        return dict(zip(names, self.reading(amounts), strict=True))
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that this recording cannot show, and why.
+
+    Parameters
+    ----------
+    id
+        Of the effect.
+    reason
+        A sentence.
+    """
+
+    id: str
+    reason: str
+
+
+class Effects(eqx.Module):
+    """Several effects at once, with their amounts in one vector.
+
+    Each stage of the model is altered by one effect after the other, in this order.
+    """
+
+    members: tuple[Effect, ...]
+    #: Which variant of each; the first ones where not given.
+    variants: tuple[int, ...] = eqx.field(static=True, default=())
+
+    def __check_init__(self):
+        if self.variants and len(self.variants) != len(self.members):
+            raise ValueError("expected one variant for each effect")
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """``tendon_compliance.strain_at_max_force``: one an amount."""
+        return tuple(f"{effect.id}.{entry.name}" for effect in self.members for entry in effect.parameters)
+
+    @property
+    def count(self) -> int:
+        """Number of amounts."""
+        return len(self.labels)
+
+    @property
+    def prior_sd(self) -> Float[np.ndarray, " parameter"]:
+        """Expected size of each amount."""
+        return np.array([entry.prior_sd for entry in self._parameters])
+
+    @property
+    def lower(self) -> Float[np.ndarray, " parameter"]:
+        """Smallest amounts."""
+        return np.array([entry.lower for entry in self._parameters])
+
+    @property
+    def upper(self) -> Float[np.ndarray, " parameter"]:
+        """Largest amounts."""
+        return np.array([entry.upper for entry in self._parameters])
+
+    @property
+    def zero(self) -> Float[Array, " parameter"]:
+        """All off."""
+        return jnp.zeros(self.count)
+
+    def alterations(self, amounts: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
+        """Say what is different in the model at these amounts."""
+        chosen = self.variants or (0,) * len(self.members)
+        return tuple(
+            effect.alteration(own, variant)
+            for effect, own, variant in zip(self.members, self.split(amounts), chosen, strict=True)
+        )
+
+    def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " own"], ...]:
+        """Hand each effect its own amounts."""
+        ends = np.cumsum([len(effect.parameters) for effect in self.members])
+        return tuple(jnp.split(amounts, ends[:-1]))
+
+    @property
+    def _parameters(self) -> list[EffectParameter]:
+        return [entry for effect in self.members for entry in effect.parameters]

@@ -1,0 +1,1 @@
+"""The catalogued effects, one module a family."""

@@ -1,0 +1,122 @@
+"""The measurement chain: what inverse dynamics were given, and so what they say was measured.
+
+Data stay as they are; it is their prediction that changes. By how much, only inverse dynamics of the
+whole leg can say: whoever builds a `Context` puts, under an effect's id, the exact change of the moments
+with its amounts into ``measured_changes``, zero at zero. What is not there is not testable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+
+from wrapjax.gap.context import Context, MeasuredChange
+from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
+from wrapjax.model import Alteration
+
+#: Name, unit, prior deviation, sign, meaning, limit.
+_Row = tuple[str, str, float, int, str, float]
+
+#: Effects on the measurement chain: parameters, and where their priors come from.
+CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
+    "cop_offset": (
+        "plates in treadmills, PMC2665306",
+        (
+            ("anterior_m", "m", 0.010, 0, "centre of pressure recorded too far forward", 0.05),
+            ("lateral_m", "m", 0.010, 0, "centre of pressure recorded too far outward", 0.05),
+        ),
+    ),
+    "hip_center_offset": (
+        "Stagni et al. 2000, doi:10.1016/S0021-9290(00)00093-2",
+        (
+            ("anterior_m", "m", 0.015, 0, "hip centre placed too far forward", 0.06),
+            ("superior_m", "m", 0.015, 0, "hip centre placed too far up", 0.06),
+            ("lateral_m", "m", 0.015, 0, "hip centre placed too far outward", 0.06),
+        ),
+    ),
+    "joint_axis_rotation": (
+        "5 to 15 degrees",
+        (
+            ("knee_rad", "rad", 0.12, 0, "knee axis turned in the horizontal plane", 0.5),
+            ("ankle_rad", "rad", 0.12, 0, "ankle axis turned in the horizontal plane", 0.5),
+            ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned in the horizontal plane", 0.5),
+        ),
+    ),
+    "force_latency": (
+        "10 to 15 ms",
+        (("latency", "s", 0.010, 0, "forces recorded later than motion", 0.05),),
+    ),
+    "segment_inertia": (
+        "10 to 20 % of anthropometric tables",
+        tuple(
+            (f"{segment}_{quantity}", "1", 0.15, 0, f"{quantity} of the {segment}, as a fraction of it", 0.6)
+            for segment in ("thigh", "shank", "foot")
+            for quantity in ("mass", "inertia")
+        ),
+    ),
+    "crossed_plates": (
+        "0 to 20 % of the other foot's force",
+        (("share", "1", 0.10, 1, "share of the other foot's force in double support", 0.5),),
+    ),
+    "belt_acceleration": (
+        "Hnat & van den Bogert 2014, 12 N m RMS",
+        (("moment_scale", "1", 0.5, 0, "plate's pitching moment that was not taken off", 2.0),),
+    ),
+    "handrail_force": (
+        "negative control: inverse dynamics from the ground up do not see it",
+        (("share", "1", 0.5, 1, "share of the rail's force", 2.0),),
+    ),
+    "foot_deformation": (
+        "ankle angles off by up to 7.3 degrees, PMC8085108",
+        (("compliance", "rad/N", 1e-4, 1, "ankle angle lost to the foot's deformation", 1e-3),),
+    ),
+    "wobbling_mass": (
+        "0 to 10 % of the cycle",
+        (("impulse", "N m s", 0.5, 0, "impulse of soft tissue at impact", 5.0),),
+    ),
+    "device_torque": (
+        "the device's log",
+        (("scale", "1", 0.5, 0, "share of the commanded torque that acts", 2.0),),
+    ),
+    "knee_laxity": (
+        "varus and valgus under load",
+        (("lever_m", "m", 0.01, 0, "change of the vertical force's lever about the hip and knee", 0.05),),
+    ),
+}
+#: They act on nothing that these recordings hold, and must stay quiet.
+_NEGATIVE_CONTROLS = ("handrail_force",)
+
+#: What a recording would need beside ground reaction forces, where that is more.
+_NEEDS = {
+    "crossed_plates": "no marks of steps on both plates are given",
+    "belt_acceleration": "no belt speed is recorded",
+    "handrail_force": "no handrail force is recorded",
+    "device_torque": "no torque of a device is recorded",
+}
+
+
+def _of_chain(id: str, context: Context) -> Effect | NotTestable:
+    if id not in context.measured_changes:
+        return NotTestable(id, _NEEDS.get(id, context.no_measured_changes))
+    source, rows = CHAIN[id]
+    return Effect(
+        id=id,
+        family="measurement",
+        parameters=tuple(
+            EffectParameter(name, unit, sd, sign, meaning, source, limit)
+            for name, unit, sd, sign, meaning, limit in rows
+        ),
+        variants=(Variant(Partial(_added, context.measured_changes[id])),),
+        negative_control=id in _NEGATIVE_CONTROLS,
+    )
+
+
+def _added(change: MeasuredChange, amounts: Float[Array, " parameter"]) -> Alteration:
+    return Alteration(moment=change(amounts))
+
+
+#: From the id to what gives the effect for a subject.
+FACTORIES: dict[str, Callable[[Context], Effect | NotTestable]] = {id: partial(_of_chain, id) for id in CHAIN}
