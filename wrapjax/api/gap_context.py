@@ -1,0 +1,278 @@
+"""From a calibrated subject to what effects know of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+
+from wrapjax.api.assembly import recording
+from wrapjax.api.calibration import Calibration
+from wrapjax.api.cylinders import freed_wraps
+from wrapjax.api.exact import ExactGeometry, exact_geometry
+from wrapjax.api.fitting import Fit
+from wrapjax.calibrate import Objective
+from wrapjax.errors import InputError
+from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
+from wrapjax.gap.anatomy import groups_of
+from wrapjax.geometry import PathState, PathSurrogate, fixed_path
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.model import QUANTITIES, Recording, initial_parameters
+from wrapjax.muscle import HILL_CURVES
+from wrapjax.osim import describe_model
+from wrapjax.skeleton import ModelDescription
+from wrapjax.skeleton.description import Muscle
+from wrapjax.subject import Subject, Trials
+from wrapjax.subject.model_file import read_model_file
+
+#: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
+#: differ from the model's by 4 to 12 mm.
+_ATTACHMENT_SD = 0.005
+#: By how much ends are moved to see how paths follow (m).
+_ATTACHMENT_STEP = 1e-4
+_AXES = "xyz"
+
+
+def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
+    """Gather what effects need, over all of a subject's cycles, those for validation too.
+
+    Paths are held as calibration left them. What cannot be had (cylinders that the exact engine does not
+    know, muscles without EMG that it cannot lay) is left out, and effects say so.
+
+    Parameters
+    ----------
+    calibration
+        Of one leg.
+
+    Returns
+    -------
+    recording, context
+        What the forward model takes in, with held paths, and what effects know.
+    """
+    subject, fit, result = calibration.subject, calibration.fit, calibration.result
+    trials = subject.trials
+    inputs = recording(subject, trials, fit.paths(subject, trials, result.freedom))
+    paths = inputs.path.at(result.parameters.path_changes)
+    inputs = replace(inputs, path=fixed_path(paths))
+    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
+    wraps, attachments = _engine_changes(subject)
+    others, no_others = _other_muscles(subject, result.curves)
+    context = Context(
+        muscles=subject.muscles.names,
+        channels=trials.channels,
+        muscle_channels=subject.muscle_channels,
+        coordinates=trials.moment_coordinates,
+        trials=trials.names,
+        angles=trials.angles[:, columns],
+        velocities=trials.angular_velocities[:, columns],
+        step=np.diff(trials.time[:, [0, -1]])[:, 0] / (trials.time.shape[1] - 1),
+        speeds=trials.speeds,
+        order=np.linspace(0.0, 1.0, len(trials)),
+        padding=trials.padding,
+        parameters=result.parameters,
+        paths=paths,
+        paretic=subject.paretic,
+        others=others,
+        no_others=no_others,
+        paths_of_angles=_paths_of_angles(fit, subject),
+        wraps=wraps,
+        attachments=attachments,
+        at_bounds=_at_bounds(calibration),
+    )
+    return inputs, context
+
+
+def _at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:
+    """Find the muscles' parameters that ended on a bound."""
+    result = calibration.result
+    solution = result.outcomes[result.chosen].solution
+    problem = solution.problem
+    assert isinstance(problem, Objective)
+    variables = problem.variables
+    found = []
+    for label in result.at_bounds:
+        place = variables.labels.index(label)
+        muscle, name = label.rsplit(".", 1)
+        if name not in QUANTITIES or muscle not in result.muscles:
+            continue
+        scale = variables.scale[result.muscles.index(muscle), variables.names.index(name)]
+        precision = variables.prior_precision[place]
+        width = variables.upper[place] - variables.lower[place]
+        outward = 1 if solution.variables[place] >= variables.upper[place] else -1
+        sd = scale * (1.0 / precision if precision > 0.0 else 0.25 * width)
+        found.append(AtBound(muscle, name, outward, float(sd), QUANTITIES[name].unit))
+    return tuple(found)
+
+
+def _paths_of_angles(fit: Fit | ExactGeometry, subject: Subject) -> Partial | None:
+    """Give polynomial paths as a function of what angles differ by; None for other paths."""
+    if not isinstance(fit, Fit):
+        return None
+    trials, surrogate = subject.trials, fit.surrogate.of_muscles(subject.muscles.names)
+    recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
+    wanted = trials.moment_coordinates
+    # From the coordinates of moments to those of the polynomials, and back.
+    places = np.array([[name == one for one in wanted] for name in surrogate.coordinates], dtype=float)
+    return Partial(
+        _polynomials,
+        surrogate,
+        jnp.asarray(trials.angles[:, recorded]),
+        jnp.asarray(trials.angular_velocities[:, recorded]),
+        jnp.asarray(places),
+    )
+
+
+def _polynomials(
+    surrogate: PathSurrogate,
+    angles: Float[Array, "trial path_coordinate frame"],
+    velocities: Float[Array, "trial path_coordinate frame"],
+    places: Float[Array, "path_coordinate coordinate"],
+    by_angle: Float[Array, "trial coordinate frame"],
+    by_velocity: Float[Array, "trial coordinate frame"],
+) -> PathState:
+    def moved(recorded: Array, change: Array) -> Array:
+        return recorded + jnp.einsum("pc,tcf->tpf", places, change)
+
+    found = surrogate(moved(angles, by_angle), moved(velocities, by_velocity))
+    arms = jnp.einsum("pc,mtpf->mtcf", places, found.moment_arm)
+    return PathState(found.length, found.velocity, arms)
+
+
+def _other_muscles(subject: Subject, curves: str) -> tuple[OtherMuscles | None, str]:
+    """Lay the muscles without a channel, with the model's own parameters; or say why there are none."""
+    if not subject.undriven_muscles:
+        return None, "every muscle of this leg has an EMG channel"
+    model = describe_model(subject.model_file)
+    table = read_model_file(subject.model_file).muscles
+    known = tuple(
+        name for name in subject.undriven_muscles if name in table.names and _can_be_laid(model, name)
+    )
+    every = _nominal(model, known, subject.trials) if known else None
+    moving = () if every is None else np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
+    names = tuple(known[row] for row in moving)
+    if every is None or not names:
+        return None, "the paths of the muscles without an EMG channel are not known about these joints"
+    own = table.select(names)
+    muscles = OtherMuscles(
+        names=names,
+        groups=groups_of(names),
+        curves=HILL_CURVES[curves],
+        parameters=initial_parameters(
+            own.max_isometric_force,
+            own.optimal_fiber_length,
+            own.tendon_slack_length,
+            own.pennation_angle,
+        ),
+        path=jax.tree.map(lambda leaf: leaf[moving], every),
+    )
+    return muscles, ""
+
+
+def _can_be_laid(model: ModelDescription, muscle: str) -> bool:
+    try:
+        ExactPaths(model, (muscle,), ())
+    except InputError:
+        return False
+    return True
+
+
+def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges | None]:
+    """Ask the exact engine how paths follow their cylinders and their ends, to first order."""
+    try:
+        geometry = exact_geometry(subject)
+    except InputError:
+        return None, None
+    return _wrap_changes(geometry, subject), _attachment_changes(geometry, subject)
+
+
+def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | None:
+    if not geometry.translations:
+        return None
+    engine, trials = geometry.engine, subject.trials
+    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], geometry.translations)
+    paths, _ = wrapped_paths(
+        engine, *_recorded(trials, engine.coordinates), trials.moment_coordinates, freed.names
+    )
+    count = len(freed.quantities)
+    slopes = paths.linearized(jnp.zeros((len(engine.muscles), paths.modes_count)))[1]
+    places = freed.places[:, :, None] * count + np.arange(count)
+    return PathChanges(
+        paths=Partial(_along, _plain(slopes)),
+        places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
+        names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
+        units=freed.units * len(freed.names),
+        prior_sd=tuple(freed.prior_sd.ravel().tolist()),
+    )
+
+
+def _attachment_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges:
+    engine, trials = geometry.engine, subject.trials
+    columns = []
+    for end in (0, -1):
+        for axis in range(3):
+            above, below = (
+                _nominal(_moved_ends(engine.model, engine.muscles, end, axis, sign), engine.muscles, trials)
+                for sign in (1.0, -1.0)
+            )
+            columns.append(jax.tree.map(lambda a, b: (a - b) / (2.0 * _ATTACHMENT_STEP), above, below))
+    slopes = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *columns)
+    count = len(engine.muscles)
+    return PathChanges(
+        paths=Partial(_along, slopes),
+        places=np.arange(6 * count).reshape(count, 6),
+        names=tuple(
+            f"{muscle}.{end}_{axis}_m"
+            for muscle in engine.muscles
+            for end in ("origin", "insertion")
+            for axis in _AXES
+        ),
+        units=("m",) * (6 * count),
+        prior_sd=(_ATTACHMENT_SD,) * (6 * count),
+    )
+
+
+def _moved_ends(
+    model: ModelDescription, muscles: Sequence[str], end: int, axis: int, sign: float
+) -> ModelDescription:
+    """Move one end of these muscles a step along an axis of the body that it is on."""
+
+    def moved(muscle: Muscle) -> Muscle:
+        if muscle.name not in muscles:
+            return muscle
+        points = list(muscle.points)
+        location = list(points[end].location)
+        location[axis] += sign * _ATTACHMENT_STEP
+        points[end] = replace(points[end], location=(location[0], location[1], location[2]))
+        return replace(muscle, points=tuple(points))
+
+    return replace(model, muscles=tuple(moved(muscle) for muscle in model.muscles))
+
+
+def _nominal(model: ModelDescription, muscles: Sequence[str], trials: Trials) -> PathState:
+    """Lay paths through the cycles the shortest way."""
+    spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
+    engine = ExactPaths(model, muscles, tuple(name for name in trials.coordinates if name in spanned))
+    recorded = _recorded(trials, engine.coordinates)
+    return _plain(wrapped_paths(engine, *recorded, trials.moment_coordinates, ())[0].nominal)
+
+
+def _recorded(
+    trials: Trials, coordinates: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
+    columns = [trials.coordinates.index(name) for name in coordinates]
+    return trials.angles[:, columns], trials.angular_velocities[:, columns]
+
+
+def _plain(path: PathState) -> PathState:
+    """Leave out what restrains paths."""
+    return PathState(path.length, path.velocity, path.moment_arm)
+
+
+def _along(slopes: PathState, changes: Float[Array, "muscle mode"]) -> PathState:
+    return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), slopes)
