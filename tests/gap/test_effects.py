@@ -94,6 +94,10 @@ def test_derivative_is_the_difference(effect, slopes):
         np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-5 * scale)
 
 
+def test_no_effects_at_all_are_the_plain_model(plain):
+    np.testing.assert_allclose(predict(Effects(()), np.zeros(0)), plain, rtol=1e-13, atol=1e-12)
+
+
 def test_derivative_is_the_difference_with_all_effects_at_work():
     effects = all_at_once(0)
     amounts = 0.3 * effects.prior_sd

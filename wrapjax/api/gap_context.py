@@ -21,7 +21,8 @@ from wrapjax.errors import InputError
 from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
 from wrapjax.gap.anatomy import groups_of
 from wrapjax.geometry import PathState, PathSurrogate, fixed_path
-from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.model import QUANTITIES, Recording, initial_parameters
 from wrapjax.muscle import HILL_CURVES
@@ -34,8 +35,8 @@ from wrapjax.subject.model_file import read_model_file
 #: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
 #: differ from the model's by 4 to 12 mm.
 _ATTACHMENT_SD = 0.005
-#: By how much ends are moved to see how paths follow (m).
-_ATTACHMENT_STEP = 1e-4
+#: By how much ends (m) and cylinders (m, rad, 1) are moved to see how paths follow.
+_STEP = 1e-4
 _AXES = "xyz"
 
 
@@ -196,14 +197,32 @@ def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | No
         return None
     engine, trials = geometry.engine, subject.trials
     freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], geometry.translations)
-    paths, _ = wrapped_paths(
-        engine, *_recorded(trials, engine.coordinates), trials.moment_coordinates, freed.names
-    )
-    count = len(freed.quantities)
-    slopes = paths.linearized(jnp.zeros((len(engine.muscles), paths.modes_count)))[1]
-    places = freed.places[:, :, None] * count + np.arange(count)
+    quantities = len(freed.quantities)
+    angles, velocities = _recorded(trials, engine.coordinates)
+    posed = engine.posed(np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates)))
+    about = np.array([[name == one for name in engine.coordinates] for one in trials.moment_coordinates])
+    shape = (len(engine.muscles), freed.places.shape[1] * quantities, len(trials))
+    length, velocity = (np.zeros((*shape, angles.shape[-1])) for _ in range(2))
+    moment_arm = np.zeros((*shape, len(about), angles.shape[-1]))
+    for row, name in enumerate(engine.muscles):
+        count = len(engine.wraps_of(name)) * quantities
+        if not (freed.places[row] >= 0).any():
+            continue
+        # By differences, as to compile derivatives of paths round several cylinders takes minutes.
+        steps = _STEP * np.eye(count).reshape(count, -1, quantities)
+        found = wrap_at_samples(posed[name], NOMINAL + np.concatenate([steps, -steps]))
+
+        def slope(values: Array, count: int = count) -> np.ndarray:
+            by_pose = np.asarray(values[:count] - values[count:]) / (2.0 * _STEP)
+            return by_pose.reshape(count, len(trials), angles.shape[-1], *values.shape[2:])
+
+        arm = np.moveaxis(slope(found.moment_arm), -1, 2)
+        length[row, :count] = slope(found.length)
+        velocity[row, :count] = -np.sum(arm * velocities, axis=2)
+        moment_arm[row, :count] = np.einsum("cp,ktpf->ktcf", about, arm)
+    places = freed.places[:, :, None] * quantities + np.arange(quantities)
     return PathChanges(
-        paths=Partial(_along, _plain(slopes)),
+        paths=Partial(_along, PathState(*map(jnp.asarray, (length, velocity, moment_arm)))),
         places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
         names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
         units=freed.units * len(freed.names),
@@ -220,7 +239,7 @@ def _attachment_changes(geometry: ExactGeometry, subject: Subject) -> PathChange
                 _nominal(_moved_ends(engine.model, engine.muscles, end, axis, sign), engine.muscles, trials)
                 for sign in (1.0, -1.0)
             )
-            columns.append(jax.tree.map(lambda a, b: (a - b) / (2.0 * _ATTACHMENT_STEP), above, below))
+            columns.append(jax.tree.map(lambda a, b: (a - b) / (2.0 * _STEP), above, below))
     slopes = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *columns)
     count = len(engine.muscles)
     return PathChanges(
@@ -247,7 +266,7 @@ def _moved_ends(
             return muscle
         points = list(muscle.points)
         location = list(points[end].location)
-        location[axis] += sign * _ATTACHMENT_STEP
+        location[axis] += sign * _STEP
         points[end] = replace(points[end], location=(location[0], location[1], location[2]))
         return replace(muscle, points=tuple(points))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -142,7 +143,7 @@ class NotTestable:
 
 
 class Effects(eqx.Module):
-    """Several effects at once, with their amounts in one vector.
+    """Several effects at once, or none, with their amounts in one vector.
 
     Each stage of the model is altered by one effect after the other, in this order.
     """
@@ -195,8 +196,8 @@ class Effects(eqx.Module):
 
     def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " own"], ...]:
         """Hand each effect its own amounts."""
-        ends = np.cumsum([len(effect.parameters) for effect in self.members])
-        return tuple(jnp.split(amounts, ends[:-1]))
+        ends = np.cumsum([0, *(len(effect.parameters) for effect in self.members)])
+        return tuple(amounts[first:last] for first, last in itertools.pairwise(ends))
 
     @property
     def _parameters(self) -> list[EffectParameter]:

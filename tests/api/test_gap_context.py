@@ -1,0 +1,101 @@
+"""What effects are told of a subject is what was recorded and calibrated."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.subject.synthetic import COORDINATES, write_wrapped_subject
+from wrapjax.api import load_subject
+from wrapjax.api.exact import exact_geometry
+from wrapjax.api.gap_context import _wrap_changes, gap_context
+from wrapjax.gap import Effects, NotTestable, catalogue, effects_in, predicted_moments
+from wrapjax.muscle import HILL_CURVES
+
+
+@pytest.fixture(scope="module")
+def gathered(calibrated):
+    # A muscle that has EMG stands in for one that has none.
+    subject = dataclasses.replace(calibrated.subject, undriven_muscles=("semiten_l",))
+    return gap_context(dataclasses.replace(calibrated, subject=subject))
+
+
+def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
+    recording, context = gathered
+    effects = Effects(effects_in(catalogue(context, without=("tendon_compliance",))))
+    curves = HILL_CURVES[calibrated.result.curves]
+    found = predicted_moments(curves, context.parameters, recording, effects, effects.zero)
+    np.testing.assert_allclose(found, calibrated.result.modelled, rtol=1e-10, atol=1e-9)
+    assert context.coordinates == COORDINATES and context.trials == calibrated.result.trials
+    np.testing.assert_allclose(context.duration, 1.2)
+
+
+def test_what_cannot_be_tested_says_why(gathered):
+    reasons = {entry.id: entry.reason for entry in catalogue(gathered[1]) if isinstance(entry, NotTestable)}
+    assert "not given" in reasons["speed_dependent_delay"]
+    assert "ground reaction forces" in reasons["cop_offset"]
+    assert "ankle" in reasons["ankle_foot_orthosis"]
+    assert "none is touched" in reasons["wrap_surface"]
+    assert {"missing_drive", "muscle_attachment", "soft_tissue_artifact"}.isdisjoint(reasons)
+
+
+def test_bounds_are_those_that_calibration_ended_on(calibrated, gathered):
+    found = {f"{entry.muscle}.{entry.parameter}" for entry in gathered[1].at_bounds}
+    assert found == set(calibrated.result.at_bounds)
+    for entry in gathered[1].at_bounds:
+        assert entry.prior_sd > 0.0 and entry.unit and entry.outward in (1, -1)
+
+
+def test_muscles_without_emg_run_where_the_model_has_them(gathered):
+    """Laid by the engine, against the polynomials of the same muscle, which were fitted to OpenSim."""
+    _, context = gathered
+    assert context.others.names == ("semiten_l",) and context.others.groups[0][1] == ("semiten_l",)
+    row = context.muscles.index("semiten_l")
+    np.testing.assert_allclose(context.others.path.length[0], context.paths.length[row], atol=2e-4)
+    np.testing.assert_allclose(context.others.path.moment_arm[0], context.paths.moment_arm[row], atol=2e-3)
+
+
+def test_paths_follow_changed_angles(gathered):
+    """To first order length falls by moment arm times angle."""
+    _, context = gathered
+    by_angle = np.full(context.angles.shape, 1e-5)
+    changed = context.paths_of_angles(jnp.asarray(by_angle), jnp.zeros(by_angle.shape))
+    fall = (context.paths.length - changed.length) / 1e-5
+    np.testing.assert_allclose(fall, context.paths.moment_arm.sum(axis=2), atol=1e-5)
+
+
+def test_paths_follow_their_ends(gathered):
+    """A straight line gets longer by the displacement along it, here in a plane."""
+    _, context = gathered
+    hip, knee = np.moveaxis(context.angles, 1, 0)
+    forward = {"recfem_l": 0.05, "semiten_l": -0.05}
+
+    def turned(angle, x, y):
+        return np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
+
+    for row, muscle in enumerate(context.muscles):
+        x, y = turned(knee, forward[muscle], -0.05)
+        x, y = turned(hip, x, y - 0.4)
+        away = np.stack([forward[muscle] - x, -y])
+        expected = away / np.linalg.norm(away, axis=0)
+        for axis in range(3):
+            changes = np.zeros((2, 6))
+            changes[row, axis] = 1.0
+            found = context.attachments.paths(jnp.asarray(changes)).length[row]
+            np.testing.assert_allclose(found, expected[axis] if axis < 2 else 0.0 * hip, atol=1e-6)
+    assert context.attachments.names[0] == f"{context.muscles[0]}.origin_x_m"
+
+
+def test_paths_follow_cylinders(tmp_path):
+    """A cylinder half a millimetre thicker, by the slope and by laying the path anew."""
+    subject = load_subject(write_wrapped_subject(tmp_path / "wrapped"))
+    geometry = exact_geometry(subject)
+    changes = _wrap_changes(geometry, subject)
+    assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
+    thicker = np.where(changes.places == 5, 0.5e-3 / 0.035, 0.0)
+    longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)
+    rows = [subject.muscles.names.index(name) for name in ("recfem_l", "semiten_l")]
+    assert np.abs(longer[rows[0]]).max() == 0.0
+    # On a cylinder that turns it by less than half a turn, a path gains at most that turn times the radius.
+    assert 1e-4 < longer[rows[1]].max() < np.pi * 0.5e-3 and longer[rows[1]].min() > -1e-12
