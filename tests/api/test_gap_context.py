@@ -42,10 +42,13 @@ def test_what_cannot_be_tested_says_why(gathered):
 
 
 def test_bounds_are_those_that_calibration_ended_on(calibrated, gathered):
-    found = {f"{entry.muscle}.{entry.parameter}" for entry in gathered[1].at_bounds}
+    _, context = gathered
+    found = {f"{entry.muscle}.{entry.parameter}" for entry in context.at_bounds}
     assert found == set(calibrated.result.at_bounds)
-    for entry in gathered[1].at_bounds:
-        assert entry.prior_sd > 0.0 and entry.unit and entry.outward in (1, -1)
+    for entry in context.at_bounds:
+        assert 0.0 < entry.prior_sd < entry.limit and entry.unit and entry.outward in (1, -1)
+        at = getattr(calibrated.result.parameters, entry.parameter)[context.muscles.index(entry.muscle)]
+        assert entry.outward > 0 or at == 0.0 or at - entry.limit > 0.0
 
 
 def test_muscles_without_emg_run_where_the_model_has_them(gathered):

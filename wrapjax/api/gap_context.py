@@ -103,11 +103,13 @@ def _at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:
         if name not in QUANTITIES or muscle not in result.muscles:
             continue
         scale = variables.scale[result.muscles.index(muscle), variables.names.index(name)]
-        precision = variables.prior_precision[place]
-        width = variables.upper[place] - variables.lower[place]
+        lower, upper = scale * variables.lower[place], scale * variables.upper[place]
         outward = 1 if solution.variables[place] >= variables.upper[place] else -1
-        sd = scale * (1.0 / precision if precision > 0.0 else 0.25 * width)
-        found.append(AtBound(muscle, name, outward, float(sd), QUANTITIES[name].unit))
+        # What cannot be zero must not get there.
+        limit = upper - lower if outward > 0 or lower <= 0.0 else min(upper - lower, 0.9 * lower)
+        precision = variables.prior_precision[place]
+        sd = min(scale / precision if precision > 0.0 else np.inf, 0.25 * (upper - lower), 0.5 * limit)
+        found.append(AtBound(muscle, name, outward, float(sd), QUANTITIES[name].unit, float(limit)))
     return tuple(found)
 
 

@@ -64,6 +64,8 @@ class AtBound:
         How far beyond the bound it might want to be, in the leaf's unit.
     unit
         Of the leaf.
+    limit
+        How far beyond the bound it may go and still make sense.
     """
 
     muscle: str
@@ -71,6 +73,7 @@ class AtBound:
     outward: int
     prior_sd: float
     unit: str
+    limit: float = np.inf
 
 
 @dataclass(frozen=True)

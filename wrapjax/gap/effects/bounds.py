@@ -38,6 +38,7 @@ def bound_pressure(context: Context) -> Effect | NotTestable:
             meaning=f"how far {entry.parameter} of {entry.muscle} wants to be "
             + ("above its upper bound" if entry.outward > 0 else "below its lower bound"),
             source="prior of the calibration",
+            limit=entry.limit,
         )
         for entry in context.at_bounds
     )

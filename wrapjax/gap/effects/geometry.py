@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
@@ -44,17 +45,18 @@ def _of_changes(id: str, changes: PathChanges, what: str, source: str) -> Effect
 def _moved(changes: PathChanges, amounts: Float[Array, " parameter"]) -> Alteration:
     places = jnp.asarray(changes.places)
     own = jnp.where(places >= 0, amounts[places], 0.0)
-    return Alteration(paths=Partial(added_to_paths, changes.paths(own), changes.paths(jnp.zeros_like(own))))
+    changed, unchanged = changes.paths(own), changes.paths(jnp.zeros_like(own))
+    return Alteration(paths=Partial(added_to_paths, jax.tree.map(jnp.subtract, changed, unchanged)))
 
 
-def added_to_paths(changed: PathState, unchanged: PathState, paths: PathState) -> PathState:
-    """Add to paths what others differ by."""
+def added_to_paths(change: PathState, paths: PathState) -> PathState:
+    """Add to lengths, rates and moment arms."""
     return eqx.tree_at(
         lambda tree: (tree.length, tree.velocity, tree.moment_arm),
         paths,
         (
-            paths.length + (changed.length - unchanged.length),
-            paths.velocity + (changed.velocity - unchanged.velocity),
-            paths.moment_arm + (changed.moment_arm - unchanged.moment_arm),
+            paths.length + change.length,
+            paths.velocity + change.velocity,
+            paths.moment_arm + change.moment_arm,
         ),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
@@ -12,6 +13,7 @@ from wrapjax.gap.cycles import bell
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.gap.effects.emg import later
 from wrapjax.gap.effects.geometry import added_to_paths
+from wrapjax.geometry import PathState
 from wrapjax.model import Alteration
 
 Amounts = Float[Array, " parameter"]
@@ -24,7 +26,8 @@ _WIDTH = 0.10
 def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     """Change the angles that paths are laid through: at a part of the cycle, and in proportion to them.
 
-    Shapes: when in the cycle. What inverse dynamics make of other angles is not part of it.
+    To first order, moment arms included. Shapes: when in the cycle. What inverse dynamics make of other
+    angles is not part of it.
     """
     if context.paths_of_angles is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
@@ -54,7 +57,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         for name in context.coordinates
     ]
     variants = tuple(
-        Variant(Partial(_slid, context.paths_of_angles, *_errors(context, center)), when)
+        Variant(Partial(_slid, _slopes(context.paths_of_angles, *_errors(context, center))), when)
         for when, center in _SLIDES.items()
     )
     return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
@@ -72,15 +75,20 @@ def _errors(context: Context, center: float) -> tuple[Array, Array]:
     return jnp.asarray(angles), jnp.asarray(rates)
 
 
-def _slid(
+@jax.jit
+def _slopes(
     paths: PathsOfAngles,
     angles: Float[Array, "parameter trial coordinate frame"],
     rates: Float[Array, "parameter trial coordinate frame"],
-    amounts: Amounts,
-) -> Alteration:
-    error, rate = jnp.tensordot(amounts, angles, axes=1), jnp.tensordot(amounts, rates, axes=1)
-    changed, unchanged = paths(error, rate), paths(jnp.zeros_like(error), jnp.zeros_like(rate))
-    return Alteration(paths=Partial(added_to_paths, changed, unchanged))
+) -> PathState:
+    """How paths change with each amount; leaves lead with ``parameter``."""
+    recorded = jnp.zeros(angles.shape[1:]), jnp.zeros(rates.shape[1:])
+    return jax.lax.map(lambda error: jax.jvp(paths, recorded, error)[1], (angles, rates))
+
+
+def _slid(slopes: PathState, amounts: Amounts) -> Alteration:
+    change = jax.tree.map(lambda leaf: jnp.tensordot(amounts, leaf, axes=1), slopes)
+    return Alteration(paths=Partial(added_to_paths, change))
 
 
 def event_jitter(context: Context) -> Effect | NotTestable:
