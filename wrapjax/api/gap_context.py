@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -21,23 +20,17 @@ from wrapjax.errors import InputError
 from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
 from wrapjax.gap.anatomy import groups_of
 from wrapjax.geometry import PathState, PathSurrogate, fixed_path
-from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
-from wrapjax.geometry.surfaces import NOMINAL
-from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.path_slopes import laid_paths, slopes_by_ends, slopes_by_wraps
 from wrapjax.model import QUANTITIES, Recording, initial_parameters
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.osim import describe_model
-from wrapjax.skeleton import ModelDescription
-from wrapjax.skeleton.description import Muscle
-from wrapjax.subject import Subject, Trials
+from wrapjax.subject import Subject
 from wrapjax.subject.model_file import read_model_file
 
 #: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
 #: differ from the model's by 4 to 12 mm.
 _ATTACHMENT_SD = 0.005
-#: By how much ends (m) and cylinders (m, rad, 1) are moved to see how paths follow.
-_STEP = 1e-4
-_AXES = "xyz"
 
 
 def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
@@ -153,10 +146,18 @@ def _other_muscles(subject: Subject, curves: str) -> tuple[OtherMuscles | None, 
         return None, "every muscle of this leg has an EMG channel"
     model = describe_model(subject.model_file)
     table = read_model_file(subject.model_file).muscles
-    known = tuple(
-        name for name in subject.undriven_muscles if name in table.names and _can_be_laid(model, name)
-    )
-    every = _nominal(model, known, subject.trials) if known else None
+
+    def can_be_laid(muscle: str) -> bool:
+        try:
+            ExactPaths(model, (muscle,), ())
+        except InputError:
+            return False
+        return muscle in table.names
+
+    known = tuple(filter(can_be_laid, subject.undriven_muscles))
+    spanned = {name for muscle in known for name in model.spanned_by(muscle)}
+    engine = ExactPaths(model, known, tuple(name for name in subject.trials.coordinates if name in spanned))
+    every = laid_paths(engine, *_laid_through(engine, subject)) if known else None
     moving = () if every is None else np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
     names = tuple(known[row] for row in moving)
     if every is None or not names:
@@ -177,14 +178,6 @@ def _other_muscles(subject: Subject, curves: str) -> tuple[OtherMuscles | None, 
     return muscles, ""
 
 
-def _can_be_laid(model: ModelDescription, muscle: str) -> bool:
-    try:
-        ExactPaths(model, (muscle,), ())
-    except InputError:
-        return False
-    return True
-
-
 def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges | None]:
     """Ask the exact engine how paths follow their cylinders and their ends, to first order."""
     try:
@@ -197,34 +190,13 @@ def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges |
 def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | None:
     if not geometry.translations:
         return None
-    engine, trials = geometry.engine, subject.trials
+    engine = geometry.engine
     freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], geometry.translations)
-    quantities = len(freed.quantities)
-    angles, velocities = _recorded(trials, engine.coordinates)
-    posed = engine.posed(np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates)))
-    about = np.array([[name == one for name in engine.coordinates] for one in trials.moment_coordinates])
-    shape = (len(engine.muscles), freed.places.shape[1] * quantities, len(trials))
-    length, velocity = (np.zeros((*shape, angles.shape[-1])) for _ in range(2))
-    moment_arm = np.zeros((*shape, len(about), angles.shape[-1]))
-    for row, name in enumerate(engine.muscles):
-        count = len(engine.wraps_of(name)) * quantities
-        if not (freed.places[row] >= 0).any():
-            continue
-        # By differences, as to compile derivatives of paths round several cylinders takes minutes.
-        steps = _STEP * np.eye(count).reshape(count, -1, quantities)
-        found = wrap_at_samples(posed[name], NOMINAL + np.concatenate([steps, -steps]))
-
-        def slope(values: Array, count: int = count) -> np.ndarray:
-            by_pose = np.asarray(values[:count] - values[count:]) / (2.0 * _STEP)
-            return by_pose.reshape(count, len(trials), angles.shape[-1], *values.shape[2:])
-
-        arm = np.moveaxis(slope(found.moment_arm), -1, 2)
-        length[row, :count] = slope(found.length)
-        velocity[row, :count] = -np.sum(arm * velocities, axis=2)
-        moment_arm[row, :count] = np.einsum("cp,ktpf->ktcf", about, arm)
-    places = freed.places[:, :, None] * quantities + np.arange(quantities)
+    moving = np.asarray((freed.places >= 0).any(axis=1))
+    count = len(freed.quantities)
+    places = freed.places[:, :, None] * count + np.arange(count)
     return PathChanges(
-        paths=Partial(_along, PathState(*map(jnp.asarray, (length, velocity, moment_arm)))),
+        paths=Partial(_along, slopes_by_wraps(engine, *_laid_through(engine, subject), moving)),
         places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
         names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
         units=freed.units * len(freed.names),
@@ -233,66 +205,25 @@ def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | No
 
 
 def _attachment_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges:
-    engine, trials = geometry.engine, subject.trials
-    columns = []
-    for end in (0, -1):
-        for axis in range(3):
-            above, below = (
-                _nominal(_moved_ends(engine.model, engine.muscles, end, axis, sign), engine.muscles, trials)
-                for sign in (1.0, -1.0)
-            )
-            columns.append(jax.tree.map(lambda a, b: (a - b) / (2.0 * _STEP), above, below))
-    slopes = jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *columns)
+    engine = geometry.engine
     count = len(engine.muscles)
+    ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
     return PathChanges(
-        paths=Partial(_along, slopes),
+        paths=Partial(_along, slopes_by_ends(engine, *_laid_through(engine, subject))),
         places=np.arange(6 * count).reshape(count, 6),
-        names=tuple(
-            f"{muscle}.{end}_{axis}_m"
-            for muscle in engine.muscles
-            for end in ("origin", "insertion")
-            for axis in _AXES
-        ),
+        names=tuple(f"{muscle}.{end}" for muscle in engine.muscles for end in ends),
         units=("m",) * (6 * count),
         prior_sd=(_ATTACHMENT_SD,) * (6 * count),
     )
 
 
-def _moved_ends(
-    model: ModelDescription, muscles: Sequence[str], end: int, axis: int, sign: float
-) -> ModelDescription:
-    """Move one end of these muscles a step along an axis of the body that it is on."""
-
-    def moved(muscle: Muscle) -> Muscle:
-        if muscle.name not in muscles:
-            return muscle
-        points = list(muscle.points)
-        location = list(points[end].location)
-        location[axis] += sign * _STEP
-        points[end] = replace(points[end], location=(location[0], location[1], location[2]))
-        return replace(muscle, points=tuple(points))
-
-    return replace(model, muscles=tuple(moved(muscle) for muscle in model.muscles))
-
-
-def _nominal(model: ModelDescription, muscles: Sequence[str], trials: Trials) -> PathState:
-    """Lay paths through the cycles the shortest way."""
-    spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
-    engine = ExactPaths(model, muscles, tuple(name for name in trials.coordinates if name in spanned))
-    recorded = _recorded(trials, engine.coordinates)
-    return _plain(wrapped_paths(engine, *recorded, trials.moment_coordinates, ())[0].nominal)
-
-
-def _recorded(
-    trials: Trials, coordinates: tuple[str, ...]
-) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
-    columns = [trials.coordinates.index(name) for name in coordinates]
-    return trials.angles[:, columns], trials.angular_velocities[:, columns]
-
-
-def _plain(path: PathState) -> PathState:
-    """Leave out what restrains paths."""
-    return PathState(path.length, path.velocity, path.moment_arm)
+def _laid_through(
+    engine: ExactPaths, subject: Subject
+) -> tuple[Float[np.ndarray, "trial _ frame"], Float[np.ndarray, "trial _ frame"], tuple[str, ...]]:
+    """Angles and rates of the engine's coordinates, and what moment arms are wanted about."""
+    trials = subject.trials
+    columns = [trials.coordinates.index(name) for name in engine.coordinates]
+    return trials.angles[:, columns], trials.angular_velocities[:, columns], trials.moment_coordinates
 
 
 def _along(slopes: PathState, changes: Float[Array, "muscle mode"]) -> PathState:
