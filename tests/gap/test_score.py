@@ -1,0 +1,164 @@
+"""The score test: equal to the evidence by brute force, and calibrated on data of its own null."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal, norm
+
+from wrapjax.gap.covariance import (
+    InputErrors,
+    MuscleErrors,
+    input_covariance,
+    muscle_covariance,
+    parameter_covariance,
+    periodic_kernel,
+    repeated_covariance,
+)
+from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.score import Candidate, Null, evidence_of, inimitable, score
+
+CYCLES, COORDINATES, PHASES = 6, 2, 10
+ROWS = CYCLES * COORDINATES * PHASES
+SPEEDS = np.repeat([0, 1], CYCLES // 2)
+
+
+@pytest.fixture
+def generator():
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def covariance(generator):
+    noise = CycleNoise(np.array([[1.0, 0.4], [0.4, 2.0]]), 0.05).covariance(CYCLES, PHASES)
+    nuisance = parameter_covariance(generator.normal(size=(3, CYCLES, COORDINATES, PHASES)), np.full(3, 0.5))
+    return noise + nuisance
+
+
+def candidate(generator, name, parameters=1, variants=1, one_sided=False):
+    signatures = tuple(generator.normal(size=(parameters, ROWS)) for _ in range(variants))
+    return Candidate(name, signatures, np.full(parameters, 0.7), np.full(parameters, one_sided))
+
+
+def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
+    effect = candidate(generator, "one", parameters=3)
+    residual = generator.multivariate_normal(np.zeros(ROWS), covariance)
+    (found,) = score(residual, [Null(covariance)], [effect])
+    (signature,) = effect.variants
+    with_effect = covariance + signature.T @ signature * 0.7**2
+    expected = multivariate_normal(cov=with_effect).logpdf(residual) - multivariate_normal(
+        cov=covariance
+    ).logpdf(residual)
+    assert found.evidence == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_evidence_of_a_one_sided_amount_is_that_of_a_half_normal_prior():
+    for slope in (-3.0, 0.5, 6.0):
+        evidence, amounts, _, _ = evidence_of(
+            np.array([slope]), np.array([[2.0]]), np.array([0.7]), np.array([True])
+        )
+        integral, _ = quad(
+            lambda t, slope=slope: 2 * norm.pdf(t, scale=0.7) * np.exp(slope * t - t * t), 0, 12, epsabs=1e-13
+        )
+        assert evidence == pytest.approx(np.log(integral), abs=1e-8)
+        assert amounts[0] >= 0.0
+
+
+def test_variants_and_nulls_are_averaged(generator, covariance):
+    effect = candidate(generator, "several", variants=2)
+    residual = generator.normal(size=ROWS)
+    nulls = [Null(covariance, np.log(0.2)), Null(3.0 * covariance, np.log(0.8))]
+    (found,) = score(residual, nulls, [effect])
+
+    def likelihood(scale, signature=None):
+        own = scale * covariance
+        if signature is not None:
+            own = own + signature.T @ signature * 0.7**2
+        return multivariate_normal(cov=own).logpdf(residual)
+
+    with_effect = [
+        np.log(weight / 2) + likelihood(scale, signature)
+        for weight, scale in ((0.2, 1.0), (0.8, 3.0))
+        for signature in effect.variants
+    ]
+    without = [np.log(weight) + likelihood(scale) for weight, scale in ((0.2, 1.0), (0.8, 3.0))]
+    expected = np.logaddexp.reduce(with_effect) - np.logaddexp.reduce(without)
+    assert found.evidence == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
+    effects = [candidate(generator, str(number)) for number in range(8)]
+    residual = 1.5 * effects[3].variants[0][0] + generator.multivariate_normal(np.zeros(ROWS), covariance)
+    found = score(residual, [Null(covariance)], effects)
+    best = max(found, key=lambda one: one.evidence)
+    assert best.id == "3"
+    assert abs(best.amounts[0] - 1.5) < 3 * best.sd[0]
+    assert best.detectability > 5
+
+
+def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
+    """Amounts one prior deviation large move the score by so many standard deviations."""
+    effect = candidate(generator, "one")
+    (signature,) = effect.variants
+    (found,) = score(np.zeros(ROWS), [Null(covariance)], [effect])
+    inverse = np.linalg.inv(covariance)
+    slopes = [
+        signature[0] @ inverse @ generator.multivariate_normal(0.7 * signature[0], covariance)
+        for _ in range(400)
+    ]
+    moved = np.mean(slopes) / np.std(slopes)
+    assert moved == pytest.approx(found.detectability, rel=0.15)
+
+
+def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
+    one, other = (candidate(generator, name).variants[0] for name in ("one", "other"))
+    twin = np.concatenate([2.0 * one, other])
+    amount = np.array([1.0])
+    assert inimitable(one, twin, covariance, amount) < 1e-9
+    assert inimitable(one, other, covariance, amount) > 9.0
+    assert inimitable(twin, one, covariance, np.array([0.5, 1.0])) > 9.0
+
+
+def test_noise_is_estimated_from_deviations(generator):
+    truth = CycleNoise(np.array([[4.0, -1.2], [-1.2, 1.0]]), 0.05)
+    speeds = np.repeat([0, 1], 60)
+    factor = np.linalg.cholesky(truth.block(25))
+    drawn = (generator.normal(size=(120, 50)) @ factor.T).reshape(120, 2, 25)
+    drawn[speeds == 0] += 10.0
+    found = cycle_noise(drawn, speeds)
+    assert found.width == truth.width
+    np.testing.assert_allclose(found.between, truth.between, rtol=0.15)
+
+
+def test_covariances_are_what_random_draws_have(generator):
+    """Each term against the sample covariance of errors drawn as its text says."""
+    draws = 40_000
+    phase_factor = np.linalg.cholesky(periodic_kernel(4, 0.2) + 1e-12 * np.eye(4))
+
+    signatures = generator.normal(size=(2, 2, 2, 4))
+    errors = generator.normal(size=(draws, 2, 2, 4)) @ phase_factor.T
+    drawn = np.einsum("nicp,ickp->nckp", errors, signatures).reshape(draws, -1)
+    _same(drawn, input_covariance(InputErrors(signatures, 0.2)))
+
+    amounts = generator.normal(size=(draws, 2)) * [0.5, 2.0]
+    drawn = np.einsum("ni,ickp->nckp", amounts, signatures).reshape(draws, -1)
+    _same(drawn, parameter_covariance(signatures, np.array([0.5, 2.0])))
+
+    states, arms = generator.normal(size=(1, 2, 4, 3)), generator.normal(size=(1, 2, 2, 4))
+    rows = states.reshape(8, 3)
+    kernel = np.exp(-0.5 * np.sum((rows[:, None] - rows[None]) ** 2, axis=-1))
+    forces = (generator.normal(size=(draws, 8)) @ np.linalg.cholesky(kernel + 1e-12 * np.eye(8)).T).reshape(
+        draws, 2, 1, 4
+    )
+    _same((forces * arms[0]).reshape(draws, -1), muscle_covariance(MuscleErrors(states, arms)))
+
+
+def test_what_repeats_is_the_same_in_all_cycles_of_a_speed():
+    found = repeated_covariance(np.array([1.0, 3.0]), np.array([0, 0, 1]), 5).reshape(3, 2, 5, 3, 2, 5)
+    np.testing.assert_allclose(found[0, 1, 2, 1, 1, 2], 9.0)
+    np.testing.assert_allclose(found[0, 1, 2, 2, 1, 2], 0.7 * 9.0)
+    assert found[0, 0, 2, 0, 1, 2] == 0.0
+
+
+def _same(drawn, covariance):
+    sample = drawn.T @ drawn / len(drawn)
+    np.testing.assert_allclose(sample, covariance, atol=0.05 * np.sqrt(np.diag(covariance)).max() ** 2)
