@@ -1,0 +1,234 @@
+"""A calibrated model, its residuals and all that may explain them, as straight lines.
+
+A score test looks at the model where calibration left it: how the prediction would change with what was
+calibrated, with each effect, and with errors of what was recorded. Residuals are taken back to where
+calibrated parameters were expected, since their give is part of the null hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from wrapjax.calibrate import Objective
+from wrapjax.gap.context import Context
+from wrapjax.gap.covariance import InputErrors, MuscleErrors, Signatures
+from wrapjax.gap.effect import Effect, Effects
+from wrapjax.gap.prediction import signatures
+from wrapjax.gap.score import Candidate
+from wrapjax.geometry import fixed_path
+from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
+
+#: Phases of a gait cycle that are looked at: residuals change little between them.
+PHASES = 25
+#: Expected error of an EMG envelope, as a share of itself, and how long it goes on alike in gait cycles.
+EMG_ERROR, EMG_WIDTH = 0.10, 0.04
+#: Expected error of a joint angle (rad), and how long it goes on alike.
+ANGLE_ERROR, ANGLE_WIDTH = np.radians(1.5), 0.08
+#: Differences of activation, normalised fiber length and velocity at which errors of force are independent.
+STATE_SCALES = (0.3, 0.15, 0.2)
+
+
+@dataclass(frozen=True)
+class LinearGap:
+    """What a score test takes in; signatures lead with what they are by, then ``cycle coordinate phase``.
+
+    Parameters
+    ----------
+    residual
+        Measured less predicted moments, N m, at the expected values of what was calibrated.
+    fitted
+        The same as calibration left it.
+    calibrated
+        By each calibrated variable, one prior standard deviation of it.
+    nuisances
+        By each amount of the effects that are always allowed for, one prior standard deviation of it.
+    candidates
+        The effects that may be named.
+    input_errors
+        Of EMG and of angles.
+    muscle_errors
+        At one unit of normalised force.
+    speeds
+        Which speed each cycle was walked at, counted from 0 for the slowest.
+    """
+
+    residual: Float[np.ndarray, "cycle coordinate phase"]
+    fitted: Float[np.ndarray, "cycle coordinate phase"]
+    calibrated: Signatures
+    nuisances: Signatures
+    candidates: tuple[Candidate, ...]
+    input_errors: tuple[InputErrors, ...]
+    muscle_errors: MuscleErrors
+    speeds: Int[np.ndarray, " cycle"]
+
+
+def linear_gap(
+    problem: Objective,
+    variables: Float[Array, " variable"],
+    recording: Recording,
+    measured: Float[np.ndarray, "trial coordinate frame"],
+    context: Context,
+    effects: Sequence[Effect],
+) -> LinearGap:
+    """Draw all straight lines at a calibrated model.
+
+    Parameters
+    ----------
+    problem, variables
+        What was calibrated, and where it ended. Only what is variable, and its priors, count here.
+    recording, measured, context
+        Of the cycles that are looked at, which need not be those of the problem.
+    effects
+        Those that this recording can show.
+    """
+    parameters = problem.parameters(variables)
+    frames = phase_frames(measured.shape[-1])
+    curves, free = problem.curves, problem.variables
+
+    def at_phases(values: Float[Array, "*any frame"]) -> Float[np.ndarray, "*any phase"]:
+        return np.asarray(values)[..., frames]
+
+    states = muscle_states(curves, parameters, recording)
+    by_variable = at_phases(_moment_slopes(problem, variables, recording))
+    precision = np.asarray(free.prior_precision)
+    # What nothing is expected of can be anywhere within its bounds.
+    halfway = 0.5 * np.asarray(free.upper - free.lower)
+    sd = np.where(precision > 0.0, 1.0 / np.where(precision > 0.0, precision, 1.0), halfway)
+    expected = np.where(precision > 0.0, free.prior_mean, np.asarray(variables))
+    fitted = at_phases(measured - np.asarray(states.moment.sum(axis=0)))
+    moved = np.asarray(variables) - expected
+    candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
+    for effect in effects:
+        own = _candidate(effect, problem, parameters, recording, frames)
+        if effect.nuisance:
+            nuisances += [
+                (variant * own.prior_sd[:, None]).reshape(-1, *fitted.shape) for variant in own.variants
+            ]
+        else:
+            candidates.append(own)
+    return LinearGap(
+        residual=fitted + np.tensordot(moved, by_variable, axes=1),
+        fitted=fitted,
+        calibrated=by_variable * sd[:, None, None, None],
+        nuisances=np.concatenate(nuisances),
+        candidates=tuple(candidates),
+        input_errors=(
+            _emg_errors(problem, variables, by_variable, context),
+            *_angle_errors(problem, parameters, recording, context, frames),
+        ),
+        muscle_errors=_muscle_errors(states, parameters, frames),
+        speeds=speed_numbers(context.speeds),
+    )
+
+
+def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:
+    """Pick frames at equal distances round the cycle, whose last frame is its first."""
+    return np.round(np.arange(PHASES) * (frames - 1) / PHASES).astype(int)
+
+
+def speed_numbers(speeds: Float[np.ndarray, " cycle"]) -> Int[np.ndarray, " cycle"]:
+    """Number speeds from the slowest; cycles of unknown speed count as of one."""
+    known = np.unique(speeds[np.isfinite(speeds)])
+    return np.where(np.isfinite(speeds), np.searchsorted(known, speeds), len(known)).astype(int)
+
+
+def _moment_slopes(
+    problem: Objective, variables: Float[Array, " variable"], recording: Recording
+) -> Float[Array, "variable trial coordinate frame"]:
+    """Differentiate predicted moments by the variables, muscle by muscle, over this recording."""
+    shape = recording.path.nominal.moment_arm.shape[1:]
+    own = Objective(
+        curves=problem.curves,
+        recording=recording,
+        measured=jnp.zeros(shape),
+        variables=problem.variables,
+        penalties=(),
+        limits=(),
+        # Rows are then moments in N m.
+        moment_error=np.array(1.0 / np.sqrt(np.prod(shape))),
+    )
+    return jax.jit(Objective.moment_jacobian)(own, variables).T.reshape(-1, *shape)
+
+
+def _candidate(
+    effect: Effect,
+    problem: Objective,
+    parameters: ModelParameters,
+    recording: Recording,
+    frames: Int[np.ndarray, " phase"],
+) -> Candidate:
+    variants = []
+    for number in range(len(effect.variants)):
+        found = signatures(problem.curves, parameters, recording, Effects((effect,), (number,)))
+        variants.append(np.asarray(found)[..., frames].reshape(len(effect.parameters), -1))
+    return Candidate(
+        effect.id,
+        tuple(variants),
+        np.array([entry.prior_sd for entry in effect.parameters]),
+        np.array([entry.sign == 1 for entry in effect.parameters]),
+    )
+
+
+def _emg_errors(
+    problem: Objective,
+    variables: Float[Array, " variable"],
+    by_variable: Float[np.ndarray, "variable cycle coordinate phase"],
+    context: Context,
+) -> InputErrors:
+    """Run errors of EMG through the model: an envelope off by some share is a scale off by it just then.
+
+    That is so for errors that last longer than muscles take to activate.
+    """
+    by_channel = np.zeros((len(context.channels), *by_variable.shape[1:]))
+    for number, label in enumerate(problem.variables.labels):
+        muscle, quantity = label.rsplit(".", 1)
+        if quantity == "emg_scale":
+            channel = context.muscle_channels[context.muscles.index(muscle)]
+            by_channel[channel] += float(variables[number]) * by_variable[number]
+    return InputErrors(EMG_ERROR * by_channel, EMG_WIDTH)
+
+
+def _angle_errors(
+    problem: Objective,
+    parameters: ModelParameters,
+    recording: Recording,
+    context: Context,
+    frames: Int[np.ndarray, " phase"],
+) -> tuple[InputErrors, ...]:
+    """Run errors of angles through the paths; none where the paths are not known beside these angles."""
+    paths = context.paths_of_angles
+    if paths is None:
+        return ()
+    nothing = jnp.zeros(context.angles.shape)
+
+    @jax.jit
+    def along(coordinate: Int[Array, ""]) -> Float[Array, "trial coordinate frame"]:
+        direction = nothing.at[:, coordinate].set(1.0)
+
+        def moments(angles: Float[Array, "trial coordinate frame"]) -> Float[Array, "trial coordinate frame"]:
+            moved = replace(recording, path=fixed_path(paths(angles, nothing)))
+            return joint_moments(problem.curves, parameters, moved)
+
+        return jax.jvp(moments, (nothing,), (direction,))[1]
+
+    by_angle = [np.asarray(along(jnp.asarray(number)))[..., frames] for number in range(nothing.shape[1])]
+    return (InputErrors(ANGLE_ERROR * np.stack(by_angle), ANGLE_WIDTH),)
+
+
+def _muscle_errors(
+    states: MuscleState, parameters: ModelParameters, frames: Int[np.ndarray, " phase"]
+) -> MuscleErrors:
+    """Say where each muscle is in its states, and what a unit of normalised force would move."""
+    fiber = states.fiber
+    quantities = (states.activation, fiber.normalized_length, fiber.normalized_velocity)
+    scaled = [
+        np.asarray(own)[..., frames] / scale for own, scale in zip(quantities, STATE_SCALES, strict=True)
+    ]
+    force = np.asarray(parameters.max_isometric_force)[:, None, None, None]
+    return MuscleErrors(np.stack(scaled, axis=-1), np.asarray(states.path.moment_arm)[..., frames] * force)

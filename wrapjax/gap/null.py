@@ -1,0 +1,67 @@
+"""The null hypotheses that effects are scored against, of several strengths of what cannot be named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from wrapjax.gap.covariance import (
+    Matrix,
+    input_covariance,
+    muscle_covariance,
+    parameter_covariance,
+    repeated_covariance,
+)
+from wrapjax.gap.cycle_noise import cycle_noise
+from wrapjax.gap.linearized import LinearGap
+from wrapjax.gap.score import Null, Score, score
+
+#: Errors of muscle force that depend on the muscle's state, in maximum isometric forces; and what is
+#: expected of them.
+FORCE_ERRORS, EXPECTED_FORCE_ERROR = (0.0, 0.01, 0.03, 0.08), 0.02
+#: Smooth errors that repeat and that no mechanism is known for, in parts of how far the measured moment of a
+#: coordinate goes from its mean; and what is expected of them.
+REPEATED_ERRORS, EXPECTED_REPEATED_ERROR = (0.0, 0.03, 0.1, 0.3), 0.05
+
+
+def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[Null, ...]:
+    """Build null covariances over a grid of the strengths that nobody knows beforehand.
+
+    Parameters
+    ----------
+    gap
+        The straight lines of a calibrated model.
+    sizes
+        Standard deviation of the measured moment of each coordinate over the gait cycle, N m.
+    """
+    phases = gap.residual.shape[-1]
+    known = known_covariance(gap)
+    by_force = muscle_covariance(gap.muscle_errors)
+    repeated = repeated_covariance(np.asarray(sizes, dtype=float), gap.speeds, phases)
+    return tuple(
+        Null(
+            known + force**2 * by_force + offset**2 * repeated,
+            # Exponential: the stronger, the less plausible.
+            -force / EXPECTED_FORCE_ERROR - offset / EXPECTED_REPEATED_ERROR,
+        )
+        for force, offset in product(FORCE_ERRORS, REPEATED_ERRORS)
+    )
+
+
+def known_covariance(gap: LinearGap) -> Matrix:
+    """Sum what is always there: noise, errors of inputs, calibrated parameters and nuisances."""
+    cycles, _, phases = gap.residual.shape
+    total = cycle_noise(gap.fitted, gap.speeds).covariance(cycles, phases)
+    for errors in gap.input_errors:
+        total += input_covariance(errors)
+    for signatures in (gap.calibrated, gap.nuisances):
+        total += parameter_covariance(signatures, np.ones(len(signatures)))
+    return total
+
+
+def score_effects(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[Score, ...]:
+    """Score all candidates, the strongest evidence first."""
+    found = score(gap.residual.ravel(), nulls(gap, sizes), gap.candidates)
+    return tuple(sorted(found, key=lambda one: -one.evidence))
