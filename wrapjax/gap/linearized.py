@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.calibrate import Objective
 from wrapjax.gap.context import Context
-from wrapjax.gap.covariance import InputErrors, MuscleErrors, Signatures
+from wrapjax.gap.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.prediction import signatures
 from wrapjax.gap.score import Candidate
@@ -60,8 +60,8 @@ class LinearGap:
 
     residual: Float[np.ndarray, "cycle coordinate phase"]
     fitted: Float[np.ndarray, "cycle coordinate phase"]
-    calibrated: Signatures
-    nuisances: Signatures
+    calibrated: Float[np.ndarray, "variable cycle coordinate phase"]
+    nuisances: Float[np.ndarray, "amount cycle coordinate phase"]
     candidates: tuple[Candidate, ...]
     input_errors: tuple[InputErrors, ...]
     muscle_errors: MuscleErrors
@@ -91,7 +91,7 @@ def linear_gap(
     frames = phase_frames(measured.shape[-1])
     curves, free = problem.curves, problem.variables
 
-    def at_phases(values: Float[Array, "*any frame"]) -> Float[np.ndarray, "*any phase"]:
+    def at_phases(values: Float[Array | np.ndarray, "*any frame"]) -> Float[np.ndarray, "*any phase"]:
         return np.asarray(values)[..., frames]
 
     states = muscle_states(curves, parameters, recording)
@@ -128,8 +128,9 @@ def linear_gap(
 
 
 def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:
-    """Pick frames at equal distances round the cycle, whose last frame is its first."""
-    return np.round(np.arange(PHASES) * (frames - 1) / PHASES).astype(int)
+    """Pick frames at equal distances round the cycle, whose last frame is its first; no frame twice."""
+    phases = min(PHASES, frames - 1)
+    return np.round(np.arange(phases) * (frames - 1) / phases).astype(int)
 
 
 def speed_numbers(speeds: Float[np.ndarray, " cycle"]) -> Int[np.ndarray, " cycle"]:

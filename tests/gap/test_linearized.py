@@ -1,0 +1,99 @@
+"""Straight lines at a calibrated model, and the score of effects along them.
+
+The last test is on data of the model's own form: it shows that the pieces fit, and is no accuracy.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
+from wrapjax.calibrate import Objective
+from wrapjax.gap import CATALOGUE, Effects, predicted_moments
+from wrapjax.gap.linearized import linear_gap, phase_frames
+from wrapjax.gap.null import known_covariance, score_effects
+from wrapjax.model import free_variables, joint_moments, nga
+
+EFFECTS = ("joint_damping", "ankle_foot_orthosis", "emg_drift", "slow_fibers", "curve_family")
+
+
+@pytest.fixture(scope="module")
+def setting():
+    """A leg that is damped, measured with smooth noise, and calibrated to what it would be undamped."""
+    recording, context = small_recording_and_context()
+    base = context.parameters
+    free = free_variables(base, nga(base), context.muscles)
+    effects = tuple(CATALOGUE[id](context) for id in EFFECTS)
+    damping = Effects(effects[:1])
+    amounts = 2.0 * damping.prior_sd
+    moments = np.asarray(predicted_moments(CURVES, base, recording, damping, jnp.asarray(amounts)))
+    generator = np.random.default_rng(2)
+    measured = moments + 0.5 * generator.normal(size=(*moments.shape[:2], 1))
+    problem = Objective(
+        limits=(),
+        curves=CURVES,
+        recording=recording,
+        measured=jnp.asarray(measured),
+        variables=free,
+        penalties=(),
+    )
+    gap = linear_gap(problem, free.start(), recording, measured, context, effects)
+    return problem, recording, measured, gap, amounts
+
+
+def test_residual_is_taken_to_where_parameters_were_expected(setting):
+    """To first order it is what the model leaves there: halving the way quarters the difference."""
+    problem, recording, measured, gap, _ = setting
+    free, frames = problem.variables, phase_frames(measured.shape[-1])
+    start = np.asarray(free.start())
+    precision = np.asarray(free.prior_precision)
+    to_expected = np.where(precision > 0.0, np.asarray(free.prior_mean) - start, 0.0)
+    slope = np.tensordot(to_expected * precision, gap.calibrated, axes=1)
+    np.testing.assert_allclose(gap.residual, gap.fitted - slope, atol=1e-9)
+
+    def left(share):
+        moments = joint_moments(CURVES, free.unpack(jnp.asarray(start + share * to_expected)), recording)
+        return (measured - np.asarray(moments))[..., frames]
+
+    far, near = (np.abs(left(share) - (gap.fitted - share * slope)).max() for share in (2e-3, 1e-3))
+    assert near == pytest.approx(far / 4.0, rel=0.1)
+
+
+def test_an_error_of_emg_is_an_error_of_all_muscles_of_its_channel(setting):
+    problem, _, _, gap, _ = setting
+    free, (emg, angles) = problem.variables, gap.input_errors
+    # The second channel drives both gastrocnemii.
+    rows = [free.labels.index(f"{name}.emg_scale") for name in ("gasmed_l", "gaslat_l")]
+    values = np.asarray(free.start())[rows] * np.asarray(free.prior_precision)[rows]
+    expected = 0.10 * np.tensordot(values, gap.calibrated[rows], axes=1)
+    np.testing.assert_allclose(emg.signatures[1], expected, rtol=1e-9, atol=1e-12)
+    assert angles.signatures.shape[0] == 3
+    assert np.abs(angles.signatures).max() > 0.1
+
+
+def test_muscle_errors_are_in_maximum_isometric_forces(setting):
+    problem, recording, _, gap, _ = setting
+    arms = np.asarray(recording.path.nominal.moment_arm)[
+        ..., phase_frames(recording.path.nominal.length.shape[-1])
+    ]
+    force = np.asarray(problem.initial.max_isometric_force)[:, None, None, None]
+    np.testing.assert_allclose(gap.muscle_errors.arms, arms * force)
+    assert gap.muscle_errors.states.shape[0] == len(MUSCLES)
+
+
+def test_nuisances_are_part_of_the_null_and_never_candidates(setting):
+    gap = setting[3]
+    assert {candidate.id for candidate in gap.candidates} == set(EFFECTS) - {"curve_family"}
+    assert len(gap.nuisances)
+    covariance = known_covariance(gap)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+
+
+def test_the_effect_at_work_has_most_evidence(setting):
+    *_, measured, gap, amounts = setting
+    scores = score_effects(gap, measured.std(axis=(0, 2)))
+    assert scores[0].id == "joint_damping"
+    assert scores[0].evidence > 5.0
+    assert np.all(np.abs(scores[0].amounts - amounts) < 3.0 * scores[0].sd)
+    assert [one.evidence for one in scores] == sorted((one.evidence for one in scores), reverse=True)
