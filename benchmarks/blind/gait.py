@@ -20,7 +20,7 @@ from benchmarks.blind.opensim_leg import ALL_COORDINATES, foot_points
 #: The fine time base, and the one on which OpenSim is asked and files are written.
 RATE = 500.0
 FILE_RATE = 100.0
-DURATION = 12.0
+DURATION = 13.0
 #: Lead before the first cycle that is used, in s: delays and filters need a past.
 LEAD = 0.6
 
@@ -94,7 +94,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float
 
 
 def walk(leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...]) -> Walk:
-    """Let a person walk at these speeds, 12 s each."""
+    """Let a person walk at these speeds, 13 s each."""
     time = np.arange(int(DURATION * RATE)) / RATE
     habits = {name: 1.0 + 0.08 * rng.standard_normal() for name in ALL_COORDINATES}
     offsets = {name: rng.standard_normal() for name in ALL_COORDINATES}

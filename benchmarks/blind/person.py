@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from benchmarks.blind.anatomy import CHANNELS, COORDINATES, Leg, channel_of, reference_leg
+from benchmarks.blind.anatomy import CHANNELS, Leg, channel_of, reference_leg
 from benchmarks.blind.families import FALL_TO_RISE, FAMILIES, Family
 from benchmarks.blind.gait import RATE, Walk, lowpass, smooth_noise, walk
 from benchmarks.blind.geometry import ground_moments, paths_along
@@ -46,7 +46,6 @@ class Person:
     paretic: bool
     nominal: Leg  # what the laboratory believes
     world: World  # what is
-    target: np.ndarray  # moments by inverse dynamics of walk and ground forces, (recording, coordinate, frame)
 
 
 def person(name: str, seed: tuple[int, ...], families: tuple[str, ...]) -> Person:
@@ -64,8 +63,8 @@ def person(name: str, seed: tuple[int, ...], families: tuple[str, ...]) -> Perso
     target = ground_moments(real, walked)
     drive, muscles = _drive(walked, family, paths, muscles, target, rng)
     curves = family.curves()
-    world = World(real, walked, family, curves, muscles, paths, channel_of(real.names), drive, paretic)
-    return Person(name, paretic, nominal, world, target)
+    world = World(real, walked, family, curves, muscles, paths, channel_of(real.names), drive, target, paretic)
+    return Person(name, paretic, nominal, world)
 
 
 def _really(leg: Leg, rng: np.random.Generator) -> Leg:
@@ -156,7 +155,7 @@ def _drive(
 ) -> tuple[np.ndarray, Muscles]:
     """Envelopes near the bursts whose muscles nearly give the moments; scales that make their peaks 1."""
     curves, every = family.curves(), 5
-    channel = channel_of(tuple(m for m in _names()))
+    channel = channel_of(reference_leg(70.0, 1.72).names)
     ratio = muscles.scale
     coarse = (slice(None), slice(None), slice(None, None, every))
     length, rate = paths.length[coarse], paths.rate[coarse]
@@ -198,10 +197,3 @@ def _envelopes(walked, family, muscles, channel, found, every, rng):
     envelopes /= peaks[None, :, None]
     scale = np.where(channel >= 0, np.clip(peaks[channel] * muscles.scale, 0.05, 0.95), 0.0)
     return envelopes, replace(muscles, scale=scale)
-
-
-def _names() -> tuple[str, ...]:
-    return reference_leg(70.0, 1.72).names
-
-
-__all__ = ["COORDINATES", "Person", "bursts", "person"]

@@ -39,6 +39,7 @@ class World:
     paths: Paths
     channel: np.ndarray  # (muscle,): who drives it, -1 nobody
     drive: np.ndarray  # (recording, channel, frame): true envelopes, about 1 at their peak
+    inverse: np.ndarray  # moments by inverse dynamics of walk and ground, (recording, coordinate, frame)
     paretic: bool = False
     excitation: tuple[Change, ...] = ()  # change excitations (recording, muscle, frame)
     force: tuple[Change, ...] = ()  # change muscle forces

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.blind.effects.effect import Effect, Variant
-from benchmarks.blind.gait import RATE
 from benchmarks.blind.world import World, with_muscles
 
 
@@ -111,12 +110,12 @@ EFFECTS = (
         "leaky integral of stretch, straight",
     ),
     Effect(
-        "force_sharing", "tendon", "share of soleus force", 0.35, _shared,
+        "force_sharing", "tendon", "share of soleus force", 0.5, _shared,
         "soleus hands force to both gastrocnemii, more with the knee flexed, and loses it",
         "a fixed share of a neighbour's force is added",
     ),
     Effect(
-        "contracture", "fiber", "share of passive fiber length", 0.30, _tight,
+        "contracture", "fiber", "share of passive fiber length", 0.15, _tight,
         "passive fibers shorter by a share and stiffer, in one of three groups",
         "passive curve shifted",
         variants=lambda w: tuple((name,) for name in _TIGHT), paretic_only=True,
@@ -134,4 +133,3 @@ EFFECTS = (
         variants=lambda w: (("fiber", "soleus"), ("fiber", "vaslat"), ("fiber", "recfem"), ("delay", "soleus"), ("delay", "iliacus")),
     ),
 )  # fmt: skip
-STEP = 1.0 / RATE

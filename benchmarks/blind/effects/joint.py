@@ -109,7 +109,7 @@ def _wobble(world: World, amount: float, variant: Variant) -> World:
 
 EFFECTS = (
     Effect(
-        "passive_joint_moment", "joint", "N m at 11 to 14 degrees", 14.0, _passive,
+        "passive_joint_moment", "joint", "N m at 11 to 14 degrees", 45.0, _passive,
         "square of a soft ramp of stretch, whose start moves with the neighbouring joint",
         "double exponential with coupling",
         variants=lambda w: (("hip",), ("ankle",), ("knee",)),
@@ -120,7 +120,7 @@ EFFECTS = (
         "straight in velocity, a number a joint",
     ),
     Effect(
-        "biarticular_spring", "joint", "N/mm", 60.0, _strap,
+        "biarticular_spring", "joint", "N/mm", 25.0, _strap,
         "a strap with arms at hip and knee that goes slack",
         "straight spring on the sum of both angles",
         variants=lambda w: (("front",), ("back",)),
@@ -132,7 +132,7 @@ EFFECTS = (
         parameters=lambda a, v: {"dorsiflexion_stiffness": a},
     ),
     Effect(
-        "wobbling_mass", "measurement", "N m scale", 60.0, _wobble,
+        "wobbling_mass", "measurement", "N m scale", 20.0, _wobble,
         "damped 8 Hz oscillator driven by the load's rise",
         "a pulse in phase",
     ),

@@ -1,0 +1,185 @@
+"""What the generator itself could detect and tell apart: it knows the truth and the noise.
+
+The signal of an effect is what it puts between recorded moments and a prediction without it, from the same
+recorded EMG and angles, at the true parameters. Nuisance is whatever calibration may move, and what it cannot
+know: noise of moments and electrodes, hidden geometry, other families' curves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from benchmarks.blind.anatomy import COORDINATES
+from benchmarks.blind.effects.effect import Effect, Variant
+from benchmarks.blind.families import FAMILIES
+from benchmarks.blind.gait import LEAD
+from benchmarks.blind.geometry import changed_paths
+from benchmarks.blind.noise import EMG_TIME, MOMENT_CORRELATION, MOMENT_PHASE, MOMENT_SD
+from benchmarks.blind.world import World, joint_moments, moments_by_muscle, record, with_muscles
+
+PHASES = 25
+CALIBRATION, VALIDATION = 5, 2
+#: Prior standard deviations of what calibration moves: log gain, s, log of s, bend, shares of fiber and slack.
+_PRIORS = {"scale": 0.6, "delay": 0.025, "rise": 0.4, "bend": 0.25, "optimal_fiber_length": 0.15, "tendon_slack_length": 0.04}  # fmt: skip
+#: Hidden error of moment arms (m), and how far from this world's curves another's may be.
+_ARM_SD, _CURVE_SD = 0.0015, 0.5
+#: Below this two causes are one, in squared standard deviations.
+TIE = 9.0
+
+
+def cycles(world: World) -> list[list[tuple[float, float]]]:
+    """The cycles of each recording that are used: calibration first, then validation; the last recording's
+    are all validation."""
+    walk = world.walk
+    found = []
+    for recording in range(len(walk.speeds)):
+        strikes = walk.strikes(recording)
+        # Times are written with four digits, so use those.
+        strikes = np.round(strikes[strikes >= LEAD - 1e-6], 4)
+        pairs = [(float(a), float(b)) for a, b in zip(strikes[:-1], strikes[1:], strict=True)]
+        pairs = [pair for pair in pairs if pair[1] < walk.time[-1] - 0.3]
+        found.append(pairs[: CALIBRATION + VALIDATION])
+    return found
+
+
+def at_cycles(world: World, values: np.ndarray, uses: list[list[tuple[float, float]]]) -> np.ndarray:
+    """Sample (recording, row, frame) at these cycles' phases: (cycle, phase, row)."""
+    out = []
+    for recording, pairs in enumerate(uses):
+        for start, end in pairs:
+            times = np.linspace(start, end, PHASES, endpoint=False)
+            index = np.clip(np.searchsorted(world.walk.time, times), 0, world.walk.time.size - 1)
+            out.append(values[recording][:, index].T)
+    return np.stack(out)
+
+
+def calibration_cycles(world: World) -> list[list[tuple[float, float]]]:
+    used = cycles(world)
+    return [*(pairs[:CALIBRATION] for pairs in used[:-1]), []]
+
+
+def difference(world: World, effect: Effect, amount: float, variant: Variant) -> tuple[World, np.ndarray]:
+    """The world with the effect, and its signal, (recording, coordinate, frame) in N m."""
+    changed = effect.apply(world, amount, variant)
+    return changed, signal(changed, effect.apply(world, 0.0, variant) if effect.id == "bound_pressure" else world)
+
+
+def signal(changed: World, base: World) -> np.ndarray:
+    seen = record(changed)
+    believed = replace(base, drive=seen.emg)
+    shift = sum(changed.recorded_pose, np.zeros(1))
+    if shift.any():
+        angles = base.walk.angles + shift[:, 6:]
+        moved = np.flatnonzero(np.abs(shift[:, 6:]).max(axis=(0, 2)) > 0.0)
+        words = [COORDINATES[index] for index in moved]
+        from benchmarks.blind.geometry import muscle_indices
+
+        if words:
+            paths = changed_paths(base, base.leg, angles, muscle_indices(base.leg, words))
+            believed = replace(believed, paths=paths)
+    return seen.moments - joint_moments(believed)
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """Inner products under the covariance of everything that is not the effect."""
+
+    factor: tuple[np.ndarray, bool]
+
+    def whiten(self, signals: np.ndarray) -> np.ndarray:
+        """V^-1 times signals (sample, signal)."""
+        return cho_solve(self.factor, signals)
+
+    def gram(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        return left.T @ self.whiten(right)
+
+
+def flat(world: World, values: np.ndarray) -> np.ndarray:
+    """Samples of the calibration cycles in a row: cycle, phase, coordinate."""
+    return at_cycles(world, values, calibration_cycles(world)).ravel()
+
+
+def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
+    """One for each level of EMG noise."""
+    columns, gains = _nuisances(world)
+    plain = columns @ columns.T
+    noise = _moment_covariance(world)
+    electrodes = _emg_covariance(world, gains)
+    ridge = 0.05**2 * np.eye(plain.shape[0])
+    return {
+        level: Oracle(cho_factor(plain + noise + level**2 * electrodes + ridge, lower=True)) for level in levels
+    }
+
+
+def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Columns scaled by their prior, (sample, column); and the slope by each channel's log, (sample, channel)."""
+    base = moments_by_muscle(world)
+    m = world.muscles
+    steps = {
+        "scale": m.scale * 0.05,
+        "delay": np.full_like(m.delay, 0.004),
+        "rise": m.rise * 0.1,
+        "bend": np.full_like(m.bend, 0.04),
+        "optimal_fiber_length": m.optimal_fiber_length * 0.01,
+        "tendon_slack_length": m.tendon_slack_length * 0.002,
+    }
+    relative = {"scale": 0.05, "delay": 0.004, "rise": 0.1, "bend": 0.04, "optimal_fiber_length": 0.01, "tendon_slack_length": 0.002}  # fmt: skip
+    columns, gains = [], None
+    for name, step in steps.items():
+        change = (moments_by_muscle(with_muscles(world, **{name: getattr(m, name) + step})) - base) / relative[name]
+        by_muscle = _by_muscle(world, change)
+        columns.append(by_muscle * _PRIORS[name])
+        if name == "scale":
+            gains = np.stack([by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1)
+    for family in FAMILIES.values():
+        # The judged bank's curves are no nuisance elsewhere: development must not know them.
+        if family.name not in (world.family.name, "millard"):
+            other = moments_by_muscle(replace(world, curves=family.curves())) - base
+            columns.append(_by_muscle(world, other) * _CURVE_SD)
+    columns.append(_arm_errors(world, base))
+    kept = np.concatenate(columns, axis=1)
+    return kept[:, np.abs(kept).max(0) > 1e-9], gains
+
+
+def _by_muscle(world: World, change: np.ndarray) -> np.ndarray:
+    return np.stack([flat(world, change[:, muscle]) for muscle in range(change.shape[1])], axis=1)
+
+
+def _arm_errors(world: World, moments: np.ndarray) -> np.ndarray:
+    columns = []
+    arms = world.paths.arms
+    crossed = np.abs(arms).max(axis=(0, 3)) > 1e-4
+    strength = np.linalg.norm(moments, axis=2) / np.maximum(np.linalg.norm(arms, axis=2), 1e-3)
+    for muscle, coordinate in np.argwhere(crossed):
+        column = np.zeros_like(world.inverse)
+        column[:, coordinate] = strength[:, muscle] * _ARM_SD
+        columns.append(flat(world, column))
+    return np.stack(columns, axis=1)
+
+
+def _near(width: float) -> np.ndarray:
+    steps = np.arange(PHASES)
+    return np.exp(-0.25 * ((steps[:, None] - steps[None]) / (PHASES * width)) ** 2)
+
+
+def _moment_covariance(world: World) -> np.ndarray:
+    sd = MOMENT_SD * world.leg.mass / 72.0
+    block = np.kron(_near(MOMENT_PHASE), MOMENT_CORRELATION * np.outer(sd, sd))
+    count = sum(map(len, calibration_cycles(world)))
+    return np.kron(np.eye(count), block)
+
+
+def _emg_covariance(world: World, gains: np.ndarray) -> np.ndarray:
+    used = [pair for pairs in calibration_cycles(world) for pair in pairs]
+    size = PHASES * len(COORDINATES)
+    out = np.zeros((size * len(used), size * len(used)))
+    for order, (start, end) in enumerate(used):
+        # Wider than the electrodes' noise: activation smears it.
+        near = np.kron(_near(1.5 * EMG_TIME / (end - start)), np.ones((len(COORDINATES),) * 2))
+        part = slice(order * size, (order + 1) * size)
+        own = gains[part]
+        out[part, part] = (own @ own.T) * near
+    return out
