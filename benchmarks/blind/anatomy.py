@@ -7,13 +7,23 @@ neighbours. Axes of ankle and subtalar joint: Isman and Inman 1969. Points were 
 against the moment arms in `tests/benchmarks_blind`.
 """
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-COORDINATES = ("hip_flexion_r", "hip_adduction_r", "hip_rotation_r", "knee_angle_r", "ankle_angle_r", "subtalar_angle_r")
+COORDINATES = (
+    "hip_flexion_r",
+    "hip_adduction_r",
+    "hip_rotation_r",
+    "knee_angle_r",
+    "ankle_angle_r",
+    "subtalar_angle_r",
+)
 PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
 
 #: The person in whose size the numbers below are given.

@@ -1,8 +1,8 @@
 """Worlds that muscles can live in: force curves and the way from excitation to activation.
 
 `millard` is the test bank's and nobody else's: OpenSim's own Millard 2012 curves and a two-stage twitch. The
-development bank draws `thelen` or `spline`. All curves take fiber lengths in optimal fiber lengths and velocities in maximum
-velocities, lengthening positive.
+development bank draws `thelen` or `spline`. All curves take fiber lengths in optimal fiber lengths and
+velocities in maximum velocities, lengthening positive.
 """
 
 from __future__ import annotations
@@ -86,9 +86,7 @@ def spline_curves() -> Curves:
         toe = 0.05 * np.expm1(6.6 * np.minimum(stretched, 0.4))
         return toe + 0.05 * 6.6 * np.exp(6.6 * 0.4) * np.maximum(stretched - 0.4, 0.0)
 
-    return Curves(
-        lambda x: active(np.clip(x, 0.30, 2.2)), lambda v: velocity(np.clip(v, -1.2, 1.2)), passive
-    )
+    return Curves(lambda x: active(np.clip(x, 0.30, 2.2)), lambda v: velocity(np.clip(v, -1.2, 1.2)), passive)
 
 
 def _twitch(u, a, rise, fall):

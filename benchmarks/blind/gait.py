@@ -5,6 +5,9 @@ cadence and stance grow with speed as in Schwartz 2008 (doi:10.1016/j.jbiomech.2
 duration, amplitude and shape, smoothly in time.
 """
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -25,8 +28,8 @@ DURATION = 13.0
 LEAD = 0.6
 
 _PHASES = {
-    "hip_flexion_r": ([0, 8, 20, 30, 40, 52, 60, 70, 80, 88, 94], [28, 27, 18, 9, 0, -8, -2, 15, 27, 32, 30]),
-    "hip_adduction_r": ([0, 8, 18, 30, 40, 52, 62, 72, 84, 94], [-2.5, 2, 4, 2.5, 1.5, -2, -7, -6.5, -4, -3]),
+    "hip_flexion_r": ([0, 8, 20, 30, 40, 52, 60, 70, 80, 88, 94], [26, 24, 16, 8, 1, -5, 0, 15, 26, 30, 28]),
+    "hip_adduction_r": ([0, 8, 18, 30, 40, 52, 62, 72, 84, 94], [-5, -1.5, 0.5, -0.5, -1.5, -4.5, -9, -8.5, -6.5, -5.5]),
     "hip_rotation_r": ([0, 10, 22, 36, 50, 60, 70, 82, 92], [-2, 1, 3, 2, 2.5, -1, -4.5, -4, -2.5]),
     "knee_angle_r": ([0, 6, 13, 22, 32, 40, 50, 60, 67, 72, 80, 90, 95], [6, 12, 19, 17, 12, 9, 12, 32, 54, 60, 50, 18, 7]),
     "ankle_angle_r": ([0, 6, 12, 22, 34, 44, 51, 58, 63, 70, 80, 90], [0, -5, -2, 4, 8, 11, 6, -8, -15, -9, -0.5, 1]),
@@ -41,12 +44,15 @@ _PHASES = {
 
 # Over stance, in body weights: forward, up, right. The first row of each is the share of stance.
 _FORWARD = ([0, 3, 10, 22, 40, 55, 70, 82, 91, 100], [0, 0.02, -0.10, -0.17, -0.08, 0.0, 0.09, 0.19, 0.18, 0])
-_UP = ([0, 4, 10, 20, 33, 50, 65, 77, 87, 95, 100], [0, 0.25, 0.72, 1.07, 0.98, 0.80, 0.94, 1.09, 0.82, 0.25, 0])
-_RIGHT = ([0, 4, 12, 30, 50, 75, 90, 100], [0, 0.02, -0.05, -0.07, -0.06, -0.07, -0.035, 0])
+_UP = (
+    [0, 4, 10, 20, 33, 50, 65, 77, 87, 95, 100],
+    [0, 0.25, 0.72, 1.07, 0.98, 0.80, 0.94, 1.09, 0.82, 0.25, 0],
+)
+_RIGHT = ([0, 4, 12, 30, 50, 75, 90, 100], [0, 0.02, -0.035, -0.05, -0.042, -0.05, -0.03, 0])
 _TURN = ([0, 15, 40, 60, 80, 100], [0, -0.004, 0.0, 0.006, 0.006, 0])
 # Where the force acts on the sole, in the foot's frame (share of the foot's length; m to the right).
 _CENTER = ([0, 8, 20, 40, 60, 80, 92, 100], [0.03, 0.09, 0.22, 0.40, 0.57, 0.71, 0.76, 0.79])
-_CENTER_RIGHT = ([0, 20, 60, 85, 100], [-0.002, 0.003, 0.003, -0.007, -0.014])
+_CENTER_RIGHT = ([0, 20, 60, 85, 100], [0.002, 0.006, 0.006, -0.004, -0.012])
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,9 @@ class Walk:
     pose: np.ndarray  # (recording, 12, frame), rad and m: pelvis, then leg
     stance: np.ndarray  # (recording, frame): share of stance in 0 to 1, nan in swing
     ground: np.ndarray  # (recording, 9, frame): force, point, free moment on the right foot
-    other_ground: np.ndarray  # the same on the left foot, whose points are the right ones' half a cycle earlier
+    other_ground: (
+        np.ndarray
+    )  # the same on the left foot, whose points are the right ones' half a cycle earlier
 
     @property
     def angles(self) -> np.ndarray:
@@ -86,7 +94,9 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float
     # Made on a coarse grid, where the filter is short, and splined up.
     step = max(1, int(frames / 4))
     coarse = shape[-1] // step + 3
-    noise = gaussian_filter1d(rng.standard_normal((*shape[:-1], coarse)), frames / step, axis=-1, mode="reflect")
+    noise = gaussian_filter1d(
+        rng.standard_normal((*shape[:-1], coarse)), frames / step, axis=-1, mode="reflect"
+    )
     noise /= np.sqrt(1.0 / (2.0 * np.sqrt(np.pi) * frames / step))
     if step == 1:
         return noise[..., : shape[-1]]
@@ -114,7 +124,9 @@ def _recording(leg, rng, time, speed, habits, offsets, cadence):
     frames = 0.45 * period * RATE
     pose = np.stack(
         [
-            _coordinate(name, phase, amplitude * habits[name], offsets[name], smooth_noise(rng, time.shape, frames))
+            _coordinate(
+                name, phase, amplitude * habits[name], offsets[name], smooth_noise(rng, time.shape, frames)
+            )
             for name in ALL_COORDINATES
         ]
     )
@@ -159,7 +171,9 @@ def _ground(leg, rng, phase, toe_off, speed, frames):
     plateau = _over_stance(([0, 4, 10, 20, 33, 50, 65, 77, 87, 95, 100], [0, 0.2, 0.62, 0.97, 0.99, 0.97, 0.99, 0.98, 0.70, 0.2, 0]), inside)  # fmt: skip
     up = (1 - brisk) * plateau + brisk * _over_stance(_UP, inside)
     wobble = 1.0 + 0.03 * smooth_noise(rng, (3, phase.size), frames)
-    force = weight * np.stack([(0.35 + 0.65 * brisk) * _over_stance(_FORWARD, inside), up, _over_stance(_RIGHT, inside)])
+    force = weight * np.stack(
+        [(0.35 + 0.65 * brisk) * _over_stance(_FORWARD, inside), up, _over_stance(_RIGHT, inside)]
+    )
     force = lowpass(force * wobble, 20.0, RATE)
     force[:, np.isnan(stance)] = 0.0
     length = 0.152 * leg.height

@@ -24,7 +24,7 @@ def _every(walk: Walk, rate: float) -> np.ndarray:
 
 def _asked(leg: Leg, angles: np.ndarray, muscles: Sequence[int] | None) -> tuple[np.ndarray, np.ndarray]:
     """Ask for all recordings in one go: (recording, muscle, ...frame)."""
-    recordings, _, frames = angles.shape
+    recordings = angles.shape[0]
     lengths, arms = muscle_paths(leg, np.concatenate(list(angles), axis=-1), muscles)
     split = lambda values: np.stack(np.split(values, recordings, axis=-1))  # noqa: E731
     return split(lengths), split(arms)
@@ -35,17 +35,18 @@ def paths_along(leg: Leg, walk: Walk) -> Paths:
     at = _every(walk, PATH_RATE)
     lengths, arms = _asked(leg, walk.angles[..., at], None)
     fine = CubicSpline(walk.time[at], lengths, axis=-1)
-    return Paths(
-        fine(walk.time), fine(walk.time, 1), CubicSpline(walk.time[at], arms, axis=-1)(walk.time)
-    )
+    return Paths(fine(walk.time), fine(walk.time, 1), CubicSpline(walk.time[at], arms, axis=-1)(walk.time))
 
 
-def changed_paths(world: World, leg: Leg, angles: np.ndarray | None = None, muscles: Sequence[int] | None = None) -> Paths:
-    """Paths on another leg, or at other angles; only these muscles change. Differences are asked for coarsely."""
+def changed_paths(
+    world: World, leg: Leg, angles: np.ndarray | None = None, muscles: Sequence[int] | None = None
+) -> Paths:
+    """Paths on another leg, or at other angles, of these muscles; OpenSim is asked for differences."""
     walk = world.walk
     at = _every(walk, CHANGE_RATE)
     chosen = list(range(len(leg.muscles))) if muscles is None else list(muscles)
-    before = _asked(world.leg, walk.angles[..., at], chosen)
+    # The coarse frames are frames of the paths: OpenSim has been asked there.
+    before = (world.own_paths.length[:, chosen][..., at], world.own_paths.arms[:, chosen][..., at])
     after = _asked(leg, (walk.angles if angles is None else angles)[..., at], chosen)
     length, arms = (
         CubicSpline(walk.time[at], b - a, axis=-1)(walk.time) for a, b in zip(before, after, strict=True)
@@ -58,7 +59,9 @@ def changed_paths(world: World, leg: Leg, angles: np.ndarray | None = None, musc
     return new
 
 
-def ground_moments(leg: Leg, walk: Walk, pose: np.ndarray | None = None, ground: np.ndarray | None = None) -> np.ndarray:
+def ground_moments(
+    leg: Leg, walk: Walk, pose: np.ndarray | None = None, ground: np.ndarray | None = None
+) -> np.ndarray:
     """Inverse dynamics of a walk, (recording, coordinate, frame) on the fine time base."""
     pose = walk.pose if pose is None else pose
     ground = walk.ground if ground is None else ground
@@ -68,9 +71,7 @@ def ground_moments(leg: Leg, walk: Walk, pose: np.ndarray | None = None, ground:
     found = inverse_dynamics(leg, *(np.concatenate(list(part), axis=-1) for part in parts))
     coarse = np.stack(np.split(found, pose.shape[0], axis=-1))
     # Linear between the frames: ground forces start and end with a corner.
-    return np.stack(
-        [[np.interp(walk.time, walk.time[at], row) for row in recording] for recording in coarse]
-    )
+    return np.stack([[np.interp(walk.time, walk.time[at], row) for row in recording] for recording in coarse])
 
 
 def moved_leg(leg: Leg, **changes: object) -> Leg:

@@ -45,13 +45,15 @@ def leg_text(leg: Leg) -> str:
 
 def _body(body: Body, cylinders: Sequence[Cylinder]) -> str:
     wraps = "".join(
-        f'<WrapCylinder name="{c.name}"><active>true</active><xyz_body_rotation>{numbers(c.rotation)}</xyz_body_rotation>'
+        f'<WrapCylinder name="{c.name}"><active>true</active>'
+        f"<xyz_body_rotation>{numbers(c.rotation)}</xyz_body_rotation>"
         f"<translation>{numbers(c.translation)}</translation><quadrant>{c.quadrant}</quadrant>"
         f"<radius>{number(c.radius)}</radius><length>{number(c.length)}</length></WrapCylinder>\n"
         for c in cylinders
     )
     return (
-        f'<Body name="{body.name}"><WrapObjectSet name="wrapobjectset"><objects>{wraps}</objects></WrapObjectSet>'
+        f'<Body name="{body.name}">'
+        f'<WrapObjectSet name="wrapobjectset"><objects>{wraps}</objects></WrapObjectSet>'
         f"<mass>{number(body.mass)}</mass><mass_center>{numbers(body.center)}</mass_center>"
         f"<inertia>{numbers((*body.inertia, 0, 0, 0))}</inertia></Body>"
     )
@@ -86,9 +88,10 @@ def _joint(name, parent, child, place, axes, coordinates) -> str:
             f'<TransformAxis name="{kind}"><coordinates>{named}</coordinates>'
             f"<axis>{numbers(directions[index])}</axis>{function}</TransformAxis>\n"
         )
+    wide = (-10.0, 10.0) if free else (-2.0, 2.0)
     listed = "".join(
         f'<Coordinate name="{c}"><default_value>{"0.95" if c == "pelvis_ty" else "0"}</default_value>'
-        f"<range>{numbers(_LIMITS.get(c, (-10.0 if free else -2.0, 10.0 if free else 2.0)))}</range></Coordinate>\n"
+        f"<range>{numbers(_LIMITS.get(c, wide))}</range></Coordinate>\n"
         for c in coordinates
     )
     frames = (

@@ -54,7 +54,7 @@ def muscle_forces(
         fiber[:, stretched], velocity[:, stretched] = _behind_tendon(
             curves, muscles, activation, length, reach, step, stretched
         )
-        damping = DAMPING * law.column(stretched.astype(float)) * velocity / MAX_VELOCITY
+        damping = law.column(_damping(muscles.strain)) * velocity / MAX_VELOCITY
     else:
         damping = 0.0
     force = law.active(fiber, velocity) + law.passive(fiber) + damping
@@ -88,7 +88,8 @@ class _Law:
             slower = slower * (1.0 - self.column(m.recruitment) * (1.0 - a) ** 2)
         normalized = velocity / (MAX_VELOCITY * slower)
         # Slow fibers are also more curved when they shorten.
-        normalized = np.where(velocity < 0.0, normalized * (1.0 + 0.3 * self.column(m.slowness) * (1.0 + np.clip(normalized, -1.0, 0.0))), normalized)  # fmt: skip
+        deeper = 1.0 + 0.3 * self.column(m.slowness) * (1.0 + np.clip(normalized, -1.0, 0.0))
+        normalized = np.where(velocity < 0.0, normalized * deeper, normalized)
         force = a * self.curves.active(length) * self.curves.velocity(normalized)
         return force * self.history(velocity) if m.enhancement.any() else force
 
@@ -100,13 +101,20 @@ class _Law:
         """Force left over from stretching while active, saturating; half as much lost by shortening."""
         gained = self._leaky(self.activation * np.maximum(velocity, 0.0), 0.35)
         lost = self._leaky(self.activation * np.maximum(-velocity, 0.0), 0.25)
-        return 1.0 + self.column(self.muscles.enhancement) * (np.tanh(gained / 0.08) - 0.5 * np.tanh(lost / 0.08))
+        return 1.0 + self.column(self.muscles.enhancement) * (
+            np.tanh(gained / 0.08) - 0.5 * np.tanh(lost / 0.08)
+        )
 
     def _leaky(self, inflow: np.ndarray, time_constant: float) -> np.ndarray:
         from scipy.signal import lfilter
 
         keep = np.exp(-self.step / time_constant)
         return lfilter([self.step], [1.0, -keep], inflow, axis=-1)
+
+
+def _damping(strain: np.ndarray) -> np.ndarray:
+    # Gone where the tendon is rigid: a damped rigid muscle would be another one.
+    return DAMPING * np.tanh(strain / 0.03)
 
 
 def tendon_force(stretch: np.ndarray, strain: np.ndarray) -> np.ndarray:
@@ -123,12 +131,13 @@ def _behind_tendon(curves, muscles, activation, length, reach, step, chosen):
     reach = reach[:, chosen, 0]
     slack = muscles.tendon_slack_length[None, chosen]
     strain = muscles.strain[None, chosen]
+    damping = _damping(strain)
     vmax = MAX_VELOCITY * step
 
     def unbalance(fiber, before, frame):
         moved = (fiber - before) / vmax
         pull = a[..., frame] * curves.active(fiber) * curves.velocity(np.clip(moved, -1.0, 1.0))
-        pull = pull + curves.passive(fiber) + DAMPING * moved
+        pull = pull + curves.passive(fiber) + damping * moved
         return pull - tendon_force((path[..., frame] - fiber * reach) / slack - 1.0, strain)
 
     fibers = np.empty_like(path)

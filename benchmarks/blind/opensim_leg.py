@@ -115,9 +115,7 @@ def inverse_dynamics(
             applied = opensim.VectorOfSpatialVec(bodies, opensim.SpatialVec(opensim.Vec3(0), opensim.Vec3(0)))
             applied.set(
                 index,
-                opensim.SpatialVec(
-                    opensim.Vec3(*map(float, turning)), opensim.Vec3(*map(float, wrench[:3]))
-                ),
+                opensim.SpatialVec(opensim.Vec3(*map(float, turning)), opensim.Vec3(*map(float, wrench[:3]))),
             )
             udot = opensim.Vector([float(value) for value in acceleration[:, frame]])
             found = solver.solve(state, udot, none, applied)

@@ -5,9 +5,13 @@ recorded EMG and angles, at the true parameters. Nuisance is whatever calibratio
 know: noise of moments and electrodes, hidden geometry, other families' curves.
 """
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -25,7 +29,7 @@ CALIBRATION, VALIDATION = 5, 2
 #: Prior standard deviations of what calibration moves: log gain, s, log of s, bend, shares of fiber and slack.
 _PRIORS = {"scale": 0.6, "delay": 0.025, "rise": 0.4, "bend": 0.25, "optimal_fiber_length": 0.15, "tendon_slack_length": 0.04}  # fmt: skip
 #: Hidden error of moment arms (m), and how far from this world's curves another's may be.
-_ARM_SD, _CURVE_SD = 0.0015, 0.5
+_ARM_SD, _CURVE_SD = 0.0015, 1.0
 #: Below this two causes are one, in squared standard deviations.
 TIE = 9.0
 
@@ -39,7 +43,7 @@ def cycles(world: World) -> list[list[tuple[float, float]]]:
         strikes = walk.strikes(recording)
         # Times are written with four digits, so use those.
         strikes = np.round(strikes[strikes >= LEAD - 1e-6], 4)
-        pairs = [(float(a), float(b)) for a, b in zip(strikes[:-1], strikes[1:], strict=True)]
+        pairs = [(float(a), float(b)) for a, b in pairwise(strikes)]
         pairs = [pair for pair in pairs if pair[1] < walk.time[-1] - 0.3]
         found.append(pairs[: CALIBRATION + VALIDATION])
     return found
@@ -64,7 +68,9 @@ def calibration_cycles(world: World) -> list[list[tuple[float, float]]]:
 def difference(world: World, effect: Effect, amount: float, variant: Variant) -> tuple[World, np.ndarray]:
     """The world with the effect, and its signal, (recording, coordinate, frame) in N m."""
     changed = effect.apply(world, amount, variant)
-    return changed, signal(changed, effect.apply(world, 0.0, variant) if effect.id == "bound_pressure" else world)
+    return changed, signal(
+        changed, effect.apply(world, 0.0, variant) if effect.id == "bound_pressure" else world
+    )
 
 
 def signal(changed: World, base: World) -> np.ndarray:
@@ -110,7 +116,8 @@ def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
     electrodes = _emg_covariance(world, gains)
     ridge = 0.05**2 * np.eye(plain.shape[0])
     return {
-        level: Oracle(cho_factor(plain + noise + level**2 * electrodes + ridge, lower=True)) for level in levels
+        level: Oracle(cho_factor(plain + noise + level**2 * electrodes + ridge, lower=True))
+        for level in levels
     }
 
 
@@ -129,16 +136,22 @@ def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
     relative = {"scale": 0.05, "delay": 0.004, "rise": 0.1, "bend": 0.04, "optimal_fiber_length": 0.01, "tendon_slack_length": 0.002}  # fmt: skip
     columns, gains = [], None
     for name, step in steps.items():
-        change = (moments_by_muscle(with_muscles(world, **{name: getattr(m, name) + step})) - base) / relative[name]
+        change = (
+            moments_by_muscle(with_muscles(world, **{name: getattr(m, name) + step})) - base
+        ) / relative[name]
         by_muscle = _by_muscle(world, change)
         columns.append(by_muscle * _PRIORS[name])
         if name == "scale":
-            gains = np.stack([by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1)
+            gains = np.stack(
+                [by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1
+            )
     for family in FAMILIES.values():
-        # The judged bank's curves are no nuisance elsewhere: development must not know them.
+        # Another family's curves and twitch; the judged bank's are not known elsewhere.
         if family.name not in (world.family.name, "millard"):
             other = moments_by_muscle(replace(world, curves=family.curves())) - base
             columns.append(_by_muscle(world, other) * _CURVE_SD)
+            twitch = replace(world, family=family)
+            columns.append(_by_muscle(world, moments_by_muscle(twitch) - base) * _CURVE_SD)
     columns.append(_arm_errors(world, base))
     kept = np.concatenate(columns, axis=1)
     return kept[:, np.abs(kept).max(0) > 1e-9], gains

@@ -1,5 +1,8 @@
 """A virtual person: what the laboratory believes of their leg, what it really is, how they walk and drive it."""
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -48,12 +51,11 @@ class Person:
     world: World  # what is
 
 
-def person(name: str, seed: tuple[int, ...], families: tuple[str, ...]) -> Person:
+def person(name: str, seed: tuple[int, ...], family_name: str, paretic: bool = False) -> Person:
     """Draw a person and their walk; the same seed gives the same person."""
     rng = np.random.default_rng(seed)
     mass, height = rng.uniform(58, 92), rng.uniform(1.58, 1.86)
-    family = FAMILIES[families[int(rng.integers(len(families)))]]
-    paretic = bool(rng.random() < 0.5)
+    family = FAMILIES[family_name]
     nominal = reference_leg(float(mass), float(height))
     real = _really(nominal, rng)
     walked = walk(real, rng, _SPEEDS[int(rng.integers(len(_SPEEDS)))])
@@ -63,7 +65,9 @@ def person(name: str, seed: tuple[int, ...], families: tuple[str, ...]) -> Perso
     target = ground_moments(real, walked)
     drive, muscles = _drive(walked, family, paths, muscles, target, rng)
     curves = family.curves()
-    world = World(real, walked, family, curves, muscles, paths, channel_of(real.names), drive, target, paretic)
+    world = World(
+        real, walked, family, curves, muscles, paths, paths, channel_of(real.names), drive, target, paretic
+    )
     return Person(name, paretic, nominal, world)
 
 

@@ -36,7 +36,8 @@ class World:
     family: Family
     curves: Curves
     muscles: Muscles
-    paths: Paths
+    paths: Paths  # what the muscles run along
+    own_paths: Paths  # of the leg above, before anything is changed
     channel: np.ndarray  # (muscle,): who drives it, -1 nobody
     drive: np.ndarray  # (recording, channel, frame): true envelopes, about 1 at their peak
     inverse: np.ndarray  # moments by inverse dynamics of walk and ground, (recording, coordinate, frame)
@@ -67,7 +68,9 @@ def excitations(world: World) -> np.ndarray:
     for recording in range(out.shape[0]):
         for muscle, channel in enumerate(world.channel):
             if channel >= 0:
-                late = np.interp(time - muscles.delay[recording, muscle], time, world.drive[recording, channel])
+                late = np.interp(
+                    time - muscles.delay[recording, muscle], time, world.drive[recording, channel]
+                )
                 out[recording, muscle] = muscles.scale[muscle] * late
     for change in world.excitation:
         out = change(world, out)

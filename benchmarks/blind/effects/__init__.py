@@ -5,9 +5,7 @@ from benchmarks.blind.effects.effect import Effect as Effect
 from benchmarks.blind.effects.effect import Variant as Variant
 
 EFFECTS: dict[str, Effect] = {
-    effect.id: effect
-    for module in (fiber, drive, joint, chain)
-    for effect in module.EFFECTS
+    effect.id: effect for module in (fiber, drive, joint, chain) for effect in module.EFFECTS
 }
 
 #: Catalogued, and in no case: why.

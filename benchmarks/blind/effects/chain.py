@@ -3,6 +3,9 @@
 Moments change by what OpenSim's inverse dynamics makes of wrong input, less what it makes of right input.
 """
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import replace

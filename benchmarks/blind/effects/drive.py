@@ -1,5 +1,8 @@
 """What drives the muscles, and what the electrodes make of it."""
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from collections.abc import Callable

@@ -23,8 +23,8 @@ class Effect:
     """A cause that a case can have.
 
     ``apply`` puts it into a world in some amount, in ``unit``; ``most`` is the largest amount that is still
-    human. A variant says where it acts. ``own_form`` and ``catalogue_form`` go side by side into `EFFECTS.md`.
-    ``parameters`` gives the numbers that a diagnosis is scored on.
+    human. A variant says where it acts. ``own_form`` and ``catalogue_form`` stand side by side in
+    `EFFECTS.md`. ``parameters`` gives the numbers that a diagnosis is scored on.
     """
 
     id: str

@@ -1,5 +1,8 @@
 """Fibers and tendons."""
 
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -15,8 +18,10 @@ def _indices(world: World, words: tuple[str, ...]) -> np.ndarray:
 
 
 def _tendon(world: World, amount: float, variant: Variant) -> World:
+    if amount < 5e-4:
+        return world  # too stiff to integrate, and not to be seen
     long = world.muscles.tendon_slack_length > 1.2 * world.muscles.optimal_fiber_length
-    return with_muscles(world, strain=np.where(long, max(amount, 0.0), 0.0))
+    return with_muscles(world, strain=np.where(long, amount, 0.0))
 
 
 def _slow(world: World, amount: float, variant: Variant) -> World:

@@ -1,0 +1,73 @@
+"""``python -m benchmarks.blind make|score|sheet|forms``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.blind.plan import BANK_SIZES, bank_of
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.blind", description="The blind bank.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    make = commands.add_parser("make", help="make a bank's cases and seal them; resumes")
+    make.add_argument("--bank", choices=sorted(BANK_SIZES), default="development")
+    make.add_argument("--cases", type=int, help="a small bank of the same make-up")
+    make.add_argument("--workers", type=int, default=1)
+    make.add_argument("--out", type=Path, required=True)
+    score = commands.add_parser("score", help="judge answers against the sealed truth")
+    score.add_argument("--bank", type=Path, required=True, help="folder of the bank")
+    score.add_argument("--manifest", type=Path, help="the committed one, if not the bank's own")
+    score.add_argument("--answers", action="append", required=True, metavar="NAME=FOLDER")
+    score.add_argument("--withheld", action="append", default=[], metavar="NAME=FOLDER")
+    score.add_argument("--json", type=Path, help="write all figures here")
+    sheet = commands.add_parser("sheet", help="draw a contact sheet of cases")
+    sheet.add_argument("--bank", type=Path, required=True)
+    sheet.add_argument("--out", type=Path, required=True)
+    sheet.add_argument("--count", type=int, default=8)
+    commands.add_parser("forms", help="print the table of forms")
+    chosen = parser.parse_args(arguments)
+    return {"make": _make, "score": _score, "sheet": _sheet, "forms": _forms}[chosen.command](chosen)
+
+
+def _make(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.make import make
+
+    planned = make(bank_of(chosen.bank, chosen.cases), chosen.out, chosen.workers)
+    print(f"{len(planned)} cases in {chosen.out}, sealed by {chosen.out / 'manifest.json'}")
+    return 0
+
+
+def _score(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.score.report import NotReady, as_json, as_markdown, score
+
+    pairs = lambda words: {name: Path(folder) for name, folder in (word.split("=", 1) for word in words)}  # noqa: E731
+    try:
+        result = score(chosen.bank, pairs(chosen.answers), pairs(chosen.withheld), chosen.manifest)
+    except NotReady as reason:
+        print(reason, file=sys.stderr)
+        return 1
+    if chosen.json:
+        chosen.json.write_text(as_json(result), encoding="utf-8")
+    print(as_markdown(result), end="")
+    return 0
+
+
+def _sheet(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.sheet import draw_sheet
+
+    draw_sheet(chosen.bank, chosen.out, chosen.count)
+    return 0
+
+
+def _forms(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.forms import forms_text
+
+    print(forms_text(), end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The scorer: opens truth once, and says of every answerer what it got right, with intervals."""

@@ -1,0 +1,93 @@
+"""One-sided 95 % intervals of figures from people who gave several cases each, and verdicts on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+MET, FAILED, UNCLEAR = "met", "failed", "not distinguishable"
+LEVEL = 0.95
+_DRAWS = 500
+#: Where all cases agree, people are taken to be this much alike: a correlation of zero would be too kind.
+_LIKENESS = 0.05
+
+
+@dataclass(frozen=True)
+class Figure:
+    """``lower`` and ``upper`` are one-sided 95 % bounds; n cases; None where there was nothing to judge."""
+
+    value: float | None
+    lower: float | None = None
+    upper: float | None = None
+    n: int = 0
+
+
+@dataclass(frozen=True)
+class Target:
+    """Reach ``least``, stay under ``most``, or both."""
+
+    least: float | None = None
+    most: float | None = None
+
+    def __str__(self) -> str:
+        if self.least is not None and self.most is not None:
+            return f"{self.least:g} to {self.most:g}"
+        return f"at least {self.least:g}" if self.least is not None else f"at most {self.most:g}"
+
+
+def verdict(figure: Figure, target: Target | None) -> str:
+    """Met or failed where the interval is all on one side, else not distinguishable."""
+    if target is None or figure.value is None or figure.lower is None or figure.upper is None:
+        return ""
+    least = -np.inf if target.least is None else target.least
+    most = np.inf if target.most is None else target.most
+    if figure.upper < least or figure.lower > most:
+        return FAILED
+    return MET if figure.lower >= least and figure.upper <= most else UNCLEAR
+
+
+def share(hits: np.ndarray, people: np.ndarray) -> Figure:
+    """A share of cases, with Clopper and Pearson's interval for as many independent ones as these equal."""
+    hits = np.asarray(hits, float)
+    n = hits.size
+    if n == 0:
+        return Figure(None)
+    mean = float(hits.mean())
+    worth = n / _design_effect(hits, np.asarray(people), mean)
+    k = mean * worth
+    lower = float(beta.ppf(1 - LEVEL, k, worth - k + 1)) if k > 0 else 0.0
+    upper = float(beta.ppf(LEVEL, k + 1, worth - k)) if k < worth else 1.0
+    return Figure(mean, lower, upper, n)
+
+
+def _design_effect(hits: np.ndarray, people: np.ndarray, mean: float) -> float:
+    names, group = np.unique(people, return_inverse=True)
+    count = names.size
+    if count < 2:
+        return 1.0
+    assumed = 1.0 + _LIKENESS * (hits.size / count - 1.0)
+    if mean in (0.0, 1.0):
+        return max(1.0, assumed)
+    sums = np.bincount(group, hits - mean)
+    variance = count / (count - 1) * float((sums**2).sum()) / hits.size**2
+    return max(1.0, variance / (mean * (1.0 - mean) / hits.size))
+
+
+def statistic(
+    values: np.ndarray, people: np.ndarray, of: Callable[[np.ndarray], float], seed: int = 1
+) -> Figure:
+    """Any statistic of rows, with a bootstrap over people."""
+    values, people = np.asarray(values), np.asarray(people)
+    if values.shape[0] == 0:
+        return Figure(None)
+    rng = np.random.default_rng(seed)
+    rows = [np.flatnonzero(people == name) for name in np.unique(people)]
+    draws = [
+        of(values[np.concatenate([rows[i] for i in rng.integers(len(rows), size=len(rows))])])
+        for _ in range(_DRAWS)
+    ]
+    lower, upper = np.nanquantile(draws, [1 - LEVEL, LEVEL], method="inverted_cdf")
+    return Figure(float(of(values)), float(lower), float(upper), values.shape[0])
