@@ -95,14 +95,14 @@ def amount_for(
         seen = flat(world, difference(world, effect, amount, variant)[1])
         return float(np.sqrt(max(seen @ oracle.whiten(seen), 0.0)))
 
-    amount = sign * effect.most * (SHARE if reach is None else min(1.0, target / max(reach, 1e-9)))
+    amount = _rounded(sign * effect.most * (SHARE if reach is None else min(1.0, target / max(reach, 1e-9))))
     reached = detectability(amount)
     for _ in range(4):
         if 0.88 < reached / target < 1.12 or (reached < target and abs(amount) >= effect.most):
             break
         # Signals grow nearly in proportion; steps are kept within a factor of four.
         factor = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
-        amount = float(np.clip(amount * factor, -effect.most, effect.most))
+        amount = _rounded(np.clip(amount * factor, -effect.most, effect.most))
         reached = detectability(amount)
     return amount, reached
 
@@ -147,6 +147,11 @@ def _floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float
         "held_out_cycles": mean([(r, pair) for r in range(last) for pair in used[r][CALIBRATION:]]),
         "held_out_speed": mean([(last, pair) for pair in used[last]]),
     }
+
+
+def _rounded(amount: float) -> float:
+    # An amount that differs in its last bits from machine to machine would change every file.
+    return float(f"{float(amount):.3g}")
 
 
 def _tidy(value: float) -> float:
