@@ -35,49 +35,44 @@ def over_cycle(case: Path, kind: str, name: str) -> list[tuple[int, np.ndarray]]
 
 
 def draw_sheet(bank: Path, file: Path, count: int = 6, truth: bool = True) -> None:
-    """Draw moments, angles and EMG of some cases, one row a case; causes in the margin if wanted."""
+    """Draw angles and moments, and below them EMG, of some cases; what is wrong with each beside it."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     cases = sorted((bank / "cases").iterdir())[:count]
-    columns = [("angles", c) for c in COORDINATES if c not in ("hip_rotation_r", "subtalar_angle_r")]
-    columns += [("moments", f"{c}_moment") for c in COORDINATES]
-    columns += [("emg", c) for c in CHANNELS]
+    upper = [("angles", c) for c in COORDINATES] + [("moments", f"{c}_moment") for c in COORDINATES]
+    lower = [("emg", c) for c in CHANNELS]
     figure, axes = plt.subplots(
-        len(cases), len(columns), figsize=(2.0 * len(columns), 1.7 * len(cases)), squeeze=False
+        2 * len(cases), len(lower), figsize=(1.55 * len(lower), 2.6 * len(cases)), squeeze=False
     )
-    for row, case in zip(axes, cases, strict=True):
+    for index, case in enumerate(cases):
         settings = tomllib.loads((case / "subject.toml").read_text(encoding="utf-8"))
         mass = settings["subject"]["mass_kg"]
-        for axis, (kind, name) in zip(row, columns, strict=True):
-            for recording, values in over_cycle(case, kind, name):
-                axis.plot(values / (mass if kind == "moments" else 1.0), lw=0.6, color=_COLORS[recording])
-            axis.tick_params(labelsize=5, length=1, pad=1)
-            axis.axhline(0.0, color="0.8", lw=0.5, zorder=0)
-            unit = {"angles": "deg", "moments": "N m/kg", "emg": ""}[kind]
-            axis.set_title(f"{name.removesuffix('_moment').removesuffix('_r')} {unit}", fontsize=6, pad=2)
-        label = case.name[:6]
-        if truth:
-            known = json.loads((bank / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
-            causes = [
-                f"{c['id']} {'/'.join(c['variant'])}\n{c['amount']:.3g} {c['unit'][:18]}"
-                for c in known["causes"]
-            ]
-            label = "\n".join(
-                [f"{known['tier']}, d* {known['d_star']:.1f}, {100 * known['emg_noise']:.0f} %", *causes]
-            )
-        row[0].set_ylabel(label, fontsize=5)
+        for row, signals in zip(axes[2 * index : 2 * index + 2], (upper, lower), strict=True):
+            for axis, (kind, name) in zip(row, signals, strict=False):
+                _draw_signal(axis, case, kind, name, mass)
+        note = axes[2 * index, -1]
+        note.axis("off")
+        note.text(0, 1, _described(bank, case) if truth else case.name, fontsize=5.5, va="top", wrap=True)
     figure.tight_layout(pad=0.3)
-    figure.savefig(file, dpi=80, metadata={"Software": None})
+    figure.savefig(file, dpi=90, metadata={"Software": None})
     plt.close(figure)
 
 
-def effect_sizes(bank: Path) -> list[dict[str, Any]]:
-    """What each truth's causes amount to, for a look at their sizes."""
-    out = []
-    for path in sorted((bank / "truth").glob("*.json")):
-        known = json.loads(path.read_text(encoding="utf-8"))
-        out.extend({"tier": known["tier"], **cause} for cause in known["causes"])
-    return out
+def _draw_signal(axis: Any, case: Path, kind: str, name: str, mass: float) -> None:
+    for recording, values in over_cycle(case, kind, name):
+        axis.plot(values / (mass if kind == "moments" else 1.0), lw=0.6, color=_COLORS[recording])
+    axis.tick_params(labelsize=5, length=1, pad=1)
+    axis.axhline(0.0, color="0.8", lw=0.5, zorder=0)
+    unit = {"angles": "deg", "moments": "N m/kg", "emg": ""}[kind]
+    axis.set_title(f"{name.removesuffix('_moment').removesuffix('_r')} {unit}", fontsize=6, pad=2)
+
+
+def _described(bank: Path, case: Path) -> str:
+    known = json.loads((bank / "truth" / f"{case.name}.json").read_text(encoding="utf-8"))
+    lines = [known["tier"], f"d* {known['d_star']:.1f}, EMG noise {100 * known['emg_noise']:.0f} %"]
+    for cause in known["causes"]:
+        lines += ["", cause["id"], " ".join(cause["variant"]), f"{cause['amount']:.3g} {cause['unit'][:24]}"]
+    return "\n".join(lines)

@@ -39,8 +39,11 @@ def _missing(world: World, amount: float, variant: Variant) -> World:
         away = (100.0 * (now.walk.phase % 1.0) - center + 50.0) % 100.0 - 50.0
         burst = np.exp(-0.5 * (away / np.where(away < 0.0, 1.3 * width, 0.7 * width)) ** 2)
         speed = np.sqrt(np.array(now.walk.speeds) / now.walk.speeds[1])
+        # The amount is activation: undo what the muscle's bend will make of the excitation.
+        grid = np.linspace(0.0, 1.5, 300)
+        bent = now.family.shape(grid, now.muscles.bend[muscle])
         out = excitations.copy()
-        out[:, muscle] += amount * speed[:, None] * burst
+        out[:, muscle] += np.interp(amount * speed[:, None] * burst, bent, grid)
         return out
 
     return replace(world, excitation=(*world.excitation, excite))
@@ -90,6 +93,11 @@ def _drift(world: World, amount: float, variant: Variant) -> World:
         return out
 
     return _recorded(world, change)
+
+
+def _drift_seen(amount: float, variant: Variant) -> dict[str, float]:
+    """Last cycle's gain against the first one's: at their middles 5.3 and 99.7 % of the drift are there."""
+    return {f"gain_change_{variant[0]}": 0.944 * amount / (1.0 + 0.053 * amount)}
 
 
 def _crosstalk(world: World, amount: float, variant: Variant) -> World:
@@ -189,7 +197,7 @@ EFFECTS = (
         "emg_drift", "excitation", "share, first to last cycle", 1.2, _drift,
         "gain settles exponentially over the session",
         "gain straight in the cycle's number",
-        variants=_channels, parameters=lambda a, v: {f"gain_change_{v[0]}": a},
+        variants=_channels, parameters=_drift_seen,
     ),
     Effect(
         "emg_crosstalk", "excitation", "share of the neighbour", 0.9, _crosstalk,
