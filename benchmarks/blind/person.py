@@ -127,7 +127,7 @@ def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
         delay=np.tile(delay, (paths.length.shape[0], 1)),
         rise=0.016 * np.exp(draw(0.15)),
         fall=np.full(count, FALL_TO_RISE),
-        bend=np.clip(0.18 + draw(0.08), 0.02, 0.5),
+        bend=np.clip(0.28 + draw(0.08), 0.05, 0.6),
         slowness=zero,
         length_gain=zero,
         enhancement=zero,

@@ -211,3 +211,9 @@ def test_plans_are_even_and_hit_their_strata():
     targets = np.array([case.targets[0] for case in single])
     assert np.mean(targets > 5) == pytest.approx(0.5, abs=0.01)
     assert np.mean((targets > 2) & (targets < 5)) == pytest.approx(0.3, abs=0.01)
+    # Sorted by name, as a folder lists them, cases of all kinds are mixed.
+    listed = [case.tier for case in sorted(planned, key=lambda case: case.id)]
+    for tier in ("single", "none", "outside", "pair"):
+        assert np.mean([kind == tier for kind in listed[:360]]) == pytest.approx(
+            listed.count(tier) / 720, abs=0.06
+        )
