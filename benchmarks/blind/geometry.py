@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from benchmarks.blind.anatomy import COORDINATES, Leg
 from benchmarks.blind.gait import RATE, Walk, derivative
-from benchmarks.blind.opensim_leg import inverse_dynamics, muscle_paths
+from benchmarks.blind.opensim_leg import crossed_coordinates, inverse_dynamics, muscle_paths
 from benchmarks.blind.world import Paths, World
 
 #: OpenSim is asked so often a second: for paths, for their changes, and for joint moments.
@@ -26,8 +25,11 @@ def _asked(leg: Leg, angles: np.ndarray, muscles: Sequence[int] | None) -> tuple
     """Ask for all recordings in one go: (recording, muscle, ...frame)."""
     recordings = angles.shape[0]
     lengths, arms = muscle_paths(leg, np.concatenate(list(angles), axis=-1), muscles)
-    split = lambda values: np.stack(np.split(values, recordings, axis=-1))  # noqa: E731
-    return split(lengths), split(arms)
+    return _apart(lengths, recordings), _apart(arms, recordings)
+
+
+def _apart(values: np.ndarray, recordings: int) -> np.ndarray:
+    return np.stack(np.split(values, recordings, axis=-1))
 
 
 def paths_along(leg: Leg, walk: Walk) -> Paths:
@@ -69,18 +71,12 @@ def ground_moments(
     rates, accelerations = derivative(pose, walk.time), derivative(pose, walk.time, 2)
     parts = [a[..., at] for a in (pose, rates, accelerations, ground)]
     found = inverse_dynamics(leg, *(np.concatenate(list(part), axis=-1) for part in parts))
-    coarse = np.stack(np.split(found, pose.shape[0], axis=-1))
+    coarse = _apart(found, pose.shape[0])
     # Linear between the frames: ground forces start and end with a corner.
     return np.stack([[np.interp(walk.time, walk.time[at], row) for row in recording] for recording in coarse])
 
 
-def moved_leg(leg: Leg, **changes: object) -> Leg:
-    return replace(leg, **changes)  # type: ignore[arg-type]
-
-
 def muscle_indices(leg: Leg, coordinate_words: Sequence[str]) -> list[int]:
     """Muscles that cross any of these coordinates."""
-    from benchmarks.blind.opensim_leg import crossed_coordinates
-
     wanted = {name for name in COORDINATES for word in coordinate_words if word in name}
     return [index for index, m in enumerate(leg.muscles) if wanted & set(crossed_coordinates(m))]

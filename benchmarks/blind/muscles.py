@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from benchmarks.blind.families import Curves
 
@@ -106,8 +107,6 @@ class _Law:
         )
 
     def _leaky(self, inflow: np.ndarray, time_constant: float) -> np.ndarray:
-        from scipy.signal import lfilter
-
         keep = np.exp(-self.step / time_constant)
         return lfilter([self.step], [1.0, -keep], inflow, axis=-1)
 

@@ -20,14 +20,21 @@ from benchmarks.blind.anatomy import COORDINATES
 from benchmarks.blind.effects.effect import Effect, Variant
 from benchmarks.blind.families import FAMILIES
 from benchmarks.blind.gait import LEAD
-from benchmarks.blind.geometry import changed_paths
+from benchmarks.blind.geometry import changed_paths, muscle_indices
 from benchmarks.blind.noise import EMG_TIME, MOMENT_CORRELATION, MOMENT_PHASE, MOMENT_SD
 from benchmarks.blind.world import World, joint_moments, moments_by_muscle, record, with_muscles
 
 PHASES = 25
 CALIBRATION, VALIDATION = 5, 2
-#: Prior standard deviations of what calibration moves: log gain, s, log of s, bend, shares of fiber and slack.
-_PRIORS = {"scale": 0.6, "delay": 0.025, "rise": 0.4, "bend": 0.25, "optimal_fiber_length": 0.15, "tendon_slack_length": 0.04}  # fmt: skip
+#: What calibration moves: prior standard deviation, step of differences, whether either is a share.
+_MOVED = {
+    "scale": (0.6, 0.05, True),
+    "delay": (0.025, 0.004, False),
+    "rise": (0.4, 0.1, True),
+    "bend": (0.25, 0.04, False),
+    "optimal_fiber_length": (0.15, 0.01, True),
+    "tendon_slack_length": (0.04, 0.002, True),
+}
 #: Hidden error of moment arms (m), and how far from this world's curves another's may be.
 _ARM_SD, _CURVE_SD = 0.0015, 1.0
 #: Below this two causes are one, in squared standard deviations.
@@ -74,18 +81,16 @@ def difference(world: World, effect: Effect, amount: float, variant: Variant) ->
 
 
 def signal(changed: World, base: World) -> np.ndarray:
+    """Recorded moments less what the base world would give from the EMG and the angles that are recorded."""
     seen = record(changed)
     believed = replace(base, drive=seen.emg)
-    shift = sum(changed.recorded_pose, np.zeros(1))
-    if shift.any():
-        angles = base.walk.angles + shift[:, 6:]
-        moved = np.flatnonzero(np.abs(shift[:, 6:]).max(axis=(0, 2)) > 0.0)
-        words = [COORDINATES[index] for index in moved]
-        from benchmarks.blind.geometry import muscle_indices
-
-        if words:
-            paths = changed_paths(base, base.leg, angles, muscle_indices(base.leg, words))
-            believed = replace(believed, paths=paths)
+    shift = sum(changed.recorded_pose, np.zeros_like(base.walk.pose))[:, 6:]
+    moved = [name for name, row in zip(COORDINATES, np.abs(shift).max(axis=(0, 2)), strict=True) if row > 0.0]
+    if moved:
+        angles = base.walk.angles + shift
+        believed = replace(
+            believed, paths=changed_paths(base, base.leg, angles, muscle_indices(base.leg, moved))
+        )
     return seen.moments - joint_moments(believed)
 
 
@@ -125,22 +130,13 @@ def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
     """Columns scaled by their prior, (sample, column); and the slope by each channel's log, (sample, channel)."""
     base = moments_by_muscle(world)
     m = world.muscles
-    steps = {
-        "scale": m.scale * 0.05,
-        "delay": np.full_like(m.delay, 0.004),
-        "rise": m.rise * 0.1,
-        "bend": np.full_like(m.bend, 0.04),
-        "optimal_fiber_length": m.optimal_fiber_length * 0.01,
-        "tendon_slack_length": m.tendon_slack_length * 0.002,
-    }
-    relative = {"scale": 0.05, "delay": 0.004, "rise": 0.1, "bend": 0.04, "optimal_fiber_length": 0.01, "tendon_slack_length": 0.002}  # fmt: skip
-    columns, gains = [], None
-    for name, step in steps.items():
-        change = (
-            moments_by_muscle(with_muscles(world, **{name: getattr(m, name) + step})) - base
-        ) / relative[name]
+    columns, gains = [], np.zeros(0)
+    for name, (prior, step, share) in _MOVED.items():
+        value = getattr(m, name)
+        moved = value * (1.0 + step) if share else value + step
+        change = (moments_by_muscle(with_muscles(world, **{name: moved})) - base) / step
         by_muscle = _by_muscle(world, change)
-        columns.append(by_muscle * _PRIORS[name])
+        columns.append(by_muscle * prior)
         if name == "scale":
             gains = np.stack(
                 [by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1

@@ -112,9 +112,9 @@ def record(world: World) -> Recording:
     for change in world.recorded_ground:
         ground = change(world, ground)
     return Recording(
-        joint_moments(world) + sum(world.recorded_moments, np.zeros(1)),
+        joint_moments(world) + sum(world.recorded_moments, np.zeros_like(world.inverse)),
         np.maximum(emg, 0.0),
-        world.walk.pose + sum(world.recorded_pose, np.zeros(1)),
+        world.walk.pose + sum(world.recorded_pose, np.zeros_like(world.walk.pose)),
         ground,
     )
 
