@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.blind.gait import RATE, Walk, lowpass, smooth_noise
 
 #: Standard deviation of the moments' noise in N m for 72 kg, and how it hangs together over the joints.
-MOMENT_SD = np.array([2.2, 2.0, 0.8, 1.7, 1.5, 0.7])
+MOMENT_SD = np.array([3.2, 3.0, 1.2, 2.5, 2.2, 1.0])
 MOMENT_CORRELATION = np.array(
     [
         [1.0, 0.1, 0.1, -0.5, 0.3, 0.0],

@@ -18,6 +18,8 @@ from benchmarks.blind.score.records import Case
 #: Where a cause can be found at all, and where it should be easy.
 CLEAR, PLAIN = 2.0, 5.0
 BINS = 10
+#: Relative error of a scored parameter that an answer does not give.
+UNSTATED = 10.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,10 @@ def strictly_first(case: Case) -> bool:
 def rightly_named(case: Case) -> bool:
     """All that is named must be the cause or a generator's tie of it: naming everything is naming nothing."""
     return case.answer.names and bool(case.answer.named) and case.answer.named <= case.truth.accepted
+
+
+def named_alone(case: Case) -> bool:
+    return case.answer.named == frozenset(case.truth.causes)
 
 
 def wrongly_named_withheld(case: Case) -> bool:
@@ -105,6 +111,7 @@ def all_rows(bank: Path, cases: Sequence[Case]) -> list[Row]:
         _share("three_all", "right cause among three, all", single, three),
         _share("coverage", "a cause is named, d* over 2", clear, names, Target(least=0.60)),
         _share("precision", "a named cause is right, all", named, rightly_named, Target(least=0.90)),
+        _share("precision_strict", "a named cause is the very cause, d* over 2", [c for c in clear if c.answer.names], named_alone),
         _share("false_alarms", "a cause is named where there is none", by_tier["none"], names, Target(most=0.05)),
         _share("false_unknown", "'unknown' where there is none", by_tier["none"], lambda c: c.answer.outcome == "unknown", Target(most=0.15)),
         _share("wrong_outside", "a cause is named for a mechanism outside", by_tier["outside"], names, Target(most=0.10)),
@@ -174,7 +181,7 @@ def _parameters(cases: Sequence[Case]) -> Row:
             return []
         stated = case.answer.parameters(cause["id"])
         return [
-            abs(float(stated[name]["value"]) - true) / max(abs(true), 1e-12) if name in stated else np.inf
+            abs(float(stated[name]["value"]) - true) / max(abs(true), 1e-12) if name in stated else UNSTATED
             for name, true in cause["parameters"].items()
         ]
 
