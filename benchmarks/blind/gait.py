@@ -147,7 +147,7 @@ def _coordinate(name, phase, amplitude, offset, noise):
     )
     shape = CubicSpline(np.linspace(0, 1, 201), _closed(gaussian_filter1d(curve(np.linspace(0, 100, 201)[:-1]), 5.0, mode="wrap")), bc_type="periodic")(phase % 1.0)  # fmt: skip
     middle = values.mean()
-    spread = 0.022 * np.ptp(values)
+    spread = 0.013 * np.ptp(values)
     tilt = 1.0 * offset if unit != 1.0 else 0.0
     return unit * (middle + tilt + amplitude * (shape - middle) + spread * noise)
 
@@ -178,7 +178,7 @@ def _ground(leg, rng, phase, toe_off, speed, frames):
     force[:, np.isnan(stance)] = 0.0
     length = 0.152 * leg.height
     along = -0.010 + 0.93 * length * _over_stance(_CENTER, inside) * (0.90 + 0.10 * brisk)
-    along += 0.006 * smooth_noise(rng, phase.shape, frames)
+    along += 0.008 * smooth_noise(rng, phase.shape, frames)
     right = _over_stance(_CENTER_RIGHT, inside) + 0.003 * smooth_noise(rng, phase.shape, frames)
     local = np.stack([along, np.full_like(along, -0.038 * leg.height / 1.72), right], axis=-1)
     turn = np.where(np.isnan(stance), 0.0, weight * leg.height * _over_stance(_TURN, inside))
