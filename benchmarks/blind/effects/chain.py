@@ -85,7 +85,7 @@ def _late(world: World, amount: float, variant: Variant) -> World:
         keep = np.exp(-1.0 / (filtered * RATE))
         smooth = lfilter([1.0 - keep], [1.0, -keep], ground[:, :3], axis=-1)
         ground[:, :3] = smooth if amount > 0.0 else 2.0 * ground[:, :3] - smooth
-    ground[:, 3:6] = np.where(np.abs(ground[:, 1:2]) > 1.0, ground[:, 3:6], 0.0)
+    ground[:, 3:6] = np.where(np.abs(ground[:, 1:2]) > 1e-9, ground[:, 3:6], 0.0)
     return _with_ground(world, ground)
 
 
