@@ -148,7 +148,7 @@ def _coordinate(name, phase, amplitude, offset, noise):
     shape = CubicSpline(np.linspace(0, 1, 201), _closed(gaussian_filter1d(curve(np.linspace(0, 100, 201)[:-1]), 5.0, mode="wrap")), bc_type="periodic")(phase % 1.0)  # fmt: skip
     middle = values.mean()
     spread = 0.013 * np.ptp(values)
-    tilt = 1.0 * offset if unit != 1.0 else 0.0
+    tilt = 0.6 * offset if unit != 1.0 else 0.0
     return unit * (middle + tilt + amplitude * (shape - middle) + spread * noise)
 
 

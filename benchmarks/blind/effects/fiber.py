@@ -79,7 +79,7 @@ def _bound(world: World, amount: float, variant: Variant) -> World:
     kind, word = variant
     chosen = _indices(world, (word,))
     if kind == "delay":
-        delay = np.where(chosen, 0.125 + amount, world.muscles.delay)
+        delay = np.where(chosen, 0.125 + 0.2 * amount, world.muscles.delay)
         return with_muscles(world, delay=delay)
     m = world.muscles
     fiber = np.where(chosen, m.optimal_fiber_length * (1.4 + amount), m.optimal_fiber_length)
@@ -132,7 +132,7 @@ EFFECTS = (
         two_sided=True,
     ),
     Effect(
-        "bound_pressure", "fiber", "beyond the box (s, or share of nominal)", 0.35, _bound,
+        "bound_pressure", "fiber", "beyond the box (share of nominal, or 0.2 s)", 0.35, _bound,
         "one muscle's true delay over 125 ms or true fiber over 1.4 of its nominal",
         "the active bound of a parameter relaxed",
         variants=lambda w: (("fiber", "soleus"), ("fiber", "vaslat"), ("fiber", "recfem"), ("delay", "soleus"), ("delay", "iliacus")),
