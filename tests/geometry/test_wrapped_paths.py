@@ -9,7 +9,7 @@ import pytest
 
 from wrapjax.geometry import AdjustablePath, guarded_paths
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.guarded_paths import STRAYING
+from wrapjax.geometry.guarded_paths import ARM_STRAYING, LENGTH_STRAYING
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim import describe_model
 
@@ -161,9 +161,10 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion
     state, slopes = jax.jit(lambda changes: guarded.linearized(changes))(changes)
     known = jax.jit(lambda changes: exact.at(changes))(changes)
     np.testing.assert_array_equal(state.length, held.length)
-    strayed = known.length - exact.nominal.length
-    assert np.abs(strayed).max() > 1e-4
-    expected = np.sqrt(known.closeness**2 + (strayed / STRAYING) ** 4)
+    length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
+    assert np.abs(length).max() > 1e-4 and np.abs(arm).max() > 1e-4
+    strayed = (length / LENGTH_STRAYING) ** 4 + np.sum((arm / ARM_STRAYING) ** 4, axis=2)
+    expected = np.sqrt(known.closeness**2 + strayed)
     frames = [0, 0, 0, 1]
     np.testing.assert_allclose(state.closeness, expected[..., frames], atol=1e-11)
     np.testing.assert_allclose(guarded.nominal.closeness, exact.nominal.closeness[..., frames], atol=1e-11)

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float
 from wrapjax.geometry.paths import AbstractPath, PathState
 from wrapjax.geometry.wrapped_paths import WrappedPaths
 
-#: Difference from the exact length (m), beyond that of nominal paths, that makes closeness one.
-STRAYING = 3e-4
+#: Differences from the exact length and moment arm (m), beyond those of nominal paths, at which closeness
+#: is one.
+LENGTH_STRAYING, ARM_STRAYING = 3e-4, 1e-3
 
 
 class GuardedPaths(AbstractPath):
@@ -64,9 +65,15 @@ class GuardedPaths(AbstractPath):
     def _guarded(self, state: PathState, exact: PathState) -> PathState:
         """Add the closeness; it is held from one frame in which it is known to the next."""
         assert exact.closeness is not None, "the engine's paths know it"
-        change = (state.length - self.nominal.length)[..., :: self.every]
-        strayed = change - (exact.length - self.exact.nominal.length)
-        closeness = jnp.sqrt(exact.closeness**2 + (strayed / STRAYING) ** 4 + _TINY)
+        length, arm = (
+            (own - usual)[..., :: self.every] - (true - usually_true)
+            for own, usual, true, usually_true in (
+                (state.length, self.nominal.length, exact.length, self.exact.nominal.length),
+                (state.moment_arm, self.nominal.moment_arm, exact.moment_arm, self.exact.nominal.moment_arm),
+            )
+        )
+        strayed = (length / LENGTH_STRAYING) ** 4 + jnp.sum((arm / ARM_STRAYING) ** 4, axis=-2)
+        closeness = jnp.sqrt(exact.closeness**2 + strayed + _TINY)
         frames = state.length.shape[-1]
         return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
 
