@@ -110,6 +110,7 @@ def test_one_leg_is_calibrated_alone_if_asked(folders, both):
     assert alone.result.solution.cost < both.result.solution.cost
 
 
+@pytest.mark.slow
 def test_an_interrupted_first_stage_still_gives_both_legs(folders):
     done = calibrate(load_subject(folders[0]), "SGA", starts=1, callback=stop)
     assert done.status is Status.interrupted

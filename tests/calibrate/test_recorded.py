@@ -92,7 +92,13 @@ def test_optimum_is_that_of_scipy(reduced):
 
 @pytest.mark.parametrize(
     "names",
-    [FIBER_LENGTH, DELAY, (*SCALE, *FIBER_LENGTH, *SLACK_LENGTH), (*DELAY, *ACTIVATION)],
+    [
+        DELAY,
+        # Each kind of parameter is a program of its own.
+        pytest.param(FIBER_LENGTH, marks=pytest.mark.slow),
+        pytest.param((*SCALE, *FIBER_LENGTH, *SLACK_LENGTH), marks=pytest.mark.slow),
+        pytest.param((*DELAY, *ACTIVATION), marks=pytest.mark.slow),
+    ],
     ids="+".join,
 )
 def test_scipy_and_we_cannot_better_each_other(reduced, names):
@@ -169,6 +175,7 @@ def assert_limits_hold(calibration):
         assert (sign * after).min(axis=(1, 3))[kept].min() >= -1e-8
 
 
+@pytest.mark.slow
 def test_limits_hold_on_two_cycles(subject, paths):
     trials = subject.trials
     chosen = [trials.uses.index("calibration"), trials.uses.index("validation")]

@@ -124,6 +124,7 @@ class TestRefused:
         assert run("compare", "--out", tmp_path / "out").status == 2
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_journal(run, subject, tmp_path, monkeypatch):
     """Hours of work must not be lost because the last step failed."""
 

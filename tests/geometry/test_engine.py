@@ -172,6 +172,7 @@ def test_gradients_by_wrap_parameters_equal_differences(leg, muscle):
         np.testing.assert_allclose(slope[place], difference, atol=3e-7, err_msg=str(place))
 
 
+@pytest.mark.slow
 def test_forward_and_reverse_mode_agree(leg):
     engine, poses, _ = leg
     posed = engine.posed(poses[:3])["gaslat_l"]

@@ -163,7 +163,7 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion
     np.testing.assert_array_equal(state.length, held.length)
     length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
     assert np.abs(length).max() > 1e-4 and np.abs(arm).max() > 1e-4
-    strayed = (length / LENGTH_STRAYING) ** 4 + np.sum((arm / ARM_STRAYING) ** 4, axis=2)
+    strayed = (length / LENGTH_STRAYING) ** 2 + np.sum((arm / ARM_STRAYING) ** 2, axis=2)
     expected = np.sqrt(known.closeness**2 + strayed)
     frames = [0, 0, 0, 1]
     np.testing.assert_allclose(state.closeness, expected[..., frames], atol=1e-11)

@@ -14,7 +14,7 @@ from wrapjax.geometry.wrapped_paths import WrappedPaths
 
 #: Differences from the exact length and moment arm (m), beyond those of nominal paths, at which closeness
 #: is one.
-LENGTH_STRAYING, ARM_STRAYING = 3e-4, 1e-3
+LENGTH_STRAYING, ARM_STRAYING = 1.5e-4, 5e-4
 
 
 class GuardedPaths(AbstractPath):
@@ -72,7 +72,8 @@ class GuardedPaths(AbstractPath):
                 (state.moment_arm, self.nominal.moment_arm, exact.moment_arm, self.exact.nominal.moment_arm),
             )
         )
-        strayed = (length / LENGTH_STRAYING) ** 4 + jnp.sum((arm / ARM_STRAYING) ** 4, axis=-2)
+        # Squares, and no higher powers: they are what a solver of least squares sees through.
+        strayed = (length / LENGTH_STRAYING) ** 2 + jnp.sum((arm / ARM_STRAYING) ** 2, axis=-2)
         closeness = jnp.sqrt(exact.closeness**2 + strayed + _TINY)
         frames = state.length.shape[-1]
         return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
