@@ -14,7 +14,7 @@ from wrapjax.geometry.wrapped_paths import WrappedPaths
 
 #: Differences from the exact length and moment arm (m), beyond those of nominal paths, at which closeness
 #: is one.
-LENGTH_STRAYING, ARM_STRAYING = 1.5e-4, 5e-4
+LENGTH_STRAYING, ARM_STRAYING = 1.5e-4, 4e-4
 
 
 class GuardedPaths(AbstractPath):
