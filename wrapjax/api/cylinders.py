@@ -11,10 +11,12 @@ from wrapjax.geometry.wrap_boxes import box
 from wrapjax.model import FreedWraps
 
 _UNITS = ("m", "m", "m", "rad", "rad", "1")
+# Prior deviations, in half widths: the box says where cylinders can be, the prior only breaks ties.
+_PRIOR = 2.0
 
 
 def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
-    """Free cylinders within their boxes; what is expected is nominal, within half a box's width.
+    """Free cylinders within their boxes; what is expected is nominal, within a box's width.
 
     Parameters
     ----------
@@ -40,5 +42,5 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         lower=lower,
         upper=upper,
         scale=half,
-        prior_sd=half,
+        prior_sd=_PRIOR * half,
     )
