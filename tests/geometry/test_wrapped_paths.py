@@ -134,7 +134,9 @@ def test_closeness_grows_without_bound_towards_a_wall(paths):
     wall = np.flatnonzero(np.isinf(largest))
     assert wall.size
     assert np.isinf(largest[wall[0] :]).all()
-    assert largest[wall[0] - 1] > 3.0 > 1.0 > largest[0]
+    assert largest[wall[0] - 1] > 3.0 * largest[0]
+    # As nominal paths have it: each wall that they are near to adds at most one, in fourth powers.
+    assert 0.1 < largest[0] < 4.0**0.5
 
 
 def test_to_lose_a_cylinder_is_a_wall(paths):
@@ -156,21 +158,22 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion
     held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, closeness=None)
     none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
     guarded = guarded_paths(AdjustablePath(held, none), exact, 3)
-    changes = jnp.zeros((2, 6)).at[0].set(jnp.array([1e-3, -1e-3, 1e-3, 0.02, -0.02, 0.02]))
+    changes = jnp.zeros((2, 6)).at[0].set(jnp.array([3e-4, -3e-4, 3e-4, 0.006, -0.006, 0.006]))
     at = jax.jit(lambda changes: guarded.at(changes))
     state, slopes = jax.jit(lambda changes: guarded.linearized(changes))(changes)
     known = jax.jit(lambda changes: exact.at(changes))(changes)
     np.testing.assert_array_equal(state.length, held.length)
     length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
-    assert np.abs(length).max() > 1e-4 and np.abs(arm).max() > 1e-4
+    assert np.isfinite(known.closeness).all()
+    assert np.abs(length).max() > 3e-5 and np.abs(arm).max() > 3e-5
     strayed = (length / LENGTH_STRAYING) ** 2 + np.sum((arm / ARM_STRAYING) ** 2, axis=2)
     expected = np.sqrt(known.closeness**2 + strayed)
     frames = [0, 0, 0, 1]
     np.testing.assert_allclose(state.closeness, expected[..., frames], atol=1e-11)
     np.testing.assert_allclose(guarded.nominal.closeness, exact.nominal.closeness[..., frames], atol=1e-11)
     for mode in range(6):
-        step = jnp.zeros((2, 6)).at[0, mode].set(1e-6)
-        difference = (at(changes + step).closeness - at(changes - step).closeness) / 2e-6
+        step = jnp.zeros((2, 6)).at[0, mode].set(1e-7)
+        difference = (at(changes + step).closeness - at(changes - step).closeness) / 2e-7
         np.testing.assert_allclose(slopes.closeness[:, mode], difference, atol=1e-5, rtol=1e-5)
     assert np.abs(slopes.closeness[0]).max() > 0.0
     assert not np.asarray(slopes.length).any()

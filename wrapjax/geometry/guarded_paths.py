@@ -74,7 +74,10 @@ class GuardedPaths(AbstractPath):
         )
         # Squares, and no higher powers: they are what a solver of least squares sees through.
         strayed = (length / LENGTH_STRAYING) ** 2 + jnp.sum((arm / ARM_STRAYING) ** 2, axis=-2)
-        closeness = jnp.sqrt(exact.closeness**2 + strayed + _TINY)
+        within = jnp.isfinite(exact.closeness)
+        # Beyond a wall nothing has a slope.
+        to_wall = jnp.where(within, exact.closeness, 0.0)
+        closeness = jnp.where(within, jnp.sqrt(to_wall**2 + strayed + _TINY), jnp.inf)
         frames = state.length.shape[-1]
         return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
 
