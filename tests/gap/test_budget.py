@@ -34,7 +34,6 @@ def test_parts_add_up_to_the_mean_squared_error_exactly(seed, counts, frames):
     budget = split_error(residuals, speeds, driven)
     for speed in range(len(counts)):
         square = np.mean(residuals[speeds == speed] ** 2, axis=0)
-        # The variance among few cycles counts with n, in the parts with n - 1 and the mean's own.
         np.testing.assert_allclose(budget.total[speed], square @ bin_weights(frames).T, rtol=1e-9, atol=1e-9)
 
 

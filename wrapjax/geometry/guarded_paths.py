@@ -15,6 +15,8 @@ from wrapjax.geometry.wrapped_paths import WrappedPaths
 #: Differences from the exact length and moment arm (m), beyond those of nominal paths, at which closeness
 #: is one.
 LENGTH_STRAYING, ARM_STRAYING = 1.5e-4, 4e-4
+# Keeps the root's slope finite for paths that no wall is near to.
+_TINY = 1e-24
 
 
 class GuardedPaths(AbstractPath):
@@ -80,10 +82,6 @@ class GuardedPaths(AbstractPath):
         closeness = jnp.where(within, jnp.sqrt(to_wall**2 + strayed + _TINY), jnp.inf)
         frames = state.length.shape[-1]
         return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
-
-
-# Keeps the root's slope finite for paths that no wall is near to.
-_TINY = 1e-24
 
 
 def guarded_paths(paths: AbstractPath, exact: WrappedPaths, every: int) -> GuardedPaths:
