@@ -5,9 +5,10 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
-from wrapjax.geometry import AbstractPath, PathState
+from wrapjax.geometry import AbstractPath, PathState, fixed_path
 from wrapjax.model.alteration import (
     Alteration,
     MuscleAlteration,
@@ -37,6 +38,11 @@ class Recording(eqx.Module):
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
 
+    def of_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
+        """Keep some cycles, by their numbers; paths stay as they are nominally, and are held."""
+        emg, nominal = jax.tree.map(lambda leaf: leaf[:, trials], (self.emg, _frames(self.path.nominal)))
+        return Recording(emg, fixed_path(nominal), self.padding)
+
 
 class MuscleState(eqx.Module):
     """What a muscle does over all cycles."""
@@ -48,6 +54,11 @@ class MuscleState(eqx.Module):
     fiber: FiberState
     #: Its part of every joint moment, N m.
     moment: Float[Array, "*muscle trial coordinate frame"]
+
+
+def _frames(path: PathState) -> PathState:
+    """Keep what a path is at every frame, not what it is as a whole."""
+    return PathState(path.length, path.velocity, path.moment_arm)
 
 
 def muscle_state_along(
