@@ -14,6 +14,7 @@ from wrapjax.calibrate.multistart import Watch as Watch
 from wrapjax.calibrate.multistart import best as best
 from wrapjax.calibrate.multistart import solve_from_starts as solve_from_starts
 from wrapjax.calibrate.multistart import starting_points as starting_points
+from wrapjax.calibrate.objective import MOMENT_ERROR as MOMENT_ERROR
 from wrapjax.calibrate.objective import Objective as Objective
 from wrapjax.calibrate.path_restraints import FIBER_LENGTH_RANGE as FIBER_LENGTH_RANGE
 from wrapjax.calibrate.path_restraints import PATH_CHANGE as PATH_CHANGE
@@ -23,6 +24,8 @@ from wrapjax.calibrate.path_restraints import path_limits as path_limits
 from wrapjax.calibrate.path_restraints import path_modes as path_modes
 from wrapjax.calibrate.penalties import pipeline_penalties as pipeline_penalties
 from wrapjax.calibrate.problem import AbstractCalibration as AbstractCalibration
+from wrapjax.calibrate.problem import AbstractLeastSquares as AbstractLeastSquares
+from wrapjax.calibrate.problem import Linearization as Linearization
 from wrapjax.calibrate.projected_lm import ProjectedLM as ProjectedLM
 from wrapjax.calibrate.result import CalibrationResult as CalibrationResult
 from wrapjax.calibrate.solution import Iteration as Iteration

@@ -45,8 +45,11 @@ class Objective(AbstractCalibration):
     variables: Variables
     penalties: tuple[AbstractPenalty, ...]
     limits: tuple[Limit, ...]
-    #: Allowable error of a moment, N m. Lowering it weakens every penalty against the moments.
-    moment_error: Float[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
+    #: Allowable error of a moment, N m; infinite where a moment does not count. Lowering it weakens every
+    #: penalty against the moments.
+    moment_error: Float[Array | np.ndarray, ""] | Float[Array | np.ndarray, "#trial #coordinate #frame"] = (
+        eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
+    )
     #: What else there is than the plain model, held at its amounts. Paths must then be held.
     alterations: tuple[Alteration, ...] = ()
 
@@ -201,7 +204,7 @@ class Objective(AbstractCalibration):
             values = tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
             value_slopes = tuple(map(lambda reduce, one: jax.vmap(reduce)(one), reductions, quantity_slopes))
             flat = moment_slope.reshape(moment_slope.shape[0], -1)
-            return moment, values, self._moment_scale() * flat, value_slopes
+            return moment, values, self.row_scale()[None] * flat, value_slopes
 
         return jax.vmap(of_one)(*inputs)
 
@@ -216,7 +219,7 @@ class Objective(AbstractCalibration):
         Moments are linear in the moment arms too. So arms are first summed over coordinates, each weighted
         by the residual of its moment; and what is read off the arms alone has no second derivatives.
         """
-        weights = (self._moment_scale() * rows).reshape(self.measured.shape)
+        weights = (self.row_scale() * rows).reshape(self.measured.shape)
 
         def lever(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
@@ -243,7 +246,7 @@ class Objective(AbstractCalibration):
         multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local local"]:
         """What curved paths add to the same sum: slopes of everything by the path times its Hessians."""
-        weights = (self._moment_scale() * rows).reshape(self.measured.shape)
+        weights = (self.row_scale() * rows).reshape(self.measured.shape)
         count = len(self.variables.names)
 
         def of_one(own, single, path, modes, *inputs):
@@ -263,12 +266,14 @@ class Objective(AbstractCalibration):
         block = scale[:, :, None] * curvature[:, :modes, :modes] * scale[:, None, :]
         return jnp.zeros((len(scale), count + modes, count + modes)).at[:, count:, count:].set(block)
 
-    def _moment_scale(self) -> Float[Array, ""]:
-        return 1.0 / (jnp.asarray(self.moment_error) * np.sqrt(self.measured.size))
+    def row_scale(self) -> Float[Array, " row"]:
+        """Turn a moment in N m into a residual."""
+        error = jnp.broadcast_to(jnp.asarray(self.moment_error), self.measured.shape)
+        return (1.0 / (error * np.sqrt(self.measured.size))).ravel()
 
     def _moment_rows(self, modelled: Float[Array, "trial coordinate frame"]) -> Float[Array, " row"]:
         modelled = altered_moments(modelled, self.alterations)
-        return self._moment_scale() * (modelled - self.measured).ravel()
+        return self.row_scale() * (modelled - self.measured).ravel()
 
     def _prior_weight(self) -> Float[Array | np.ndarray, " variable"]:
         """One over prior deviation and the root of how many variables of its kind there are."""

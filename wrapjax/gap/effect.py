@@ -186,13 +186,15 @@ class Effects(eqx.Module):
         """All off."""
         return jnp.zeros(self.count)
 
+    @property
+    def forms(self) -> tuple[Form, ...]:
+        """From each effect's amounts to what is different in the model."""
+        chosen = self.variants or (0,) * len(self.members)
+        return tuple(effect.variants[number].form for effect, number in zip(self.members, chosen, strict=True))
+
     def alterations(self, amounts: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
         """Say what is different in the model at these amounts."""
-        chosen = self.variants or (0,) * len(self.members)
-        return tuple(
-            effect.alteration(own, variant)
-            for effect, own, variant in zip(self.members, self.split(amounts), chosen, strict=True)
-        )
+        return tuple(form(own) for form, own in zip(self.forms, self.split(amounts), strict=True))
 
     def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " own"], ...]:
         """Hand each effect its own amounts."""

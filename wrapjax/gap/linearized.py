@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from wrapjax.calibrate import Objective
+from wrapjax.calibrate import Linearization, Objective
 from wrapjax.gap.context import Context
 from wrapjax.gap.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.effect import Effect, Effects
@@ -44,8 +45,10 @@ class LinearGap:
         Measured less predicted moments, N m, at the expected values of what was calibrated.
     fitted
         The same as calibration left it.
-    calibrated
-        By each calibrated variable, one prior standard deviation of it.
+    slopes
+        By each calibrated variable, in solver units.
+    spread, away
+        What is expected of these variables: see `expectations`.
     nuisances
         By each amount of the effects that are always allowed for, one prior standard deviation of it.
     candidates
@@ -60,12 +63,19 @@ class LinearGap:
 
     residual: Float[np.ndarray, "cycle coordinate phase"]
     fitted: Float[np.ndarray, "cycle coordinate phase"]
-    calibrated: Float[np.ndarray, "variable cycle coordinate phase"]
+    slopes: Float[np.ndarray, "variable cycle coordinate phase"]
+    spread: Float[np.ndarray, "variable sum"]
+    away: Float[np.ndarray, " variable"]
     nuisances: Float[np.ndarray, "amount cycle coordinate phase"]
     candidates: tuple[Candidate, ...]
     input_errors: tuple[InputErrors, ...]
     muscle_errors: MuscleErrors
     speeds: Int[np.ndarray, " cycle"]
+
+    @property
+    def calibrated(self) -> Float[np.ndarray, "sum cycle coordinate phase"]:
+        """By independent sums of calibrated variables, one prior standard deviation of each."""
+        return np.tensordot(self.spread.T, self.slopes, axes=1)
 
 
 def linear_gap(
@@ -89,20 +99,15 @@ def linear_gap(
     """
     parameters = problem.parameters(variables)
     frames = phase_frames(measured.shape[-1])
-    curves, free = problem.curves, problem.variables
+    curves = problem.curves
 
     def at_phases(values: Float[Array | np.ndarray, "*any frame"]) -> Float[np.ndarray, "*any phase"]:
         return np.asarray(values)[..., frames]
 
     states = muscle_states(curves, parameters, recording)
     by_variable = at_phases(_moment_slopes(problem, variables, recording))
-    precision = np.asarray(free.prior_precision)
-    # What nothing is expected of can be anywhere within its bounds.
-    halfway = 0.5 * np.asarray(free.upper - free.lower)
-    sd = np.where(precision > 0.0, 1.0 / np.where(precision > 0.0, precision, 1.0), halfway)
-    expected = np.where(precision > 0.0, free.prior_mean, np.asarray(variables))
+    spread, away = expectations(problem, variables)
     fitted = at_phases(measured - np.asarray(states.moment.sum(axis=0)))
-    moved = np.asarray(variables) - expected
     candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
     for effect in effects:
         own = _candidate(effect, problem, parameters, recording, frames)
@@ -113,9 +118,11 @@ def linear_gap(
         else:
             candidates.append(own)
     return LinearGap(
-        residual=fitted + np.tensordot(moved, by_variable, axes=1),
+        residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,
-        calibrated=by_variable * sd[:, None, None, None],
+        slopes=by_variable,
+        spread=spread,
+        away=away,
         nuisances=np.concatenate(nuisances),
         candidates=tuple(candidates),
         input_errors=(
@@ -125,6 +132,37 @@ def linear_gap(
         muscle_errors=_muscle_errors(states, parameters, frames),
         speeds=speed_numbers(context.speeds),
     )
+
+
+def expectations(
+    problem: Objective, variables: Float[Array | np.ndarray, " variable"]
+) -> tuple[Float[np.ndarray, "variable sum"], Float[np.ndarray, " variable"]]:
+    """Read what a calibration expects of its variables off all that it minimises but the moment error.
+
+    Penalties are means over muscles of squares in allowable errors. As many times as much, an allowable
+    error is one standard deviation of one muscle's quantity. Without them fibers would be free to be
+    absurdly long, and any effect could hide in that.
+
+    Returns
+    -------
+    spread, away
+        A root of the prior covariance of the variables, and how far these are from where they are
+        expected, both in solver units.
+    """
+    muscles = len(problem.variables.index)
+    kept = replace(problem, moment_error=np.array(np.inf), alterations=())
+    own = _linearized(kept, jnp.asarray(variables))
+    # Nothing is expected beyond its bounds; that also holds what no penalty sees.
+    width = np.asarray(problem.upper) - np.asarray(problem.lower)
+    precision = muscles * np.asarray(own.gauss_newton) + np.diag(1.0 / width**2)
+    covariance = np.linalg.inv(precision)
+    away = covariance @ (muscles * np.asarray(own.gradient))
+    return np.linalg.cholesky(0.5 * (covariance + covariance.T)), away
+
+
+@eqx.filter_jit
+def _linearized(problem: Objective, variables: Float[Array, " variable"]) -> Linearization:
+    return problem.linearize(variables)
 
 
 def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:

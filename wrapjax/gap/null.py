@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
@@ -26,8 +26,8 @@ FORCE_ERRORS, EXPECTED_FORCE_ERROR = (0.0, 0.01, 0.03, 0.08), 0.02
 REPEATED_ERRORS, EXPECTED_REPEATED_ERROR = (0.0, 0.03, 0.1, 0.3), 0.05
 
 
-def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[Null, ...]:
-    """Build null covariances over a grid of the strengths that nobody knows beforehand.
+def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]:
+    """Build null covariances over a grid of the strengths that nobody knows beforehand, one after the other.
 
     Parameters
     ----------
@@ -40,14 +40,10 @@ def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[Null, ..
     known = known_covariance(gap)
     by_force = muscle_covariance(gap.muscle_errors)
     repeated = repeated_covariance(np.asarray(sizes, dtype=float), gap.speeds, phases)
-    return tuple(
-        Null(
-            known + force**2 * by_force + offset**2 * repeated,
-            # Exponential: the stronger, the less plausible.
-            -force / EXPECTED_FORCE_ERROR - offset / EXPECTED_REPEATED_ERROR,
-        )
-        for force, offset in product(FORCE_ERRORS, REPEATED_ERRORS)
-    )
+    for force, offset in product(FORCE_ERRORS, REPEATED_ERRORS):
+        # Exponential: the stronger, the less plausible.
+        log_prior = -force / EXPECTED_FORCE_ERROR - offset / EXPECTED_REPEATED_ERROR
+        yield Null(known + force**2 * by_force + offset**2 * repeated, log_prior)
 
 
 def known_covariance(gap: LinearGap) -> Matrix:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.gap.effect import Effects
+from wrapjax.gap.effect import Effects, Form
 from wrapjax.model import ModelParameters, Recording, joint_moments
 from wrapjax.muscle import HillCurves
 
 
-@eqx.filter_jit
+Forms = tuple[Form, ...]
+#: One vector an effect.
+Amounts = tuple[Float[Array, " own"], ...]
+
+
 def predicted_moments(
     curves: HillCurves,
     parameters: ModelParameters,
@@ -29,10 +36,9 @@ def predicted_moments(
     effects, amounts
         What it leaves out, and how much of it.
     """
-    return joint_moments(curves, parameters, recording, effects.alterations(amounts))
+    return _moments(curves, parameters, recording, effects.forms, effects.split(jnp.asarray(amounts)))
 
 
-@eqx.filter_jit
 def signatures(
     curves: HillCurves,
     parameters: ModelParameters,
@@ -51,13 +57,42 @@ def signatures(
     effects, amounts
         What it leaves out, and how much of it; none of it if not given.
     """
-    at = effects.zero if amounts is None else amounts
+    at = effects.split(effects.zero if amounts is None else jnp.asarray(amounts))
+    every = tuple(jnp.asarray(columns) for columns in _directions(effects))
+    return _slopes(curves, parameters, recording, effects.forms, at, every)
 
-    def along(direction: Float[Array, " parameter"]) -> Float[Array, "trial coordinate frame"]:
-        def moments(amounts: Float[Array, " parameter"]) -> Float[Array, "trial coordinate frame"]:
-            return joint_moments(curves, parameters, recording, effects.alterations(amounts))
 
-        return jax.jvp(moments, (at,), (direction,))[1]
+def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter own"]]:
+    """Give the unit vectors of all amounts, cut into each effect's own."""
+    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects.members)])
+    return [np.eye(effects.count)[:, first:last] for first, last in itertools.pairwise(ends)]
+
+
+# What is compiled knows forms, not names: shapes of one effect, and subjects, then share it.
+
+
+@eqx.filter_jit
+def _moments(
+    curves: HillCurves, parameters: ModelParameters, recording: Recording, forms: Forms, amounts: Amounts
+) -> Float[Array, "trial coordinate frame"]:
+    alterations = tuple(form(own) for form, own in zip(forms, amounts, strict=True))
+    return joint_moments(curves, parameters, recording, alterations)
+
+
+@eqx.filter_jit
+def _slopes(
+    curves: HillCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    forms: Forms,
+    amounts: Amounts,
+    directions: tuple[Float[Array, "parameter own"], ...],
+) -> Float[Array, "parameter trial coordinate frame"]:
+    def along(direction: Amounts) -> Float[Array, "trial coordinate frame"]:
+        def moments(amounts: Amounts) -> Float[Array, "trial coordinate frame"]:
+            return _moments(curves, parameters, recording, forms, amounts)
+
+        return jax.jvp(moments, (amounts,), (direction,))[1]
 
     # One after the other: all at once would fill memory with muscles times frames times amounts.
-    return jax.lax.map(along, jnp.eye(effects.count))
+    return jax.lax.map(along, directions)

@@ -8,12 +8,12 @@ modification index with a scale for what is plausible and a price for what is fl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.special import log_ndtr, logsumexp
 
 from wrapjax.gap.covariance import Matrix
@@ -71,6 +71,27 @@ class Score:
 
 
 @dataclass(frozen=True)
+class Scored:
+    """What a score test says of a residual.
+
+    Parameters
+    ----------
+    scores
+        One a candidate, in their order.
+    plausible
+        Logarithm of how plausible each null is, without any effect.
+    """
+
+    scores: tuple[Score, ...]
+    plausible: Float[np.ndarray, " null"]
+
+    @property
+    def structured(self) -> float:
+        """Evidence (nats) for errors that no effect is known for, against the first null, which has none."""
+        return float(logsumexp(self.plausible) - self.plausible[0])
+
+
+@dataclass(frozen=True)
 class Null:
     """One null hypothesis: a covariance, and how plausible it was before."""
 
@@ -79,7 +100,7 @@ class Null:
 
 
 def score(
-    residual: Float[np.ndarray, " row"], nulls: Sequence[Null], candidates: Sequence[Candidate]
+    residual: Float[np.ndarray, " row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
 ) -> tuple[Score, ...]:
     """Score every candidate against all nulls together.
 
@@ -95,52 +116,78 @@ def score(
     candidates
         In any order.
     """
-    weights = np.zeros(len(nulls))
-    by_null: list[list[_Found]] = []
-    for place, null in enumerate(nulls):
+    return score_each(residual[None], nulls, candidates)[0].scores
+
+
+def score_each(
+    residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
+) -> tuple[Scored, ...]:
+    """Score every candidate on several residuals that share their nulls, each for itself; see `score`."""
+    weights, by_null = [], []
+    for null in nulls:
         factor = scipy.linalg.cholesky(null.covariance, lower=True, check_finite=False)
-        seen = scipy.linalg.solve_triangular(factor, residual, lower=True, check_finite=False)
-        weights[place] = null.log_prior - 0.5 * seen @ seen - np.sum(np.log(np.diag(factor)))
+        seen = scipy.linalg.solve_triangular(factor, residuals.T, lower=True, check_finite=False)
+        weights.append(null.log_prior - 0.5 * np.sum(seen**2, axis=0) - np.sum(np.log(np.diag(factor))))
         by_null.append([_against(factor, seen, candidate) for candidate in candidates])
-    usual = logsumexp(weights)
-    scores = []
-    for place, candidate in enumerate(candidates):
-        found = [one[place] for one in by_null]
-        joint = weights + [one.evidence for one in found]
-        chosen = found[int(np.argmax(joint))]
-        # Of the null that residuals speak for, whatever the effect.
-        detectability = found[int(np.argmax(weights))].detectability
-        evidence = float(logsumexp(joint) - usual)
-        scores.append(Score(candidate.id, evidence, chosen.variant, chosen.amounts, chosen.sd, detectability))
-    return tuple(scores)
+    plausible = np.array(weights)
+    usual = logsumexp(plausible, axis=0)
+    every = []
+    for sample in range(len(residuals)):
+        own = []
+        for place, candidate in enumerate(candidates):
+            found = [one[place] for one in by_null]
+            joint = plausible[:, sample] + [one.evidence[sample] for one in found]
+            chosen = found[int(np.argmax(joint))]
+            variant = int(chosen.variant[sample])
+            # Of the null that residuals speak for, whatever the effect.
+            detectability = found[int(np.argmax(plausible[:, sample]))].detectability
+            own.append(
+                Score(
+                    candidate.id,
+                    float(logsumexp(joint) - usual[sample]),
+                    variant,
+                    chosen.amounts[variant][sample],
+                    chosen.sd[variant],
+                    detectability,
+                )
+            )
+        every.append(Scored(tuple(own), plausible[:, sample]))
+    return tuple(every)
 
 
 @dataclass(frozen=True)
 class _Found:
-    evidence: float
-    variant: int
-    amounts: np.ndarray
-    sd: np.ndarray
+    evidence: Float[np.ndarray, " sample"]
+    variant: Int[np.ndarray, " sample"]
+    #: By variant.
+    amounts: tuple[Float[np.ndarray, "sample parameter"], ...]
+    sd: tuple[Float[np.ndarray, " parameter"], ...]
     detectability: float
 
 
-def _against(factor: Matrix, seen: Float[np.ndarray, " row"], candidate: Candidate) -> _Found:
+def _against(factor: Matrix, seen: Float[np.ndarray, "row sample"], candidate: Candidate) -> _Found:
     """Score one candidate against one null; its variants are equally plausible before."""
-    found = []
+    evidence, amounts, sd, detectability = [], [], [], 0.0
     for signature in candidate.variants:
         white = scipy.linalg.solve_triangular(factor, signature.T, lower=True, check_finite=False)
-        found.append(evidence_of(white.T @ seen, white.T @ white, candidate.prior_sd, candidate.one_sided))
-    best = int(np.argmax([one[0] for one in found]))
-    evidence = float(logsumexp([one[0] for one in found]) - np.log(len(found)))
-    return _Found(evidence, best, found[best][1], found[best][2], max(one[3] for one in found))
+        found = evidence_of(seen.T @ white, white.T @ white, candidate.prior_sd, candidate.one_sided)
+        evidence.append(found[0])
+        amounts.append(found[1])
+        sd.append(found[2])
+        detectability = max(detectability, found[3])
+    stacked = np.array(evidence)
+    together = logsumexp(stacked, axis=0) - np.log(len(stacked))
+    return _Found(together, np.argmax(stacked, axis=0), tuple(amounts), tuple(sd), detectability)
 
 
 def evidence_of(
-    slope: Float[np.ndarray, " parameter"],
+    slope: Float[np.ndarray, "*sample parameter"],
     information: Float[np.ndarray, "parameter parameter"],
     prior_sd: Float[np.ndarray, " parameter"],
     one_sided: Bool[np.ndarray, " parameter"],
-) -> tuple[float, Float[np.ndarray, " parameter"], Float[np.ndarray, " parameter"], float]:
+) -> tuple[
+    Float[np.ndarray, "*sample"], Float[np.ndarray, "*sample parameter"], Float[np.ndarray, " parameter"], float
+]:
     """Give evidence (nats), most plausible amounts, their standard deviations, and detectability.
 
     Parameters
@@ -156,15 +203,16 @@ def evidence_of(
     scaled = information * np.outer(prior_sd, prior_sd)
     precision = np.eye(len(prior_sd)) + scaled
     covariance = np.linalg.inv(precision)
-    unit = covariance @ (slope * prior_sd)
+    unit = (slope * prior_sd) @ covariance
     sd = np.sqrt(np.diag(covariance))
-    evidence = 0.5 * (slope * prior_sd) @ unit - 0.5 * np.linalg.slogdet(precision)[1]
+    evidence = 0.5 * np.sum(slope * prior_sd * unit, axis=-1) - 0.5 * np.linalg.slogdet(precision)[1]
     kept = unit.copy()
     if one_sided.any():
-        evidence += float(np.sum(np.log(2.0) + log_ndtr(unit[one_sided] / sd[one_sided])))
-        kept[one_sided] = np.maximum(kept[one_sided], 0.0)
+        own = unit[..., one_sided]
+        evidence = evidence + np.sum(np.log(2.0) + log_ndtr(own / sd[one_sided]), axis=-1)
+        kept[..., one_sided] = np.maximum(own, 0.0)
     detectability = float(np.sqrt(np.max(np.diag(scaled))))
-    return float(evidence), kept * prior_sd, sd * prior_sd, detectability
+    return np.asarray(evidence), kept * prior_sd, sd * prior_sd, detectability
 
 
 def inimitable(
@@ -186,11 +234,37 @@ def inimitable(
     amounts
         Of the one.
     """
+    return float(likeness((amounts @ of, np.zeros(of.shape[1])), (of, by), covariance)[0, 1])
+
+
+def likeness(
+    signals: Sequence[Float[np.ndarray, " row"]],
+    # Of as many rows each, but of any number of amounts.
+    signatures: Sequence[Float[np.ndarray, "_ row"]],
+    covariance: Matrix,
+) -> Float[np.ndarray, "effect other"]:
+    """Say how much of each effect (row) each other one (column) cannot imitate; see `inimitable`.
+
+    Parameters
+    ----------
+    signals
+        What each effect does at its most plausible amounts.
+    signatures
+        Of each, by unit amounts.
+    covariance
+        The null's.
+    """
     factor = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
-    own, other = (
-        scipy.linalg.solve_triangular(factor, signature.T, lower=True, check_finite=False)
-        for signature in (of, by)
-    )
-    seen = own @ amounts
-    left = seen - other @ np.linalg.lstsq(other, seen, rcond=None)[0]
-    return float(left @ left)
+
+    def white(rows: Float[np.ndarray, "_ row"]) -> Float[np.ndarray, "row _"]:
+        return scipy.linalg.solve_triangular(factor, rows.T, lower=True, check_finite=False)
+
+    seen = white(np.array(signals))
+    total = np.sum(seen**2, axis=0)
+    found = np.zeros((len(signals), len(signatures)))
+    for column, signature in enumerate(signatures):
+        # A basis of all that this effect can do; what is nearly zero of it is rounding.
+        left, sizes, _ = np.linalg.svd(white(signature), full_matrices=False)
+        basis = left[:, sizes > 1e-8 * sizes.max(initial=0.0)]
+        found[:, column] = total - np.sum((basis.T @ seen) ** 2, axis=0)
+    return np.maximum(found, 0.0)
