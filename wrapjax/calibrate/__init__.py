@@ -18,6 +18,7 @@ from wrapjax.calibrate.objective import MOMENT_ERROR as MOMENT_ERROR
 from wrapjax.calibrate.objective import Objective as Objective
 from wrapjax.calibrate.path_restraints import FIBER_LENGTH_RANGE as FIBER_LENGTH_RANGE
 from wrapjax.calibrate.path_restraints import PATH_CHANGE as PATH_CHANGE
+from wrapjax.calibrate.path_restraints import PATH_PENALTIES as PATH_PENALTIES
 from wrapjax.calibrate.path_restraints import closeness_penalty as closeness_penalty
 from wrapjax.calibrate.path_restraints import feasibility_limits as feasibility_limits
 from wrapjax.calibrate.path_restraints import path_limits as path_limits

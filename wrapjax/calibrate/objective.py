@@ -27,7 +27,7 @@ from wrapjax.model import (
     muscle_state_along,
     muscle_states,
 )
-from wrapjax.muscle import HillCurves
+from wrapjax.muscle import AbstractCurves
 
 #: Allowable error of a joint moment in N m (the NMSM Pipeline's default).
 MOMENT_ERROR = 2.5
@@ -39,7 +39,7 @@ class Objective(AbstractCalibration):
     The cost is the plain sum of its terms, each a mean square in allowable errors.
     """
 
-    curves: HillCurves
+    curves: AbstractCurves
     recording: Recording
     measured: Float[Array, "trial coordinate frame"]
     variables: Variables

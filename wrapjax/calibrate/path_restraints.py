@@ -32,6 +32,9 @@ _COEFFICIENT = 3e-3
 #: length of one like a moment error of 1 N m, which holds paths where they are (errors fall by a seventh);
 #: here it only keeps changes from being larger than the moments ask for.
 PATH_CHANGE = 15.0
+_CLOSENESS_NAME = "closeness"
+#: Names of penalties that paths are asked about, and that mean nothing where these are held.
+PATH_PENALTIES = (_CLOSENESS_NAME,)
 #: Allowable closeness to a jump in length, root mean square over muscles and frames.
 CLOSENESS = 2.0
 # Moment arms are limited in units of this (m), to be of the order of fiber lengths.
@@ -158,7 +161,7 @@ def closeness_penalty(muscles: int) -> MusclePenalty:
     arms have no hard limits here: cylinders of possible place and size keep paths physiological, and
     fiber lengths are held as in NGA.
     """
-    return MusclePenalty("closeness", _closeness, whole, jnp.zeros((muscles, 1)), CLOSENESS)
+    return MusclePenalty(_CLOSENESS_NAME, _closeness, whole, jnp.zeros((muscles, 1)), CLOSENESS)
 
 
 def _closeness(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from wrapjax.gap.anatomy import plain_name
 from wrapjax.geometry import PathState
 from wrapjax.model import ModelParameters
-from wrapjax.muscle import HillCurves
+from wrapjax.muscle import AbstractCurves
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
 #: From what joint angles (rad) and their rates differ by from the recorded ones, both
@@ -32,7 +32,7 @@ class OtherMuscles(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     #: Names of those that one unrecorded drive would excite together, by the name of the group.
     groups: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
-    curves: HillCurves
+    curves: AbstractCurves
     #: Leaves of both lead with ``muscle``.
     parameters: ModelParameters
     path: PathState

@@ -190,7 +190,9 @@ class Effects(eqx.Module):
     def forms(self) -> tuple[Form, ...]:
         """From each effect's amounts to what is different in the model."""
         chosen = self.variants or (0,) * len(self.members)
-        return tuple(effect.variants[number].form for effect, number in zip(self.members, chosen, strict=True))
+        return tuple(
+            effect.variants[number].form for effect, number in zip(self.members, chosen, strict=True)
+        )
 
     def alterations(self, amounts: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
         """Say what is different in the model at these amounts."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -164,8 +163,7 @@ def speed_conflict(fit: CrossFit, amount_weight: float) -> float | None:
 
 def amount_covariance(refit: Refit, amount_weight: float) -> Float[np.ndarray, "amount amount"]:
     """Covariance of amounts in their units, by Laplace; the weight turns curvature of the cost into it."""
-    model = refit.problem.linearize(jnp.asarray(refit.variables))
-    curvature = np.asarray(model.gauss_newton)
+    curvature = np.asarray(refit.model.gauss_newton)
     count, effects = refit.problem.plain.variables.count, refit.problem.effects
     kept = curvature[:count, :count] + 1e-9 * np.trace(curvature) / len(curvature) * np.eye(count)
     across = curvature[:count, count:]

@@ -16,7 +16,7 @@ from wrapjax.gap.covariance import (
 )
 from wrapjax.gap.cycle_noise import cycle_noise
 from wrapjax.gap.linearized import LinearGap
-from wrapjax.gap.score import Null, Score, score
+from wrapjax.gap.score import Null, Score, Scored, score
 
 #: Errors of muscle force that depend on the muscle's state, in maximum isometric forces; and what is
 #: expected of them.
@@ -61,3 +61,9 @@ def score_effects(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[
     """Score all candidates, the strongest evidence first."""
     found = score(gap.residual.ravel(), nulls(gap, sizes), gap.candidates)
     return tuple(sorted(found, key=lambda one: -one.evidence))
+
+
+def best_null(gap: LinearGap, sizes: Sequence[float] | np.ndarray, found: Scored) -> Null:
+    """Build the null that residuals speak for."""
+    wanted = int(np.argmax(found.plausible))
+    return next(null for place, null in enumerate(nulls(gap, sizes)) if place == wanted)

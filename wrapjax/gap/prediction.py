@@ -12,8 +12,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.gap.effect import Effects, Form
 from wrapjax.model import ModelParameters, Recording, joint_moments
-from wrapjax.muscle import HillCurves
-
+from wrapjax.muscle import AbstractCurves
 
 Forms = tuple[Form, ...]
 #: One vector an effect.
@@ -21,7 +20,7 @@ Amounts = tuple[Float[Array, " own"], ...]
 
 
 def predicted_moments(
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
@@ -40,7 +39,7 @@ def predicted_moments(
 
 
 def signatures(
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
@@ -73,7 +72,7 @@ def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter own"]]:
 
 @eqx.filter_jit
 def _moments(
-    curves: HillCurves, parameters: ModelParameters, recording: Recording, forms: Forms, amounts: Amounts
+    curves: AbstractCurves, parameters: ModelParameters, recording: Recording, forms: Forms, amounts: Amounts
 ) -> Float[Array, "trial coordinate frame"]:
     alterations = tuple(form(own) for form, own in zip(forms, amounts, strict=True))
     return joint_moments(curves, parameters, recording, alterations)
@@ -81,7 +80,7 @@ def _moments(
 
 @eqx.filter_jit
 def _slopes(
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     recording: Recording,
     forms: Forms,

@@ -9,7 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.calibrate import MOMENT_ERROR, AbstractLeastSquares, Linearization, Objective, ProjectedLM, Status
+from wrapjax.calibrate import (
+    MOMENT_ERROR,
+    AbstractLeastSquares,
+    Linearization,
+    Objective,
+    ProjectedLM,
+    Status,
+)
 from wrapjax.gap.effect import Effects
 from wrapjax.gap.prediction import signatures
 
@@ -93,6 +100,8 @@ class Refit:
         Calibrated ones, then amounts in prior standard deviations.
     cost
         Sum of squares there.
+    model
+        And its expansion.
     status
         Why it stopped.
     """
@@ -100,6 +109,7 @@ class Refit:
     problem: JointProblem
     variables: Float[np.ndarray, " variable"]
     cost: float
+    model: Linearization
     status: Status
 
     @property
@@ -163,7 +173,7 @@ def fit_jointly(
     """
     own = replace(problem, plain=replace(problem.plain, moment_error=cycle_errors(problem.plain, used)))
     solution = solver.solve(own, start)
-    return Refit(own, solution.variables, solution.cost, solution.status)
+    return Refit(own, solution.variables, solution.cost, solution.linearization, solution.status)
 
 
 def cycle_errors(

@@ -302,5 +302,6 @@ class GapResult:
     @property
     def speed_of_row(self) -> Int[np.ndarray, " cycle"]:
         """Row of the budget that each cycle belongs to; -1 for none."""
-        same = self.speeds[:, None] == self.budget_speeds[None]
+        one, row = self.speeds[:, None], self.budget_speeds[None]
+        same = (one == row) | (np.isnan(one) & np.isnan(row))
         return np.where(same.any(axis=1), same.argmax(axis=1), -1)

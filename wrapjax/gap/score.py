@@ -186,7 +186,10 @@ def evidence_of(
     prior_sd: Float[np.ndarray, " parameter"],
     one_sided: Bool[np.ndarray, " parameter"],
 ) -> tuple[
-    Float[np.ndarray, "*sample"], Float[np.ndarray, "*sample parameter"], Float[np.ndarray, " parameter"], float
+    Float[np.ndarray, "*sample"],
+    Float[np.ndarray, "*sample parameter"],
+    Float[np.ndarray, " parameter"],
+    float,
 ]:
     """Give evidence (nats), most plausible amounts, their standard deviations, and detectability.
 

@@ -21,7 +21,7 @@ from wrapjax.gap.cycle_noise import CycleNoise
 from wrapjax.gap.linearized import EMG_ERROR, EMG_WIDTH, LinearGap, phase_frames
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, Recording, joint_moments
-from wrapjax.muscle import EmgSpline
+from wrapjax.muscle import AbstractCurves, EmgSpline
 
 #: How far moment arms are off, as a share of themselves, and parameters, in prior standard deviations.
 ARM_ERROR, PARAMETER_ERROR = 0.08, 0.3
@@ -29,7 +29,7 @@ ARM_ERROR, PARAMETER_ERROR = 0.08, 0.3
 _ROUNDS = 3
 
 
-class TwinCurves(eqx.Module):
+class TwinCurves(AbstractCurves):
     """Force curves by other formulas than the model's, each person's a little different."""
 
     #: Of the active curve's flanks: short side, long side.
@@ -125,7 +125,7 @@ def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndar
     # A ridge's step: moments as exact as the fit left them, parameters as free as they were.
     prior = np.mean(gap.fitted**2) * np.linalg.inv(gap.spread @ gap.spread.T)
     inverse = np.linalg.inv(slopes @ slopes.T + prior)
-    residuals = []
+    residuals: list[np.ndarray] = []
     for key in jax.random.split(jax.random.key(seed), count):
         own = jax.random.split(key, 2)
         shift = PARAMETER_ERROR * gap.spread @ np.asarray(jax.random.normal(own[0], gap.away.shape))

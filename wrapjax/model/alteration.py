@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.geometry import PathState
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.muscle import DEACTIVATION_RATIO, EmgSpline, FiberState, HillCurves
+from wrapjax.muscle import DEACTIVATION_RATIO, AbstractCurves, EmgSpline, FiberState
 
 
 def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
 class MuscleInputs(eqx.Module):
     """All that decides what one muscle does."""
 
-    curves: HillCurves
+    curves: AbstractCurves
     parameters: ModelParameters
     path: PathState
     emg: EmgSpline

@@ -20,9 +20,9 @@ from wrapjax.model.alteration import (
 )
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle import (
+    AbstractCurves,
     EmgSpline,
     FiberState,
-    HillCurves,
     muscle_activation,
     neural_activation,
     rigid_tendon_fiber,
@@ -63,7 +63,7 @@ def _frames(path: PathState) -> PathState:
 
 def muscle_state_along(
     path: PathState,
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     emg: EmgSpline,
     padding: int,
@@ -117,7 +117,7 @@ def muscle_state_along(
 
 
 def muscle_states(
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     recording: Recording,
     alterations: tuple[Alteration, ...] = (),
@@ -131,7 +131,7 @@ def muscle_states(
 
 
 def joint_moments(
-    curves: HillCurves,
+    curves: AbstractCurves,
     parameters: ModelParameters,
     recording: Recording,
     alterations: tuple[Alteration, ...] = (),

@@ -5,6 +5,7 @@ from wrapjax.muscle.activation import muscle_activation as muscle_activation
 from wrapjax.muscle.activation import neural_activation as neural_activation
 from wrapjax.muscle.compliant_tendon import compliant_tendon_fiber as compliant_tendon_fiber
 from wrapjax.muscle.curves import HILL_CURVES as HILL_CURVES
+from wrapjax.muscle.curves import AbstractCurves as AbstractCurves
 from wrapjax.muscle.curves import HillCurves as HillCurves
 from wrapjax.muscle.excitation import EmgSpline as EmgSpline
 from wrapjax.muscle.excitation import fit_emg_spline as fit_emg_spline

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.muscle.curves import HillCurves
+from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
 
 #: Force that damps what the tendon's stretching adds to fiber velocity, in maximum isometric forces at
@@ -43,7 +43,7 @@ def tendon_strain_curve(force: Float[Array, "*shape"]) -> Float[Array, "*shape"]
 
 
 def compliant_tendon_fiber(
-    curves: HillCurves,
+    curves: AbstractCurves,
     activation: Frames,
     length: Frames,
     velocity: Frames,

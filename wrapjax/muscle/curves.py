@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+import abc
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 
-class HillCurves(eqx.Module):
+class AbstractCurves(eqx.Module):
+    """Force curves of a muscle, in normalised units; see `HillCurves`."""
+
+    @abc.abstractmethod
+    def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Active force over normalised fiber length."""
+
+    @abc.abstractmethod
+    def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Force factor over normalised fiber velocity."""
+
+    @abc.abstractmethod
+    def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+        """Passive force over normalised fiber length."""
+
+
+class HillCurves(AbstractCurves):
     """Active force-length, force-velocity and passive force-length curve.
 
     The forms are those of De Groote et al. 2016 (doi:10.1007/s10439-016-1591-9); the arctangent

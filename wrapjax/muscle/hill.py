@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.muscle.curves import HillCurves
+from wrapjax.muscle.curves import AbstractCurves
 
 
 class FiberState(eqx.Module):
@@ -25,7 +25,7 @@ class FiberState(eqx.Module):
 
 
 def rigid_tendon_fiber(
-    curves: HillCurves,
+    curves: AbstractCurves,
     activation: Float[Array, "*shape"],
     length: Float[Array, "*shape"],
     velocity: Float[Array, "*shape"],

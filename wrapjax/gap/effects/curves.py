@@ -5,24 +5,24 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from wrapjax.muscle import HillCurves
+from wrapjax.muscle import AbstractCurves
 
 
-class _Bent(HillCurves):
+class _Bent(AbstractCurves):
     """Curves made of others."""
 
-    plain: HillCurves
+    plain: AbstractCurves
 
     def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """See `HillCurves`."""
+        """See `AbstractCurves`."""
         return self.plain.active_force(length)
 
     def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """See `HillCurves`."""
+        """See `AbstractCurves`."""
         return self.plain.force_velocity(velocity)
 
     def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """See `HillCurves`."""
+        """See `AbstractCurves`."""
         return self.plain.passive_force(length)
 
 
@@ -32,11 +32,6 @@ class Widths(_Bent):
     #: Logarithms of both factors.
     active: Float[Array, ""]
     passive_strain: Float[Array, ""]
-
-    @staticmethod
-    def of_curves(plain: HillCurves, active: Float[Array, ""], passive_strain: Float[Array, ""]) -> Widths:
-        """Bend curves."""
-        return Widths(plain.active_bumps, plain.velocity, plain.passive, plain, active, passive_strain)
 
     def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Active force, its width about optimal length multiplied."""
@@ -53,11 +48,6 @@ class Curvature(_Bent):
     #: Logarithms of both factors.
     shortening: Float[Array, ""]
     plateau: Float[Array, ""]
-
-    @staticmethod
-    def of_curves(plain: HillCurves, shortening: Float[Array, ""], plateau: Float[Array, ""]) -> Curvature:
-        """Bend curves."""
-        return Curvature(plain.active_bumps, plain.velocity, plain.passive, plain, shortening, plateau)
 
     def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Force factor; at rest and at the fastest shortening it stays what it is.
@@ -79,11 +69,6 @@ class PassiveShift(_Bent):
 
     #: In optimal fiber lengths.
     shift: Float[Array, ""]
-
-    @staticmethod
-    def of_curves(plain: HillCurves, shift: Float[Array, ""]) -> PassiveShift:
-        """Bend curves."""
-        return PassiveShift(plain.active_bumps, plain.velocity, plain.passive, plain, shift)
 
     def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Passive force at the shorter length."""

@@ -111,8 +111,8 @@ class OtherCurves(MuscleAlteration):
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
-        curves = Widths.of_curves(inputs.curves, self.active_width, self.passive_strain)
-        return replace(inputs, curves=Curvature.of_curves(curves, self.curvature, self.plateau))
+        curves = Widths(inputs.curves, self.active_width, self.passive_strain)
+        return replace(inputs, curves=Curvature(curves, self.curvature, self.plateau))
 
 
 def curve_family(context: Context) -> Effect:
@@ -267,7 +267,7 @@ class Contracted(MuscleAlteration):
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
-        return replace(inputs, curves=PassiveShift.of_curves(inputs.curves, self.shift))
+        return replace(inputs, curves=PassiveShift(inputs.curves, self.shift))
 
 
 def contracture(context: Context) -> Effect | NotTestable:

@@ -1,0 +1,190 @@
+"""``diagnose``: where the remaining error is, which effect explains it best, and how far it shrinks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from wrapjax.api.calibration import STARTS, Calibration, calibrate
+from wrapjax.api.exact import ExactGeometry
+from wrapjax.api.fitting import Fit
+from wrapjax.api.gap_context import gap_context
+from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Watch
+from wrapjax.gap import Context, catalogue
+from wrapjax.gap.investigation import Investigation, investigate
+from wrapjax.gap.result import GapResult
+from wrapjax.gap.verdict import Tuning
+from wrapjax.geometry import PathState, fixed_path
+from wrapjax.model import Recording, free_variables
+from wrapjax.progress import say
+from wrapjax.subject import Subject
+
+#: No-effect twins that the alarm level is read off.
+TWINS = 200
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What remains to be explained of a subject's moments, and what explains it best."""
+
+    calibration: Calibration
+    result: GapResult
+
+    @property
+    def subject(self) -> Subject:
+        """Whose."""
+        return self.calibration.subject
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``gap.json``, ``moments/`` and ``report.html``."""
+        from wrapjax.report.gap.folder import write_gap
+
+        write_gap(self.subject, self.result, Path(folder), force=force)
+        if self.calibration.journal is not None:
+            self.calibration.journal.close()
+
+
+def diagnose(
+    subject: Subject,
+    method: str = "NGA",
+    fit: Fit | ExactGeometry | None = None,
+    *,
+    without: Sequence[str] = (),
+    starts: int = STARTS,
+    seed: int = 0,
+    twins: int = TWINS,
+    tuning: Tuning | None = None,
+    callback: Watch | None = None,
+    tell: Callable[[str], None] = lambda line: say(line, quiet=True),
+    journal: Path | None = None,
+    resume: bool = False,
+) -> Diagnosis:
+    """Calibrate one leg and say what its model still lacks.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`. Its other leg is left alone.
+    method, fit
+        As of `calibrate`; paths are held as calibration leaves them.
+    without
+        Ids of effects to leave out of the catalogue: what would be said if nobody knew of them?
+    starts, seed, callback, journal, resume
+        As of `calibrate`.
+    twins
+        How many people with nothing amiss the alarm level is read off.
+    tuning
+        Constants of the verdict; those that are shipped if not given.
+    tell
+        Called with a line at each step.
+
+    Returns
+    -------
+    Diagnosis
+        Best explained by, among the effects that can be tested with this recording: never a proof of cause.
+
+    Raises
+    ------
+    InputError
+        If ``without`` names no effect.
+    """
+    began = time.perf_counter()
+    alone = replace(subject, other_leg=None)
+    calibration = calibrate(
+        alone,
+        method,
+        fit,
+        starts=starts,
+        seed=seed,
+        callback=callback,
+        journal=journal,
+        resume=resume,
+    )
+    calibrated = time.perf_counter() - began
+    return diagnose_calibrated(
+        calibration,
+        without=without,
+        seed=seed,
+        twins=twins,
+        tuning=tuning,
+        tell=tell,
+        seconds={"calibration": calibrated},
+    )
+
+
+def diagnose_calibrated(
+    calibration: Calibration,
+    *,
+    without: Sequence[str] = (),
+    seed: int = 0,
+    twins: int = TWINS,
+    tuning: Tuning | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+    seconds: dict[str, float] | None = None,
+) -> Diagnosis:
+    """Say what a calibrated model of one leg still lacks; see `diagnose`."""
+    began = time.perf_counter()
+    recording, context = gap_context(calibration)
+    case = _investigation(calibration, recording, context, tuple(without))
+    known = dict(seconds or {}, context=time.perf_counter() - began)
+    found = investigate(
+        case,
+        tuning=tuning or Tuning.shipped(),
+        twins=twins,
+        seed=seed,
+        tell=tell,
+        seconds=known,
+    )
+    return Diagnosis(calibration, found)
+
+
+def _investigation(
+    calibration: Calibration, recording: Recording, context: Context, without: tuple[str, ...]
+) -> Investigation:
+    """Gather what is looked at; paths are held as calibration left them."""
+    subject, result = calibration.subject, calibration.result
+    trials, solution = subject.trials, result.solution
+    problem, variables = solution.problem, np.asarray(solution.variables)
+    assert isinstance(problem, Objective)
+    if problem.variables.modes:
+        problem = _held(problem, result)
+        variables = np.asarray(problem.start(result.parameters))
+    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
+    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
+    inputs = (
+        trials.angles[:, columns],
+        trials.angular_velocities[:, columns],
+        trials.emg[..., inside],
+        order,
+    )
+    return Investigation(
+        problem=problem,
+        variables=variables,
+        outcomes=result.outcomes,
+        recording=recording,
+        context=context,
+        entries=catalogue(context, without),
+        withheld=without,
+        uses=trials.uses,
+        time=trials.time,
+        measured=trials.moments,
+        inputs=np.concatenate(inputs, axis=1),
+    )
+
+
+def _held(problem: Objective, result: CalibrationResult) -> Objective:
+    """Hold paths, and drop what a calibration asks of them."""
+    path = problem.recording.path.at(result.parameters.path_changes)
+    held = fixed_path(PathState(path.length, path.velocity, path.moment_arm))
+    return replace(
+        problem,
+        recording=replace(problem.recording, path=held),
+        variables=free_variables(result.parameters, result.freedom.with_held_paths(), result.muscles),
+        penalties=tuple(one for one in problem.penalties if one.name not in PATH_PENALTIES),
+        limits=(),
+    )
