@@ -137,6 +137,35 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with an interrupted comparison of the same DIR"
     )
 
+    diagnose = command(
+        "diagnose", _diagnose, "Say where the remaining error is and what explains it best.", writing
+    )
+    diagnose.add_argument("subject", type=Path, metavar="SUBJECT")
+    diagnose.add_argument("--out", type=Path, required=True, metavar="GAP")
+    diagnose.add_argument(
+        "--method",
+        choices=["NGA", "SGA", "LSGA", "PGA"],
+        default="NGA",
+        help="of the calibration before it (default: NGA)",
+    )
+    diagnose.add_argument(
+        "--without",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="leave these out of the catalogue; the calibration is not done again",
+    )
+    diagnose.add_argument(
+        "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+    )
+    diagnose.add_argument(
+        "--starts", type=_positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
+    )
+    diagnose.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted calibration (done in any case)"
+    )
+
     demo = command("demo", _demo, "Calibrate a virtual subject of known truth by every method.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
     return parser
@@ -272,6 +301,43 @@ def _compare(options: argparse.Namespace) -> int:
         print(comparison_table(done))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE if done.converged else NOT_CONVERGED
+
+
+def _diagnose(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api import diagnose, load_fit, load_subject
+    from wrapjax.api.gap_text import gap_table
+    from wrapjax.api.preparation import source_for
+    from wrapjax.api.text import iteration_printer
+    from wrapjax.gap.catalogue import refuse_unknown
+    from wrapjax.progress import say
+
+    _refuse_existing(options.out, options.force)
+    refuse_unknown(options.without)
+    subject = load_subject(options.subject)
+    if options.fit:
+        paths = load_fit(options.fit, subject)
+    else:
+        paths = source_for(
+            options.method, subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+        )
+    done = diagnose(
+        subject,
+        options.method,
+        paths,
+        without=options.without,
+        starts=options.starts,
+        seed=options.seed,
+        callback=iteration_printer(quiet=options.quiet),
+        tell=lambda line: say(line, quiet=options.quiet),
+    )
+    done.save(options.out, force=options.force)
+    if options.json:
+        _print_json(_stored(options.out / "gap.json"))
+    else:
+        print(gap_table(done.result))
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
 
 
 def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]:

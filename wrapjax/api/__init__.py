@@ -4,6 +4,8 @@ from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
 from wrapjax.api.comparison import Comparison as Comparison
 from wrapjax.api.comparison import compare as compare
+from wrapjax.api.diagnosis import Diagnosis as Diagnosis
+from wrapjax.api.diagnosis import diagnose as diagnose
 from wrapjax.api.exact import ExactGeometry as ExactGeometry
 from wrapjax.api.exact import exact_geometry as exact_geometry
 from wrapjax.api.fitting import Fit as Fit
@@ -18,10 +20,12 @@ from wrapjax.subject import read_subject as load_subject
 __all__ = [
     "Calibration",
     "Comparison",
+    "Diagnosis",
     "ExactGeometry",
     "Fit",
     "calibrate",
     "compare",
+    "diagnose",
     "exact_geometry",
     "fit",
     "fit_wraps",

@@ -33,7 +33,7 @@ from wrapjax.calibrate import (
     solve_from_starts,
     starting_points,
 )
-from wrapjax.files import content_hash
+from wrapjax.files import cache_folder, content_hash
 from wrapjax.model import Freedom, muscle_states
 from wrapjax.osim import describe_model
 from wrapjax.subject import Subject, read_legs
@@ -132,13 +132,13 @@ def calibrate(
     """
     solver = solver or AugmentedLagrangian()
     legs = _legs(subject, fit, method, freedom)
+    question = _question_of(legs, solver, curves, starts, seed)
     by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves) for leg in legs]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
         problems = tuple(starmap(join_legs, zip(*by_leg, strict=True)))
     book = None
     if journal is not None:
-        question = content_hash(*map(_question, legs), repr((solver, curves, starts, seed)))
         book = Journal.open(journal, question, resume=resume)
     first = np.asarray(problems[0].start(problems[0].initial))
     began = time.perf_counter()
@@ -154,6 +154,31 @@ def calibrate(
         result = _result(leg, own, best(outcomes), solver, curves, compiled)
         finished.append(Calibration(leg.subject, leg.fit, result))
     return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, journal=book)
+
+
+def kept_calibration(
+    subject: Subject,
+    method: str = "NGA",
+    fit: Fit | ExactGeometry | None = None,
+    *,
+    starts: int = STARTS,
+    seed: int = 0,
+    callback: Watch | None = None,
+) -> Calibration:
+    """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
+    fitted = source_for(method, subject) if fit is None else fit
+    legs = _legs(subject, fitted, method, None)
+    question = _question_of(legs, AugmentedLagrangian(), "paper", starts, seed)
+    journal = cache_folder("calibrations") / question
+    begun = (journal / "question.json").exists()
+    return calibrate(
+        subject, method, fitted, starts=starts, seed=seed, callback=callback, journal=journal, resume=begun
+    )
+
+
+def _question_of(legs: list[_Leg], solver: AugmentedLagrangian, curves: str, starts: int, seed: int) -> str:
+    """Name a calibration by all that decides where it goes."""
+    return content_hash(*map(_question, legs), repr((solver, curves, starts, seed)))
 
 
 @dataclass(frozen=True)

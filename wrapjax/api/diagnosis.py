@@ -9,18 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from wrapjax.api.calibration import STARTS, Calibration, calibrate
+from wrapjax.api.calibration import STARTS, Calibration, kept_calibration
 from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.gap_context import gap_context
-from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Watch
+from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
 from wrapjax.gap import Context, catalogue
 from wrapjax.gap.investigation import Investigation, investigate
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.verdict import Tuning
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, free_variables
-from wrapjax.progress import say
 from wrapjax.subject import Subject
 
 #: No-effect twins that the alarm level is read off.
@@ -44,8 +43,6 @@ class Diagnosis:
         from wrapjax.report.gap.folder import write_gap
 
         write_gap(self.subject, self.result, Path(folder), force=force)
-        if self.calibration.journal is not None:
-            self.calibration.journal.close()
 
 
 def diagnose(
@@ -59,9 +56,7 @@ def diagnose(
     twins: int = TWINS,
     tuning: Tuning | None = None,
     callback: Watch | None = None,
-    tell: Callable[[str], None] = lambda line: say(line, quiet=True),
-    journal: Path | None = None,
-    resume: bool = False,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> Diagnosis:
     """Calibrate one leg and say what its model still lacks.
 
@@ -73,8 +68,8 @@ def diagnose(
         As of `calibrate`; paths are held as calibration leaves them.
     without
         Ids of effects to leave out of the catalogue: what would be said if nobody knew of them?
-    starts, seed, callback, journal, resume
-        As of `calibrate`.
+    starts, seed, callback
+        As of `calibrate`. The calibration is kept in the cache, and not done twice.
     twins
         How many people with nothing amiss the alarm level is read off.
     tuning
@@ -91,19 +86,14 @@ def diagnose(
     ------
     InputError
         If ``without`` names no effect.
+    KeyboardInterrupt
+        If calibrating was interrupted; the next time it goes on where it stopped.
     """
     began = time.perf_counter()
     alone = replace(subject, other_leg=None)
-    calibration = calibrate(
-        alone,
-        method,
-        fit,
-        starts=starts,
-        seed=seed,
-        callback=callback,
-        journal=journal,
-        resume=resume,
-    )
+    calibration = kept_calibration(alone, method, fit, starts=starts, seed=seed, callback=callback)
+    if calibration.status is Status.interrupted:
+        raise KeyboardInterrupt
     calibrated = time.perf_counter() - began
     return diagnose_calibrated(
         calibration,

@@ -68,13 +68,18 @@ def catalogue(context: Context, without: Sequence[str] = ()) -> tuple[Effect | N
     InputError
         If an effect to be left out is not in the catalogue.
     """
-    unknown = [id for id in without if id not in CATALOGUE]
+    refuse_unknown(without)
+    return tuple(factory(context) for id, factory in CATALOGUE.items() if id not in without)
+
+
+def refuse_unknown(ids: Sequence[str]) -> None:
+    """Raise `InputError` if any of these is no effect of the catalogue."""
+    unknown = [id for id in ids if id not in CATALOGUE]
     if unknown:
         raise InputError(
             Problem("--without", f"there is no effect '{id}'", hint=nearest_name(id, tuple(CATALOGUE)))
             for id in unknown
         )
-    return tuple(factory(context) for id, factory in CATALOGUE.items() if id not in without)
 
 
 def effects_in(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:

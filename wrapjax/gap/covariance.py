@@ -80,13 +80,18 @@ def within_cycles(blocks: Float[np.ndarray, "cycle own own"]) -> Matrix:
     return whole.reshape(cycles * own, cycles * own)
 
 
-def input_covariance(errors: InputErrors) -> Matrix:
-    """Run errors of inputs through the model, each cycle's for itself."""
+def input_blocks(errors: InputErrors) -> Float[np.ndarray, "cycle own own"]:
+    """Run errors of inputs through the model, each cycle's for itself: one block a cycle."""
     _, cycles, coordinates, phases = errors.signatures.shape
     kernel = periodic_kernel(phases, errors.width)
     outer = np.einsum("ickp,iclq->ckplq", errors.signatures, errors.signatures)
     blocks = outer * kernel[None, None, :, None, :]
-    return within_cycles(blocks.reshape(cycles, coordinates * phases, coordinates * phases))
+    return np.asarray(blocks.reshape(cycles, coordinates * phases, coordinates * phases))
+
+
+def input_covariance(errors: InputErrors) -> Matrix:
+    """Give the covariance of all cycles that errors of inputs make."""
+    return within_cycles(input_blocks(errors))
 
 
 def parameter_covariance(signatures: Signatures, prior_sd: Float[np.ndarray, " amount"]) -> Matrix:

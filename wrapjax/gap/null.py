@@ -49,9 +49,10 @@ def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]
 def known_covariance(gap: LinearGap) -> Matrix:
     """Sum what is always there: noise, errors of inputs, calibrated parameters and nuisances."""
     cycles, _, phases = gap.residual.shape
-    total = cycle_noise(gap.fitted, gap.speeds).covariance(cycles, phases)
-    for errors in gap.input_errors:
-        total += input_covariance(errors)
+    noise = cycle_noise(gap.fitted, gap.speeds, gap.input_errors)
+    total = noise.covariance(cycles, phases)
+    for share, errors in zip(noise.input_shares, gap.input_errors, strict=True):
+        total += share**2 * input_covariance(errors)
     for signatures in (gap.calibrated, gap.nuisances):
         total += parameter_covariance(signatures, np.ones(len(signatures)))
     return total
