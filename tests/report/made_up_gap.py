@@ -142,6 +142,7 @@ def unknown() -> GapResult:
     return replace(
         named(),
         outcome="unknown",
+        reason="no effect's evidence is above the alarm level, and most of the explainable error stays",
         named=(),
         credible_set=("none_of_these",),
         effects=quiet,
@@ -159,6 +160,7 @@ def none() -> GapResult:
     return replace(
         unknown(),
         outcome="none",
+        reason="no effect's evidence is above the alarm level",
         none_probability=0.85,
         unknown_probability=0.05,
         alternatives=(),

@@ -14,38 +14,48 @@ _DASH = "\N{EN DASH}"
 def certificate_section(result: GapResult) -> str:
     """Write the part of the report on how far the diagnosis can be trusted, problems first."""
     certificate = result.certificate
-    parts = [markup.paragraph("The plain model was fitted as well as it can be.")]
+    parts = _fit(certificate)
+    if rows := [*_fit_rows(certificate), *_null_rows(result)]:
+        caption = "The plain model's fit, and what evidence was weighed against."
+        parts.append(markup.table(("check", "value", "what it says"), rows, caption=caption))
+    return markup.section("How far to trust it", *parts, *_conflicts(certificate))
+
+
+def _fit(certificate: Certificate) -> list[str]:
     if certificate.problems:
-        parts = [
+        return [
             markup.paragraph("The plain model was not fitted as well as it can be:"),
             markup.bullets(certificate.problems),
         ]
-    parts.append(
+    if not certificate.costs:
+        return [markup.paragraph("The plain model was not fitted.")]
+    return [markup.paragraph("The plain model was fitted as well as it can be.")]
+
+
+def _conflicts(certificate: Certificate) -> list[str]:
+    if not certificate.conflicts:
+        return []
+    kinds = list(dict.fromkeys(kind for own in certificate.conflicts.values() for kind in own))
+    return [
+        markup.paragraph(
+            "How far fits to each speed and to each half of the cycles are apart, root mean square. Well "
+            "above 1: the model cannot fit both at once, or some cycles are not like the others."
+        ),
         markup.table(
-            ("check", "value", "what it says"),
-            [*_fit_rows(certificate), *_null_rows(result)],
-            caption="The plain model's fit, and what evidence was weighed against.",
-        )
-    )
-    if certificate.conflicts:
-        kinds = list(dict.fromkeys(kind for own in certificate.conflicts.values() for kind in own))
-        parts.append(
-            markup.table(
-                ("", *map(plain, kinds)),
-                [
-                    (plain(name), *(decimals(own.get(kind)) for kind in kinds))
-                    for name, own in certificate.conflicts.items()
-                ],
-                caption="How far fits to each speed and to each half of the cycles are apart, in standard "
-                "deviations, root mean square. Well above 1: the model cannot fit both at once, or some "
-                "cycles are not like the others.",
-            )
-        )
-    return markup.section("How far to trust it", *parts)
+            ("", *map(plain, kinds)),
+            [
+                (plain(name), *(decimals(own.get(kind)) for kind in kinds))
+                for name, own in certificate.conflicts.items()
+            ],
+            caption="Conflicts, in standard deviations.",
+        ),
+    ]
 
 
 def _fit_rows(certificate: Certificate) -> list[tuple[str, str, str]]:
-    costs = ", ".join(f"{cost:.5g}" for cost in certificate.costs[:4]) or _DASH
+    if not certificate.costs:
+        return []
+    costs = ", ".join(f"{cost:.5g}" for cost in certificate.costs[:4])
     more = len(certificate.costs) - 4
     return [
         (
@@ -65,7 +75,7 @@ def _fit_rows(certificate: Certificate) -> list[tuple[str, str, str]]:
 def _null_rows(result: GapResult) -> list[tuple[str, str, str]]:
     controls = [effect for effect in result.effects if effect.negative_control]
     if not math.isfinite(result.alarm):
-        return [("alarm level", _DASH, "evidence was not weighed")]
+        return []
     rows = [
         (
             "alarm level",

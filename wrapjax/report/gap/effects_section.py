@@ -7,11 +7,11 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.gap.result import Amount, EffectFinding, GapResult
+from wrapjax.gap.result import EffectFinding, GapResult
 from wrapjax.report import markup
 from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
 from wrapjax.report.gap.errors import at_speed, speed_label
-from wrapjax.report.gap.words import loud_controls, words
+from wrapjax.report.gap.words import amounts_in_words, loud_controls, words
 from wrapjax.report.style import (
     BAND_ALPHA,
     BLACK,
@@ -27,11 +27,10 @@ from wrapjax.report.wording import counted, decimals, plain
 
 #: As many fitted effects are drawn, the most probable ones, in these colors.
 DRAWN_COLORS = (BLUE, VERMILION, GREEN)
-_MOST_AMOUNTS = 3
 _MOST_OPEN = 10
 _DASH = "\N{EN DASH}"
 _HEADER = (
-    *("effect", "in files", "probability", "evidence (nats)", "refitted (nats)"),
+    *("effect", "probability", "evidence (nats)", "refitted (nats)"),
     *("detectability (sd)", "amounts", "what to make of it"),
 )
 
@@ -107,8 +106,8 @@ def evidence_section(result: GapResult) -> list[str]:
         return []
     lines = [_line(effect) for effect in result.effects]
     rest = [
-        ("nothing amiss", "none", decimals(result.none_probability), *[_DASH] * 5),
-        ("not in the catalogue", "unknown", decimals(result.unknown_probability), *[_DASH] * 5),
+        ("nothing amiss", decimals(result.none_probability), *[_DASH] * 5),
+        ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 5),
     ]
     alarm = (
         f" Data without any effect exceed {result.alarm:.1f} nats in few cases (alarm level)."
@@ -117,11 +116,11 @@ def evidence_section(result: GapResult) -> list[str]:
     )
     caption = (
         "All effects that these data can test, the most probable first; probabilities of all rows sum to "
-        "one. "
-        "Evidence: logarithm of how much likelier the error is with the effect than without, above zero "
-        f"speaks for it; refitted: after fitting it together with all that is calibrated.{alarm} "
-        "Detectability: in standard deviations, of an effect of expected size; below 2 this recording could "
-        "not show it. Amounts: most plausible value ± standard deviation."
+        "one. Evidence: natural logarithm of how much likelier the error is with the effect than without (3: "
+        "20 times as likely), above zero speaks for it; refitted: after fitting it together with all that is "
+        f"calibrated.{alarm} Detectability: in standard deviations, of an effect of expected size; below 2 "
+        "this recording could not show it. Amounts: most plausible value ± standard deviation. Names in "
+        "files have underscores for blanks; the last two are none and unknown there."
     )
     parts = [markup.table(_HEADER, lines[:_MOST_OPEN] + rest, caption=caption)]
     if hidden := lines[_MOST_OPEN:]:
@@ -149,23 +148,10 @@ def _line(effect: EffectFinding) -> tuple[str, ...]:
     mark = " (negative control)" if effect.negative_control else ""
     return (
         plain(effect.id) + mark,
-        effect.id,
         decimals(effect.probability),
         f"{effect.evidence:.1f}",
         _DASH if effect.refitted is None else f"{effect.refitted:.1f}",
         f"{effect.detectability:.1f}",
-        amounts(effect.amounts),
+        amounts_in_words(effect.amounts),
         effect.decision,
     )
-
-
-def amounts(all_of_them: tuple[Amount, ...]) -> str:
-    """Write amounts with deviation and unit; of many, those that differ most from zero."""
-    largest = sorted(all_of_them, key=lambda one: -abs(one.value) / one.sd if one.sd else 0.0)
-    shown = largest[:_MOST_AMOUNTS] if len(all_of_them) > _MOST_AMOUNTS else list(all_of_them)
-    texts = [
-        f"{plain(one.name)} {one.value:.3g} ± {one.sd:.2g}{'' if one.unit == '1' else f' {one.unit}'}"
-        for one in shown
-    ]
-    left_out = len(all_of_them) - len(shown)
-    return "; ".join(texts) + (f"; {left_out} more in gap.json" if left_out else "")

@@ -19,7 +19,7 @@ def leading(result: GapResult) -> tuple[Alternative, ...]:
     """Give the fitted effects that the outcome speaks of: what it names, all of a tie, else the best one."""
     if result.outcome == "tie":
         members = {id for tie in result.ties for id in tie}
-        tied = tuple(one for one in result.alternatives if set(one.ids) <= members)
+        tied = tuple(one for one in result.alternatives if len(one.ids) == 1 and one.ids[0] in members)
         if tied:
             return tied
     named = tuple(one for one in result.alternatives if set(one.ids) == set(result.named))

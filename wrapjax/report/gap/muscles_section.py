@@ -37,9 +37,9 @@ def muscles_section(result: GapResult) -> list[str]:
                 muscle_figure(result, share),
                 alternative=f"Map of the change of force by muscle and gait cycle; {first}.",
                 caption="Change of muscle force in N that would take the explainable error away, mean over "
-                "the cycles of each speed: blue, more force than the plain model gives; red, less. Moment "
-                "arms tell forces of muscles with like arms apart by nothing. Hatched, with names in "
-                f"gray: muscles whose part they tell less than half ({_WORDS}), not to be read. "
+                "the cycles of each speed: blue, more force than the plain model gives; red, less. Muscles "
+                "with like moment arms cannot be told apart by moments. Hatched, with names in gray: muscles "
+                f"of whose part less than half can be told ({_WORDS}), not to be read. "
                 f"{counted(int(seen.sum()), 'muscle')} of {len(seen)} can be told.",
             ),
         )
@@ -60,7 +60,7 @@ def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
     force, seen = share.force[order], resolved(share)[order]
     names = [share.muscles[row] for row in order]
     speeds = force.shape[1]
-    columns = min(2, speeds)
+    columns = min(3, speeds)
     figure, panels = panel_grid(
         speeds, columns, width=PAGE_WIDTH, panel_height=0.19 * len(names) + 0.7, sharey=True
     )
@@ -74,6 +74,8 @@ def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
             cmap="RdBu",
             vmin=-largest,
             vmax=largest,
+            # As an image: thousands of cells would be megabytes of paths.
+            rasterized=True,
         )
         for row in np.flatnonzero(~seen).tolist():
             panel.add_patch(
@@ -97,7 +99,7 @@ def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("gait cycle (%)")
         mark_gait_cycle(panel, step=20)
-    figure.colorbar(image, ax=panels, label="change of force (N)", aspect=14, pad=0.01, extend="both")
+    figure.colorbar(image, ax=panels, label="change of force (N)", aspect=30, pad=0.01, extend="both")
     return figure
 
 

@@ -71,10 +71,11 @@ def _untested_section(result: GapResult) -> list[str]:
     return [
         markup.section(
             "What this recording cannot test",
+            markup.paragraph("These effects may be there all the same: nothing is said of them."),
             markup.table(
                 ("effect", "in files", "why not"),
                 [(plain(one.id), one.id, one.reason) for one in result.not_testable],
-                caption="These may be there all the same: nothing is said of them.",
+                caption="Effects of the catalogue that these data lack something for.",
             ),
         )
     ]

@@ -47,8 +47,9 @@ def shrinkage_section(result: GapResult) -> list[str]:
                 alternative=f"The whole error and what takes parts of it away: of the explainable error, "
                 f"{removed}.",
                 caption="The plain model's mean squared error as 100 %, what each accepted effect takes away "
-                "(Shapley's share: its average over all orders of adding them), and what is left. Dashed: "
-                "noise, which no model explains. What is between it and the last bar is still missing.",
+                "(Shapley's share: its average over all orders of adding them), and what is left. One that "
+                "adds to the error is red. Dashed: noise, which no model explains; what lies between it and "
+                "the end of the last bar is still missing from the model.",
             )
         )
     if any(getattr(one, which).known for one in result.alternatives for which in HELD_OUT):
@@ -98,10 +99,9 @@ def waterfall_figure(result: GapResult) -> Figure:
     level = 100.0
     panel.barh(0, level, color=GRAY, height=0.6)
     for row, (_, size) in enumerate(steps, start=1):
-        panel.barh(row, size, left=level - size, color=BLUE, height=0.6)
-        panel.text(
-            max(level, level - size) + 0.8, row, f"\N{MINUS SIGN}{size:.0f} %", va="center", fontsize=7.5
-        )
+        color, sign = (BLUE, "\N{MINUS SIGN}") if size >= 0.0 else (VERMILION, "+")
+        panel.barh(row, size, left=level - size, color=color, height=0.6)
+        panel.text(max(level, level - size) + 0.8, row, f"{sign}{abs(size):.0f} %", va="center", fontsize=7.5)
         panel.vlines(level, row - 0.7, row + 0.3, color=GRAY, linewidth=0.6)
         level -= size
     panel.barh(len(names) - 1, level, color=GRAY, height=0.6)
@@ -151,7 +151,7 @@ def released_section(result: GapResult) -> list[str]:
     first = most_released(shown[0])[0]
     return [
         markup.section(
-            "What calibration had put in its place",
+            "Calibrated parameters that stood in for it",
             markup.picture(
                 released_figure(shown),
                 alternative="Calibrated parameters that moved most once an effect was there to take their "

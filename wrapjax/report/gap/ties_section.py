@@ -11,8 +11,8 @@ from wrapjax.report.gap.words import listed
 from wrapjax.report.style import Figure, in_style, new_figure
 from wrapjax.report.wording import counted, plain
 
-#: Squared standard deviations of an effect that another cannot imitate: below, the two are told apart by
-#: nothing (three standard deviations).
+#: Squared standard deviations of an effect that another cannot imitate: below (three standard deviations),
+#: it can stand in for it.
 BORDER = 9.0
 # More rows than these cannot be read.
 _MOST_EFFECTS = 14
@@ -32,9 +32,9 @@ def ties_section(result: GapResult) -> list[str]:
                 alternative="Map of how much of each effect another cannot imitate. Not told apart: "
                 f"{pairs}.",
                 caption="How much of the effect in a row the effect in a column cannot imitate, in squared "
-                "standard deviations (logarithmic scale). Red, below 9 (three standard deviations): it can "
-                "stand in for it. Two effects that are red both ways cannot be told apart by this recording. "
-                f"Not told apart here: {pairs}.",
+                "standard deviations (logarithmic scale). Red and bold, below 9 (three standard "
+                "deviations): it can stand in for it. Two effects that are red both ways cannot be told "
+                f"apart by this recording. Not told apart here: {pairs}.",
             )
         )
     if result.advice:
@@ -77,7 +77,8 @@ def ties_figure(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect
             else f"{likeness[row, column]:.0f}",
             ha="center",
             va="center",
-            fontsize=6.5,
+            fontsize=7.5,
+            fontweight="bold" if likeness[row, column] < BORDER else "normal",
             color="white" if away > 0.7 else "black",
         )
     at = np.arange(count) + 0.5

@@ -99,7 +99,7 @@ def map_figure(result: GapResult, budget: Budget) -> Figure:
 
     explainable = root(budget.explainable)
     speeds, names = len(result.budget_speeds), result.coordinates
-    columns = min(speeds, 2)
+    columns = min(speeds, 3)
     figure, panels = panel_grid(
         speeds, columns, width=PAGE_WIDTH, panel_height=0.32 * len(names) + 0.6, sharey=True
     )
@@ -122,8 +122,8 @@ def map_figure(result: GapResult, budget: Budget) -> Figure:
                     BIN_PERCENT,
                     1.0,
                     facecolor="none",
-                    edgecolor=GRAY,
-                    hatch="/////",
+                    edgecolor="#A8A8A8",
+                    hatch="////",
                     linewidth=0.0,
                 )
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from wrapjax.gap.result import Alternative, EffectFinding, Estimate, GapResult
+from wrapjax.gap.result import Alternative, Amount, EffectFinding, Estimate, GapResult
 from wrapjax.report.gap.errors import leading, mean_absolute_errors, shrinkage, why_no_shrinkage
 from wrapjax.report.wording import counted, plain
 
@@ -14,13 +14,15 @@ SILENT = ("insufficient_data", "not_converged")
 
 
 def findings(result: GapResult) -> list[str]:
-    """Say in plain sentences what came of a diagnosis, the outcome first."""
-    sentences = [_outcome(result)]
-    if result.reason:
-        sentences.append(_sentence(result.reason))
+    """Say in plain sentences what came of a diagnosis.
+
+    The first holds the outcome, and before it how much there is to explain.
+    """
+    reason = [_sentence(result.reason)] if result.reason else []
     if result.outcome in SILENT:
-        return sentences
-    sentences += [_explainable(result.explainable_share), *_shrinkage(result), *_moments(result)]
+        return [_outcome(result), *reason]
+    first = f"{_explainable(result.explainable_share)} {_outcome(result)}"
+    sentences = [first, *reason, *_shrinkage(result), *_moments(result)]
     if loud := loud_controls(result):
         sentences.append(
             f"Read all of this with doubt: {listed(effect.id for effect in loud)} must stay quiet in such a "
@@ -56,6 +58,19 @@ def words(ids: Sequence[str]) -> str:
 def listed(ids: Iterable[str]) -> str:
     """Name effects in words, one after the other."""
     return ", ".join(map(plain, ids))
+
+
+def amounts_in_words(amounts: Sequence[Amount], most: int = 3) -> str:
+    """Write amounts with deviation and unit; of too many, those that differ most from zero."""
+    if len(amounts) <= most:
+        return "; ".join(map(_amount, amounts))
+    largest = sorted(amounts, key=lambda one: -abs(one.value) / one.sd if one.sd else 0.0)
+    return "; ".join([*map(_amount, largest[:most]), f"{len(amounts) - most} more in gap.json"])
+
+
+def _amount(amount: Amount) -> str:
+    unit = "" if amount.unit == "1" else f" {amount.unit}"
+    return f"{plain(amount.name)} {amount.value:.3g} ± {amount.sd:.2g}{unit}"
 
 
 def percent(estimate: Estimate) -> str:
@@ -108,8 +123,8 @@ def _outcome(result: GapResult) -> str:
 
 def _explainable(share: Estimate) -> str:
     if not share.known:
-        return f"How much of the error a better model could explain cannot be told: {share.reason}."
-    return f"{percent(share)} of the error could be explained by a better model; the rest is noise."
+        return f"How much of the moment error a better model could explain cannot be told: {share.reason}."
+    return f"{percent(share)} of the moment error (mean square) could be explained by a better model."
 
 
 def _shrinkage(result: GapResult) -> list[str]:
@@ -157,8 +172,9 @@ def _moments(result: GapResult) -> list[str]:
     most = max(falls, key=lambda name: falls[name])
     if not falls[most] > 0.0 or not leading(result):
         return []
+    which = "" if result.outcome == "named" else f" with {words(leading(result)[0].ids)}"
     return [
-        f"Mean absolute error falls most at {most}, from {errors['before'][most]:.1f} to "
+        f"Mean absolute error{which} falls most at {most}, from {errors['before'][most]:.1f} to "
         f"{errors['after'][most]:.1f} N m; over all coordinates from {errors['before']['mean']:.1f} to "
         f"{errors['after']['mean']:.1f} N m."
     ]
