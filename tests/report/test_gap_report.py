@@ -16,13 +16,16 @@ from wrapjax import InputError
 from wrapjax.api.gap_text import gap_table
 from wrapjax.gap.budget import BINS, Budget
 from wrapjax.gap.effect import NotTestable
-from wrapjax.gap.result import OUTCOMES, Estimate
+from wrapjax.gap.result import OUTCOMES, Amount, Estimate, Released
 from wrapjax.report.gap import folder as gap_folder
 from wrapjax.report.gap.effects_section import half_interval
 from wrapjax.report.gap.errors import mean_absolute_errors
 from wrapjax.report.gap.folder import write_gap
+from wrapjax.report.gap.muscles_section import resolved
 from wrapjax.report.gap.numbers import describe_gap, where
 from wrapjax.report.gap.page import render_gap
+from wrapjax.report.gap.shrinkage_section import MOST_RELEASED, most_released
+from wrapjax.report.gap.ties_section import alike_pairs
 from wrapjax.report.gap.words import findings, untested
 from wrapjax.subject import read_storage
 
@@ -217,6 +220,23 @@ def test_the_page_opens_offline_and_every_figure_can_be_read(ending, written, su
     assert "cause" not in page.text
 
 
+def test_the_page_answers_in_order_what_a_reader_asks(written, subject):
+    text = (written("named", subject) / "report.html").read_text()
+    assert re.findall(r"<h2>(.*?)</h2>", text) == [
+        "What this recording cannot test",
+        "Where the error is",
+        "What the error is made of",
+        "What the model lacks, and what effects add",
+        "Evidence for each effect",
+        "How far the error shrinks",
+        "Calibrated parameters that stood in for it",
+        "What can be told apart",
+        "Which muscles",
+        "How far to trust it",
+        "Notes",
+    ]
+
+
 def test_the_verdict_of_each_ending():
     said = {ending: " ".join(findings(make())) for ending, make in ENDINGS.items()}
     assert said["named"].startswith(
@@ -278,6 +298,32 @@ def test_the_band_is_students_interval_of_a_mean():
     deviation = np.std([1.0, 2.0, 4.0], ddof=1)
     assert half_interval(curves) == pytest.approx(4.302653 * deviation / math.sqrt(3.0))
     assert np.isnan(half_interval(curves[:1]))
+
+
+def test_effects_are_alike_only_if_each_can_imitate_the_other():
+    """Slow fibers pass for the orthosis, but the orthosis not for slow fibers."""
+    assert alike_pairs(*named().likeness) == [(ORTHOSIS, CENTER)]
+
+
+def test_released_parameters_are_those_that_moved_farthest_first():
+    labels = [one.label for one in most_released(named().alternatives[0])]
+    assert labels[:2] == ["soleus_l.emg_scale", "gasmed_l.optimal_fiber_length"]
+    assert len(labels) == MOST_RELEASED
+    still = (Released("a.b", 0.3, 0.3, 1.0, False), Released("a.c", 0.3, 0.9, np.inf, False))
+    assert most_released(replace(named().alternatives[0], released=still)) == []
+
+
+def test_muscles_that_cannot_be_told_are_marked(subject):
+    share = named().muscles
+    assert resolved(share).tolist() == [True, True, True, False, False]
+    text = render_gap(subject, replace(named(), alternatives=(), budget=None))
+    assert "the largest change that can be told is 240 N, of soleus_l" in Page(text).all("img")[-1]["alt"]
+
+
+def test_what_an_effect_lacks_is_a_dash(subject):
+    vague = finding("emg_drift", 0.9, np.nan, None, np.nan, amounts=(Amount("gain", 0.2, np.nan, "1"),))
+    text = Page(render_gap(subject, replace(ENDINGS["none"](), effects=(vague,), budget=None))).text
+    assert "gain 0.2" in text and "nan" not in re.findall(r"\w+", text)
 
 
 def test_names_are_escaped(subject):

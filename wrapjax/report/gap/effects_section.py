@@ -149,9 +149,11 @@ def _line(effect: EffectFinding) -> tuple[str, ...]:
     return (
         plain(effect.id) + mark,
         decimals(effect.probability),
-        f"{effect.evidence:.1f}",
-        _DASH if effect.refitted is None else f"{effect.refitted:.1f}",
-        f"{effect.detectability:.1f}",
+        *map(_one_decimal, (effect.evidence, effect.refitted, effect.detectability)),
         amounts_in_words(effect.amounts),
         effect.decision,
     )
+
+
+def _one_decimal(value: float | None) -> str:
+    return _DASH if value is None or not math.isfinite(value) else f"{value:.1f}"

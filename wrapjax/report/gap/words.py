@@ -70,7 +70,8 @@ def amounts_in_words(amounts: Sequence[Amount], most: int = 3) -> str:
 
 def _amount(amount: Amount) -> str:
     unit = "" if amount.unit == "1" else f" {amount.unit}"
-    return f"{plain(amount.name)} {amount.value:.3g} ± {amount.sd:.2g}{unit}"
+    deviation = f" ± {amount.sd:.2g}" if math.isfinite(amount.sd) else ""
+    return f"{plain(amount.name)} {amount.value:.3g}{deviation}{unit}"
 
 
 def percent(estimate: Estimate) -> str:
