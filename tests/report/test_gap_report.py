@@ -24,7 +24,7 @@ from wrapjax.report.gap.folder import write_gap
 from wrapjax.report.gap.muscles_section import resolved
 from wrapjax.report.gap.numbers import describe_gap, where
 from wrapjax.report.gap.page import render_gap
-from wrapjax.report.gap.shrinkage_section import MOST_RELEASED, most_released
+from wrapjax.report.gap.shrinkage_section import MOST_RELEASED, accepted_shares, most_released
 from wrapjax.report.gap.ties_section import alike_pairs
 from wrapjax.report.gap.words import findings, untested
 from wrapjax.subject import read_storage
@@ -211,7 +211,7 @@ def test_the_page_opens_offline_and_every_figure_can_be_read(ending, written, su
     assert (
         len(images)
         == len(page.all("figcaption"))
-        == {"none": 3, "unknown": 6}.get(ending, 0 if ending in SILENT else 8)
+        == {"none": 3, "unknown": 6, "tie": 7}.get(ending, 0 if ending in SILENT else 8)
     )
     for image in images:
         assert len(image["alt"]) > 20
@@ -263,6 +263,19 @@ def test_what_could_not_be_found_is_said():
     first, second = untested(others)
     assert first == "Cannot be tested with this recording: cop offset, sync lag."
     assert "joint damping" in second
+
+
+def test_effects_that_would_not_show_do_not_count_as_tested():
+    hidden = NotTestable("slow_fibers", "one of expected size would not show")
+    text = findings(replace(named(), not_testable=(hidden,)))[0]
+    assert "among the 4 effects testable with these data" in text
+
+
+def test_only_shares_of_what_is_named_add_up():
+    """Rivals that were fitted, too, explain the same error: stacked, they would explain it twice."""
+    assert accepted_shares(named()) == {ORTHOSIS: 0.4}
+    assert accepted_shares(replace(named(), named=(ORTHOSIS, CENTER))) == {ORTHOSIS: 0.4, CENTER: 0.1}
+    assert accepted_shares(ENDINGS["tie"]()) == {}
 
 
 def test_a_loud_negative_control_is_no_secret(subject):

@@ -64,6 +64,7 @@ def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
     figure, panels = panel_grid(
         speeds, columns, width=PAGE_WIDTH, panel_height=0.19 * len(names) + 0.7, sharey=True
     )
+    labels = _speeds(result, speeds)
     largest = _largest(force[seen]) or _largest(force) or 1.0
     edges = np.linspace(0.0, 100.0, force.shape[2] + 1)
     for number, panel in enumerate(panels):
@@ -89,8 +90,7 @@ def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
                     linewidth=0.0,
                 )
             )
-        label = speed_label(float(result.budget_speeds[number])) if number < len(result.budget_speeds) else ""
-        panel.set_title(label, loc="left")
+        panel.set_title(labels[number], loc="left")
         panel.set_yticks(np.arange(len(names)) + 0.5, names, parse_math=False)
         if number % columns == 0:  # the others' names are not shown
             for name, clear in zip(panel.get_yticklabels(), seen.tolist(), strict=True):
@@ -110,3 +110,10 @@ def _order(share: MuscleShare) -> Int[np.ndarray, " muscle"]:
 
 def _largest(force: Float[np.ndarray, "muscle speed phase"]) -> float:
     return float(np.abs(force).max(initial=0.0))
+
+
+def _speeds(result: GapResult, count: int) -> list[str]:
+    """Name the speeds that muscles were calibrated at; not at all if these are others."""
+    calibrated = np.array([use == "calibration" for use in result.uses], dtype=bool)
+    speeds = np.unique(result.speeds[calibrated]).tolist()  # NaNs count as one, the last
+    return [speed_label(speed) for speed in speeds] if len(speeds) == count else [""] * count

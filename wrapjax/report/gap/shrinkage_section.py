@@ -39,8 +39,9 @@ def shrinkage_section(result: GapResult) -> list[str]:
     if not result.alternatives:
         return []
     parts = []
-    if result.shares and result.explainable_share.known:
-        removed = ", ".join(f"{plain(id)} {100.0 * share:.0f} %" for id, share in result.shares.items())
+    accepted = accepted_shares(result)
+    if accepted and result.explainable_share.known:
+        removed = ", ".join(f"{plain(id)} {100.0 * share:.0f} %" for id, share in accepted.items())
         parts.append(
             markup.picture(
                 waterfall_figure(result),
@@ -88,11 +89,16 @@ def shrinkage_section(result: GapResult) -> list[str]:
     return [markup.section("How far the error shrinks", *parts)]
 
 
+def accepted_shares(result: GapResult) -> dict[str, float]:
+    """Give the shares that add up: those of what is named. Rivals explain the same error, not more of it."""
+    return {id: share for id, share in result.shares.items() if id in result.named}
+
+
 @in_style
 def waterfall_figure(result: GapResult) -> Figure:
     """Draw the whole error, what accepted effects take away, and what is left above noise."""
     explainable = 100.0 * result.explainable_share.value
-    steps = [(plain(id), explainable * share) for id, share in result.shares.items()]
+    steps = [(plain(id), explainable * share) for id, share in accepted_shares(result).items()]
     names = ["plain model", *(name for name, _ in steps), "left"]
     figure = new_figure(PAGE_WIDTH, 0.34 * len(names) + 0.8)
     panel = figure.subplots()

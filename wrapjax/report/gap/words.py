@@ -18,7 +18,9 @@ def findings(result: GapResult) -> list[str]:
 
     The first holds the outcome, and before it how much there is to explain.
     """
-    reason = [_sentence(result.reason)] if result.reason else []
+    # Of the other outcomes the reason says once more what the outcome does.
+    needed = result.reason and result.outcome in (*SILENT, "unknown")
+    reason = [_sentence(result.reason)] if needed else []
     if result.outcome in SILENT:
         return [_outcome(result), *reason]
     first = f"{_explainable(result.explainable_share)} {_outcome(result)}"
@@ -43,6 +45,12 @@ def untested(result: GapResult) -> list[str]:
             "named here."
         )
     return sentences
+
+
+def testable(result: GapResult) -> list[EffectFinding]:
+    """Give the effects that this recording could show, were they there."""
+    hidden = {one.id for one in result.not_testable}
+    return [effect for effect in result.effects if effect.id not in hidden]
 
 
 def loud_controls(result: GapResult) -> list[EffectFinding]:
@@ -86,7 +94,7 @@ def _interval(low: float, high: float) -> str:
 
 
 def _outcome(result: GapResult) -> str:
-    among = f"the {counted(len(result.effects), 'effect')} testable with these data"
+    among = f"the {counted(len(testable(result)), 'effect')} testable with these data"
     probability = {effect.id: effect.probability for effect in result.effects}
     if result.outcome == "named":
         likely = " and ".join(f"{probability.get(id, math.nan):.2f}" for id in result.named)
@@ -109,7 +117,7 @@ def _outcome(result: GapResult) -> str:
     if result.outcome == "none":
         return (
             "Nothing stands out from what such data show where nothing is amiss (probability "
-            f"{result.none_probability:.2f}); {counted(len(result.effects), 'effect')} could be tested."
+            f"{result.none_probability:.2f}); {counted(len(testable(result)), 'effect')} could be tested."
         )
     if result.outcome == "insufficient_data":
         return (
