@@ -31,7 +31,7 @@ ARROWS: dict[str, set[str]] = {
     "evaluate": set(),
     "virtual": {"errors", "files", "precision", "subject", "osim", "geometry", "muscle", "model"},
     "report": {
-        *("errors", "files", "subject", "geometry", "muscle", "model", "calibrate", "evaluate"),
+        *("errors", "files", "subject", "geometry", "muscle", "model", "calibrate", "gap", "evaluate"),
         "virtual",  # whose truth is drawn beside what calibration found
     },
     "api": {

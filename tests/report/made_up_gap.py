@@ -1,0 +1,210 @@
+"""Diagnoses made by hand, one for each way to end: errors are chosen curves, nothing is diagnosed."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from wrapjax.gap.budget import split_error
+from wrapjax.gap.effect import NotTestable
+from wrapjax.gap.result import (
+    Advice,
+    Alternative,
+    Amount,
+    Certificate,
+    EffectFinding,
+    Estimate,
+    GapResult,
+    MuscleShare,
+    Released,
+)
+
+COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
+SPEEDS = (0.5, 0.8)
+CYCLES = 3
+FRAMES = 41
+PHASE = np.linspace(0.0, 1.0, FRAMES)
+MUSCLES = ("iliacus_l", "recfem_l", "soleus_l", "gasmed_l", "perbrev_l")
+
+ORTHOSIS, CENTER = "ankle_foot_orthosis", "hip_center_offset"
+
+
+def _bump(place, width, height):
+    return height * np.exp(-(((PHASE - place) / width) ** 2))
+
+
+def _moments():
+    """Moments, N m: what the orthosis explains is at the ankle, twice as much at the faster speed."""
+    generator = np.random.default_rng(4)
+    speeds = np.repeat(SPEEDS, CYCLES)
+    shape = np.stack([_bump(0.1, 0.2, 30.0), _bump(0.2, 0.1, 25.0), -_bump(0.45, 0.15, 90.0)])
+    measured = shape[None] * (1.0 + 0.5 * (speeds[:, None, None] - 0.5))
+    measured = measured + generator.normal(scale=1.5, size=measured.shape)
+    missing = np.zeros_like(measured)
+    missing[:, 2] = np.where(speeds > 0.6, 2.0, 1.0)[:, None] * _bump(0.3, 0.12, 6.0)
+    missing[:, 1] = 2.0
+    return speeds, measured, missing
+
+
+def finding(id, probability, evidence, refitted=None, detectability=4.0, decision="possible", **others):
+    amounts = others.pop("amounts", (Amount("amount", 0.5, 0.1, "1"),))
+    return EffectFinding(id, probability, evidence, refitted, detectability, decision, amounts, **others)
+
+
+def _effects():
+    stiffness = Amount("dorsiflexion_stiffness", 1.9, 0.3, "N m/deg")
+    gains = tuple(Amount(f"gain_change_Ch{n}", 0.02 * n, 0.05, "1") for n in range(5))
+    return (
+        finding(ORTHOSIS, 0.62, 31.0, 28.5, 7.2, "supported", amounts=(stiffness,)),
+        finding(CENTER, 0.2, 27.0, 26.0, 5.1, "possible"),
+        finding("emg_drift", 0.05, 3.0, None, 2.4, "not supported", amounts=gains),
+        finding("slow_fibers", 0.03, -2.0, None, 1.1, "not detectable"),
+        finding("short_range_stiffness", 0.0, -4.0, decision="quiet", negative_control=True),
+    )
+
+
+def _alternative(ids, share, missing, plain, speed=None):
+    released = (
+        Released("soleus_l.emg_scale", 0.4, -0.1, 0.5, True),
+        Released("gasmed_l.optimal_fiber_length", 1.1, 1.4, 0.3, False),
+        Released("recfem_l.electromechanical_delay", 0.2, 0.2, 1.0, False),
+        *(Released(f"muscle{n}_l.tendon_slack_length", 0.0, 0.02 * n, 0.4, n == 3) for n in range(12)),
+    )
+    return Alternative(
+        ids=ids,
+        predicted=plain + share * missing,
+        held_out_cycles=Estimate(share, share - 0.09, share + 0.1),
+        held_out_speed=speed or Estimate(share - 0.04, share - 0.2, share + 0.12),
+        gains=(3.1, 4.0, -0.2),
+        speed_conflict=1.7,
+        released=released,
+    )
+
+
+def named() -> GapResult:
+    """An orthosis; the hip's center comes second."""
+    speeds, measured, missing = _moments()
+    plain = measured - missing - np.random.default_rng(5).normal(scale=1.0, size=measured.shape)
+    ids = (ORTHOSIS, CENTER, "emg_drift", "slow_fibers")
+    likeness = np.array(
+        [[0.0, 4.0, 60.0, 200.0], [5.0, 0.0, 40.0, 90.0], [30.0, 30.0, 0.0, 8.0], [3.0, 0.5, 12.0, 0.0]]
+    )
+    force = np.outer([80.0, -30.0, 240.0, 60.0, 10.0], _bump(0.4, 0.2, 1.0)).reshape(5, 1, FRAMES)
+    return GapResult(
+        outcome="named",
+        reason="its evidence is above the alarm level and it holds on all left-out cycles",
+        named=(ORTHOSIS,),
+        ties=(),
+        credible_set=(ORTHOSIS, CENTER),
+        effects=_effects(),
+        none_probability=0.04,
+        unknown_probability=0.06,
+        not_testable=(NotTestable("cop_offset", "there are no ground forces"),),
+        withheld=("joint_damping",),
+        coordinates=COORDINATES,
+        trials=tuple(f"walk/{number + 1:02d}" for number in range(len(speeds))),
+        uses=("calibration",) * (len(speeds) - 1) + ("validation",),
+        speeds=speeds,
+        time=np.linspace(np.arange(len(speeds)), np.arange(len(speeds)) + 0.9, FRAMES, axis=1),
+        measured=measured,
+        plain=plain,
+        budget=split_error(measured - plain, (speeds > 0.6).astype(int)),
+        budget_speeds=np.array(SPEEDS),
+        explainable_share=Estimate(0.61, 0.52, 0.7),
+        alternatives=(
+            _alternative((ORTHOSIS,), 0.48, missing, plain),
+            _alternative((CENTER,), 0.41, missing, plain, Estimate.unknown("only one speed was kept for it")),
+        ),
+        shares={ORTHOSIS: 0.4, CENTER: 0.1},
+        likeness=(ids, likeness),
+        muscles=MuscleShare(MUSCLES, np.repeat(force, 2, axis=1), np.array([0.9, 0.6, 0.95, 0.4, 0.1])),
+        alarm=12.4,
+        global_p=0.004,
+        advice=(Advice((ORTHOSIS, CENTER), "walk once without the orthosis", 3, 2),),
+        certificate=Certificate(
+            problems=(),
+            costs=(16.97, 16.99, 17.4),
+            spread=0.0012,
+            decrement=1e-5,
+            conflicts={"by_speed": {"emg_scale": 0.7}, "by_half": {"emg_scale": 0.4, "fiber_length": 1.2}},
+        ),
+        seconds={"calibrate": 41.0, "score": 2.0, "refit": 95.5},
+    )
+
+
+def tie() -> GapResult:
+    """The orthosis and the hip's center, which this recording cannot tell apart."""
+    return replace(named(), outcome="tie", named=(), ties=((ORTHOSIS, CENTER),), reason="")
+
+
+def unknown() -> GapResult:
+    """Something is wrong that no effect explains; the best of them was fitted all the same."""
+    quiet = tuple(replace(effect, probability=0.02, evidence=1.0) for effect in _effects())
+    return replace(
+        named(),
+        outcome="unknown",
+        reason="no effect's evidence is above the alarm level, and most of the explainable error stays",
+        named=(),
+        credible_set=("none_of_these",),
+        effects=quiet,
+        none_probability=0.05,
+        unknown_probability=0.85,
+        alternatives=named().alternatives[:1],
+        shares={},
+        advice=(),
+        muscles=None,
+    )
+
+
+def none() -> GapResult:
+    """Nothing amiss, so nothing was fitted."""
+    return replace(
+        unknown(),
+        outcome="none",
+        reason="no effect's evidence is above the alarm level",
+        none_probability=0.85,
+        unknown_probability=0.05,
+        alternatives=(),
+        explainable_share=Estimate(0.02, -0.06, 0.11),
+        global_p=0.6,
+    )
+
+
+def insufficient_data() -> GapResult:
+    """Too few cycles for anything."""
+    return replace(
+        named(),
+        outcome="insufficient_data",
+        reason="two calibration cycles at 0.8 m/s, where three are the fewest",
+        named=(),
+        credible_set=(),
+        effects=(),
+        none_probability=0.0,
+        unknown_probability=1.0,
+        plain=np.full_like(named().plain, np.nan),
+        budget=None,
+        budget_speeds=np.zeros(0),
+        explainable_share=Estimate.unknown("too few cycles"),
+        alternatives=(),
+        shares={},
+        likeness=((), np.zeros((0, 0))),
+        muscles=None,
+        alarm=np.nan,
+        global_p=np.nan,
+        advice=(),
+        seconds={},
+    )
+
+
+def not_converged() -> GapResult:
+    """Starts that end apart."""
+    return replace(
+        insufficient_data(),
+        outcome="not_converged",
+        reason="the two best starts end 8 % apart",
+        plain=named().plain,
+        certificate=Certificate(("The two best starts end 8 % apart.",), (15.0, 16.2), 0.08, 0.3),
+    )
+
+
+#: What makes each, by its outcome.
+ENDINGS = {make.__name__: make for make in (named, tie, unknown, none, insufficient_data, not_converged)}

@@ -1,0 +1,159 @@
+"""Which effect explains the error best: what each would do to the moments, and the evidence for it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.gap.result import EffectFinding, GapResult
+from wrapjax.report import markup
+from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.gap.errors import at_speed, speed_label
+from wrapjax.report.gap.words import amounts_in_words, loud_controls, words
+from wrapjax.report.style import (
+    BAND_ALPHA,
+    BLACK,
+    BLUE,
+    GREEN,
+    LIGHT_GRAY,
+    VERMILION,
+    Figure,
+    in_style,
+    panel_grid,
+)
+from wrapjax.report.wording import counted, decimals, plain
+
+#: As many fitted effects are drawn, the most probable ones, in these colors.
+DRAWN_COLORS = (BLUE, VERMILION, GREEN)
+_MOST_OPEN = 10
+_DASH = "\N{EN DASH}"
+_HEADER = (
+    *("effect", "probability", "evidence (nats)", "refitted (nats)"),
+    *("detectability (sd)", "amounts", "what to make of it"),
+)
+
+
+def signature_section(result: GapResult) -> list[str]:
+    """Write the part of the report on what fitted effects add; nothing where none was fitted."""
+    drawn = result.alternatives[: len(DRAWN_COLORS)]
+    if not drawn:
+        return []
+    names = "; ".join(words(one.ids) for one in drawn)
+    return [
+        markup.section(
+            "What the model lacks, and what effects add",
+            markup.picture(
+                signature_figure(result),
+                alternative=f"Mean moment error over the gait cycle beside what these add: {names}.",
+                caption="Black: measured less predicted moment in N m, mean over cycles that the plain model "
+                "was not fitted to, with a 95 % interval of that mean (Student's t). Colors: what the model "
+                "with an effect predicts beyond the plain one. An effect that explains the error follows the "
+                "black line, at every coordinate and at every speed; where the band holds zero there is "
+                "nothing to explain. Scales differ between coordinates.",
+            ),
+        )
+    ]
+
+
+@in_style
+def signature_figure(result: GapResult) -> Figure:
+    """Draw the mean residual and what fitted effects add, one row a coordinate, one column a speed."""
+    speeds = np.unique(result.speeds).tolist()  # NaNs count as one, the last
+    count = len(speeds) * len(result.coordinates)
+    figure, panels = panel_grid(
+        count, len(speeds), width=PAGE_WIDTH, panel_height=1.6, sharex=True, sharey="row"
+    )
+    percent = np.linspace(0.0, 100.0, result.time.shape[1])
+    for number, panel in enumerate(panels):
+        row, column = divmod(number, len(speeds))
+        keep = at_speed(result.speeds, speeds[column])
+        residual = (result.measured - result.plain)[keep, row]
+        mean, half = residual.mean(axis=0), half_interval(residual)
+        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+        panel.fill_between(percent, mean - half, mean + half, color=BLACK, alpha=BAND_ALPHA, linewidth=0)
+        panel.plot(percent, mean, color=BLACK, label="measured less plain model")
+        for alternative, color in zip(result.alternatives, DRAWN_COLORS, strict=False):
+            added = (alternative.predicted - result.plain)[keep, row].mean(axis=0)
+            panel.plot(percent, added, color=color, label=words(alternative.ids))
+        if row == 0:
+            title = f"{speed_label(speeds[column])} ({counted(int(keep.sum()), 'cycle')})"
+            panel.set_title(title, loc="left", fontweight="bold")
+        if column == 0:
+            panel.set_ylabel(f"{result.coordinates[row]}\n(N m)", parse_math=False)
+        if number >= count - len(speeds):
+            panel.set_xlabel("gait cycle (%)")
+        mark_gait_cycle(panel, step=20)
+    labels = panels[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside upper left", ncols=len(labels[1]))
+    return figure
+
+
+def half_interval(curves: Float[np.ndarray, "cycle frame"]) -> Float[np.ndarray, " frame"]:
+    """Give half the 95 % interval of a mean over cycles, point by point; NaN of a single cycle."""
+    from scipy.special import stdtrit
+
+    count = len(curves)
+    if count < 2:
+        return np.full(curves.shape[1], np.nan)
+    return stdtrit(count - 1, 0.975) * curves.std(axis=0, ddof=1) / math.sqrt(count)
+
+
+def evidence_section(result: GapResult) -> list[str]:
+    """Write the part of the report on the evidence; nothing where no effect was scored."""
+    if not result.effects:
+        return []
+    lines = [_line(effect) for effect in result.effects]
+    rest = [
+        ("nothing amiss", decimals(result.none_probability), *[_DASH] * 5),
+        ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 5),
+    ]
+    alarm = (
+        f" Data without any effect exceed {result.alarm:.1f} nats in few cases (alarm level)."
+        if math.isfinite(result.alarm)
+        else ""
+    )
+    caption = (
+        "All effects that these data can test, the most probable first; probabilities of all rows sum to "
+        "one. Evidence: natural logarithm of how much likelier the error is with the effect than without (3: "
+        "20 times as likely), above zero speaks for it; refitted: after fitting it together with all that is "
+        f"calibrated.{alarm} Detectability: in standard deviations, of an effect of expected size; below 2 "
+        "this recording could not show it. Amounts: most plausible value ± standard deviation. Names in "
+        "files have underscores for blanks; the last two are none and unknown there."
+    )
+    parts = [markup.table(_HEADER, lines[:_MOST_OPEN] + rest, caption=caption)]
+    if hidden := lines[_MOST_OPEN:]:
+        table = markup.table(_HEADER, hidden, caption="The same of the others.")
+        parts.append(markup.folded(f"{counted(len(hidden), 'less probable effect')}", table))
+    return [markup.section("Evidence for each effect", *_controls(result), *parts)]
+
+
+def _controls(result: GapResult) -> list[str]:
+    controls = [effect for effect in result.effects if effect.negative_control]
+    if not controls:
+        return []
+    loud = loud_controls(result)
+    names = ", ".join(plain(effect.id) for effect in (loud or controls))
+    return [
+        markup.paragraph(
+            f"Negative controls, which must stay quiet in such a recording, did not: {names}."
+            if loud
+            else f"Negative controls ({names}) stay quiet, as they must in such a recording."
+        )
+    ]
+
+
+def _line(effect: EffectFinding) -> tuple[str, ...]:
+    mark = " (negative control)" if effect.negative_control else ""
+    return (
+        plain(effect.id) + mark,
+        decimals(effect.probability),
+        *map(_one_decimal, (effect.evidence, effect.refitted, effect.detectability)),
+        amounts_in_words(effect.amounts),
+        effect.decision,
+    )
+
+
+def _one_decimal(value: float | None) -> str:
+    return _DASH if value is None or not math.isfinite(value) else f"{value:.1f}"

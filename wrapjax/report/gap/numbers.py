@@ -1,0 +1,187 @@
+"""A diagnosis in numbers: the content of ``gap.json``, and its moments as OpenSim tables."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.gap.budget import BIN_PERCENT, Budget
+from wrapjax.gap.result import Alternative, Certificate, EffectFinding, Estimate, GapResult
+from wrapjax.report.gap.errors import (
+    HELD_OUT,
+    best,
+    leading,
+    mean_absolute_errors,
+    shrinkage,
+    why_no_shrinkage,
+)
+from wrapjax.report.summary import file_stems
+from wrapjax.subject import Storage, Subject
+
+#: Version of the layout of ``gap.json``.
+SCHEMA = 1
+
+
+def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
+    """Describe a diagnosis as plain numbers and words.
+
+    Returns
+    -------
+    dict
+        The contract's keys; NaN stands for what is written as null. Of ``effects`` the last two are
+        ``none`` and ``unknown``, so that probabilities sum to one. Beyond the contract: why things are
+        null (``reason``), what was left out on request, parts of the error by coordinate in (N m)^2, all
+        effects that were fitted, and how far the plain model can be trusted.
+    """
+    files = file_stems(result.trials)
+    return {
+        "schema": SCHEMA,
+        "subject": subject.name,
+        "outcome": result.outcome,
+        "reason": result.reason,
+        "named": result.named,
+        "ties": result.ties,
+        "credible_set": result.credible_set,
+        "effects": [
+            *map(_effect, result.effects),
+            {"id": "none", "probability": result.none_probability},
+            {"id": "unknown", "probability": result.unknown_probability},
+        ],
+        "where": where(result),
+        "explainable_share": _estimate(result.explainable_share),
+        "shrinkage": _shrinkage(result),
+        "mae_Nm": mean_absolute_errors(result),
+        "not_testable": [asdict(one) for one in result.not_testable],
+        "advice": [asdict(one) for one in result.advice],
+        "withheld": result.withheld,
+        "trials": {
+            name: {"use": use, "speed_m_s": float(speed), "file": files[name]}
+            for name, use, speed in zip(result.trials, result.uses, result.speeds, strict=True)
+        },
+        "budget_Nm2": None if result.budget is None else _budget(result, result.budget),
+        "alternatives": [_alternative(one) for one in result.alternatives],
+        "shares": result.shares,
+        "alarm_nats": result.alarm,
+        "global_p": result.global_p,
+        "certificate": _certificate(result.certificate),
+        "seconds": result.seconds,
+    }
+
+
+def where(result: GapResult) -> list[dict[str, Any]]:
+    """List every coordinate, bin and speed with its error in N m, the largest explainable part first.
+
+    Parts may be negative by chance: shares of the gap then are, too, as they have to sum to one, and the
+    root mean square is zero. There are no shares where there is nothing to explain.
+    """
+    budget = result.budget
+    if budget is None:
+        return []
+    whole = float(budget.explainable.sum())
+    shares = budget.explainable / whole if whole > 0.0 else np.full_like(budget.explainable, np.nan)
+    rms, explainable_rms = root(budget.total), root(budget.explainable)
+    rows = []
+    for place in np.argsort(-budget.explainable, axis=None, kind="stable"):
+        speed, coordinate, number = np.unravel_index(place, shares.shape)
+        rows.append(
+            {
+                "coordinate": result.coordinates[coordinate],
+                "phase_percent": [int(number) * BIN_PERCENT, (int(number) + 1) * BIN_PERCENT],
+                "speed_m_s": float(result.budget_speeds[speed]),
+                "rms_Nm": float(rms.flat[place]),
+                "explainable_rms_Nm": float(explainable_rms.flat[place]),
+                "share_of_gap": float(shares.flat[place]),
+            }
+        )
+    return rows
+
+
+def root(mean_squares: Float[np.ndarray, "*axes"]) -> Float[np.ndarray, "*axes"]:
+    """Take roots of mean squares; of those below zero, which only chance makes, zero."""
+    return np.sqrt(np.maximum(mean_squares, 0.0))
+
+
+def moment_table(result: GapResult, cycle: int) -> Storage:
+    """Give one cycle's moments in N m: ``<coordinate>_moment`` as measured, ``_before`` and ``_after``.
+
+    What was not predicted (nothing was fitted, or not to this cycle) has no column: tables that OpenSim
+    reads hold finite numbers.
+    """
+    after = best(result)
+    curves = {"": result.measured, "_before": result.plain}
+    if after is not None:
+        curves["_after"] = after.predicted
+    kept = {suffix: own[cycle] for suffix, own in curves.items() if np.isfinite(own[cycle]).all()}
+    columns = tuple(f"{name}_moment{suffix}" for suffix in kept for name in result.coordinates)
+    values = np.concatenate(list(kept.values())) if kept else np.zeros((0, result.time.shape[1]))
+    return Storage(f"joint moments (N m) of {result.trials[cycle]}", columns, result.time[cycle], values.T)
+
+
+def _effect(finding: EffectFinding) -> dict[str, Any]:
+    return {
+        "id": finding.id,
+        "probability": finding.probability,
+        "evidence_nats": finding.evidence,
+        "refitted_nats": finding.refitted,
+        "detectability": finding.detectability,
+        "decision": finding.decision,
+        "negative_control": finding.negative_control,
+        "parameters": [asdict(amount) for amount in finding.amounts],
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    known = estimate.known
+    return {
+        "estimate": estimate.value if known else None,
+        "ci95": [estimate.low, estimate.high] if known else None,
+        "reason": estimate.reason or None,
+    }
+
+
+def _shrinkage(result: GapResult) -> dict[str, Any]:
+    """Give the shrinkage of what the outcome speaks of; of a tie, the range over its members."""
+    told: dict[str, Any] = {"of": [one.ids for one in leading(result)]}
+    for which in HELD_OUT:
+        known, reason = shrinkage(result, which), why_no_shrinkage(result, which)
+        if not known:
+            told[which] = _estimate(Estimate.unknown(reason))
+        elif result.outcome == "tie":
+            values = [one.value for one in known]
+            told[which] = {
+                "estimate": [min(values), max(values)],
+                "ci95": [min(one.low for one in known), max(one.high for one in known)],
+                "reason": None,
+            }
+        else:
+            told[which] = _estimate(known[0])
+    # Null where there is no other speed to test on; why is beside it.
+    told["held_out_speed_reason"] = why_no_shrinkage(result, "held_out_speed") or None
+    if told["held_out_speed_reason"] is not None:
+        told["held_out_speed"] = None
+    return told
+
+
+def _budget(result: GapResult, budget: Budget) -> dict[str, dict[str, float]]:
+    pooled = budget.pooled()
+    return {
+        name: {part: float(values[row]) for part, values in pooled.items()}
+        for row, name in enumerate(result.coordinates)
+    }
+
+
+def _alternative(alternative: Alternative) -> dict[str, Any]:
+    return {
+        "ids": alternative.ids,
+        **{which: _estimate(getattr(alternative, which)) for which in HELD_OUT},
+        "gains_nats": alternative.gains,
+        "speed_conflict": alternative.speed_conflict,
+        "released": [asdict(one) for one in alternative.released],
+    }
+
+
+def _certificate(certificate: Certificate) -> dict[str, Any]:
+    return {"holds": certificate.holds, **asdict(certificate)}
