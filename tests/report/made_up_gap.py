@@ -102,6 +102,7 @@ def named() -> GapResult:
         withheld=("joint_damping",),
         coordinates=COORDINATES,
         trials=tuple(f"walk/{number + 1:02d}" for number in range(len(speeds))),
+        recordings=("walk",) * len(speeds),
         uses=("calibration",) * (len(speeds) - 1) + ("validation",),
         speeds=speeds,
         time=np.linspace(np.arange(len(speeds)), np.arange(len(speeds)) + 0.9, FRAMES, axis=1),

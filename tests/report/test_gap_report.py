@@ -22,7 +22,7 @@ from wrapjax.report.gap.effects_section import half_interval
 from wrapjax.report.gap.errors import mean_absolute_errors
 from wrapjax.report.gap.folder import write_gap
 from wrapjax.report.gap.muscles_section import resolved
-from wrapjax.report.gap.numbers import describe_gap, where
+from wrapjax.report.gap.numbers import describe_gap, moment_table, where
 from wrapjax.report.gap.page import render_gap
 from wrapjax.report.gap.shrinkage_section import MOST_RELEASED, accepted_shares, most_released
 from wrapjax.report.gap.ties_section import alike_pairs
@@ -70,8 +70,7 @@ def test_there_is_a_made_up_diagnosis_for_each_way_to_end():
 @pytest.mark.parametrize("ending", OUTCOMES)
 def test_the_folder_holds_what_was_promised_and_nothing_else(ending, written, subject):
     folder = written(ending, subject)
-    moments = [f"moments/walk_{number:02d}.sto" for number in range(1, 7)]
-    assert _files(folder) == sorted(["gap.json", "report.html", *moments])
+    assert _files(folder) == ["gap.json", "moments/walk.sto", "report.html"]
 
 
 @pytest.mark.parametrize("ending", OUTCOMES)
@@ -102,7 +101,7 @@ def test_what_a_named_effect_says(written, subject):
     assert content["not_testable"] == [{"id": "cop_offset", "reason": "there are no ground forces"}]
     assert content["advice"][0].items() >= {"splits": [ORTHOSIS, CENTER], "minutes": 3}.items()
     assert content["withheld"] == ["joint_damping"] and content["alarm_nats"] == 12.4
-    assert content["trials"]["walk/01"] == {"use": "calibration", "speed_m_s": 0.5, "file": "walk_01"}
+    assert content["trials"]["walk/01"] == {"use": "calibration", "speed_m_s": 0.5, "file": "walk"}
 
 
 def test_a_ties_shrinkage_is_the_range_over_its_members(subject):
@@ -179,15 +178,20 @@ def test_errors_before_after_and_of_noise_alone():
 
 
 def test_moments_read_back_as_they_were(written, subject):
+    """Of all cycles of a recording, one after the other; where they meet, one frame."""
     result = named()
+    table = read_storage(written("named", subject) / "moments" / "walk.sto")
+    assert table.columns == tuple(
+        f"{name}_moment{suffix}" for suffix in ("", "_before", "_after") for name in COORDINATES
+    )
+    assert (np.diff(table.time) > 0.0).all()
     for cycle in range(6):
-        table = read_storage(written("named", subject) / "moments" / f"walk_{cycle + 1:02d}.sto")
-        assert table.columns == tuple(
-            f"{name}_moment{suffix}" for suffix in ("", "_before", "_after") for name in COORDINATES
-        )
-        np.testing.assert_array_equal(table.time, result.time[cycle])
+        rows = np.searchsorted(table.time, result.time[cycle])
+        np.testing.assert_array_equal(table.time[rows], result.time[cycle])
         expected = [result.measured[cycle], result.plain[cycle], result.alternatives[0].predicted[cycle]]
-        np.testing.assert_array_equal(table.values.T, np.concatenate(expected))
+        np.testing.assert_array_equal(table.values[rows].T, np.concatenate(expected))
+    joined = replace(result, time=np.linspace(np.arange(6.0), np.arange(6.0) + 1.0, 41, axis=1))
+    assert len(moment_table(joined, "walk").time) == 6 * 40 + 1
 
 
 @pytest.mark.parametrize(
@@ -195,7 +199,7 @@ def test_moments_read_back_as_they_were(written, subject):
     [("none", {"", "_before"}), ("not_converged", {"", "_before"}), ("insufficient_data", {""})],
 )
 def test_what_was_not_predicted_has_no_column(ending, suffixes, written, subject):
-    table = read_storage(written(ending, subject) / "moments" / "walk_01.sto")
+    table = read_storage(written(ending, subject) / "moments" / "walk.sto")
     assert set(table.columns) == {f"{name}_moment{suffix}" for name in COORDINATES for suffix in suffixes}
 
 

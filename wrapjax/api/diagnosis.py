@@ -160,6 +160,7 @@ def _investigation(
         context=context,
         entries=catalogue(context, without),
         withheld=without,
+        recordings=trials.recordings,
         uses=trials.uses,
         time=trials.time,
         measured=trials.moments,

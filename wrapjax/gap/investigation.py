@@ -50,8 +50,8 @@ class Investigation:
         The catalogue for this subject.
     withheld
         Ids that were left out of it.
-    uses, time
-        Of all cycles.
+    recordings, uses, time
+        Of all cycles; the first names the recording that each is from.
     measured
         Their moments, N m.
     inputs
@@ -65,6 +65,7 @@ class Investigation:
     context: Context
     entries: Sequence[Effect | NotTestable]
     withheld: tuple[str, ...]
+    recordings: tuple[str, ...]
     uses: tuple[str, ...]
     time: Float[np.ndarray, "cycle frame"]
     measured: Float[np.ndarray, "cycle coordinate frame"]

@@ -237,8 +237,9 @@ class GapResult:
         Of nothing amiss, and of something that is not in the catalogue.
     not_testable, withheld
         Effects that this recording cannot show, and those left out of the catalogue on request.
-    coordinates, trials, uses, speeds, time
-        Names, and what each cycle was for; m/s (NaN: unknown); s.
+    coordinates, trials, recordings, uses, speeds, time
+        Names of coordinates and cycles, the recording each cycle is from, and what it was for; m/s (NaN:
+        unknown); s.
     measured, plain
         Joint moments, N m, and what the plain model says of each cycle from fits that have not seen it.
     budget, budget_speeds
@@ -276,6 +277,7 @@ class GapResult:
     withheld: tuple[str, ...]
     coordinates: tuple[str, ...]
     trials: tuple[str, ...]
+    recordings: tuple[str, ...]
     uses: tuple[str, ...]
     speeds: Float[np.ndarray, " cycle"]
     time: Float[np.ndarray, "cycle frame"]

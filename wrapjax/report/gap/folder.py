@@ -13,7 +13,7 @@ from wrapjax.subject import Subject, write_storage
 
 
 def write_gap(subject: Subject, result: GapResult, folder: Path, *, force: bool = False) -> None:
-    """Write ``gap.json``, the moments of every cycle and ``report.html``.
+    """Write ``gap.json``, the moments of every recording and ``report.html``.
 
     Parameters
     ----------
@@ -31,6 +31,6 @@ def write_gap(subject: Subject, result: GapResult, folder: Path, *, force: bool 
     """
     with new_folder(folder, force=force) as gap:
         write_json(gap / "gap.json", describe_gap(subject, result))
-        for cycle, stem in enumerate(file_stems(result.trials).values()):
-            write_storage(gap / "moments" / f"{stem}.sto", moment_table(result, cycle))
+        for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
+            write_storage(gap / "moments" / f"{stem}.sto", moment_table(result, recording))
         write_text(gap / "report.html", render_gap(subject, result))

@@ -24,6 +24,9 @@ from wrapjax.subject import Storage, Subject
 #: Version of the layout of ``gap.json``.
 SCHEMA = 1
 
+# Frames closer in time than this (s) are one: times in files have so many digits.
+_SAME_TIME = 1e-6
+
 
 def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
     """Describe a diagnosis as plain numbers and words.
@@ -36,7 +39,7 @@ def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
         null (``reason``), what was left out on request, parts of the error by coordinate in (N m)^2, all
         effects that were fitted, and how far the plain model can be trusted.
     """
-    files = file_stems(result.trials)
+    files = file_stems(tuple(dict.fromkeys(result.recordings)))
     return {
         "schema": SCHEMA,
         "subject": subject.name,
@@ -58,8 +61,10 @@ def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
         "advice": [asdict(one) for one in result.advice],
         "withheld": result.withheld,
         "trials": {
-            name: {"use": use, "speed_m_s": float(speed), "file": files[name]}
-            for name, use, speed in zip(result.trials, result.uses, result.speeds, strict=True)
+            name: {"use": use, "speed_m_s": float(speed), "file": files[recording]}
+            for name, recording, use, speed in zip(
+                result.trials, result.recordings, result.uses, result.speeds, strict=True
+            )
         },
         "budget_Nm2": None if result.budget is None else _budget(result, result.budget),
         "alternatives": [_alternative(one) for one in result.alternatives],
@@ -104,20 +109,27 @@ def root(mean_squares: Float[np.ndarray, "*axes"]) -> Float[np.ndarray, "*axes"]
     return np.sqrt(np.maximum(mean_squares, 0.0))
 
 
-def moment_table(result: GapResult, cycle: int) -> Storage:
-    """Give one cycle's moments in N m: ``<coordinate>_moment`` as measured, ``_before`` and ``_after``.
+def moment_table(result: GapResult, recording: str) -> Storage:
+    """Give the moments of a recording's cycles in N m.
 
-    What was not predicted (nothing was fitted, or not to this cycle) has no column: tables that OpenSim
-    reads hold finite numbers.
+    ``<coordinate>_moment`` as measured, ``_before`` and ``_after``. What was not predicted (nothing was
+    fitted, or not to these cycles) has no column: tables that OpenSim reads hold finite numbers. Where one
+    cycle begins as another ends, that frame is the earlier one's.
     """
+    cycles = [number for number, name in enumerate(result.recordings) if name == recording]
+    cycles.sort(key=lambda number: float(result.time[number, 0]))
     after = best(result)
     curves = {"": result.measured, "_before": result.plain}
     if after is not None:
         curves["_after"] = after.predicted
-    kept = {suffix: own[cycle] for suffix, own in curves.items() if np.isfinite(own[cycle]).all()}
+    kept = {suffix: own for suffix, own in curves.items() if np.isfinite(own[cycles]).all()}
     columns = tuple(f"{name}_moment{suffix}" for suffix in kept for name in result.coordinates)
-    values = np.concatenate(list(kept.values())) if kept else np.zeros((0, result.time.shape[1]))
-    return Storage(f"joint moments (N m) of {result.trials[cycle]}", columns, result.time[cycle], values.T)
+    time = np.concatenate(result.time[cycles])
+    joined = [np.concatenate(list(own[cycles]), axis=-1) for own in kept.values()]
+    values = np.concatenate(joined) if joined else np.zeros((0, len(time)))
+    ahead = np.maximum.accumulate(np.append(-np.inf, time[:-1]))
+    forward = time > ahead + _SAME_TIME
+    return Storage(f"joint moments (N m) of {recording}", columns, time[forward], values.T[forward])
 
 
 def _effect(finding: EffectFinding) -> dict[str, Any]:
