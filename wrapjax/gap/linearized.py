@@ -105,7 +105,7 @@ def linear_gap(
         return np.asarray(values)[..., frames]
 
     states = muscle_states(curves, parameters, recording)
-    by_variable = at_phases(_moment_slopes(problem, variables, recording))
+    by_variable = moment_slopes(problem, variables, recording, frames)
     spread, away = expectations(problem, variables)
     fitted = at_phases(measured - np.asarray(states.moment.sum(axis=0)))
     candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
@@ -177,10 +177,13 @@ def speed_numbers(speeds: Float[np.ndarray, " cycle"]) -> Int[np.ndarray, " cycl
     return np.where(np.isfinite(speeds), np.searchsorted(known, speeds), len(known)).astype(int)
 
 
-def _moment_slopes(
-    problem: Objective, variables: Float[Array, " variable"], recording: Recording
-) -> Float[Array, "variable trial coordinate frame"]:
-    """Differentiate predicted moments by the variables, muscle by muscle, over this recording."""
+def moment_slopes(
+    problem: Objective,
+    variables: Float[Array, " variable"],
+    recording: Recording,
+    frames: Int[np.ndarray, " phase"],
+) -> Float[np.ndarray, "variable cycle coordinate phase"]:
+    """Differentiate predicted moments by the variables, muscle by muscle, over this recording (N m)."""
     shape = recording.path.nominal.moment_arm.shape[1:]
     own = Objective(
         curves=problem.curves,
@@ -192,7 +195,7 @@ def _moment_slopes(
         # Rows are then moments in N m.
         moment_error=np.array(1.0 / np.sqrt(np.prod(shape))),
     )
-    return jax.jit(Objective.moment_jacobian)(own, variables).T.reshape(-1, *shape)
+    return np.asarray(jax.jit(Objective.moment_jacobian)(own, variables)).T.reshape(-1, *shape)[..., frames]
 
 
 def _candidate(

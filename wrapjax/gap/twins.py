@@ -18,15 +18,15 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from wrapjax.calibrate import Objective
 from wrapjax.gap.cycle_noise import CycleNoise
-from wrapjax.gap.linearized import EMG_ERROR, EMG_WIDTH, LinearGap, phase_frames
+from wrapjax.gap.linearized import EMG_ERROR, EMG_WIDTH, LinearGap, moment_slopes, phase_frames
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, Recording, joint_moments
 from wrapjax.muscle import AbstractCurves, EmgSpline
 
 #: How far moment arms are off, as a share of themselves, and parameters, in prior standard deviations.
 ARM_ERROR, PARAMETER_ERROR = 0.08, 0.3
-# Rounds of calibrating a twin again.
-_ROUNDS = 3
+# Steps of calibrating a twin again, each with slopes of its own, and how many lengths of each are tried.
+_ROUNDS, _TRIES = 5, 4
 
 
 class TwinCurves(AbstractCurves):
@@ -115,33 +115,57 @@ def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndar
     seed
         Equal seeds give equal twins.
     """
-    problem, recording, gap = world.problem, world.recording, world.gap
-    layout = problem.variables
+    recording, gap, layout = world.recording, world.gap, world.problem.variables
     _, cycles, coordinates, phases = gap.slopes.shape
     frames = phase_frames(recording.path.nominal.length.shape[-1])
     noise = np.linalg.cholesky(world.noise.block(phases) + 1e-9 * np.eye(coordinates * phases))
-    slopes = gap.slopes.reshape(len(gap.slopes), -1)
-    expected = world.variables - gap.away
-    # A ridge's step: moments as exact as the fit left them, parameters as free as they were.
-    prior = np.mean(gap.fitted**2) * np.linalg.inv(gap.spread @ gap.spread.T)
-    inverse = np.linalg.inv(slopes @ slopes.T + prior)
     residuals: list[np.ndarray] = []
-    for key in jax.random.split(jax.random.key(seed), count):
+    for number, key in enumerate(jax.random.split(jax.random.key(seed), count)):
         own = jax.random.split(key, 2)
         shift = PARAMETER_ERROR * gap.spread @ np.asarray(jax.random.normal(own[0], gap.away.shape))
         truth = np.clip(world.variables + shift, layout.lower, layout.upper)
         lived = _twin_moments(layout.unpack(jnp.asarray(truth)), recording, own[1])
-        draws = np.random.default_rng([seed, len(residuals)]).normal(size=(cycles, coordinates * phases))
+        draws = np.random.default_rng([seed, number]).normal(size=(cycles, coordinates * phases))
         measured = np.asarray(lived)[..., frames].reshape(cycles, -1) + draws @ noise.T
-        at = np.array(world.variables)
-        for _ in range(_ROUNDS):
-            predicted = np.asarray(_moments(problem, jnp.asarray(at), recording))[..., frames].ravel()
-            left = measured.ravel() - predicted
-            step = inverse @ (slopes @ left - prior @ (at - expected))
-            at = np.clip(at + step, layout.lower, layout.upper)
-        predicted = np.asarray(_moments(problem, jnp.asarray(at), recording))[..., frames].ravel()
-        residuals.append(measured.ravel() - predicted + (at - expected) @ slopes)
+        residuals.append(_expected_residual(world, measured.ravel(), frames))
     return np.array(residuals)
+
+
+def _expected_residual(
+    world: TwinWorld, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
+) -> Float[np.ndarray, " row"]:
+    """Calibrate by damped Gauss-Newton steps, and take what is left to where parameters are expected."""
+    problem, gap = world.problem, world.gap
+    lower, upper = np.asarray(problem.lower), np.asarray(problem.upper)
+    # Moments as exact as the subject's fit left them, parameters as free as they were.
+    prior = np.mean(gap.fitted**2) * np.linalg.inv(gap.spread @ gap.spread.T)
+    expected = world.variables - gap.away
+
+    def left(at: Float[np.ndarray, " variable"]) -> Float[np.ndarray, " row"]:
+        predicted = _moments(problem, jnp.asarray(at), world.recording)
+        return measured - np.asarray(predicted)[..., frames].ravel()
+
+    def cost(at: Float[np.ndarray, " variable"], residual: Float[np.ndarray, " row"]) -> float:
+        return float(residual @ residual + (at - expected) @ prior @ (at - expected))
+
+    at = np.array(world.variables)
+    residual = left(at)
+    slopes = gap.slopes.reshape(len(gap.slopes), -1)
+    damping = 1e-2
+    for _ in range(_ROUNDS):
+        gram = slopes @ slopes.T + prior
+        downhill = slopes @ residual - prior @ (at - expected)
+        for _ in range(_TRIES):
+            step = np.linalg.solve(gram + damping * np.diag(np.diag(gram)), downhill)
+            tried = np.clip(at + step, lower, upper)
+            found = left(tried)
+            if cost(tried, found) < cost(at, residual):
+                at, residual, damping = tried, found, 0.2 * damping
+                break
+            damping *= 10.0
+        slopes = moment_slopes(problem, jnp.asarray(at), world.recording, frames).reshape(len(slopes), -1)
+    # Straight lines are the subject's: it is its score that is tried.
+    return residual + (at - expected) @ gap.slopes.reshape(len(gap.slopes), -1)
 
 
 @eqx.filter_jit
