@@ -23,7 +23,7 @@ from wrapjax.model import Recording, free_variables
 from wrapjax.subject import Subject
 
 #: No-effect twins that the alarm level is read off.
-TWINS = 200
+TWINS = 60
 
 
 @dataclass(frozen=True)

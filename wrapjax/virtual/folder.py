@@ -73,6 +73,8 @@ def settings_text(
     names: Sequence[str],
     cycles: Sequence[WalkingCycle],
     series: Sequence[Series],
+    *,
+    unheard: Sequence[str] = (),
 ) -> str:
     """Compose the settings file.
 
@@ -82,6 +84,8 @@ def settings_text(
         Of the subject; the last as a path from its folder.
     names, cycles, series
         Of the trials, which the series give their uses.
+    unheard
+        Channels that have no electrode.
     """
     uses = [
         use
@@ -106,6 +110,8 @@ def settings_text(
         "[emg.channels]",
     ]
     for electrode, channel in CHANNELS.items():
+        if electrode in unheard:
+            continue
         driven = ", ".join(f'"{on_side(muscle, side)}"' for muscle in channel.scales)
         lines.append(f"{electrode} = [{driven}]")
     for trial, cycle, use in zip(names, cycles, uses, strict=True):

@@ -24,6 +24,7 @@ from wrapjax.subject.cycles import cycle_times, padding_frames
 from wrapjax.virtual.anatomy import COORDINATES
 from wrapjax.virtual.folder import MARGIN_FRAMES, MODEL_FILE, Series, settings_text, trial_names, write_trial
 from wrapjax.virtual.gait import CHANNELS, WalkingCycle, draw_cycle
+from wrapjax.virtual.hidden_effects import HIDDEN_EFFECTS, Recorded
 from wrapjax.virtual.leg import build_leg_model
 from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import MUSCLES
@@ -48,6 +49,7 @@ def write_virtual_subject(
     moment_noise: float = 1.0,
     series: Sequence[Series] = DEFAULT_SERIES,
     wrap_spread: float = 0.0,
+    hidden_effect: str | None = None,
     force: bool = False,
 ) -> VirtualTruth:
     """Make up a person, let them walk, and write what was recorded as a subject folder.
@@ -70,6 +72,8 @@ def write_virtual_subject(
     wrap_spread
         How far the person's wrapping cylinders may be from the written model's: in 5 mm, 10 degrees and
         10 % of the radius, along every parameter.
+    hidden_effect
+        One of `HIDDEN_EFFECTS` that is at work beside muscles, and that no file tells of.
     force
         Replace a folder that exists.
 
@@ -84,7 +88,7 @@ def write_virtual_subject(
     truth = draw_truth(person)
     if wrap_spread:
         truth = replace(truth, wraps=_hidden_wraps(wraps, cycles, wrap_spread))
-    leg = _record(truth, "r", cycles, noise, emg_noise, moment_noise, series)
+    leg = _record(truth, "r", cycles, noise, emg_noise, moment_noise, series, hidden_effect)
     with new_folder(Path(folder), force=force) as temporary:
         leg.write(temporary, Path(folder).name)
     return leg.truth
@@ -149,6 +153,8 @@ class _Leg:
     emg_time: Float[np.ndarray, "trial padded_frame"]
     emg: Float[np.ndarray, "trial channel padded_frame"]
     moments: Float[np.ndarray, "trial coordinate frame"]
+    #: Channels without an electrode.
+    unheard: tuple[str, ...] = ()
 
     def write(self, folder: Path, name: str, *, other_leg: str | None = None) -> None:
         """Write all files of a subject into a folder that exists."""
@@ -157,7 +163,9 @@ class _Leg:
         rows = zip(self.cycles, self.emg_time, self.emg, self.moments, strict=True)
         for trial, row in zip(names, rows, strict=True):
             write_trial(folder / "trials" / trial, self.side, *row)
-        settings = settings_text(name, self.side, other_leg, names, self.cycles, self.series)
+        settings = settings_text(
+            name, self.side, other_leg, names, self.cycles, self.series, unheard=self.unheard
+        )
         write_text(folder / "subject.toml", settings)
         self.truth.write(folder)
 
@@ -189,6 +197,7 @@ def _record(
     emg_noise: float,
     moment_noise: float,
     series: Sequence[Series],
+    hidden_effect: str | None = None,
 ) -> _Leg:
     """Let a leg walk and record it."""
     limits = [(cycle.start, cycle.end) for cycle in cycles]
@@ -202,10 +211,17 @@ def _record(
             write_personalised_model(model_file, model_file, truth.wraps, {})
         path = walked_paths(model_file, cycles, side)
     moments = true_moments(truth, emg_time, emg, path)
+    _, angles = _walked_angles(cycles)
+    inside = np.swapaxes(angles, 1, 2)[..., MARGIN_FRAMES:-MARGIN_FRAMES]
+    speeds = np.array([cycle.speed for cycle in cycles])
+    recorded = Recorded(speeds, inside, emg_time, emg, moments)
+    if hidden_effect is not None:
+        recorded = HIDDEN_EFFECTS[hidden_effect](recorded)
+    moments, emg = recorded.moments, recorded.emg
     moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
     factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
     emg = emg * factor + _ADDITIVE_PART * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
-    return _Leg(truth, side, series, cycles, emg_time, emg, moments)
+    return _Leg(truth, side, series, cycles, emg_time, emg, moments, recorded.unheard)
 
 
 def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "r") -> PathState:
