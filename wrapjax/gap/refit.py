@@ -21,7 +21,7 @@ from wrapjax.gap.effect import Effects
 from wrapjax.gap.prediction import signatures
 
 #: Solver of every refit. Amounts and predictions are looked at to a few digits, and starts are near.
-SOLVER = ProjectedLM(gtol=1e-4, ftol=1e-6, max_iterations=60)
+SOLVER = ProjectedLM(gtol=1e-3, ftol=1e-5, max_iterations=40)
 
 
 class JointProblem(AbstractLeastSquares):

@@ -1,0 +1,102 @@
+"""Diagnose every case of a blind bank, one after the other, and keep the answers for its scorer.
+
+``python -m benchmarks.diagnosed --bank BANK --out ANSWERS`` looks at a case's folder and at nothing else.
+Cases that are answered already are not asked again, unless the case or the package is another than then: so
+it goes on where it was stopped. ``--withheld`` asks again of every case with a single cause, which it reads
+in the bank's truth, with that effect left out of the catalogue: do that after the answers are in.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import shutil
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from benchmarks.machine import pin_threads
+from benchmarks.subjects import set_up_jax
+
+#: Beside an answer: what it is an answer to.
+QUESTION = "question.json"
+
+
+def main() -> int:
+    options = _parser().parse_args()
+    cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
+    jobs = [(case, options.out / case.name, (), options.starts) for case in cases]
+    if options.withheld:
+        causes = {case.name: _causes(options.bank / "truth" / f"{case.name}.json") for case in cases}
+        jobs = [
+            (case, options.out / case.name, causes[case.name], options.starts)
+            for case in cases
+            if len(causes[case.name]) == 1
+        ]
+    options.out.mkdir(parents=True, exist_ok=True)
+    parts = [jobs[number :: options.workers] for number in range(options.workers)]
+    if options.workers == 1:
+        return _answer_all(parts[0])
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.workers, mp_context=context) as pool:
+        return max(pool.map(_answer_all, parts))
+
+
+Job = tuple[Path, Path, tuple[str, ...], int]
+
+
+def _answer_all(jobs: list[Job]) -> int:
+    """Answer in one process, so that what is compiled serves all; give 1 if any case failed."""
+    pin_threads()
+    set_up_jax()
+    failed = 0
+    for number, (case, answer, without, starts) in enumerate(jobs, 1):
+        began = time.perf_counter()
+        try:
+            said = _answer(case, answer, without, starts)
+        except Exception as error:  # One case must not cost all others.
+            said, failed = f"FAILED: {type(error).__name__}: {error}", 1
+        seconds = time.perf_counter() - began
+        print(f"{number}/{len(jobs)} {case.name}: {said} ({seconds:.0f} s)", file=sys.stderr, flush=True)
+    return failed
+
+
+def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int) -> str:
+    import wrapjax
+    from wrapjax.files import content_hash, write_json
+
+    files = sorted(path for path in case.rglob("*") if path.is_file())
+    code = sorted(Path(wrapjax.__file__).parent.rglob("*.py")) + [
+        Path(wrapjax.__file__).parent / "gap" / "calibration.json"
+    ]
+    question = {"case": content_hash(*files), "code": content_hash(*code), "without": list(without)}
+    kept = answer / QUESTION
+    if kept.exists() and json.loads(kept.read_text(encoding="utf-8")) == question:
+        return "as before"
+    subject = wrapjax.load_subject(case)
+    paths = wrapjax.fit(subject, "engine", processes=1)
+    done = wrapjax.diagnose(subject, "NGA", paths, without=without, starts=starts)
+    shutil.rmtree(answer, ignore_errors=True)
+    done.save(answer)
+    write_json(kept, question)
+    return f"{done.result.outcome} {', '.join(done.result.named or sum(done.result.ties, ()))}".strip()
+
+
+def _causes(truth: Path) -> tuple[str, ...]:
+    return tuple(cause["id"] for cause in json.loads(truth.read_text(encoding="utf-8"))["causes"])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.diagnosed", description=__doc__)
+    parser.add_argument("--bank", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--starts", type=int, default=4)
+    parser.add_argument("--withheld", action="store_true", help="leave each single cause out")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
