@@ -59,7 +59,9 @@ for part, values in found.budget.pooled().items():
 
 # %%
 for effect in found.effects[:5]:
-    print(f"{effect.id:36s} {effect.evidence:6.1f} nats  detectability {effect.detectability:5.1f}  {effect.decision}")
+    print(
+        f"{effect.id:36s} {effect.evidence:6.1f} nats  detectability {effect.detectability:5.1f}  {effect.decision}"
+    )
 
 # %% [markdown]
 # ## How far

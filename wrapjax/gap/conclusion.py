@@ -232,9 +232,11 @@ def _refit(scene: Scene, ids: tuple[str, ...]) -> _Refitted:
     """Fit effects with the same effort as the plain model, from their most plausible amounts."""
     case, scores = scene.case, scene.scores
     shapes = tuple(scores[id].variant for id in ids)
-    seen = Effects(tuple(scene.effects[id] for id in ids), shapes)
-    whole = {entry.id: entry for entry in case.entries if isinstance(entry, Effect)}
-    amounts = np.concatenate([scores[id].amounts for id in ids])
+    parts = [scores[id].part for id in ids]
+    seen = Effects(tuple(scene.effects[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
+    known = {entry.id: entry for entry in case.entries if isinstance(entry, Effect)}
+    whole = Effects(tuple(known[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
+    amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
     start = np.clip(amounts, seen.lower, seen.upper)
     plain = scene.plain.full.calibrated
     problem = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
@@ -243,7 +245,7 @@ def _refit(scene: Scene, ids: tuple[str, ...]) -> _Refitted:
         np.concatenate([plain, start / seen.prior_sd]),
         case.plan,
         case.speeds,
-        case.predict(Effects(tuple(whole[id] for id in ids), shapes)),
+        case.predict(whole),
     )
     return _Refitted(ids, seen, fit)
 
@@ -265,20 +267,19 @@ def _refitted_evidence(scene: Scene, refits: dict[str, _Refitted]) -> dict[str, 
         full, candidate = refit.fit.full, scene.candidates[id]
         moments = _moments_of(scene, refit)
         left = (case.measured[cycles] - moments)[..., frames].ravel()
-        shape = candidate.variants[scene.scores[id].variant]
+        own = list(scene.scores[id].part)
+        shape = candidate.variants[scene.scores[id].variant][own]
         residuals.append(left + (full.calibrated - expected) @ columns + full.amounts @ shape)
-        chosen.append(
-            Candidate(id, (shape,), candidate.prior_sd, candidate.one_sided),
-        )
+        chosen.append(Candidate(id, (shape,), candidate.prior_sd[own], candidate.one_sided[own]))
     found = score_each(np.array(residuals), nulls(gap, scene.sizes), chosen)
     before = logsumexp(scene.scored.plausible)
-    # Each hypothesis on its own residual; several shapes were equally plausible before.
+    # Each hypothesis on its own residual; other shapes and parts were plausible before, too.
     return {
         id: float(
             one.scores[place].evidence
             + logsumexp(one.plausible)
             - before
-            - np.log(len(scene.candidates[id].variants))
+            + scene.candidates[id].log_prior(scene.scores[id].part)
         )
         for place, (id, one) in enumerate(zip(refits, found, strict=True))
     }
@@ -298,8 +299,9 @@ def _apart(scene: Scene, ids: Sequence[str]) -> Float[np.ndarray, "effect effect
     """Say how much of each effect each other one cannot imitate, under what residuals speak for."""
     covariance = best_null(scene.gap, scene.sizes, scene.scored).covariance
     scores, candidates = scene.scores, scene.candidates
-    shapes = [candidates[id].variants[scores[id].variant] for id in ids]
-    signals = [scores[id].amounts @ shape for id, shape in zip(ids, shapes, strict=True)]
+    wholes = [candidates[id].variants[scores[id].variant] for id in ids]
+    shapes = [whole[list(scores[id].part)] for id, whole in zip(ids, wholes, strict=True)]
+    signals = [scores[id].amounts @ whole for id, whole in zip(ids, wholes, strict=True)]
     return np.asarray(likeness(signals, shapes, covariance)) if ids else np.zeros((0, 0))
 
 
@@ -361,8 +363,10 @@ def _finding(
     effect = scene.effects[score.id]
     amounts, sd = score.amounts, score.sd
     if refit is not None:
-        amounts = refit.fit.full.amounts
-        sd = np.sqrt(np.diag(amount_covariance(refit.fit.full, scene.amount_weight)))
+        own = list(score.part)
+        amounts, sd = np.zeros(len(score.amounts)), np.zeros(len(score.amounts))
+        amounts[own] = refit.fit.full.amounts
+        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit.full, scene.amount_weight)))
     return EffectFinding(
         id=score.id,
         probability=probability,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jax.tree_util import Partial
+from jaxtyping import Array, Float, Int
 
 from wrapjax.model import Alteration
 
@@ -47,6 +48,9 @@ class EffectParameter:
         Where the prior comes from, with a DOI where there is one.
     limit
         Largest amount at which the effect still makes sense.
+    part
+        Of several things of one kind (channels, muscles, joints) the one it belongs to: as a rule one of
+        them is amiss, not all. Empty where all amounts go together.
     """
 
     name: str
@@ -56,6 +60,7 @@ class EffectParameter:
     meaning: str
     source: str
     limit: float = np.inf
+    part: str = ""
 
     def __post_init__(self):
         if self.sign not in (0, 1):
@@ -90,6 +95,15 @@ def _as_they_are(amounts: Float[Array, " parameter"]) -> Float[Array, " paramete
     return amounts
 
 
+def _placed(
+    form: Form,
+    places: Int[np.ndarray, " own"],
+    nothing: Float[Array, " parameter"],
+    amounts: Float[Array, " own"],
+) -> Alteration:
+    return form(nothing.at[places].set(amounts))
+
+
 class Effect(eqx.Module):
     """A mechanism that may be missing from the model, for one subject."""
 
@@ -104,6 +118,8 @@ class Effect(eqx.Module):
     negative_control: bool = eqx.field(static=True, default=False)
     #: Allowed for in every comparison, as it passes for other effects.
     nuisance: bool = eqx.field(static=True, default=False)
+    #: Share of its prior that is in everybody, and allowed for in every comparison.
+    background: float = eqx.field(static=True, default=0.0)
     #: Names and units of what is reported in place of the parameters themselves; empty: them.
     reported: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
     #: From amounts to what is reported, in that order.
@@ -115,6 +131,26 @@ class Effect(eqx.Module):
         names = [parameter.name for parameter in self.parameters]
         if not names or not self.variants or len(set(names)) < len(names):
             raise ValueError(f"{self.id}: expected variants, and parameters with names of their own")
+
+    @property
+    def parts(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of the amounts that belong together, part by part."""
+        names = [entry.part for entry in self.parameters]
+        return tuple(
+            tuple(number for number, own in enumerate(names) if own == name) for name in dict.fromkeys(names)
+        )
+
+    def only(self, amounts: Sequence[int]) -> Effect:
+        """Keep some amounts, by their numbers; the others stay zero."""
+        chosen, count = np.asarray(amounts, dtype=int), len(self.parameters)
+        if len(chosen) == count:
+            return self
+        variants = tuple(
+            Variant(Partial(_placed, variant.form, chosen, jnp.zeros(count)), variant.label)
+            for variant in self.variants
+        )
+        parameters = tuple(self.parameters[number] for number in chosen)
+        return Effect(self.id, self.family, parameters, variants, self.negative_control)
 
     def alteration(self, amounts: Float[Array, " parameter"], variant: int = 0) -> Alteration:
         """Say what is different in the model at these amounts."""

@@ -106,7 +106,7 @@ def linear_gap(
 
     states = muscle_states(curves, parameters, recording)
     by_variable = moment_slopes(problem, variables, recording, frames)
-    spread, away = expectations(problem, variables)
+    expected, away = expectations(problem, variables)
     fitted = at_phases(measured - np.asarray(states.moment.sum(axis=0)))
     candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
     for effect in effects:
@@ -117,11 +117,16 @@ def linear_gap(
             ]
         else:
             candidates.append(own)
+            # Shapes share what everybody has.
+            spread = effect.background * own.prior_sd[:, None] / np.sqrt(len(own.variants))
+            nuisances += [
+                (variant * spread).reshape(-1, *fitted.shape) for variant in own.variants if effect.background
+            ]
     return LinearGap(
         residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,
         slopes=by_variable,
-        spread=spread,
+        spread=expected,
         away=away,
         nuisances=np.concatenate(nuisances),
         candidates=tuple(candidates),
@@ -214,6 +219,7 @@ def _candidate(
         tuple(variants),
         np.array([entry.prior_sd for entry in effect.parameters]),
         np.array([entry.sign == 1 for entry in effect.parameters]),
+        effect.parts,
     )
 
 

@@ -35,12 +35,28 @@ class Candidate:
         Of its amounts.
     one_sided
         Which of them cannot be negative.
+    parts
+        Numbers of the amounts that belong together: as a rule one part is amiss and the others are not. None
+        where all go together.
     """
 
     id: str
     variants: tuple[Signature, ...]
     prior_sd: Float[np.ndarray, " parameter"]
     one_sided: Bool[np.ndarray, " parameter"]
+    parts: tuple[tuple[int, ...], ...] = ()
+
+    @property
+    def hypotheses(self) -> tuple[tuple[tuple[int, ...], float], ...]:
+        """Which amounts are not zero, and how plausible that was: half for all, half for one part alone."""
+        everything = tuple(range(len(self.prior_sd)))
+        if len(self.parts) < 2:
+            return ((everything, 1.0),)
+        return ((everything, 0.5), *((part, 0.5 / len(self.parts)) for part in self.parts))
+
+    def log_prior(self, part: tuple[int, ...]) -> float:
+        """Logarithm of how plausible one shape with these amounts was."""
+        return float(np.log(dict(self.hypotheses)[part] / len(self.variants)))
 
 
 @dataclass(frozen=True)
@@ -53,8 +69,8 @@ class Score:
         Of the effect.
     evidence
         Logarithm of the ratio of evidences, in nats: positive for the effect.
-    variant
-        The shape that explains most.
+    variant, part
+        The shape that explains most, and the numbers of the amounts that are not zero.
     amounts, sd
         Most plausible amounts of that shape, in their units, and how well they are known.
     detectability
@@ -65,6 +81,7 @@ class Score:
     id: str
     evidence: float
     variant: int
+    part: tuple[int, ...]
     amounts: Float[np.ndarray, " parameter"]
     sd: Float[np.ndarray, " parameter"]
     detectability: float
@@ -134,20 +151,22 @@ def score_each(
     every = []
     for sample in range(len(residuals)):
         own = []
-        for place, candidate in enumerate(candidates):
-            found = [one[place] for one in by_null]
-            joint = plausible[:, sample] + [one.evidence[sample] for one in found]
+        for number, candidate in enumerate(candidates):
+            found = [own_null[number] for own_null in by_null]
+            joint = plausible[:, sample] + [one_null.evidence[sample] for one_null in found]
             chosen = found[int(np.argmax(joint))]
-            variant = int(chosen.variant[sample])
+            place = int(chosen.best[sample])
+            one = chosen.hypotheses[place]
             # Of the null that residuals speak for, whatever the effect.
             detectability = found[int(np.argmax(plausible[:, sample]))].detectability
             own.append(
                 Score(
                     candidate.id,
                     float(logsumexp(joint) - usual[sample]),
-                    variant,
-                    chosen.amounts[variant][sample],
-                    chosen.sd[variant],
+                    one.variant,
+                    one.part,
+                    one.amounts[sample],
+                    one.sd,
                     detectability,
                 )
             )
@@ -156,28 +175,51 @@ def score_each(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Hypothesis:
+    variant: int
+    part: tuple[int, ...]
     evidence: Float[np.ndarray, " sample"]
-    variant: Int[np.ndarray, " sample"]
-    #: By variant.
-    amounts: tuple[Float[np.ndarray, "sample parameter"], ...]
-    sd: tuple[Float[np.ndarray, " parameter"], ...]
+    #: Zero beside the part.
+    amounts: Float[np.ndarray, "sample parameter"]
+    sd: Float[np.ndarray, " parameter"]
     detectability: float
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class _Found:
+    hypotheses: tuple[_Hypothesis, ...]
+    evidence: Float[np.ndarray, " sample"]
+    #: Which hypothesis explains most.
+    best: Int[np.ndarray, " sample"]
+
+    @property
+    def detectability(self) -> float:
+        return max(one.detectability for one in self.hypotheses)
 
 
 def _against(factor: Matrix, seen: Float[np.ndarray, "row sample"], candidate: Candidate) -> _Found:
     """Score one candidate against one null; its variants are equally plausible before."""
-    evidence, amounts, sd, detectability = [], [], [], 0.0
-    for signature in candidate.variants:
+    tried = []
+    for variant, signature in enumerate(candidate.variants):
         white = scipy.linalg.solve_triangular(factor, signature.T, lower=True, check_finite=False)
-        found = evidence_of(seen.T @ white, white.T @ white, candidate.prior_sd, candidate.one_sided)
-        evidence.append(found[0])
-        amounts.append(found[1])
-        sd.append(found[2])
-        detectability = max(detectability, found[3])
-    stacked = np.array(evidence)
-    together = logsumexp(stacked, axis=0) - np.log(len(stacked))
-    return _Found(together, np.argmax(stacked, axis=0), tuple(amounts), tuple(sd), detectability)
+        slope, information = seen.T @ white, white.T @ white
+        for part, share in candidate.hypotheses:
+            own = np.array(part)
+            evidence, amounts, sd, detectability = evidence_of(
+                slope[:, own],
+                information[np.ix_(own, own)],
+                candidate.prior_sd[own],
+                candidate.one_sided[own],
+            )
+            placed = np.zeros((len(slope), len(candidate.prior_sd)))
+            placed[:, own] = amounts
+            spread = np.zeros(len(candidate.prior_sd))
+            spread[own] = sd
+            log_prior = np.log(share / len(candidate.variants))
+            tried.append(_Hypothesis(variant, part, evidence, placed, spread, detectability, log_prior))
+    weighed = np.array([one.evidence + one.log_prior for one in tried])
+    return _Found(tuple(tried), logsumexp(weighed, axis=0), np.argmax(weighed, axis=0))
 
 
 def evidence_of(

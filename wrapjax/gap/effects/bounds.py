@@ -39,6 +39,7 @@ def bound_pressure(context: Context) -> Effect | NotTestable:
             + ("above its upper bound" if entry.outward > 0 else "below its lower bound"),
             source="prior of the calibration",
             limit=entry.limit,
+            part=f"{entry.muscle}.{entry.parameter}",
         )
         for entry in context.at_bounds
     )

@@ -179,6 +179,7 @@ def _reflex_gain(name: str, whose: str) -> EffectParameter:
         meaning=f"excitation of {whose} at the fastest recorded stretch",
         source=_FALISSE,
         limit=2.0,
+        part=name,
     )
 
 

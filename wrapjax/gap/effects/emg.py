@@ -46,22 +46,29 @@ def emg_drift(context: Context) -> Effect | NotTestable:
         EffectParameter(
             name=f"gain_change_{channel}",
             unit="1",
-            prior_sd=0.15,
+            prior_sd=0.30,
             sign=0,
-            meaning=f"change of the gain of {channel} from the first cycle to the last",
-            source="30 % a session at most",
-            limit=1.0,
+            meaning=f"change of the recorded gain of {channel} from the first cycle to the last",
+            source="30 % a session",
+            limit=0.9,
+            part=channel,
         )
         for channel in _channels(context)
     )
-    since = jnp.asarray(context.order - context.reference.order.mean())
-    form = Partial(_drift, _channel_of(context), since)
+    whole = context.reference.order
+    form = Partial(_drift, _channel_of(context), jnp.asarray(context.order), jnp.asarray(whole.mean()))
     return Effect("emg_drift", "excitation", parameters, (Variant(form),))
 
 
-def _drift(channel_of: Int[Array, " muscle"], since: Float[Array, " trial"], amounts: Amounts) -> Alteration:
-    gain = 1.0 + amounts[channel_of][:, None] * since[None]
-    return Alteration(emg=Partial(_with_gain, gain))
+def _drift(
+    channel_of: Int[Array, " muscle"],
+    order: Float[Array, " trial"],
+    middle: Float[Array, ""],
+    amounts: Amounts,
+) -> Alteration:
+    """Undo what the recorded gain has become since the middle of the session."""
+    change = amounts[channel_of][:, None]
+    return Alteration(emg=Partial(_with_gain, (1.0 + change * middle) / (1.0 + change * order[None])))
 
 
 def _with_gain(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
@@ -79,6 +86,7 @@ def emg_offset(context: Context) -> Effect:
             meaning=f"EMG of {channel} at rest, in units of its largest",
             source="quiet phases of normalised EMG, 0 to 0.05",
             limit=0.2,
+            part=channel,
         )
         for channel in _channels(context)
     )
@@ -114,11 +122,12 @@ def emg_crosstalk(context: Context) -> Effect | NotTestable:
         EffectParameter(
             name=f"{source}_in_{into}",
             unit="1",
-            prior_sd=0.08,
+            prior_sd=0.15,
             sign=1,
             meaning=f"share of {source} that the electrode of {into} hears",
             source="0 to 0.2; Peter et al. 2019, doi:10.3389/fphys.2019.01283",
             limit=0.6,
+            part=f"{source}_in_{into}",
         )
         for into, source in pairs
     )
@@ -153,11 +162,12 @@ def posture_dependent_gain(context: Context) -> Effect:
         EffectParameter(
             name=f"gain_{channel}",
             unit="1",
-            prior_sd=0.25,
+            prior_sd=0.4,
             sign=0,
             meaning=f"change of the gain of {channel} with the sine of its joint's angle",
             source="0 to 0.5",
             limit=1.0,
+            part=channel,
         )
         for channel in _channels(context)
     )

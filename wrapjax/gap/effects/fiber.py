@@ -108,15 +108,17 @@ class OtherCurves(MuscleAlteration):
     passive_strain: Float[Array, "*muscle"]
     curvature: Float[Array, "*muscle"]
     plateau: Float[Array, "*muscle"]
+    passive_shift: Float[Array, "*muscle"]
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
-        curves = Widths(inputs.curves, self.active_width, self.passive_strain)
+        shifted = PassiveShift(inputs.curves, self.passive_shift)
+        curves = Widths(shifted, self.active_width, self.passive_strain)
         return replace(inputs, curves=Curvature(curves, self.curvature, self.plateau))
 
 
 def curve_family(context: Context) -> Effect:
-    """Allow for other Hill curves: widths and passive strains a muscle, velocity's curve in common."""
+    """Allow for other Hill curves: widths and passive strains a muscle, and all of them in common."""
     source = "spread of published curves: De Groote et al. 2016, Millard et al. 2013, Thelen 2003"
 
     def parameter(name: str, sd: float, meaning: str) -> EffectParameter:
@@ -133,6 +135,12 @@ def curve_family(context: Context) -> Effect:
     common = [
         parameter("shortening_curvature", 0.25, "the curvature of force over shortening velocity"),
         parameter("lengthening_plateau", 0.12, "what fast lengthening adds to force"),
+        # A family's curves are the same in all muscles.
+        parameter("active_width", 0.15, "the width of active force over length, of all muscles"),
+        parameter("passive_strain", 0.25, "the strain that a passive force takes, of all muscles"),
+        EffectParameter(
+            "passive_shift", "1", 0.08, 0, "optimal fiber lengths by which passive force begins early", source
+        ),
     ]
     form = Partial(_other_curves, jnp.ones(len(context.muscles)))
     return Effect(
@@ -145,10 +153,14 @@ def curve_family(context: Context) -> Effect:
 
 
 def _other_curves(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
-    count = each.size
+    widths, strains, (curvature, plateau, width, strain, shift) = (
+        amounts[: each.size],
+        amounts[each.size : 2 * each.size],
+        amounts[2 * each.size :],
+    )
     return Alteration(
         muscle=OtherCurves(
-            amounts[:count], amounts[count : 2 * count], amounts[-2] * each, amounts[-1] * each
+            widths + width * each, strains + strain * each, curvature * each, plateau * each, shift * each
         )
     )
 
@@ -290,6 +302,7 @@ def contracture(context: Context) -> Effect | NotTestable:
             meaning=f"optimal fiber lengths by which passive force of {name.replace('_', ' ')} begins early",
             source="ankle stiffness of 0.54 against 0.35 N m/deg at 10 degrees: Chung et al. 2004",
             limit=0.6,
+            part=name,
         )
         for name in groups
     )

@@ -57,6 +57,7 @@ def passive_joint_moment(context: Context) -> Effect:
                     meaning=f"passive moment of {name} against the {end} end, where it is largest",
                     source=_PASSIVE_SOURCE,
                     limit=60.0,
+                    part=f"{end}_end_{name}",
                 )
             )
     shapes = {"coupled joints": None, "gentle": _GENTLE, "steep": _STEEP}
@@ -118,6 +119,7 @@ def joint_damping(context: Context) -> Effect:
                 meaning=f"damping of {name}",
                 source=_SWING_SOURCE,
                 limit=20.0,
+                part=name,
             )
             for name in context.coordinates
         ),

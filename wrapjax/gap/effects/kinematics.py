@@ -41,6 +41,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
             meaning=f"error of {name} where it is largest",
             source=source,
             limit=0.3,
+            part=name,
         )
         for name in context.coordinates
     ]
@@ -53,6 +54,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
             meaning=f"error of {name} as a share of the angle",
             source=source,
             limit=0.3,
+            part=name,
         )
         for name in context.coordinates
     ]
@@ -60,7 +62,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         Variant(Partial(_slid, _slopes(context.paths_of_angles, *_errors(context, center))), when)
         for when, center in _SLIDES.items()
     )
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
+    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants, background=0.3)
 
 
 def _errors(context: Context, center: float) -> tuple[Array, Array]:

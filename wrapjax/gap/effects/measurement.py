@@ -106,7 +106,7 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
         id=id,
         family="measurement",
         parameters=tuple(
-            EffectParameter(name, unit, sd, sign, meaning, source, limit)
+            EffectParameter(name, unit, sd, sign, meaning, source, limit, part=name.split("_")[0])
             for name, unit, sd, sign, meaning, limit in rows
         ),
         variants=(Variant(Partial(_added, context.measured_changes[id])),),

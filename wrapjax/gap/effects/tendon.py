@@ -88,6 +88,7 @@ def force_sharing(context: Context) -> Effect | NotTestable:
             meaning=meaning,
             source="0 to 0.1",
             limit=0.5,
+            part=name,
         )
         for name, meaning in (
             ("soleus_along_gastrocnemius", "share of soleus's force that acts along gastrocnemius too"),
