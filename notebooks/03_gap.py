@@ -59,9 +59,7 @@ for part, values in found.budget.pooled().items():
 
 # %%
 for effect in found.effects[:5]:
-    print(
-        f"{effect.id:36s} {effect.evidence:6.1f} nats  detectability {effect.detectability:5.1f}  {effect.decision}"
-    )
+    print(f"{effect.id:36s} {effect.evidence:6.1f} nats, {effect.detectability:5.1f} sd  {effect.decision}")
 
 # %% [markdown]
 # ## How far

@@ -357,6 +357,7 @@ def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]
 def _demo(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api.demo import demo
+    from wrapjax.api.gap_text import gap_table
     from wrapjax.api.text import (
         calibration_table,
         iteration_printer,
@@ -381,6 +382,10 @@ def _demo(options: argparse.Namespace) -> int:
         print(recovery_table(shown))
         print()
         print(wrap_recovery_table(shown))
+        print(
+            f"\nhidden in another person: {shown.gap.hidden}; the diagnosis says (a unit test, no accuracy):\n"
+        )
+        print(gap_table(shown.gap.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED
 

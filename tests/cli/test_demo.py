@@ -10,6 +10,12 @@ import pytest
 
 import wrapjax.api.demo
 from wrapjax.cli import main
+from wrapjax.gap import CATALOGUE
+
+
+#: Effects that the quick demo's diagnosis knows.
+KEPT = {"ankle_foot_orthosis", "emg_crosstalk", "emg_drift", "joint_damping", "speed_dependent_delay"}
+KEPT |= {"curve_family"}
 
 
 @pytest.fixture(scope="module")
@@ -18,6 +24,8 @@ def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wrapjax.api.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        # Few effects compile fast; the slow tests have them all.
+        patch.setattr(wrapjax.api.demo, "_WITHHELD", tuple(set(CATALOGUE) - KEPT))
         return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
 
 
@@ -32,6 +40,8 @@ def test_everything_is_written_and_converged(shown):
         "fit/fit.json",
         "NGA/report.html",
         "PGA/report.html",
+        "gap/report.html",
+        "gap/gap.json",
         *figures,
     ):
         assert (folder / file).stat().st_size > 0, file
@@ -58,6 +68,16 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
     assert errors["open_m"] > 1e-3 and errors["told_apart"] == 0
     maes = {name: method["mae_calibration_Nm"] for name, method in content["methods"].items()}
     assert maes["PGA"] < maes["NGA"]
+
+
+def test_the_demo_ends_with_a_diagnosis_of_what_was_hidden(shown):
+    """No file of the person tells of it, and the page says what such data are."""
+    content = json.loads((shown[1] / "demo.json").read_text())["gap"]
+    assert content["hidden"] in KEPT and content["right"]
+    assert "no accuracy" in content["note"]
+    assert "same-form data" in (shown[1] / "gap" / "report.html").read_text()
+    for file in (shown[1] / "hidden_effect").rglob("*.toml"):
+        assert content["hidden"] not in file.read_text()
 
 
 def test_existing_folder_is_left_alone(shown, capsys):

@@ -14,6 +14,7 @@ NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 ENDINGS = {
     "01_calibrate.py": ("slope by jax.grad", ["run/report.html"]),
     "02_wrapping.py": ("by jax.grad and by differences", ["wrapping_modes.png", "moved_cylinder.png"]),
+    "03_gap.py": ("gap.json", ["gap/report.html", "gap/gap.json"]),
 }
 
 

@@ -1,4 +1,4 @@
-"""``demo``: calibrate a virtual subject whose truth is known, by every method."""
+"""``demo``: calibrate a virtual subject whose truth is known by every method, and diagnose another."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from wrapjax.api.calibration import Calibration, calibrate
 from wrapjax.api.exact import exact_geometry
 from wrapjax.api.fitting import fit
+from wrapjax.api.gap_demo import GapDemonstration, demonstrate_gap, drawn_effect
 from wrapjax.api.preparation import prepare
 from wrapjax.api.wrap_recovery import WrapRecovery, wrap_recovery
 from wrapjax.calibrate import CalibrationResult, Watch, laplace_deviation
@@ -26,6 +27,8 @@ MOMENT_NOISE = 1.0
 WRAP_SPREAD = 0.6
 # Those that move paths take longer, and one start shows them.
 _STARTS = {"NGA": 4, "SGA": 1, "LSGA": 1, "PGA": 1}
+# Effects that the diagnosis leaves out: none of them.
+_WITHHELD: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,8 @@ class Demonstration:
     recovery: tuple[Recovery, ...]
     #: Of PGA's cylinders and moment arms.
     wraps: WrapRecovery
+    #: Of a person with something amiss.
+    gap: GapDemonstration
 
     @property
     def converged(self) -> bool:
@@ -66,6 +71,7 @@ class Demonstration:
             "note": "same-form data: a unit test, not an accuracy",
             "recovery": [vars(row) for row in self.recovery],
             "wrap_recovery": self.wraps.content(),
+            "gap": self.gap.content,
             "methods": {name: _in_short(one.result) for name, one in self.calibrations.items()},
         }
         write_json(folder / "demo.json", content)
@@ -87,13 +93,14 @@ def demo(
     The virtual leg walks by the package's own equations, so this shows what calibration finds of what it
     looks for; how well it does on people is another question. Its true cylinders are a little elsewhere
     than the model's. NGA cannot follow them, SGA and LSGA can with polynomials, and PGA, by the exact
-    engine, with the cylinders themselves: as far as noisy moments say where they are.
+    engine, with the cylinders themselves: as far as noisy moments say where they are. Another person has
+    something amiss that no file tells of, drawn by the seed; a diagnosis says what.
 
     Parameters
     ----------
     folder
-        Gets ``virtual_subject/``, ``fit/``, a folder a method, ``demo.json``, ``recovery.png`` and
-        ``wrap_recovery.png``.
+        Gets ``virtual_subject/``, ``fit/``, a folder a method, ``hidden_effect/``, ``gap/``, ``demo.json``,
+        ``recovery.png`` and ``wrap_recovery.png``.
     seed
         Decides the person, the walking and the noise.
     force
@@ -121,11 +128,23 @@ def demo(
         paths = exact_geometry(subject) if method == "PGA" else fitted
         calibrations[method] = calibrate(subject, method, paths, starts=starts, seed=seed, callback=callback)
         calibrations[method].save(folder / method, force=force)
+    say("hiding something in another virtual person, and diagnosing it", quiet=quiet)
+    gap = demonstrate_gap(
+        folder,
+        drawn_effect(seed),
+        seed=seed,
+        force=force,
+        quiet=quiet,
+        without=_WITHHELD,
+        callback=callback,
+        tell=lambda line: say(line, quiet=quiet),
+    )
     shown = Demonstration(
         calibrations,
         truth,
         _recovery(calibrations["NGA"], truth),
         wrap_recovery(calibrations["PGA"], truth, MOMENT_NOISE),
+        gap,
     )
     shown.save(folder)
     return shown

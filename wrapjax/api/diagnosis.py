@@ -38,11 +38,11 @@ class Diagnosis:
         """Whose."""
         return self.calibration.subject
 
-    def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write ``gap.json``, ``moments/`` and ``report.html``."""
+    def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
+        """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
         from wrapjax.report.gap.folder import write_gap
 
-        write_gap(self.subject, self.result, Path(folder), force=force)
+        write_gap(self.subject, self.result, Path(folder), force=force, note=note)
 
 
 def diagnose(

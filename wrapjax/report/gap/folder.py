@@ -12,7 +12,9 @@ from wrapjax.report.summary import file_stems
 from wrapjax.subject import Subject, write_storage
 
 
-def write_gap(subject: Subject, result: GapResult, folder: Path, *, force: bool = False) -> None:
+def write_gap(
+    subject: Subject, result: GapResult, folder: Path, *, force: bool = False, note: str = ""
+) -> None:
     """Write ``gap.json``, the moments of every recording and ``report.html``.
 
     Parameters
@@ -23,6 +25,8 @@ def write_gap(subject: Subject, result: GapResult, folder: Path, *, force: bool 
         Where to; it appears when complete.
     force
         Replace a folder that exists.
+    note
+        A sentence about the data for the report.
 
     Raises
     ------
@@ -33,4 +37,4 @@ def write_gap(subject: Subject, result: GapResult, folder: Path, *, force: bool 
         write_json(gap / "gap.json", describe_gap(subject, result))
         for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
             write_storage(gap / "moments" / f"{stem}.sto", moment_table(result, recording))
-        write_text(gap / "report.html", render_gap(subject, result))
+        write_text(gap / "report.html", render_gap(subject, result, note))

@@ -22,8 +22,16 @@ from wrapjax.subject import Subject
 _SIDES = {"l": "left", "r": "right"}
 
 
-def render_gap(subject: Subject, result: GapResult) -> str:
-    """Write the report of a diagnosis as one HTML page with nothing outside it."""
+def render_gap(subject: Subject, result: GapResult, note: str = "") -> str:
+    """Write the report of a diagnosis as one HTML page with nothing outside it.
+
+    Parameters
+    ----------
+    subject, result
+        Whose, and what came of it.
+    note
+        A sentence about the data that readers must not miss.
+    """
     title = f"{subject.name}: what the model leaves out"
     counts = {use: result.uses.count(use) for use in USES}
     under = (
@@ -35,6 +43,7 @@ def render_gap(subject: Subject, result: GapResult) -> str:
         title,
         [
             f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            *([markup.paragraph(note)] if note else []),
             _verdict(subject, result),
             *_untested_section(result),
             *where_section(result),
