@@ -12,7 +12,6 @@ import wrapjax.api.demo
 from wrapjax.cli import main
 from wrapjax.gap import CATALOGUE
 
-
 #: Effects that the quick demo's diagnosis knows.
 KEPT = {"ankle_foot_orthosis", "emg_crosstalk", "emg_drift", "joint_damping", "speed_dependent_delay"}
 KEPT |= {"curve_family"}

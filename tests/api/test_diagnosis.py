@@ -1,0 +1,102 @@
+"""A diagnosis from a subject's folder to its answer, on data of the model's own form: a unit test, no accuracy."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from wrapjax import InputError
+from wrapjax.api import diagnose
+from wrapjax.api.diagnosis import diagnose_calibrated
+from wrapjax.api.gap_demo import demonstrate_gap
+from wrapjax.gap import CATALOGUE
+from wrapjax.virtual import HIDDEN_EFFECTS
+
+#: Few effects compile fast.
+KEPT = {"joint_damping", "emg_drift", "curve_family"}
+WITHOUT = sorted(set(CATALOGUE) - KEPT)
+
+
+@pytest.fixture(scope="module")
+def gap(calibrated):
+    return diagnose_calibrated(calibrated, without=WITHOUT, twins=2).result
+
+
+def test_too_few_cycles_are_said_and_nothing_is_named(gap):
+    """Of three cycles one is for validation: what repeats cannot be told from noise."""
+    assert gap.outcome == "insufficient_data" and not gap.named and not gap.effects
+    assert "fewest" in gap.reason
+    assert np.isfinite(gap.plain).all() and gap.unknown_probability == 1.0
+
+
+def test_unknown_effects_are_refused_before_any_work(person, paths):
+    with pytest.raises(InputError, match="joint_damping"):
+        diagnose(person, "NGA", paths, without=["joint_dampin"])
+
+
+@pytest.fixture(scope="module")
+def several(person):
+    """The person walking seven cycles at two speeds, six of them to calibrate with."""
+    generator = np.random.default_rng(0)
+    places = np.resize(np.arange(len(person.trials)), 7)
+    many = person.trials.select(places)
+    phase = np.linspace(0.0, 2.0 * np.pi, many.moments.shape[-1])
+    waves = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase), np.sin(2.0 * phase)])
+    noise = generator.normal(size=(*many.moments.shape[:2], 4)) @ waves
+    names = tuple(f"walk/{number:02d}" for number in range(7))
+    trials = dataclasses.replace(
+        many,
+        names=names,
+        recordings=("walk",) * 7,
+        uses=("calibration",) * 6 + ("validation",),
+        speeds=np.array([0.8, 0.8, 0.8, 1.2, 1.2, 1.2, 0.8]),
+        time=many.time + 10.0 * np.arange(7)[:, None],
+        emg_time=many.emg_time + 10.0 * np.arange(7)[:, None],
+        emg=many.emg * np.exp(0.05 * generator.normal(size=(*many.emg.shape[:2], 1))),
+        moments=many.moments + noise,
+    )
+    return dataclasses.replace(person, trials=trials)
+
+
+@pytest.fixture(scope="module")
+def found(several, paths):
+    return diagnose(several, "NGA", paths, without=WITHOUT, starts=2, twins=4)
+
+
+def test_a_diagnosis_is_whole(found, several, tmp_path):
+    result = found.result
+    assert result.outcome in ("named", "tie", "none", "unknown")
+    assert {effect.id for effect in result.effects} == KEPT - {"curve_family"}
+    total = sum(effect.probability for effect in result.effects)
+    assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
+    assert result.certificate.holds and result.certificate.conflicts["by_half"]
+    held = result.measured - result.plain
+    seen = result.measured - found.calibration.result.modelled
+    calibrated = np.array(result.uses) == "calibration"
+    # What a fit has not seen it does not know as well.
+    assert (held[calibrated] ** 2).mean() > (seen[calibrated] ** 2).mean()
+    found.save(tmp_path / "gap")
+    content = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    assert content["withheld"] == WITHOUT and len(content["where"]) == 2 * 20
+    with pytest.raises(InputError, match="exists"):
+        found.save(tmp_path / "gap")
+
+
+def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
+    """Starts that end apart show that not even the best of them need be the best there is."""
+    calibration = found.calibration
+    result = calibration.result
+    worse = dataclasses.replace(result.outcomes[1].solution, cost=1.5 * result.solution.cost)
+    outcomes = (result.outcomes[0], dataclasses.replace(result.outcomes[1], solution=worse))
+    apart = dataclasses.replace(calibration, result=dataclasses.replace(result, outcomes=outcomes, chosen=0))
+    stopped = diagnose_calibrated(apart, without=WITHOUT, twins=1).result
+    assert stopped.outcome == "not_converged" and "apart" in stopped.reason
+    assert not stopped.effects and stopped.budget is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [*HIDDEN_EFFECTS, None])
+def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
+    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    assert shown.right, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
