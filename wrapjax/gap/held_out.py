@@ -41,7 +41,7 @@ class Plan:
     """
 
     calibration: Int[np.ndarray, " seen"]
-    blocks: tuple[Int[np.ndarray, " left_out"], ...]
+    blocks: tuple[Int[np.ndarray, " _"], ...]
     speeds: Int[np.ndarray, " seen"]
     new_speed: Bool[np.ndarray, " cycle"]
 
