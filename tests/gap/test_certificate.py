@@ -64,9 +64,10 @@ def test_all_problems_are_told():
 
 def test_a_start_that_failed_is_no_rival():
     """Wherever it stands among the others."""
-    for costs in ((np.nan, 1.0, 1.001), (1.0, np.nan, 1.001), (1.0, 1.001, np.nan)):
+    for costs in ((np.nan, 1.0, 1.001), (1.001, np.nan, 1.0), (1.001, 1.0, np.nan)):
         got = certify(ended(*costs), 0.0, 1.0, {})
         assert got.problems == ()
+        assert got.costs[:2] == (1.0, 1.001)
         assert got.spread == pytest.approx(0.001)
 
 
