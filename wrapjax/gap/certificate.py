@@ -34,20 +34,20 @@ def certify(
     conflicts
         See `Certificate`.
     """
-    ended = sorted(outcomes, key=lambda one: one.solution.cost)
-    costs = tuple(float(one.solution.cost) for one in ended)
-    spread = (costs[1] - costs[0]) / costs[0] if len(costs) > 1 else np.nan
-    share = decrement / explainable if explainable > 0.0 else 0.0
+    ended = sorted(outcomes, key=lambda one: _height(one.solution.cost))
+    costs, spread = _spread(outcomes)
+    # What is not known is no ground for going on.
+    share = 0.0 if explainable <= 0.0 else decrement / explainable
     problems = []
     if not any(one.solution.status.converged for one in outcomes):
         problems.append(f"no start converged: {ended[0].solution.status.value}")
-    if len(costs) < 2:
+    if np.isfinite(costs).sum() < 2:
         problems.append("a fit from one start cannot show that it is the best one")
     elif not spread <= SPREAD:
         problems.append(
             f"the two best starts end {100.0 * spread:.1f} % apart; {100.0 * SPREAD:.0f} % are allowed"
         )
-    if share > DECREMENT:
+    if not share <= DECREMENT:
         problems.append(f"{100.0 * share:.1f} % of the explainable error could still be won by fitting on")
     return Certificate(
         tuple(problems),
@@ -60,9 +60,18 @@ def certify(
 
 def unfinished(outcomes: Sequence[Outcome], reason: str) -> Certificate:
     """Give what is known of a fit that was not looked at further."""
-    costs = tuple(sorted(float(one.solution.cost) for one in outcomes))
-    spread = (costs[1] - costs[0]) / costs[0] if len(costs) > 1 else np.nan
-    return Certificate((reason,), costs, spread, np.nan)
+    return Certificate((reason,), *_spread(outcomes), np.nan)
+
+
+def _spread(outcomes: Sequence[Outcome]) -> tuple[tuple[float, ...], float]:
+    """Give all costs, lowest first and failed starts last, and how far the two lowest are apart."""
+    costs = tuple(sorted((float(one.solution.cost) for one in outcomes), key=_height))
+    known = [cost for cost in costs if np.isfinite(cost)]
+    return costs, (known[1] - known[0]) / known[0] if len(known) > 1 else np.nan
+
+
+def _height(cost: float) -> float:
+    return cost if np.isfinite(cost) else np.inf
 
 
 def decrement_of(

@@ -234,7 +234,7 @@ class Effects(eqx.Module):
         """Say what is different in the model at these amounts."""
         return tuple(form(own) for form, own in zip(self.forms, self.split(amounts), strict=True))
 
-    def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " own"], ...]:
+    def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " _"], ...]:
         """Hand each effect its own amounts."""
         ends = np.cumsum([0, *(len(effect.parameters) for effect in self.members)])
         return tuple(amounts[first:last] for first, last in itertools.pairwise(ends))

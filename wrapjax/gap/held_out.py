@@ -41,7 +41,7 @@ class Plan:
     """
 
     calibration: Int[np.ndarray, " seen"]
-    blocks: tuple[Int[np.ndarray, " left_out"], ...]
+    blocks: tuple[Int[np.ndarray, " _"], ...]
     speeds: Int[np.ndarray, " seen"]
     new_speed: Bool[np.ndarray, " cycle"]
 
@@ -168,7 +168,9 @@ def amount_covariance(refit: Refit, amount_weight: float) -> Float[np.ndarray, "
     kept = curvature[:count, :count] + 1e-9 * np.trace(curvature) / len(curvature) * np.eye(count)
     across = curvature[:count, count:]
     own = curvature[count:, count:] - across.T @ np.linalg.solve(kept, across)
-    unit = amount_weight * np.linalg.inv(0.5 * (own + own.T))
+    # A fit to some cycles lets them weigh what all did, and they say less.
+    seen = np.mean(np.isfinite(refit.problem.plain.moment_error))
+    unit = amount_weight / seen * np.linalg.inv(0.5 * (own + own.T))
     return unit * np.outer(effects.prior_sd, effects.prior_sd)
 
 

@@ -16,7 +16,7 @@ from wrapjax.muscle import AbstractCurves
 
 Forms = tuple[Form, ...]
 #: One vector an effect.
-Amounts = tuple[Float[Array, " own"], ...]
+Amounts = tuple[Float[Array, " _"], ...]
 
 
 def predicted_moments(
@@ -61,7 +61,7 @@ def signatures(
     return _slopes(curves, parameters, recording, effects.forms, at, every)
 
 
-def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter own"]]:
+def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter _"]]:
     """Give the unit vectors of all amounts, cut into each effect's own."""
     ends = np.cumsum([0, *(len(effect.parameters) for effect in effects.members)])
     return [np.eye(effects.count)[:, first:last] for first, last in itertools.pairwise(ends)]
@@ -85,7 +85,7 @@ def _slopes(
     recording: Recording,
     forms: Forms,
     amounts: Amounts,
-    directions: tuple[Float[Array, "parameter own"], ...],
+    directions: tuple[Float[Array, "parameter _"], ...],
 ) -> Float[Array, "parameter trial coordinate frame"]:
     def along(direction: Amounts) -> Float[Array, "trial coordinate frame"]:
         def moments(amounts: Amounts) -> Float[Array, "trial coordinate frame"]:

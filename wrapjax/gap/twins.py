@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 
 from wrapjax.calibrate import Objective
 from wrapjax.gap.cycle_noise import CycleNoise
@@ -207,7 +207,7 @@ def _with_noise(emg: EmgSpline, key: PRNGKeyArray) -> EmgSpline:
     waves = max(2, round(1.0 / (2.0 * EMG_WIDTH)))
     phase = jnp.arange(intervals) / intervals
     basis = jnp.concatenate(
-        [wave(2.0 * jnp.pi * jnp.arange(1, waves + 1)[:, None] * phase) for wave in (jnp.sin, jnp.cos)]
+        [wave(2.0 * jnp.pi * jnp.arange(1, waves + 1)[:, None] * phase[None]) for wave in (jnp.sin, jnp.cos)]
     )
 
     def of_one(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial 4 interval"]:
@@ -218,6 +218,6 @@ def _with_noise(emg: EmgSpline, key: PRNGKeyArray) -> EmgSpline:
     return replace(emg, coefficients=jax.lax.map(of_one, emg.coefficients))
 
 
-def _number_of(coefficients: Float[Array, "trial 4 interval"]) -> Int[Array, ""]:
+def _number_of(coefficients: Float[Array, "trial 4 interval"]) -> UInt[Array, ""]:
     mean = jnp.mean(jnp.abs(coefficients))
     return jnp.asarray(jax.lax.bitcast_convert_type(mean.astype(jnp.float32), jnp.int32)).astype(jnp.uint32)

@@ -1,0 +1,60 @@
+"""Noise between cycles, part of it errors of inputs: these are told from it, and nothing counts twice."""
+
+import numpy as np
+import pytest
+
+from wrapjax.gap.covariance import InputErrors, input_blocks
+from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
+
+COORDINATES, PHASES = 2, 12
+BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])
+
+
+def found_on_average(share, cycles=8, draws=60):
+    """Mean square share, mean covariance, and mean variance by coordinate that inputs at one would make."""
+    generator = np.random.default_rng(0)
+    speeds = np.arange(cycles) % 2
+    wave = 1.0 + 0.3 * np.cos(2 * np.pi * np.arange(PHASES) / PHASES)
+    inputs = InputErrors(generator.normal(size=(2, cycles, COORDINATES, 1)) * wave, 0.1)
+    blocks = input_blocks(inputs)
+    truth = CycleNoise(BETWEEN, 0.05).block(PHASES) + share**2 * blocks
+    factors = np.linalg.cholesky(truth)
+    drawn = np.einsum("cij,ncj->nci", factors, generator.normal(size=(draws, *truth.shape[:2])))
+    residuals = drawn.reshape(draws, cycles, COORDINATES, PHASES) + 5.0 * speeds[:, None, None]
+    found = [cycle_noise(own, speeds, [inputs]) for own in residuals]
+    by_input = np.diagonal(blocks, axis1=1, axis2=2).reshape(cycles, COORDINATES, PHASES).mean(axis=(0, 2))
+    squares = np.mean([one.input_shares[0] ** 2 for one in found])
+    return squares, np.mean([one.between for one in found], axis=0), by_input
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.5])
+def test_what_inputs_explain_is_not_counted_twice(share):
+    """Both parts together are the variance that was drawn, on average, in as few as four cycles a speed."""
+    squares, between, by_input = found_on_average(share)
+    whole = np.diag(BETWEEN) + share**2 * by_input
+    np.testing.assert_allclose(np.diag(between) + squares * by_input, whole, rtol=0.1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.5])
+def test_the_size_of_errors_of_inputs_is_found(share):
+    squares, between, by_input = found_on_average(share, cycles=40, draws=20)
+    assert np.sqrt(squares) == pytest.approx(share, abs=0.15)
+    # Shares are tried in steps: of what inputs make, a little is left for noise.
+    left = np.abs(np.diag(between) - np.diag(BETWEEN))
+    assert np.all(left < 0.1 * np.diag(BETWEEN) + 0.15 * share**2 * by_input)
+
+
+def test_inputs_that_are_not_given_are_noise():
+    generator = np.random.default_rng(1)
+    residuals = generator.normal(size=(6, COORDINATES, PHASES))
+    silent = InputErrors(np.zeros((1, 6, COORDINATES, PHASES)), 0.1)
+    speeds = np.repeat([0, 1], 3)
+    plain, with_silent = (cycle_noise(residuals, speeds, inputs) for inputs in ((), (silent,)))
+    assert plain.input_shares == ()
+    assert plain.width == with_silent.width
+    np.testing.assert_allclose(plain.between, with_silent.between)
+
+
+def test_cycles_alone_at_their_speeds_show_no_noise():
+    with pytest.raises(ValueError, match=r"\[1, 1\]"):
+        cycle_noise(np.zeros((2, 1, PHASES)), np.array([0, 1]))
