@@ -382,9 +382,7 @@ def _demo(options: argparse.Namespace) -> int:
         print(recovery_table(shown))
         print()
         print(wrap_recovery_table(shown))
-        print(
-            f"\nhidden in another person: {shown.gap.hidden}; the diagnosis says (a unit test, no accuracy):\n"
-        )
+        print(f"\nhidden in another person: {shown.gap.hidden}; a diagnosis (unit test, no accuracy) says:\n")
         print(gap_table(shown.gap.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED

@@ -17,8 +17,8 @@ from wrapjax.virtual import HIDDEN_EFFECTS, Series, write_virtual_subject
 
 #: What readers of the page must not miss.
 NOTE = (
-    "This person walks by the package's own equations, and what was hidden in the recording has a form like the "
-    "catalogue's: same-form data, a unit test and no accuracy."
+    "This person walks by the package's own equations, and what was hidden in the recording has a form like "
+    "the catalogue's: same-form data, a unit test and no accuracy."
 )
 #: Of the walking: more cycles than the demo's calibrations need, as what repeats has to be told from noise.
 _SERIES = (Series(0.8, 4, 1), Series(1.2, 4, 1))
