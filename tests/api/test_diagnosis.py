@@ -1,4 +1,4 @@
-"""A diagnosis from a subject's folder to its answer, on data of the model's own form: a unit test, no accuracy."""
+"""A diagnosis from a subject to its answer, on data of the model's own form: a unit test, no accuracy."""
 
 import dataclasses
 import json
@@ -78,7 +78,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
     assert (held[calibrated] ** 2).mean() > (seen[calibrated] ** 2).mean()
     found.save(tmp_path / "gap")
     content = json.loads((tmp_path / "gap" / "gap.json").read_text())
-    assert content["withheld"] == WITHOUT and len(content["where"]) == 2 * 20
+    assert content["withheld"] == WITHOUT and len(content["where"]) == 2 * 2 * 20
     with pytest.raises(InputError, match="exists"):
         found.save(tmp_path / "gap")
 
