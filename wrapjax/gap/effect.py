@@ -118,8 +118,6 @@ class Effect(eqx.Module):
     negative_control: bool = eqx.field(static=True, default=False)
     #: Allowed for in every comparison, as it passes for other effects.
     nuisance: bool = eqx.field(static=True, default=False)
-    #: Share of its prior that is in everybody, and allowed for in every comparison.
-    background: float = eqx.field(static=True, default=0.0)
     #: Names and units of what is reported in place of the parameters themselves; empty: them.
     reported: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
     #: From amounts to what is reported, in that order.
