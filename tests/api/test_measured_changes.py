@@ -10,7 +10,7 @@ from tests.subject import synthetic
 from tests.subject.synthetic import write_subject
 from wrapjax.api import load_subject
 from wrapjax.api.gap_context import gap_context
-from wrapjax.api.measured_changes import measured_changes
+from wrapjax.api.measured_changes import measured_changes, recorded_walk
 from wrapjax.api.walk import UP, Walk
 from wrapjax.errors import InputError
 from wrapjax.gap import NotTestable, catalogue
@@ -195,6 +195,58 @@ def test_an_unknown_body_is_named(subject, tmp_path):
     wrong = tuple(dataclasses.replace(trial, external_loads=file) for trial in subject.recordings)
     with pytest.raises(InputError, match=r"loads.xml.*tibia_r.*no such body.*'tibia_l'"):
         measured_changes(dataclasses.replace(subject, recordings=wrong))
+
+
+@pytest.fixture(scope="module")
+def recorded(data_folder):
+    """A healthy adult with full kinematics and both feet on plates."""
+    subject = load_subject(data_folder / "healthy_overground")
+    return subject, recorded_walk(subject)[0], measured_changes(subject)
+
+
+def moments_of(walk):
+    found = walk.mechanics.moments(walk.transmitted()).reshape(-1, *walk.time.shape)
+    return dict(zip(walk.mechanics.coordinates, found, strict=True))
+
+
+def test_a_laboratorys_own_moments_come_out_again(recorded):
+    """They filtered what went in, so that what hangs on accelerations differs a little."""
+    subject, walk, _ = recorded
+    own = moments_of(walk)
+    limits = {"hip_flexion_r": 6.0, "hip_adduction_r": 2.5, "knee_angle_r": 2.0, "ankle_angle_r": 0.4}
+    for name, limit in limits.items():
+        theirs = subject.trials.moments[:, subject.trials.moment_coordinates.index(name)]
+        assert np.sqrt(np.mean((own[name] - theirs) ** 2)) < limit < 0.25 * np.abs(theirs).max()
+
+
+def test_an_ankle_recorded_askew_gives_other_moments(recorded):
+    """By the slope, and by inverse dynamics of the motion that bends."""
+    subject, walk, found = recorded
+    trials = subject.trials
+    askew = np.zeros_like(trials.angles)
+    askew[:, trials.coordinates.index("ankle_angle_r")] = 2e-5 * walk.force[1].reshape(walk.time.shape)
+    step = trials.time[0, 1] - trials.time[0, 0]
+    bent = dataclasses.replace(
+        trials,
+        angles=trials.angles + askew,
+        angular_velocities=trials.angular_velocities + np.gradient(askew, axis=-1) / step,
+    )
+    moved, _ = recorded_walk(dataclasses.replace(subject, trials=bent))
+    before, after = moments_of(walk), moments_of(moved)
+    expected = np.stack([after[name] - before[name] for name in trials.moment_coordinates])
+    slope = change(found, "foot_deformation", compliance=2e-5)
+    np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
+
+
+def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
+    """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
+    subject, walk, found = recorded
+    names = subject.trials.moment_coordinates
+    moment = change(found, "knee_laxity", lever_m=0.01)
+    expected = 0.01 * walk.force[1].reshape(walk.time.shape)
+    adduction = names.index("hip_adduction_r")
+    np.testing.assert_allclose(moment[adduction], expected, atol=0.1 * np.abs(expected).max())
+    assert np.abs(np.delete(moment, adduction, axis=0)).max() == 0.0
 
 
 def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, subject, found):

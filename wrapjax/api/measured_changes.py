@@ -47,27 +47,37 @@ def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
     InputError
         If the files of forces are unfit, or name bodies that the model lacks.
     """
+    walk, reason = recorded_walk(subject)
+    if walk is None:
+        return {}, reason
+    changes: dict[str, MeasuredChange] = {}
+    for id, slopes_of in SLOPES.items():
+        slopes = slopes_of(walk)
+        if slopes.any():
+            cut = slopes.reshape(*slopes.shape[:2], *walk.time.shape)
+            changes[id] = Partial(_along, jnp.asarray(np.moveaxis(cut, 1, 2)))
+    return changes, "inverse dynamics about these coordinates do not depend on it"
+
+
+def recorded_walk(subject: Subject) -> tuple[Walk | None, str]:
+    """Gather what inverse dynamics of all cycles need; or None, and what is missing for that.
+
+    Raises
+    ------
+    InputError
+        As `measured_changes`.
+    """
     reason = _files_lack(subject)
     if reason:
-        return {}, reason
+        return None, reason
     loads = {trial.name: read_ground_loads(trial) for trial in subject.recordings}
     model = _structure(subject.model_file)
     _check_bodies(subject, model, loads)
     loaded = _below(subject, model, dict.fromkeys(body for entry in loads.values() for body in entry.bodies))
     if not loaded:
-        return {}, "no ground reaction forces act on this leg in these trials"
+        return None, "no ground reaction forces act on this leg in these trials"
     reason = _angles_lack(subject, model, loaded)
-    if reason:
-        return {}, reason
-    walk = _walk(subject, model, loads, loaded)
-    shape = (len(subject.trials), subject.trials.time.shape[1])
-    changes: dict[str, MeasuredChange] = {}
-    for id, slopes_of in SLOPES.items():
-        slopes = slopes_of(walk)
-        if slopes.any():
-            cut = slopes.reshape(*slopes.shape[:2], *shape)
-            changes[id] = Partial(_along, jnp.asarray(np.moveaxis(cut, 1, 2)))
-    return changes, "inverse dynamics about these coordinates do not depend on it"
+    return (None, reason) if reason else (_walk(subject, model, loads, loaded), "")
 
 
 @dataclass(frozen=True)

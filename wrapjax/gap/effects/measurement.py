@@ -40,9 +40,9 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
     "joint_axis_rotation": (
         "5 to 15 degrees",
         (
-            ("knee_rad", "rad", 0.12, 0, "knee axis turned in the horizontal plane", 0.5),
-            ("ankle_rad", "rad", 0.12, 0, "ankle axis turned in the horizontal plane", 0.5),
-            ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned in the horizontal plane", 0.5),
+            ("knee_rad", "rad", 0.12, 0, "knee axis turned outward in the horizontal plane", 0.5),
+            ("ankle_rad", "rad", 0.12, 0, "ankle axis turned outward in the horizontal plane", 0.5),
+            ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned outward in the horizontal plane", 0.5),
         ),
     ),
     "force_latency": (
