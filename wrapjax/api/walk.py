@@ -11,7 +11,7 @@ from wrapjax.osim.inverse_dynamics import Mechanics
 
 UP = np.array([0.0, 1.0, 0.0])
 #: Share of the largest vertical force from which a foot counts as on the ground.
-_CONTACT = 0.05
+CONTACT = 0.05
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Walk:
     def in_contact(self) -> Bool[np.ndarray, " pose"]:
         """Whether the foot is on the ground."""
         vertical = self.force[1]
-        return vertical > _CONTACT * vertical.max()
+        return vertical > CONTACT * vertical.max()
 
     @property
     def pelvis(self) -> int:

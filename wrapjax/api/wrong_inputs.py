@@ -1,7 +1,9 @@
 """By how much each wrong input of inverse dynamics changes the moments, for one unit of its amounts.
 
-One function an effect of `wrapjax.gap.effects.measurement.CHAIN`, in the order of its parameters.
-A coordinate of which nothing is known stays as it is.
+One function an effect of `wrapjax.gap.effects.measurement.CHAIN`, in the order of its parameters. An
+amount is by how much a laboratory's input was off, and its slope what that added to the moments that were
+measured. Directions are those of a person: forward, up, and outward, away from the midline. Joints that a
+subject lacks stay out of it.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.api.walk import Walk
+from wrapjax.api.walk import CONTACT, Walk
 
 Slopes = Float[np.ndarray, "parameter coordinate pose"]
 
@@ -38,7 +40,7 @@ def _crossed_plates(walk: Walk) -> Slopes:
     """While both feet are on the ground, a share of what acts on the other is taken to act on this one."""
     other = walk.other_foot()
     vertical = other[4]
-    both = walk.in_contact & (vertical > 0.05 * vertical.max())
+    both = walk.in_contact & (vertical > CONTACT * vertical.max())
     change = np.zeros_like(walk.wrench)
     change[0] = np.where(both, other, 0.0)
     return walk.moments_by_load(change)[None]
@@ -58,7 +60,7 @@ def _segment_inertia(walk: Walk) -> Slopes:
 
 
 def _segments(walk: Walk) -> tuple[list[int], list[int], list[int]]:
-    """Number the bodies of thigh, shank and foot, told apart by the joints of knee and ankle."""
+    """Number the bodies of thigh, shank and foot, told apart by their joints; a patella is in none."""
     mechanics = walk.mechanics
 
     def first_moved(stem: str) -> list[int]:
@@ -88,7 +90,7 @@ def _hip_center_offset(walk: Walk) -> Slopes:
 
 
 def _joint_axis_rotation(walk: Walk) -> Slopes:
-    """The joint's whole moment is projected on an axis whose front, or outer end, is turned outward."""
+    """The joint's whole moment is projected on an axis that is turned as toes are when they turn out."""
     mechanics, wrench = walk.mechanics, walk.transmitted()
     slopes = np.zeros((3, *mechanics.screw.shape[::2]))
     for number, stem in enumerate(("knee_angle", "ankle_angle", "subtalar_angle")):

@@ -21,8 +21,8 @@ from wrapjax.errors import InputError
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import couplers_of, elements, independent_names, unknown_names
 
-#: From the frame of a vector in a body: OpenSim's order of an inertia.
-_XX_YY_ZZ_XY_XZ_YZ = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
+#: Where the entries of a tensor stand among OpenSim's six numbers, xx yy zz xy xz yz.
+_TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def analyse_mechanics(
         Whose moments are wanted.
     moving
         Independent coordinates whose motion is given. The others stay at the model's defaults, locked
-        ones where they are held; coupled ones follow.
+        ones where they are held; those coupled to one other follow it.
     values, speeds, accelerations
         Of ``moving``: rad (or m), and per s and s^2.
 
@@ -257,7 +257,7 @@ def _needed(
     mass = np.array([body.getMass() for body in bodies])
     center = np.array([body.getMassCenter().to_numpy() for body in bodies])
     vectors = [[body.get_inertia().get(row) for row in range(6)] for body in bodies]
-    inertia = np.array([np.array(vector)[list(map(list, _XX_YY_ZZ_XY_XZ_YZ))] for vector in vectors])
+    inertia = np.array([np.array(vector)[np.array(_TENSOR)] for vector in vectors])
 
     arm = np.einsum("pbij,bj->pbi", rotation, center)
     turning = motion[..., :3]
