@@ -15,6 +15,7 @@ from wrapjax.api.calibration import Calibration
 from wrapjax.api.cylinders import freed_wraps
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
+from wrapjax.api.measured_changes import measured_changes
 from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
 from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
@@ -57,6 +58,7 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     wraps, attachments = _engine_changes(subject)
     others, no_others = _other_muscles(subject, result.curves)
+    changes, no_changes = measured_changes(subject)
     context = Context(
         muscles=subject.muscles.names,
         channels=trials.channels,
@@ -78,6 +80,8 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
         wraps=wraps,
         attachments=attachments,
         at_bounds=_at_bounds(calibration),
+        measured_changes=changes,
+        no_measured_changes=no_changes,
     )
     return inputs, context
 

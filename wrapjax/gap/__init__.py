@@ -5,6 +5,7 @@ from wrapjax.gap.catalogue import catalogue as catalogue
 from wrapjax.gap.catalogue import effects_in as effects_in
 from wrapjax.gap.context import AtBound as AtBound
 from wrapjax.gap.context import Context as Context
+from wrapjax.gap.context import MeasuredChange as MeasuredChange
 from wrapjax.gap.context import OtherMuscles as OtherMuscles
 from wrapjax.gap.context import PathChanges as PathChanges
 from wrapjax.gap.effect import FAMILIES as FAMILIES

@@ -260,6 +260,13 @@ class ModelDescription:
             if coordinate.name in independent and not (coordinate.locked or coordinate.prescribed)
         )
 
+    def coordinates_above(self, body: str) -> tuple[str, ...]:
+        """Name the coordinates of the joints between a body and ground, the nearest joint first."""
+        joints = {joint.name: joint for joint in self.joints}
+        return tuple(
+            coordinate for name in self._joints_to_ground(body) for coordinate in joints[name].coordinates
+        )
+
     def _joints_to_ground(self, body: str) -> Iterator[str]:
         above = {joint.child_body: joint for joint in self.joints}
         while body in above:

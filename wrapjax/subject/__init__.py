@@ -1,6 +1,7 @@
 """Subject folders: recorded walking, made ready for calculation."""
 
 from wrapjax.subject.describe import Table, describe_subject, render_tables
+from wrapjax.subject.external_loads import GroundLoads, read_ground_loads
 from wrapjax.subject.folder import Subject, read_subject
 from wrapjax.subject.legs import read_legs
 from wrapjax.subject.model_file import CoordinateInfo, ModelFile, MuscleParameters, read_model_file
@@ -11,6 +12,7 @@ from wrapjax.subject.trials import FRAMES, Trials
 __all__ = [
     "FRAMES",
     "CoordinateInfo",
+    "GroundLoads",
     "ModelFile",
     "MuscleParameters",
     "Storage",
@@ -19,6 +21,7 @@ __all__ = [
     "TrialSettings",
     "Trials",
     "describe_subject",
+    "read_ground_loads",
     "read_legs",
     "read_model_file",
     "read_storage",

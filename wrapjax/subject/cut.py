@@ -8,9 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import Problem
-from wrapjax.subject.cycles import PADDING_SECONDS, cycle_times, padding_frames, resample
+from wrapjax.subject.cycles import (
+    PADDING_SECONDS,
+    TIME_TOLERANCE,
+    cycle_times,
+    padding_frames,
+    resample,
+)
 from wrapjax.subject.emg import envelopes_of_raw, even_samples, normalise
-from wrapjax.subject.recordings import TIME_TOLERANCE, Signals
+from wrapjax.subject.recordings import Signals
 from wrapjax.subject.settings import Settings
 from wrapjax.subject.trials import Trials
 

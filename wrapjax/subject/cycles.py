@@ -12,6 +12,8 @@ from wrapjax.subject.trials import FRAMES
 
 #: Seconds of EMG kept before and after each cycle, so that it can be delayed electromechanically.
 PADDING_SECONDS = 0.2
+#: A cycle may reach beyond the recording by this much, in s: times are often printed with few digits.
+TIME_TOLERANCE = 1e-5
 
 
 def padding_frames(cycles: list[tuple[float, float]]) -> int:

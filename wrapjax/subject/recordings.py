@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from wrapjax.errors import Problem, nearest_name
 from wrapjax.subject.columns import component_name, find_column
-from wrapjax.subject.model_file import CoordinateInfo, read_xml
+from wrapjax.subject.cycles import TIME_TOLERANCE
+from wrapjax.subject.external_loads import check_ground_loads
+from wrapjax.subject.model_file import CoordinateInfo
 from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import Settings, TrialSettings
-from wrapjax.subject.storage import Storage, read_storage_header
+from wrapjax.subject.storage import Storage
 
-#: A cycle may reach beyond the recording by this much, in s: times are often printed with few digits.
-TIME_TOLERANCE = 1e-5
 #: Samples a cycle must hold, and so the longest gap: with fewer, the shape of a gait cycle is guessed.
 MIN_SAMPLES = 20
 #: Largest amplitude in a file marked as degrees that is taken for radians, about 143 degrees.
@@ -88,7 +88,8 @@ def read_signals(
     Signals or None
         None where anything is missing.
     """
-    _check_other_files(trial, problems)
+    # Only later steps use them: it is enough to know that they can.
+    check_ground_loads(trial, problems)
     tables = {}
     for kind, path in (("angles", trial.angles), ("moments", trial.moments), ("emg", trial.emg)):
         with collecting(problems):
@@ -129,16 +130,6 @@ def read_signals(
         emg_time=tables["emg"].time,
         emg=found["emg"],
     )
-
-
-def _check_other_files(trial: TrialSettings, problems: list[Problem]) -> None:
-    """Open the files that only later steps use, far enough to know that they can be read."""
-    with collecting(problems):
-        if trial.ground_forces is not None:
-            read_storage_header(trial.ground_forces)
-    with collecting(problems):
-        if trial.external_loads is not None:
-            read_xml(trial.external_loads, "OpenSimDocument")
 
 
 def _columns(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -82,8 +82,15 @@ class Storage:
     remarks: tuple[str, ...] = ()
 
 
-def read_storage(path: str | Path) -> Storage:
+def read_storage(path: str | Path, *, trust_row_count: bool = True) -> Storage:
     """Read a ``.sto`` or ``.mot`` file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    trust_row_count
+        Refuse a file that has another number of rows than its header promises; else that is a remark.
 
     Returns
     -------
@@ -99,7 +106,13 @@ def read_storage(path: str | Path) -> Storage:
     path = Path(path)
     lines = _read_lines(path)
     header = _parse_header(lines, path)
+    promised = header.row_count
+    if not trust_row_count:
+        header = replace(header, row_count=None)
     rows, line_numbers = _split_rows(lines[header.body_line :], header, path)
+    if promised not in (None, len(rows)):
+        remark = f"the header promises {promised} rows, found {len(rows)}"
+        header = replace(header, remarks=(*header.remarks, remark))
     table = _numbers(rows, line_numbers, header, path)
     _check_table(table, line_numbers, header, path)
     return Storage(header.name, header.columns, table[:, 0], table[:, 1:], header.in_degrees, header.remarks)

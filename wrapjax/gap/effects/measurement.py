@@ -40,9 +40,9 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
     "joint_axis_rotation": (
         "5 to 15 degrees",
         (
-            ("knee_rad", "rad", 0.12, 0, "knee axis turned in the horizontal plane", 0.5),
-            ("ankle_rad", "rad", 0.12, 0, "ankle axis turned in the horizontal plane", 0.5),
-            ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned in the horizontal plane", 0.5),
+            ("knee_rad", "rad", 0.12, 0, "knee axis turned outward in the horizontal plane", 0.5),
+            ("ankle_rad", "rad", 0.12, 0, "ankle axis turned outward in the horizontal plane", 0.5),
+            ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned outward in the horizontal plane", 0.5),
         ),
     ),
     "force_latency": (
@@ -89,9 +89,8 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
 #: They act on nothing that these recordings hold, and must stay quiet.
 _NEGATIVE_CONTROLS = ("handrail_force",)
 
-#: What a recording would need beside ground reaction forces, where that is more.
+#: What a recording would need beside ground reaction forces and never has.
 _NEEDS = {
-    "crossed_plates": "no marks of steps on both plates are given",
     "belt_acceleration": "no belt speed is recorded",
     "handrail_force": "no handrail force is recorded",
     "device_torque": "no torque of a device is recorded",

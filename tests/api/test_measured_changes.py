@@ -1,0 +1,309 @@
+"""Defends: what wrong inputs do to measured moments is what the mechanics of a two-segment leg says."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.subject import synthetic
+from tests.subject.synthetic import write_subject
+from wrapjax.api import load_subject
+from wrapjax.api.gap_context import gap_context
+from wrapjax.api.measured_changes import measured_changes, recorded_walk
+from wrapjax.api.walk import UP, Walk
+from wrapjax.errors import InputError
+from wrapjax.gap import NotTestable, catalogue
+from wrapjax.gap.effects.measurement import CHAIN
+from wrapjax.osim.inverse_dynamics import Mechanics
+from wrapjax.subject import Storage, write_storage
+
+#: Of both segments of the synthetic leg: kg, m, m, kg m^2; and m/s^2.
+MASS, LENGTH, TO_CENTER, INERTIA, GRAVITY = 5.0, 0.4, 0.2, 0.1, 9.80665
+POINT, TORQUE = np.array([0.1, -0.75, 0.05]), np.array([1.0, 5.0, -2.0])
+COLUMNS = tuple(f"foot_{kind}{axis}" for kind in "vpt" for axis in "xyz")
+LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="loads"><objects><ExternalForce name="foot">
+<applied_to_body>tibia_l</applied_to_body><force_identifier>foot_v</force_identifier>
+<point_identifier>foot_p</point_identifier><torque_identifier>foot_t</torque_identifier>
+</ExternalForce></objects></ExternalLoads></OpenSimDocument>"""
+
+
+def force(time):
+    """What the ground does to the foot, N: on it for most of a cycle."""
+    phase = 2.0 * np.pi * (np.asarray(time) - 0.5) / synthetic.PERIOD
+    load = np.maximum(np.sin(phase - 0.3) + 0.6, 0.0) ** 2
+    return np.array([-60.0 * load * np.cos(phase), 300.0 * load, 20.0 * load])
+
+
+def with_forces(folder):
+    """Write the synthetic subject with ground forces."""
+    write_subject(folder)
+    time = np.arange(8001) / 2000.0
+    still = np.ones((time.size, 3))
+    values = np.concatenate([force(time).T, POINT * still, TORQUE * still], axis=1)
+    write_storage(folder / "forces.mot", Storage("forces", COLUMNS, time, values))
+    (folder / "loads.xml").write_text(LOADS, encoding="utf-8")
+    settings = folder / "subject.toml"
+    files = '\nground_forces = "forces.mot"\nexternal_loads = "loads.xml"\nangles ='
+    settings.write_text(settings.read_text().replace("\nangles =", files))
+    return load_subject(folder)
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory):
+    return with_forces(tmp_path_factory.mktemp("forces") / "person")
+
+
+@pytest.fixture(scope="module")
+def found(subject):
+    return measured_changes(subject)
+
+
+@pytest.fixture(scope="module")
+def leg(subject):
+    """Angles, rates and accelerations of thigh (hip) and knee over the cycles, by analysis."""
+    time = subject.trials.time
+    turn = 2.0 * np.pi / synthetic.PERIOD
+    accelerations = -(turn**2) * (synthetic.angles(time) - np.array([0.2, 0.6])[:, None, None])
+    return time, synthetic.angles(time), synthetic.angular_velocities(time), accelerations
+
+
+def change(found, id, **amounts):
+    names = [row[0] for row in CHAIN[id][1]]
+    vector = np.zeros(len(names))
+    for name, amount in amounts.items():
+        vector[names.index(name)] = amount
+    # Hip and knee, trials, frames.
+    return np.moveaxis(np.asarray(found[0][id](jnp.asarray(vector))), 1, 0)
+
+
+def close(value, expected):
+    scale = np.abs(expected).max()
+    # Accelerations are those of a spline through samples, which knows the ends of cycles less well.
+    np.testing.assert_allclose(value[..., 5:-5], np.asarray(expected)[..., 5:-5], atol=2e-3 * scale)
+
+
+def test_a_center_of_pressure_too_far_forward_takes_from_both_moments(found, leg):
+    """Hinges along z: the vertical force's lever about either grows by the offset."""
+    lever = -0.01 * force(leg[0])[1]
+    np.testing.assert_allclose(
+        change(found, "cop_offset", anterior_m=0.01), np.stack([lever, lever]), atol=1e-3
+    )
+    # Sideways it turns nothing about these hinges.
+    assert np.abs(change(found, "cop_offset", lateral_m=0.01)).max() < 1e-9
+
+
+def test_late_forces_act_where_earlier_ones_would(found, leg):
+    time, (hip, _), _, _ = leg
+    knee = np.stack([LENGTH * np.sin(hip), -LENGTH * np.cos(hip)])
+    late = (force(time - 0.001) - force(time + 0.001)) / 2.0
+    expected = np.stack(
+        [-((POINT[0] - x) * late[1] - (POINT[1] - y) * late[0]) for x, y in (np.zeros_like(knee), knee)]
+    )
+    # A difference over 5 ms either way.
+    np.testing.assert_allclose(
+        change(found, "force_latency", latency=0.001), expected, atol=0.02 * np.abs(expected).max()
+    )
+
+
+def test_too_heavy_segments_are_those_of_a_double_pendulum(found, leg):
+    _, (hip, knee), (hip_rate, _), (hip_acceleration, knee_acceleration) = leg
+    thigh = MASS * TO_CENTER**2 * hip_acceleration + MASS * GRAVITY * TO_CENTER * np.sin(hip)
+    close(change(found, "segment_inertia", thigh_mass=0.1), 0.1 * np.stack([thigh, 0.0 * thigh]))
+    turned = hip_acceleration + knee_acceleration
+    close(change(found, "segment_inertia", shank_inertia=0.1), 0.1 * INERTIA * np.stack([turned, turned]))
+    pull = LENGTH * (np.cos(knee) * hip_acceleration + np.sin(knee) * hip_rate**2)
+    shank = MASS * TO_CENTER * (TO_CENTER * turned + pull + GRAVITY * np.sin(hip + knee))
+    close(change(found, "segment_inertia", shank_mass=0.1)[1], 0.1 * shank)
+    # There is no ankle that would tell a foot from the shank.
+    assert np.abs(change(found, "segment_inertia", foot_mass=1.0)).max() == 0.0
+
+
+def test_a_displaced_hip_center_takes_the_lever_from_the_force_through_it(found, leg):
+    """Measured about a point ahead of the hip, an upward force through the hip turns less."""
+    time, angles, _, _ = leg
+
+    def centers(at):
+        hip, knee = synthetic.angles(at)
+        down = [np.stack([np.sin(angle), -np.cos(angle)]) for angle in (hip, hip + knee)]
+        return TO_CENTER * down[0], LENGTH * down[0] + TO_CENTER * down[1]
+
+    step = 1e-4
+    through = -force(time)[:2]
+    for before, now, after in zip(centers(time - step), centers(time), centers(time + step), strict=True):
+        through = through + MASS * (before - 2.0 * now + after) / step**2
+    through[1] += 2.0 * MASS * GRAVITY
+    # Ahead and up in the frame of what carries the leg, here the thigh itself.
+    hip = angles[0]
+    for name, (x, y) in {
+        "anterior_m": (np.cos(hip), np.sin(hip)),
+        "superior_m": (-np.sin(hip), np.cos(hip)),
+    }.items():
+        moment = change(found, "hip_center_offset", **{name: 0.015})
+        close(moment[0], -0.015 * (x * through[1] - y * through[0]))
+        assert np.abs(moment[1]).max() == 0.0
+
+
+def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
+    """Nothing of the leg moves out of its plane: across the hinge there is the ground's moment alone."""
+    time, (hip, _), _, _ = leg
+    arm = POINT[:, None, None] - np.stack([LENGTH * np.sin(hip), -LENGTH * np.cos(hip), 0.0 * hip])
+    moment = -np.cross(arm, force(time), axis=0) - TORQUE[:, None, None]
+    # About the thigh's long axis, outward on the left: from pointing right towards pointing forward.
+    forward = np.stack([np.cos(hip), np.sin(hip), 0.0 * hip])
+    expected = 0.1 * (forward * moment).sum(axis=0)
+    turned = change(found, "joint_axis_rotation", knee_rad=0.1)
+    np.testing.assert_allclose(turned[1], expected, atol=1e-3 * np.abs(expected).max())
+    assert np.abs(turned[0]).max() == 0.0
+
+
+def test_a_wobble_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
+    time = leg[0]
+    pulse = change(found, "wobbling_mass", impulse=0.7)
+    np.testing.assert_allclose(np.trapezoid(pulse, time[None], axis=-1), 0.7, rtol=1e-3)
+    vertical = force(time)[1]
+    struck = (vertical[:, 1:] > 0.05 * vertical.max()) & (vertical[:, :-1] <= 0.05 * vertical.max())
+    for row in range(len(time)):
+        assert struck[row].sum() == 1
+        # The foot strikes late in these cycles, so the pulse goes on at their start.
+        since = (np.flatnonzero(pulse[0, row] > 1e-9) - struck[row].argmax() - 1) % 100
+        assert set(since) == set(range(1, 10))
+
+
+def test_what_is_missing_is_said(subject, found):
+    assert {"foot_deformation", "knee_laxity"}.isdisjoint(found[0]) and "do not depend" in found[1]
+    one, *others = subject.recordings
+    for key, word in (("ground_forces", "no ground reaction forces"), ("external_loads", "on what body")):
+        without = dataclasses.replace(subject, recordings=(dataclasses.replace(one, **{key: None}), *others))
+        changes, reason = measured_changes(without)
+        assert not changes and word in reason
+    # As if the hip belonged to a pelvis that was not recorded.
+    knee = dataclasses.replace(
+        subject.trials,
+        coordinates=("knee_angle_l",),
+        moment_coordinates=("knee_angle_l",),
+        angles=subject.trials.angles[:, 1:],
+        angular_velocities=subject.trials.angular_velocities[:, 1:],
+    )
+    changes, reason = measured_changes(dataclasses.replace(subject, trials=knee))
+    assert not changes and "angles of these trials lack hip_flexion_l" in reason
+
+
+def test_an_unknown_body_is_named(subject, tmp_path):
+    file = tmp_path / "loads.xml"
+    file.write_text(LOADS.replace("tibia_l", "tibia_r"))
+    wrong = tuple(dataclasses.replace(trial, external_loads=file) for trial in subject.recordings)
+    with pytest.raises(InputError, match=r"loads.xml.*tibia_r.*no such body.*'tibia_l'"):
+        measured_changes(dataclasses.replace(subject, recordings=wrong))
+
+
+@pytest.fixture(scope="module")
+def recorded(data_folder):
+    """A healthy adult with full kinematics and both feet on plates."""
+    subject = load_subject(data_folder / "healthy_overground")
+    return subject, recorded_walk(subject)[0], measured_changes(subject)
+
+
+def moments_of(walk):
+    found = walk.mechanics.moments(walk.transmitted()).reshape(-1, *walk.time.shape)
+    return dict(zip(walk.mechanics.coordinates, found, strict=True))
+
+
+def test_a_laboratorys_own_moments_come_out_again(recorded):
+    """They filtered what went in, so that what hangs on accelerations differs a little."""
+    subject, walk, _ = recorded
+    own = moments_of(walk)
+    limits = {"hip_flexion_r": 6.0, "hip_adduction_r": 2.5, "knee_angle_r": 2.0, "ankle_angle_r": 0.4}
+    for name, limit in limits.items():
+        theirs = subject.trials.moments[:, subject.trials.moment_coordinates.index(name)]
+        assert np.sqrt(np.mean((own[name] - theirs) ** 2)) < limit < 0.25 * np.abs(theirs).max()
+
+
+def test_an_ankle_recorded_askew_gives_other_moments(recorded):
+    """By the slope, and by inverse dynamics of the motion that bends."""
+    subject, walk, found = recorded
+    trials = subject.trials
+    askew = np.zeros_like(trials.angles)
+    askew[:, trials.coordinates.index("ankle_angle_r")] = 2e-5 * walk.force[1].reshape(walk.time.shape)
+    step = trials.time[0, 1] - trials.time[0, 0]
+    bent = dataclasses.replace(
+        trials,
+        angles=trials.angles + askew,
+        angular_velocities=trials.angular_velocities + np.gradient(askew, axis=-1) / step,
+    )
+    moved, _ = recorded_walk(dataclasses.replace(subject, trials=bent))
+    before, after = moments_of(walk), moments_of(moved)
+    expected = np.stack([after[name] - before[name] for name in trials.moment_coordinates])
+    slope = change(found, "foot_deformation", compliance=2e-5)
+    np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
+
+
+def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
+    """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
+    subject, walk, found = recorded
+    names = subject.trials.moment_coordinates
+    moment = change(found, "knee_laxity", lever_m=0.01)
+    expected = 0.01 * walk.force[1].reshape(walk.time.shape)
+    adduction = names.index("hip_adduction_r")
+    np.testing.assert_allclose(moment[adduction], expected, atol=0.1 * np.abs(expected).max())
+    assert np.abs(np.delete(moment, adduction, axis=0)).max() == 0.0
+
+
+def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, subject, found):
+    _, context = gap_context(dataclasses.replace(calibrated, subject=subject))
+    testable = {entry.id for entry in catalogue(context) if not isinstance(entry, NotTestable)}
+    assert set(found[0]) <= testable and "crossed_plates" in testable
+    part = context.select([2, 0])
+    for id, whole in context.measured_changes.items():
+        amounts = jnp.array([row[2] for row in CHAIN[id][1]])
+        np.testing.assert_array_equal(part.measured_changes[id](amounts), whole(amounts)[np.array([2, 0])])
+        assert np.abs(whole(0.0 * amounts)).max() == 0.0
+
+
+def test_the_other_foot_is_this_one_half_a_cycle_away():
+    """A person who walks symmetrically, over ground, straight on to the right of the laboratory."""
+    frames = 21
+    phase = np.linspace(0.0, 1.0, frames)
+    ahead, right = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
+    pelvis = UP + 1.3 * phase[:, None] * ahead
+
+    def foot(phase, side):
+        """Force and point of a foot relative to the pelvis, the left one half a cycle after the right."""
+        turn = 2.0 * np.pi * (phase if side > 0 else phase + 0.5)[:, None]
+        load = 1.0 + np.cos(turn)
+        force = 400.0 * load * UP + 50.0 * load * np.sin(turn) * ahead - side * 30.0 * load * right
+        return force, 0.3 * np.cos(turn) * ahead + side * (0.1 + 0.02 * np.sin(turn)) * right - UP
+
+    def wrench(side):
+        force, point = foot(phase, side)
+        twist = side * 5.0 * (1.0 + np.cos(2.0 * np.pi * (phase + 0.25 * (1 - side))))[:, None] * UP
+        return np.concatenate([np.cross(point + pelvis, force) + twist, force], axis=1).T
+
+    axes = np.stack([ahead, UP, right], axis=1)
+    none = np.zeros((2, 6, frames))
+    mechanics = Mechanics(
+        bodies=("pelvis", "foot"),
+        parents=("ground", "pelvis"),
+        coordinates=(),
+        moves=np.zeros((0, 2), dtype=bool),
+        screw=np.zeros((0, 6, frames)),
+        joint_center=np.zeros((0, 3, frames)),
+        rotation=np.tile(axes[None, :, :, None], (2, 1, 1, frames)),
+        origin=np.stack([pelvis.T, pelvis.T]),
+        of_mass=none,
+        of_inertia=none,
+    )
+    walk = Walk(
+        side="r",
+        time=phase[None],
+        mechanics=mechanics,
+        loaded=("foot",),
+        wrench=wrench(1)[None],
+        by_latency=wrench(1)[None],
+        other=None,
+        bent=None,
+        bend=1.0,
+    )
+    np.testing.assert_allclose(walk.rightward[:, 0], right, atol=1e-12)
+    np.testing.assert_allclose(walk.other_foot(), wrench(-1), atol=1e-9)
+    np.testing.assert_array_equal(dataclasses.replace(walk, other=none[0]).other_foot(), none[0])

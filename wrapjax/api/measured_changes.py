@@ -1,0 +1,227 @@
+"""What wrong inputs of inverse dynamics do to measured moments, where ground forces were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+from scipy.interpolate import CubicSpline
+
+from wrapjax.api.walk import Walk
+from wrapjax.api.wrong_inputs import SLOPES
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.gap import MeasuredChange
+from wrapjax.osim import describe_model
+from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.subject import GroundLoads, Subject, Trials, read_ground_loads
+
+#: By how much foot deformation (rad/N) and latency (s) are moved to see what they do: half a prior deviation.
+_COMPLIANCE, _LATENCY = 0.5e-4, 0.005
+
+
+def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
+    """Say what each effect on the measurement chain adds to the moments that were measured.
+
+    Measured is what a laboratory's inverse dynamics gave; an amount says how wrong their input was, and a
+    change is what that added. It is exact, and linear in the amounts.
+
+    Parameters
+    ----------
+    subject
+        Whose trials name ground forces and external loads, and whose angles hold every coordinate from
+        ground to the foot.
+
+    Returns
+    -------
+    changes, reason
+        By the id of an effect, from amounts to N m (trial x coordinate x frame); and why others are not
+        there.
+
+    Raises
+    ------
+    InputError
+        If the files of forces are unfit, or name bodies that the model lacks.
+    """
+    walk, reason = recorded_walk(subject)
+    if walk is None:
+        return {}, reason
+    changes: dict[str, MeasuredChange] = {}
+    for id, slopes_of in SLOPES.items():
+        slopes = slopes_of(walk)
+        if slopes.any():
+            cut = slopes.reshape(*slopes.shape[:2], *walk.time.shape)
+            changes[id] = Partial(_along, jnp.asarray(np.moveaxis(cut, 1, 2)))
+    return changes, "inverse dynamics about these coordinates do not depend on it"
+
+
+def recorded_walk(subject: Subject) -> tuple[Walk | None, str]:
+    """Gather what inverse dynamics of all cycles need; or None, and what is missing for that.
+
+    Raises
+    ------
+    InputError
+        As `measured_changes`.
+    """
+    reason = _files_lack(subject)
+    if reason:
+        return None, reason
+    loads = {trial.name: read_ground_loads(trial) for trial in subject.recordings}
+    model = _structure(subject.model_file)
+    _check_bodies(subject, model, loads)
+    loaded = _below(subject, model, dict.fromkeys(body for entry in loads.values() for body in entry.bodies))
+    if not loaded:
+        return None, "no ground reaction forces act on this leg in these trials"
+    reason = _angles_lack(subject, model, loaded)
+    return (None, reason) if reason else (_walk(subject, model, loads, loaded), "")
+
+
+@dataclass(frozen=True)
+class _Structure:
+    """Coordinates between each body and ground; those that are locked; those that follow others."""
+
+    above: dict[str, tuple[str, ...]]
+    locked: frozenset[str]
+    following: frozenset[str]
+
+
+def _structure(model_file: Path) -> _Structure:
+    model = describe_model(model_file)
+    return _Structure(
+        above={joint.child_body: model.coordinates_above(joint.child_body) for joint in model.joints},
+        locked=frozenset(entry.name for entry in model.coordinates if entry.locked),
+        following=frozenset(entry.name for entry in model.coordinates if entry.coupled_to),
+    )
+
+
+def _along(
+    slopes: Float[Array, "parameter trial coordinate frame"], amounts: Float[Array, " parameter"]
+) -> Float[Array, "trial coordinate frame"]:
+    return jnp.tensordot(amounts, slopes, axes=1)
+
+
+def _files_lack(subject: Subject) -> str:
+    """Say what files are missing; empty where none is."""
+    if any(trial.ground_forces is None for trial in subject.recordings):
+        return "no ground reaction forces are given for these trials"
+    if any(trial.external_loads is None for trial in subject.recordings):
+        return "no external loads are given, which say on what body the ground reaction forces act"
+    return ""
+
+
+def _check_bodies(subject: Subject, model: _Structure, loads: Mapping[str, GroundLoads]) -> None:
+    problems = [
+        Problem(
+            str(trial.external_loads),
+            f"the model {subject.model_file} has no such body",
+            f"<applied_to_body> {body}",
+            nearest_name(body, tuple(model.above)),
+        )
+        for trial in subject.recordings
+        for body in loads[trial.name].bodies
+        if body not in model.above
+    ]
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+
+
+def _below(subject: Subject, model: _Structure, bodies: dict[str, None]) -> tuple[str, ...]:
+    """Keep the bodies that a coordinate of this leg moves."""
+    own = set(subject.trials.moment_coordinates)
+    return tuple(body for body in bodies if own & set(model.above[body]))
+
+
+def _angles_lack(subject: Subject, model: _Structure, loaded: tuple[str, ...]) -> str:
+    """Say what coordinates between ground and the foot were not recorded; empty where all were."""
+    missing = dict.fromkeys(
+        name
+        for body in loaded
+        for name in model.above[body]
+        if name not in subject.trials.coordinates and name not in model.following and name not in model.locked
+    )
+    if not missing:
+        return ""
+    return f"the angles of these trials lack {', '.join(missing)}, which inverse dynamics need"
+
+
+def _walk(
+    subject: Subject, model: _Structure, loads: Mapping[str, GroundLoads], loaded: tuple[str, ...]
+) -> Walk:
+    trials = subject.trials
+
+    def wrench(later: float) -> Float[np.ndarray, "load 6 pose"]:
+        return np.stack([_acting(trials, loads, (body,), later) for body in loaded])
+
+    own = wrench(0.0)
+    others = tuple({body for entry in loads.values() for body in entry.bodies} - set(loaded))
+    vertical = own[:, 4].sum(axis=0).reshape(trials.time.shape)
+    ankle = f"ankle_angle_{subject.side}"
+    bent = [
+        _mechanics(subject, model, ankle, sign * _COMPLIANCE * vertical)
+        if ankle in trials.coordinates
+        else None
+        for sign in (1.0, -1.0)
+    ]
+    return Walk(
+        side=subject.side,
+        time=trials.time,
+        mechanics=_mechanics(subject, model, ankle, 0.0 * vertical),
+        loaded=loaded,
+        wrench=own,
+        # What is recorded later by an amount is, now, what it was that amount ago.
+        by_latency=(wrench(_LATENCY) - wrench(-_LATENCY)) / (2.0 * _LATENCY),
+        other=_acting(trials, loads, others, 0.0) if others else None,
+        bent=None if bent[0] is None or bent[1] is None else (bent[0], bent[1]),
+        bend=2.0 * _COMPLIANCE,
+    )
+
+
+def _acting(
+    trials: Trials, loads: Mapping[str, GroundLoads], bodies: tuple[str, ...], later: float
+) -> Float[np.ndarray, "6 pose"]:
+    """Sum up what acted on bodies some time (s) before each frame of each cycle."""
+    found = np.zeros((6, *trials.time.shape))
+    recordings = np.array(trials.recordings)
+    for name, entry in loads.items():
+        rows = recordings == name
+        acting = [row for row, body in enumerate(entry.bodies) if body in bodies]
+        found[:, rows] = entry.at(trials.time[rows] - later)[acting].sum(axis=0)
+    return found.reshape(6, -1)
+
+
+def _mechanics(
+    subject: Subject, model: _Structure, ankle: str, bent: Float[np.ndarray, "trial frame"]
+) -> Mechanics:
+    """Move the model as recorded, but for what the ankle is bent by (rad)."""
+    trials = subject.trials
+    chosen = [row for row, name in enumerate(trials.coordinates) if name not in model.following]
+    moving = [trials.coordinates[row] for row in chosen]
+    values, speeds = trials.angles[:, chosen], trials.angular_velocities[:, chosen]
+    accelerations = np.zeros_like(values)
+    for number, time in enumerate(trials.time):
+        accelerations[number] = CubicSpline(time, speeds[number], axis=1)(time, 1)
+    if bent.any():
+        row, values, speeds = moving.index(ankle), values.copy(), speeds.copy()
+        step = (trials.time[:, 1] - trials.time[:, 0])[:, None]
+        rate = np.gradient(bent, axis=1) / step
+        values[:, row] += bent
+        speeds[:, row] += rate
+        accelerations[:, row] += np.gradient(rate, axis=1) / step
+
+    def in_a_row(
+        signals: Float[np.ndarray, "trial coordinate frame"],
+    ) -> Float[np.ndarray, "coordinate pose"]:
+        return np.moveaxis(signals, 1, 0).reshape(len(moving), -1)
+
+    return analyse_mechanics(
+        subject.model_file,
+        trials.moment_coordinates,
+        moving,
+        in_a_row(values),
+        in_a_row(speeds),
+        in_a_row(accelerations),
+    )

@@ -1,0 +1,126 @@
+"""A recorded walk as inverse dynamics see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.osim.inverse_dynamics import Mechanics
+
+UP = np.array([0.0, 1.0, 0.0])
+#: Share of the largest vertical force from which a foot counts as on the ground.
+CONTACT = 0.05
+
+
+@dataclass(frozen=True)
+class Walk:
+    """All frames of all cycles in a row (``pose``), in ground's frame.
+
+    Parameters
+    ----------
+    side
+        ``l`` or ``r``.
+    time
+        s.
+    mechanics
+        Of the model, moved as recorded.
+    loaded, wrench
+        Bodies of this leg on which the ground acts, and what acts on each: moment about ground's origin
+        (N m), then force (N).
+    by_latency
+        How that changes with the time (s) by which forces were recorded later than motion.
+    other
+        What acts on the other leg; None where it was not recorded.
+    bent, bend
+        The mechanics with the ankle bent by half of ``bend`` (rad/N) times the vertical force, and by as
+        much the other way; None where the ankle's angle was not recorded.
+    """
+
+    side: str
+    time: Float[np.ndarray, "trial frame"]
+    mechanics: Mechanics
+    loaded: tuple[str, ...]
+    wrench: Float[np.ndarray, "load 6 pose"]
+    by_latency: Float[np.ndarray, "load 6 pose"]
+    other: Float[np.ndarray, "6 pose"] | None
+    bent: tuple[Mechanics, Mechanics] | None
+    bend: float
+
+    @property
+    def outward(self) -> float:
+        """Sign of a direction to the right that points away from the midline."""
+        return 1.0 if self.side == "r" else -1.0
+
+    @property
+    def force(self) -> Float[np.ndarray, "3 pose"]:
+        """The ground's whole force on this leg."""
+        return self.wrench[:, 3:].sum(axis=0)
+
+    @property
+    def in_contact(self) -> Bool[np.ndarray, " pose"]:
+        """Whether the foot is on the ground."""
+        vertical = self.force[1]
+        return vertical > CONTACT * vertical.max()
+
+    @property
+    def pelvis(self) -> int:
+        """Number of the body that hangs on ground and carries the leg."""
+        bodies, parents = self.mechanics.bodies, self.mechanics.parents
+        body = bodies.index(self.loaded[0])
+        while parents[body] in bodies:
+            body = bodies.index(parents[body])
+        return body
+
+    @property
+    def forward(self) -> Float[np.ndarray, "3 pose"]:
+        """Horizontal direction in which the pelvis faces, the same all through a cycle."""
+        facing = self.mechanics.rotation[self.pelvis, :, 0].reshape(3, *self.time.shape)
+        mean = facing.mean(axis=2) * (1.0 - UP)[:, None]
+        mean = mean / np.linalg.norm(mean, axis=0)
+        return np.repeat(mean, self.time.shape[1], axis=1)
+
+    @property
+    def rightward(self) -> Float[np.ndarray, "3 pose"]:
+        """Horizontal direction to the right of `forward`."""
+        return np.cross(self.forward, UP, axisa=0, axisc=0)
+
+    def starting(self, stem: str) -> list[int]:
+        """Number the coordinates whose names start so."""
+        return [row for row, name in enumerate(self.mechanics.coordinates) if name.startswith(stem)]
+
+    def transmitted(self) -> Float[np.ndarray, "coordinate 6 pose"]:
+        """Give the wrench that each coordinate's joint hands on (`Mechanics.transmitted`)."""
+        return self.mechanics.transmitted(self.loaded, self.wrench)
+
+    def moments_by_load(
+        self, change: Float[np.ndarray, "load 6 pose"]
+    ) -> Float[np.ndarray, "coordinate pose"]:
+        """Give what moments change by when what acts on the leg changes so."""
+        moved = self.mechanics.moved(self.loaded)
+        return -self.mechanics.moments(np.einsum("kl,lwp->kwp", moved, change))
+
+    def other_foot(self) -> Float[np.ndarray, "6 pose"]:
+        """Give what acts on the other foot: as recorded, else this one's half a cycle away, mirrored.
+
+        The mirror is the pelvis' midplane, so that it holds on treadmills and over ground; that gait is
+        symmetric is the assumption.
+        """
+        if self.other is not None:
+            return self.other
+        half = (self.time.shape[1] - 1) // 2
+        later = (np.arange(self.time.shape[1]) + half) % (2 * half)
+        where = self.mechanics.origin[self.pelvis]
+        sum_of_loads = self.wrench.sum(axis=0)
+        about = sum_of_loads[:3] - np.cross(where, sum_of_loads[3:], axis=0)
+
+        def half_a_cycle_away(vector: Float[np.ndarray, "3 pose"]) -> Float[np.ndarray, "3 pose"]:
+            return vector.reshape(3, *self.time.shape)[..., later].reshape(3, -1)
+
+        right = self.rightward
+        force, moment = half_a_cycle_away(sum_of_loads[3:]), half_a_cycle_away(about)
+        force = force - 2.0 * right * (right * force).sum(axis=0)
+        # A moment turns the other way round in a mirror.
+        moment = 2.0 * right * (right * moment).sum(axis=0) - moment
+        return np.concatenate([moment + np.cross(where, force, axis=0), force])

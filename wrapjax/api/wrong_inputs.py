@@ -1,0 +1,163 @@
+"""By how much each wrong input of inverse dynamics changes the moments, for one unit of its amounts.
+
+One function an effect of `wrapjax.gap.effects.measurement.CHAIN`, in the order of its parameters. An
+amount is by how much a laboratory's input was off, and its slope what that added to the moments that were
+measured. Directions are those of a person: forward, up, and outward, away from the midline. Joints that a
+subject lacks stay out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.api.walk import CONTACT, Walk
+
+Slopes = Float[np.ndarray, "parameter coordinate pose"]
+
+#: Share of the cycle that soft tissue takes to come to rest.
+_IMPACT = 0.1
+
+
+def _cop_offset(walk: Walk) -> Slopes:
+    """Forces act further forward, or outward, than they do."""
+    return np.stack([_moved_forces(walk, walk.forward), _moved_forces(walk, walk.outward * walk.rightward)])
+
+
+def _moved_forces(walk: Walk, direction: Float[np.ndarray, "3 pose"]) -> Float[np.ndarray, "coordinate pose"]:
+    change = np.zeros_like(walk.wrench)
+    change[:, :3] = np.cross(direction[None], walk.wrench[:, 3:], axis=1)
+    return walk.moments_by_load(change)
+
+
+def _force_latency(walk: Walk) -> Slopes:
+    return walk.moments_by_load(walk.by_latency)[None]
+
+
+def _crossed_plates(walk: Walk) -> Slopes:
+    """While both feet are on the ground, a share of what acts on the other is taken to act on this one."""
+    other = walk.other_foot()
+    vertical = other[4]
+    both = walk.in_contact & (vertical > CONTACT * vertical.max())
+    change = np.zeros_like(walk.wrench)
+    change[0] = np.where(both, other, 0.0)
+    return walk.moments_by_load(change)[None]
+
+
+def _segment_inertia(walk: Walk) -> Slopes:
+    """The model's mass of a segment, or its inertia about the center of mass, is too large."""
+    return np.stack(
+        [
+            walk.mechanics.moments(
+                np.einsum("kb,bwp->kwp", walk.mechanics.moves[:, segment], needed[segment])
+            )
+            for segment in _segments(walk)
+            for needed in (walk.mechanics.of_mass, walk.mechanics.of_inertia)
+        ]
+    )
+
+
+def _segments(walk: Walk) -> tuple[list[int], list[int], list[int]]:
+    """Number the bodies of thigh, shank and foot, told apart by their joints; a patella is in none."""
+    mechanics = walk.mechanics
+
+    def first_moved(stem: str) -> list[int]:
+        """Number the body at the near end of what a coordinate moves."""
+        rows = walk.starting(stem)
+        moved: list[int] = np.flatnonzero(mechanics.moves[rows[0]]).tolist() if rows else []
+        names = [mechanics.bodies[body] for body in moved]
+        return [body for body in moved if mechanics.parents[body] not in names]
+
+    thigh, shank = first_moved("hip_"), first_moved("knee_")
+    ankle = walk.starting("ankle_")
+    foot = np.flatnonzero(mechanics.moves[ankle[0]]).tolist() if ankle else []
+    return thigh, shank, foot
+
+
+def _hip_center_offset(walk: Walk) -> Slopes:
+    """The hip's moment is taken about a center that is further forward, up or outward in the pelvis."""
+    axes = walk.mechanics.rotation[walk.pelvis]
+    directions = (axes[:, 0], axes[:, 1], walk.outward * axes[:, 2])
+    force = walk.transmitted()[:, 3:]
+    slopes = np.zeros((3, *walk.mechanics.screw.shape[::2]))
+    for row in walk.starting("hip_"):
+        axis = walk.mechanics.screw[row, :3]
+        for number, direction in enumerate(directions):
+            slopes[number, row] = -(axis * np.cross(direction, force[row], axis=0)).sum(axis=0)
+    return slopes
+
+
+def _joint_axis_rotation(walk: Walk) -> Slopes:
+    """The joint's whole moment is projected on an axis that is turned as toes are when they turn out."""
+    mechanics, wrench = walk.mechanics, walk.transmitted()
+    slopes = np.zeros((3, *mechanics.screw.shape[::2]))
+    for number, stem in enumerate(("knee_angle", "ankle_angle", "subtalar_angle")):
+        for row in walk.starting(stem):
+            moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
+            upright = mechanics.rotation[_carrier(walk, row), :, 1]
+            # Seen from above, outward is clockwise for a right leg.
+            turned = -walk.outward * np.cross(upright, mechanics.screw[row, :3], axis=0)
+            slopes[number, row] = (turned * moment).sum(axis=0)
+    return slopes
+
+
+def _carrier(walk: Walk, coordinate: int) -> int:
+    """Number the body that carries a coordinate's joint; its own child body where that is ground."""
+    mechanics = walk.mechanics
+    moved = np.flatnonzero(mechanics.moves[coordinate])
+    names = [mechanics.bodies[body] for body in moved]
+    child = next(body for body in moved if mechanics.parents[body] not in names)
+    parent = mechanics.parents[child]
+    return mechanics.bodies.index(parent) if parent in mechanics.bodies else int(child)
+
+
+def _foot_deformation(walk: Walk) -> Slopes:
+    """The ankle was recorded too far in dorsiflexion, by an angle that goes with the vertical force."""
+    if walk.bent is None:
+        return np.zeros((1, *walk.mechanics.screw.shape[::2]))
+    more, less = (bent.moments(bent.transmitted(walk.loaded, walk.wrench)) for bent in walk.bent)
+    return (more - less)[None] / walk.bend
+
+
+def _wobbling_mass(walk: Walk) -> Slopes:
+    """A smooth pulse about hip flexion and knee after the foot strikes, of unit area over time."""
+    on_ground = walk.in_contact.reshape(walk.time.shape)
+    struck = on_ground & ~np.roll(on_ground, 1, axis=1)
+    # A cycle starts with the strike unless the forces say otherwise.
+    start = np.where(struck.any(axis=1), struck.argmax(axis=1), 0)
+    duration = walk.time[:, -1] - walk.time[:, 0]
+    since = np.mod(walk.time - walk.time[np.arange(start.size), start][:, None], duration[:, None])
+    length = _IMPACT * duration[:, None]
+    pulse = np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0)
+    slopes = np.zeros((1, *walk.mechanics.screw.shape[::2]))
+    slopes[:, walk.starting("hip_flexion") + walk.starting("knee_angle")] = pulse.ravel()
+    return slopes
+
+
+def _knee_laxity(walk: Walk) -> Slopes:
+    """The vertical force acts further outward, as seen from hip adduction and knee adduction."""
+    vertical = np.zeros_like(walk.wrench)
+    vertical[:, 4] = walk.wrench[:, 4]
+    change = np.zeros_like(walk.wrench)
+    outward = walk.outward * walk.rightward
+    change[:, :3] = np.cross(outward[None], vertical[:, 3:], axis=1)
+    slopes = np.zeros((1, *walk.mechanics.screw.shape[::2]))
+    rows = walk.starting("hip_adduction") + walk.starting("knee_adduction")
+    slopes[0, rows] = walk.moments_by_load(change)[rows]
+    return slopes
+
+
+#: From the id of an effect to what one unit of each of its amounts adds to the moments.
+SLOPES: dict[str, Callable[[Walk], Slopes]] = {
+    "cop_offset": _cop_offset,
+    "hip_center_offset": _hip_center_offset,
+    "joint_axis_rotation": _joint_axis_rotation,
+    "force_latency": _force_latency,
+    "segment_inertia": _segment_inertia,
+    "crossed_plates": _crossed_plates,
+    "foot_deformation": _foot_deformation,
+    "wobbling_mass": _wobbling_mass,
+    "knee_laxity": _knee_laxity,
+}
