@@ -306,10 +306,10 @@ def _compare(options: argparse.Namespace) -> int:
 def _diagnose(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import diagnose, load_fit, load_subject
+    from wrapjax.api.diagnosis import refuse_unknown
     from wrapjax.api.gap_text import gap_table
     from wrapjax.api.preparation import source_for
     from wrapjax.api.text import iteration_printer
-    from wrapjax.gap.catalogue import refuse_unknown
     from wrapjax.progress import say
 
     _refuse_existing(options.out, options.force)

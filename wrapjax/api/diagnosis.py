@@ -15,6 +15,7 @@ from wrapjax.api.fitting import Fit
 from wrapjax.api.gap_context import gap_context
 from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
 from wrapjax.gap import Context, catalogue
+from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.gap.investigation import Investigation, investigate
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.verdict import Tuning
@@ -89,6 +90,7 @@ def diagnose(
     KeyboardInterrupt
         If calibrating was interrupted; the next time it goes on where it stopped.
     """
+    refuse_unknown(without)
     began = time.perf_counter()
     alone = replace(subject, other_leg=None)
     calibration = kept_calibration(alone, method, fit, starts=starts, seed=seed, callback=callback)

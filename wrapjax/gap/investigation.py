@@ -163,7 +163,15 @@ def investigate(
         inputs = case.recording.of_trials(plan.calibration)
         effects = effects_in(catalogue(seen, case.withheld))
         ended = plain.full.calibrated
-        gap = linear_gap(problem, jnp.asarray(ended), inputs, case.measured[plan.calibration], seen, effects)
+        gap = linear_gap(
+            problem,
+            jnp.asarray(ended),
+            inputs,
+            case.measured[plan.calibration],
+            seen,
+            effects,
+            tuning.background,
+        )
     sizes = case.measured[plan.calibration].std(axis=(0, 2))
     with watch.during("twins", f"making {twins} people with nothing amiss"):
         world = TwinWorld(problem, ended, inputs, gap, cycle_noise(gap.fitted, gap.speeds))

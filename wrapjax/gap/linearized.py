@@ -7,8 +7,9 @@ calibrated parameters were expected, since their give is part of the null hypoth
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -85,6 +86,7 @@ def linear_gap(
     measured: Float[np.ndarray, "trial coordinate frame"],
     context: Context,
     effects: Sequence[Effect],
+    background: Mapping[str, float] = MappingProxyType({}),
 ) -> LinearGap:
     """Draw all straight lines at a calibrated model.
 
@@ -96,6 +98,9 @@ def linear_gap(
         Of the cycles that are looked at, which need not be those of the problem.
     effects
         Those that this recording can show.
+    background
+        By id, what everybody has of an effect, in parts of its prior deviation: no model's geometry is the
+        person's own, nor are its curves. It is allowed for in every comparison.
     """
     parameters = problem.parameters(variables)
     frames = phase_frames(measured.shape[-1])
@@ -117,11 +122,10 @@ def linear_gap(
             ]
         else:
             candidates.append(own)
-            # Shapes share what everybody has.
-            spread = effect.background * own.prior_sd[:, None] / np.sqrt(len(own.variants))
-            nuisances += [
-                (variant * spread).reshape(-1, *fitted.shape) for variant in own.variants if effect.background
-            ]
+            if share := background.get(effect.id, 0.0):
+                # Shapes share what everybody has.
+                spread = share * own.prior_sd[:, None] / np.sqrt(len(own.variants))
+                nuisances += [(variant * spread).reshape(-1, *fitted.shape) for variant in own.variants]
     return LinearGap(
         residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,

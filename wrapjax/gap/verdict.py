@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 
 import numpy as np
@@ -40,6 +40,8 @@ class Tuning:
         which that changes.
     set_level
         Probability that a credible set holds, so that it covers 90 %.
+    background
+        By effect, what everybody has of it, in parts of its prior deviation (see `linear_gap`).
     """
 
     bank: str
@@ -50,6 +52,7 @@ class Tuning:
     structured_offset: float
     structured_scale: float
     set_level: float
+    background: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def shipped(cls) -> Tuning:

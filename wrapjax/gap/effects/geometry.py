@@ -15,8 +15,6 @@ from wrapjax.model import Alteration
 
 #: No amount may be more than so many prior deviations.
 _MOST = 4.0
-#: Share of their priors that is in everybody: no model's geometry is the person's own.
-_IN_EVERYBODY = 0.4
 
 
 def wrap_surface(context: Context) -> Effect | NotTestable:
@@ -41,7 +39,7 @@ def _of_changes(id: str, changes: PathChanges, what: str, source: str) -> Effect
         EffectParameter(name, unit, sd, 0, f"displacement {what}", source, _MOST * sd, name.rsplit(".", 1)[0])
         for name, unit, sd in zip(changes.names, changes.units, changes.prior_sd, strict=True)
     )
-    return Effect(id, "geometry", parameters, (Variant(Partial(_moved, changes)),), background=_IN_EVERYBODY)
+    return Effect(id, "geometry", parameters, (Variant(Partial(_moved, changes)),))
 
 
 def _moved(changes: PathChanges, amounts: Float[Array, " parameter"]) -> Alteration:

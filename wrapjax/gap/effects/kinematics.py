@@ -62,7 +62,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         Variant(Partial(_slid, _slopes(context.paths_of_angles, *_errors(context, center))), when)
         for when, center in _SLIDES.items()
     )
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants, background=0.3)
+    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
 
 
 def _errors(context: Context, center: float) -> tuple[Array, Array]:
