@@ -1,0 +1,59 @@
+"""``wrapjax diagnose``: from a subject to an answer, or to a sentence why there is none."""
+
+import json
+
+import pytest
+
+from tests.cli.folders import names, stored
+from tests.cli.test_check import assert_only_errors
+from wrapjax.gap import CATALOGUE
+
+#: Few effects, one start.
+QUICK = ("--starts", "1", "--without", *sorted(set(CATALOGUE) - {"joint_damping", "curve_family"}))
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    def started(*arguments, **options):
+        raise AssertionError("the command started to work")
+
+    monkeypatch.setattr("wrapjax.api.diagnosis.kept_calibration", started)
+    monkeypatch.setattr("wrapjax.api.preparation.fit_paths", started)
+
+
+def test_three_cycles_are_too_few_and_that_is_said(run, subject, fitted, tmp_path):
+    """What can be said all the same is written, and the exit status tells scripts."""
+    out = tmp_path / "gap"
+    done = run("diagnose", subject, "--fit", fitted[1], *QUICK, "--out", out)
+    assert done.status == 1
+    assert "too few" in done.output and f"written to {out}" in done.output
+    content = stored(out / "gap.json")
+    assert content["outcome"] == "insufficient_data" and content["named"] == []
+    assert sum(effect["probability"] for effect in content["effects"]) == pytest.approx(1.0)
+    assert "report.html" in names(out) and any(name.startswith("moments/") for name in names(out))
+    again = run("diagnose", subject, "--fit", fitted[1], *QUICK, "--out", out, "--force", "--json", "--quiet")
+    assert (again.status, again.progress) == (1, "")
+    assert json.loads(again.output)["subject"] == content["subject"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--without", "joint_dampin"), ("joint_dampin", "did you mean 'joint_damping'")),
+        (("--out", "{here}"), ("exists already", "--force")),
+        (("--fit", "{here}"), ("fit",)),
+    ],
+)
+def test_bad_input_is_refused_before_any_work(run, subject, tmp_path, no_work, arguments, words):
+    given = [argument.format(here=tmp_path) for argument in arguments]
+    if "--out" not in given:
+        given += ["--out", str(tmp_path / "gap")]
+    outcome = run("diagnose", subject, *given)
+    (line,) = assert_only_errors(outcome, words[0])
+    assert all(word in line for word in words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_subject_is_a_clear_error(run, tmp_path, no_work):
+    outcome = run("diagnose", tmp_path / "nobody", "--out", tmp_path / "gap")
+    assert_only_errors(outcome, "nobody")
