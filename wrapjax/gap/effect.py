@@ -97,7 +97,7 @@ def _as_they_are(amounts: Float[Array, " parameter"]) -> Float[Array, " paramete
 
 def _placed(
     form: Form,
-    places: Int[np.ndarray, " own"],
+    places: Int[Array | np.ndarray, " own"],
     nothing: Float[Array, " parameter"],
     amounts: Float[Array, " own"],
 ) -> Alteration:
