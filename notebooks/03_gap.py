@@ -33,8 +33,8 @@ subject = wrapjax.load_subject(folder / "person")
 #
 # That calibrates the model from several starts, fits it to parts of the cycles, draws what each effect of the
 # catalogue would do to the moments, and makes people with nothing amiss to learn how much evidence they show.
-# The likeliest effects are then fitted together with everything else. To be quick we ask for a few effects only:
-# `without` names those to leave out, and without it the whole catalogue is asked.
+# The likeliest effects are then fitted together with everything else. To be quick we ask for a few effects
+# only: `without` names those to leave out, and without it the whole catalogue is asked.
 
 # %%
 ASKED = {"ankle_foot_orthosis", "curve_family", "emg_drift", "joint_damping"}

@@ -19,10 +19,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
     from wrapjax.api import Comparison as Comparison
+    from wrapjax.api import Diagnosis as Diagnosis
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import compare as compare
+    from wrapjax.api import diagnose as diagnose
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
     from wrapjax.api import fit_wraps as fit_wraps
@@ -38,11 +40,13 @@ __version__ = version("wrapjax")
 _PLACES = {
     "Calibration": "wrapjax.api",
     "Comparison": "wrapjax.api",
+    "Diagnosis": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
     "InputError": "wrapjax.errors",
     "calibrate": "wrapjax.api",
     "compare": "wrapjax.api",
+    "diagnose": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",
     "fit_wraps": "wrapjax.api",

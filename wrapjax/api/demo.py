@@ -27,8 +27,6 @@ MOMENT_NOISE = 1.0
 WRAP_SPREAD = 0.6
 # Those that move paths take longer, and one start shows them.
 _STARTS = {"NGA": 4, "SGA": 1, "LSGA": 1, "PGA": 1}
-# Effects that the diagnosis leaves out: none of them.
-_WITHHELD: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,6 @@ def demo(
         seed=seed,
         force=force,
         quiet=quiet,
-        without=_WITHHELD,
         callback=callback,
         tell=lambda line: say(line, quiet=quiet),
     )
