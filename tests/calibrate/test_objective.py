@@ -35,7 +35,13 @@ def test_expansion_equals_dense_derivatives_of_all_residuals(problem, point):
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.4], ids=["some limits push", "most limits push"])
+@pytest.mark.parametrize(
+    "shift",
+    [
+        pytest.param(0.0, id="some limits push", marks=pytest.mark.slow),
+        pytest.param(0.4, id="most limits push"),
+    ],
+)
 def test_expansion_with_paths_and_limits(shift):
     """Paths are differentiated frame by frame: that must be what differentiating everything gives."""
     problem = small_limited_objective(seed=1)

@@ -42,6 +42,7 @@ def calibration_mae(calibration) -> float:
     return float(np.abs(result.modelled - result.measured)[rows].mean())
 
 
+@pytest.mark.slow  # the next test is quicker and defends the same but for one prior
 def test_moment_error_with_the_terms_of_the_nmsm_pipeline(subject, paths):
     """Nothing holds the delays, as in the published cost."""
     freedom = nga(model_parameters(subject), delay_sd=np.inf)

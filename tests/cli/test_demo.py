@@ -1,7 +1,7 @@
 """The demo: a virtual person from nothing to a report and a comparison with the truth.
 
-Methods that change polynomials and the diagnosis take most of its time and are tested elsewhere: here they are
-left out, but for one slow test.
+Methods that change polynomials and the diagnosis take most of its time and are tested elsewhere: here they
+are left out, but for one slow test.
 """
 
 import json

@@ -145,7 +145,9 @@ def test_geodesic_moment_arm_is_minus_the_slope_of_length(leg):
     assert worst < 1e-9
 
 
-@pytest.mark.parametrize("muscle", ["psoas_l", "glmax2_l", "semiten_l", "gasmed_l"])
+@pytest.mark.parametrize(
+    "muscle", ["psoas_l", "glmax2_l", "semiten_l", pytest.param("gasmed_l", marks=pytest.mark.slow)]
+)
 def test_gradients_by_wrap_parameters_equal_differences(leg, muscle):
     """In reverse mode, of lengths and moment arms."""
     engine, poses, _ = leg

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,6 @@ def demonstrate_gap(
     seed: int = 0,
     force: bool = False,
     quiet: bool = True,
-    without: Sequence[str] = (),
     callback: Watch | None = None,
     tell: Callable[[str], None] = lambda line: None,
 ) -> GapDemonstration:
@@ -81,7 +80,7 @@ def demonstrate_gap(
         One of `HIDDEN_EFFECTS`; None for nothing.
     seed, force, quiet, callback
         As of `demo`.
-    without, tell
+    tell
         As of `diagnose`.
     """
     place = folder / "hidden_effect"
@@ -93,7 +92,6 @@ def demonstrate_gap(
         subject,
         "NGA",
         fit(subject, "engine", seed=seed, quiet=quiet),
-        without=without,
         starts=_STARTS,
         seed=seed,
         twins=_TWINS,
