@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from wrapjax.calibrate import Objective, Outcome
 from wrapjax.gap.catalogue import catalogue, effects_in
-from wrapjax.gap.conclusion import Scene, conclude, stopped
+from wrapjax.gap.conclusion import conclude, stopped
 from wrapjax.gap.context import Context
 from wrapjax.gap.cycle_noise import cycle_noise
 from wrapjax.gap.effect import Effect, Effects, NotTestable
@@ -23,6 +23,7 @@ from wrapjax.gap.null import nulls
 from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.refit import joint_problem
 from wrapjax.gap.result import GapResult
+from wrapjax.gap.scene import Scene
 from wrapjax.gap.score import score_each
 from wrapjax.gap.twins import TwinWorld, twin_residuals
 from wrapjax.gap.verdict import Tuning
@@ -189,7 +190,9 @@ def investigate(
         certificate=certificate,
         amount_weight=weight,
         scored=first,
-        strongest_of_twins=np.array([max(one.evidence for one in twin.scores) for twin in of_twins]),
+        strongest_of_twins=np.array(
+            [max((one.evidence for one in twin.scores), default=0.0) for twin in of_twins]
+        ),
         tuning=tuning,
     )
     return conclude(scene, watch)

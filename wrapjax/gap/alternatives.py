@@ -1,0 +1,150 @@
+"""Effects fitted together with what is calibrated: their evidence then, and how far the error shrinks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp
+
+from wrapjax.calibrate import MOMENT_ERROR
+from wrapjax.gap.effect import Effect, Effects
+from wrapjax.gap.held_out import CrossFit, cross_fit, speed_conflict
+from wrapjax.gap.linearized import phase_frames
+from wrapjax.gap.null import nulls
+from wrapjax.gap.prediction import predicted_moments
+from wrapjax.gap.refit import joint_problem
+from wrapjax.gap.result import Alternative, Estimate, Released
+from wrapjax.gap.scene import Scene
+from wrapjax.gap.score import Candidate, score_each
+from wrapjax.gap.shrinkage import cycle_errors, shrinkage
+
+
+@dataclass(frozen=True)
+class Refitted:
+    """An effect, or several, fitted together with what is calibrated."""
+
+    ids: tuple[str, ...]
+    effects: Effects
+    fit: CrossFit
+
+
+def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
+    """Fit effects with the same effort as the plain model, from their most plausible amounts."""
+    case, scores = scene.case, scene.scores
+    shapes = tuple(scores[id].variant for id in ids)
+    parts = [scores[id].part for id in ids]
+    seen = Effects(tuple(scene.effects[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
+    known = {entry.id: entry for entry in case.entries if isinstance(entry, Effect)}
+    whole = Effects(tuple(known[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
+    amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
+    start = np.clip(amounts, seen.lower, seen.upper)
+    plain = scene.plain.full.calibrated
+    problem = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
+    fit = cross_fit(
+        problem,
+        np.concatenate([plain, start / seen.prior_sd]),
+        case.plan,
+        case.speeds,
+        case.predict(whole),
+    )
+    return Refitted(ids, seen, fit)
+
+
+def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, float]:
+    """Give the evidence for each effect where its joint fit ended, along the same lines.
+
+    What a straight line made too much or too little of is put right; noise and lines stay what they were,
+    so that all hypotheses are judged alike.
+    """
+    if not refits:
+        return {}
+    gap, case = scene.gap, scene.case
+    cycles, frames = case.plan.calibration, phase_frames(case.measured.shape[-1])
+    columns = gap.slopes.reshape(len(gap.slopes), -1)
+    expected = scene.plain.full.calibrated - gap.away
+    residuals, chosen = [], []
+    for id, refit in refits.items():
+        full, candidate = refit.fit.full, scene.candidates[id]
+        moments = _moments_of(scene, refit)
+        left = (case.measured[cycles] - moments)[..., frames].ravel()
+        own = list(scene.scores[id].part)
+        shape = candidate.variants[scene.scores[id].variant][own]
+        residuals.append(left + (full.calibrated - expected) @ columns + full.amounts @ shape)
+        chosen.append(Candidate(id, (shape,), candidate.prior_sd[own], candidate.one_sided[own]))
+    found = score_each(np.array(residuals), nulls(gap, scene.sizes), chosen)
+    before = logsumexp(scene.scored.plausible)
+    # Each hypothesis on its own residual; other shapes and parts were plausible before, too.
+    return {
+        id: float(
+            one.scores[place].evidence
+            + logsumexp(one.plausible)
+            - before
+            + scene.candidates[id].log_prior(scene.scores[id].part)
+        )
+        for place, (id, one) in enumerate(zip(refits, found, strict=True))
+    }
+
+
+def _moments_of(scene: Scene, refit: Refitted) -> Float[np.ndarray, "cycle coordinate frame"]:
+    """Predict the calibration cycles by the fit that has seen them all."""
+    problem, full = scene.case.problem, refit.fit.full
+    parameters = problem.parameters(jnp.asarray(full.calibrated))
+    found = predicted_moments(
+        problem.curves, parameters, problem.recording, refit.effects, jnp.asarray(full.amounts)
+    )
+    return np.asarray(found)
+
+
+def alternative(scene: Scene, refitted: Refitted) -> Alternative:
+    """Say what an effect takes away on cycles that its fits have not seen, and what it released."""
+    case, fit, plain = scene.case, refitted.fit, scene.plain
+    measured, speeds, floor = case.measured, case.speeds, scene.place.floor
+    before, after = (cycle_errors(measured - one.predicted) for one in (plain, fit))
+    held = np.array([use != "calibration" for use in case.uses]) & ~case.plan.new_speed
+    # Where few cycles were kept for validation, those left out one by one count as well.
+    counted = (
+        held if held.sum() >= 2 * len(case.plan.counts) and len(case.plan.counts) else ~case.plan.new_speed
+    )
+    return Alternative(
+        ids=refitted.ids,
+        predicted=fit.predicted,
+        held_out_cycles=shrinkage(before[counted], after[counted], floor[counted], speeds[counted]),
+        held_out_speed=_at_other_speed(scene, fit),
+        gains=_gains(scene, before - after),
+        speed_conflict=speed_conflict(fit, scene.amount_weight),
+        released=_released(scene, fit),
+    )
+
+
+def _gains(scene: Scene, fall: Float[np.ndarray, " cycle"]) -> tuple[float, ...]:
+    """Turn falls of mean squared errors into nats, block by block: see `amount_weight`."""
+    plan = scene.case.plan
+    by_cycle = 0.5 * fall / (MOMENT_ERROR**2 * scene.amount_weight * len(plan.calibration))
+    return tuple(float(np.sum(by_cycle[plan.calibration[block]])) for block in plan.blocks)
+
+
+def _at_other_speed(scene: Scene, fit: CrossFit) -> Estimate:
+    case, plain = scene.case, scene.plain
+    if plain.at_other_speed is None or fit.at_other_speed is None:
+        return Estimate.unknown("one speed was recorded")
+    counted = case.plan.new_speed if case.plan.new_speed.any() else np.ones(len(case.uses), dtype=bool)
+    before, after = (
+        cycle_errors(case.measured - np.asarray(one.at_other_speed))[counted] for one in (plain, fit)
+    )
+    return shrinkage(before, after, scene.place.floor[counted], case.speeds[counted])
+
+
+def _released(scene: Scene, fit: CrossFit) -> tuple[Released, ...]:
+    """Compare what was calibrated without and with the effect."""
+    problem = scene.case.problem
+    before, after = scene.plain.full.calibrated, fit.full.calibrated
+    sd = np.sqrt(np.sum(scene.gap.spread**2, axis=1))
+    stuck = (before <= np.asarray(problem.lower)) | (before >= np.asarray(problem.upper))
+    rows = zip(problem.variables.labels, before, after, sd, stuck, strict=True)
+    return tuple(
+        Released(label, float(was), float(now), float(spread), bool(held))
+        for label, was, now, spread, held in rows
+    )
