@@ -5,31 +5,23 @@ are left out, but for one slow test.
 """
 
 import json
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import pytest
 
 import wrapjax.api.demo
 from tests.report.made_up_gap import named
-from wrapjax.api.gap_demo import drawn_effect
+from wrapjax.api.gap_demo import GapDemonstration, drawn_effect
 from wrapjax.cli import main
 from wrapjax.virtual import HIDDEN_EFFECTS
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a diagnosis would say, made up: the notebook about it runs one, and the slow tests do."""
-
-    hidden: str
-
-    @property
-    def content(self):
-        return {"hidden": self.hidden, "right": True}
-
-    @property
-    def diagnosis(self):
-        return SimpleNamespace(result=named())
+def made_up_answer(folder, hidden, **options):
+    """What a diagnosis would say: the notebook about it runs one, and the slow tests do."""
+    answer = object.__new__(GapDemonstration)
+    object.__setattr__(answer, "hidden", hidden)
+    object.__setattr__(answer, "diagnosis", SimpleNamespace(result=named()))
+    return answer
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +30,7 @@ def shown(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wrapjax.api.demo, "_STARTS", {"NGA": 1, "PGA": 1})
-        patch.setattr(wrapjax.api.demo, "demonstrate_gap", lambda folder, hidden, **options: Answer(hidden))
+        patch.setattr(wrapjax.api.demo, "demonstrate_gap", made_up_answer)
         return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
 
 
@@ -83,7 +75,7 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
 
 def test_what_was_hidden_is_drawn_by_the_seed(shown):
     content = json.loads((shown[1] / "demo.json").read_text())["gap"]
-    assert content["hidden"] == drawn_effect(3)
+    assert content["hidden"] == drawn_effect(3) and content["outcome"] == "named"
     assert {drawn_effect(seed) for seed in range(40)} == set(HIDDEN_EFFECTS)
 
 
