@@ -40,7 +40,7 @@ subject = wrapjax.load_subject(folder / "person")
 ASKED = {"ankle_foot_orthosis", "curve_family", "emg_drift", "joint_damping"}
 others = sorted(set(CATALOGUE) - ASKED)
 paths = wrapjax.fit(subject, "engine")
-diagnosis = wrapjax.diagnose(subject, "NGA", paths, starts=2, twins=20, without=others)
+diagnosis = wrapjax.diagnose(subject, "NGA", paths, starts=2, twins=10, without=others)
 found = diagnosis.result
 print(gap_table(found))
 
@@ -81,12 +81,9 @@ for one in moved[:5]:
 # %% [markdown]
 # ## If nobody knew of orthoses
 #
-# An effect can be left out of the catalogue. The calibration is not done again. What should come out is that
-# something is amiss, not another name.
-
-# %%
-blind = wrapjax.diagnose(subject, "NGA", paths, starts=2, twins=20, without=[*others, "ankle_foot_orthosis"])
-print(blind.result.outcome, blind.result.named, blind.result.credible_set)
+# An effect can be left out of the catalogue (`without`, or `--without` of the command); the calibration is not
+# done again. What should come out then is that something is amiss, not another name. Whoever trusts an answer
+# should try it.
 
 # %%
 diagnosis.save(folder / "gap")

@@ -16,6 +16,29 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+#: Files whose tests take longest: begun first, so that no worker is left alone with one at the end.
+LONGEST = (
+    "tests/notebooks",
+    "tests/cli/test_demo.py",
+    "tests/api/test_two_legs.py",
+    "tests/api/test_wraps.py",
+    "tests/api/test_diagnosis.py",
+    "tests/api/test_comparison.py",
+    "tests/cli/test_compare.py",
+    "tests/calibrate/test_recorded.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    """Put the longest files first; within a file, and among the others, order stays."""
+
+    def place(item) -> int:
+        path = item.path.as_posix()
+        return next((number for number, part in enumerate(LONGEST) if part in path), len(LONGEST))
+
+    items.sort(key=place)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def cache(tmp_path_factory):
     """Keep the user's cache out of the tests and the tests out of the user's cache."""

@@ -149,7 +149,7 @@ def test_the_left_leg_walks_by_itself(legs):
 
 
 def test_legs_appear_whole_or_not_at_all(tmp_path, monkeypatch):
-    def fail(*_):
+    def fail(*_, **__):
         raise OSError("disk full")
 
     monkeypatch.setattr("wrapjax.virtual.subject.settings_text", fail)
