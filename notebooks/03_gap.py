@@ -81,9 +81,9 @@ for one in moved[:5]:
 # %% [markdown]
 # ## If nobody knew of orthoses
 #
-# An effect can be left out of the catalogue (`without`, or `--without` of the command); the calibration is not
-# done again. What should come out then is that something is amiss, not another name. Whoever trusts an answer
-# should try it.
+# An effect can be left out of the catalogue (`without`, or `--without` of the command); the calibration is
+# not done again. What should come out then is that something is amiss, not another name. Whoever trusts an
+# answer should try it.
 
 # %%
 diagnosis.save(folder / "gap")
