@@ -18,7 +18,17 @@ ENDINGS = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in NOTEBOOKS.glob("*.py")))
+#: A diagnosis takes minutes; `tests/api/test_diagnosis.py` runs one of few muscles.
+SLOW = {"03_gap.py"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(path.name, marks=[pytest.mark.slow] if path.name in SLOW else [])
+        for path in sorted(NOTEBOOKS.glob("*.py"))
+    ],
+)
 def test_runs(name, tmp_path):
     # In a process of its own: a notebook sets JAX up by itself, as its readers would.
     environment = os.environ | {"TMPDIR": str(tmp_path), "MPLBACKEND": "Agg"}

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -93,12 +94,16 @@ def _analyse_in_workers(
     pool = ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=engine_arguments
     )
+    broken = False
     try:
         with _calling_script_hidden():
-            results = pool.map(_analyse_in_worker, chunks.values())
-        for key, (length, moment_arm) in zip(chunks, results, strict=True):
+            waiting = deque((key, pool.submit(_analyse_in_worker, chunk)) for key, chunk in chunks.items())
+        while waiting:
+            key, future = waiting.popleft()
+            length, moment_arm = future.result()
             yield key, length, moment_arm
     except BrokenProcessPool as error:
+        broken = True
         raise RuntimeError(
             "a worker process of the muscle analysis died: killed, or out of memory. "
             "What was finished is kept; run it again, or with processes=1"
@@ -106,7 +111,8 @@ def _analyse_in_workers(
     finally:
         # After Ctrl-C too: what is being analysed ends within a second or two, what is waiting is dropped.
         with _deaf_to_interrupts():
-            pool.shutdown(wait=True, cancel_futures=True)
+            # A broken pool ends its futures itself, and trips over one that is cancelled meanwhile.
+            pool.shutdown(wait=True, cancel_futures=not broken)
 
 
 @contextmanager
