@@ -169,3 +169,10 @@ def test_shipped_constants_are_usable():
     assert tuning.alarm > 0.0
     silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, tuning)
     assert silent.none > 0.5, "without evidence, nothing is the most probable"
+
+
+def test_what_the_recording_could_not_show_is_not_named():
+    found = Probabilities({"one": 0.9}, none=0.06, unknown=0.04)
+    assert judge(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
+    verdict = judge(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
+    assert verdict.outcome == "unknown" and "could not show" in verdict.reason and not verdict.named

@@ -67,7 +67,8 @@ def conclude(scene: Scene, watch: Watch) -> GapResult:
         alarm = max(tuning.alarm, float(np.quantile(twins, 1.0 - ALARM_SHARE)) if len(twins) else 0.0)
         found = probabilities(settled, scene.scored.structured, tuning)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
-        verdict = judge(found, settled, tie, alarm, controls)
+        unseen = [id for id, one in scores.items() if one.detectability < UNSEEN]
+        verdict = judge(found, settled, tie, alarm, controls, unseen)
     accepted = verdict.named or verdict.tie
     shown = [id for id in order if id in refits]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))

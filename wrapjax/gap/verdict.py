@@ -154,6 +154,7 @@ def judge(
     tie: Sequence[str],
     alarm: float,
     controls: Sequence[str],
+    unseen: Sequence[str] = (),
 ) -> Verdict:
     """Say it, or say nothing.
 
@@ -167,10 +168,18 @@ def judge(
         Evidence that has to be exceeded, nats.
     controls
         Ids that cannot be at work in such a recording: if one leads, something else is.
+    unseen
+        Ids that this recording could not show at their expected size: none of them is named.
     """
     first = tie[0] if tie else None
     together = sum(found.effects[name] for name in tie)
-    if first is not None and evidence[first] > alarm and together >= LEAST_PROBABILITY:
+    stands_out = first is not None and evidence[first] > alarm and together >= LEAST_PROBABILITY
+    if stands_out and first in unseen:
+        return Verdict(
+            "unknown",
+            f"{first} would explain most, but this recording could not show it if it were there",
+        )
+    if first is not None and stands_out:
         if first in controls:
             return Verdict(
                 "unknown",
