@@ -28,6 +28,7 @@ ARROWS: dict[str, set[str]] = {
     "model": {"geometry", "muscle"},
     "calibrate": {"errors", "files", "model", "geometry", "muscle"},
     "gap": {"errors", "calibrate", "model", "geometry", "muscle"},
+    "measurement": {"errors", "subject", "osim", "gap"},
     "evaluate": set(),
     "virtual": {"errors", "files", "precision", "subject", "osim", "geometry", "muscle", "model"},
     "report": {
@@ -36,7 +37,7 @@ ARROWS: dict[str, set[str]] = {
     },
     "api": {
         *("errors", "files", "precision", "progress", "subject", "osim"),
-        *("geometry", "muscle", "model", "calibrate", "gap", "evaluate", "report", "virtual"),
+        *("geometry", "muscle", "model", "calibrate", "gap", "measurement", "evaluate", "report", "virtual"),
     },
     # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.
     "cli": {"api", "errors", "files", "progress", "subject", "calibrate", "__init__"},

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from tests.subject.synthetic import COORDINATES, write_wrapped_subject
+from tests.subject.synthetic_forces import with_forces
 from wrapjax.api import load_subject
 from wrapjax.api.exact import exact_geometry
 from wrapjax.api.gap_context import _wrap_changes, gap_context
 from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, predicted_moments
+from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.muscle import HILL_CURVES
 
 
@@ -104,3 +106,15 @@ def test_paths_follow_cylinders(tmp_path):
     assert np.abs(longer[rows[0]]).max() == 0.0
     # On a cylinder that turns it by less than half a turn, a path gains at most that turn times the radius.
     assert 1e-4 < longer[rows[1]].max() < np.pi * 0.5e-3 and longer[rows[1]].min() > -1e-12
+
+
+def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, tmp_path):
+    subject = with_forces(tmp_path / "person")
+    _, context = gap_context(dataclasses.replace(calibrated, subject=subject))
+    testable = {entry.id for entry in catalogue(context) if not isinstance(entry, NotTestable)}
+    assert set(context.measured_changes) <= testable and "crossed_plates" in testable
+    part = context.select([2, 0])
+    for id, whole in context.measured_changes.items():
+        amounts = jnp.array([row[2] for row in CHAIN[id][1]])
+        np.testing.assert_array_equal(part.measured_changes[id](amounts), whole(amounts)[np.array([2, 0])])
+        assert np.abs(whole(0.0 * amounts)).max() == 0.0

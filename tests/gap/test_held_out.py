@@ -12,7 +12,7 @@ from wrapjax.calibrate import Linearization
 from wrapjax.gap import held_out, predicted_moments
 from wrapjax.gap.held_out import amount_covariance, cross_fit, plan_of, speed_conflict
 from wrapjax.gap.linearized import speed_numbers
-from wrapjax.gap.refit import cycle_errors, fit_jointly, joint_problem
+from wrapjax.gap.refit import allowed_errors, fit_jointly, joint_problem
 
 SPEEDS = np.array([0, 0, 1, 1])
 
@@ -183,7 +183,7 @@ def ended(fit, used, curvature, away):
     size = count + len(curvature)
     whole = np.eye(size)
     whole[count:, count:] = curvature
-    plain = replace(fit.problem.plain, moment_error=cycle_errors(fit.problem.plain, used))
+    plain = replace(fit.problem.plain, moment_error=allowed_errors(fit.problem.plain, used))
     model = Linearization(jnp.zeros(()), jnp.zeros(size), jnp.asarray(whole), jnp.zeros((size, size)))
     variables = np.concatenate([np.zeros(count), away])
     return replace(fit, problem=replace(fit.problem, plain=plain), model=model, variables=variables)

@@ -9,7 +9,7 @@ import pytest
 from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, linearize, value
 from wrapjax.calibrate import MOMENT_ERROR
 from wrapjax.gap import Effects
-from wrapjax.gap.refit import cycle_errors, fit_jointly, joint_problem
+from wrapjax.gap.refit import allowed_errors, fit_jointly, joint_problem
 
 USED = np.array([True, False, True, True])
 
@@ -34,7 +34,7 @@ def place(leg):
 
 def counting(problem, used=USED, weight=WEIGHT):
     """The problem as a fit to these cycles sees it."""
-    plain = replace(problem.plain, moment_error=cycle_errors(problem.plain, used))
+    plain = replace(problem.plain, moment_error=allowed_errors(problem.plain, used))
     return replace(problem, plain=plain, amount_weight=jnp.asarray(weight))
 
 
@@ -110,14 +110,14 @@ def test_moments_that_do_not_count_leave_everything_finite(problem, place):
 
 def test_cycles_that_count_weigh_what_all_did(problem, place):
     """Else penalties would hold a fit to half of the cycles twice as hard."""
-    errors = cycle_errors(problem.plain, USED)
+    errors = allowed_errors(problem.plain, USED)
     np.testing.assert_allclose(
         errors.ravel(), [MOMENT_ERROR * np.sqrt(0.75)] * 1 + [np.inf] + [errors[2, 0, 0]] * 2
     )
-    everything = (1.0 / cycle_errors(problem.plain, None) ** 2).sum()
+    everything = (1.0 / allowed_errors(problem.plain, None) ** 2).sum()
     np.testing.assert_allclose((1.0 / errors**2).sum(), everything)
     with pytest.raises(ValueError, match="at least one cycle"):
-        cycle_errors(problem.plain, ~np.ones(4, dtype=bool))
+        allowed_errors(problem.plain, ~np.ones(4, dtype=bool))
 
 
 def test_without_effects_it_is_the_plain_problem(leg, place):

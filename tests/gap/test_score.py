@@ -15,7 +15,7 @@ from wrapjax.gap.covariance import (
     repeated_covariance,
 )
 from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
-from wrapjax.gap.score import Candidate, Null, evidence_of, inimitable, score
+from wrapjax.gap.score import Candidate, Null, evidence_of, likeness, score_each
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
 ROWS = CYCLES * COORDINATES * PHASES
@@ -42,7 +42,7 @@ def candidate(generator, name, parameters=1, variants=1, one_sided=False):
 def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
     effect = candidate(generator, "one", parameters=3)
     residual = generator.multivariate_normal(np.zeros(ROWS), covariance)
-    (found,) = score(residual, [Null(covariance)], [effect])
+    (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
     (signature,) = effect.variants
     with_effect = covariance + signature.T @ signature * 0.7**2
     expected = multivariate_normal(cov=with_effect).logpdf(residual) - multivariate_normal(
@@ -67,7 +67,7 @@ def test_variants_and_nulls_are_averaged(generator, covariance):
     effect = candidate(generator, "several", variants=2)
     residual = generator.normal(size=ROWS)
     nulls = [Null(covariance, np.log(0.2)), Null(3.0 * covariance, np.log(0.8))]
-    (found,) = score(residual, nulls, [effect])
+    (found,) = score_each(residual[None], nulls, [effect])[0].scores
 
     def likelihood(scale, signature=None):
         own = scale * covariance
@@ -88,7 +88,7 @@ def test_variants_and_nulls_are_averaged(generator, covariance):
 def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
     effects = [candidate(generator, str(number)) for number in range(8)]
     residual = 1.5 * effects[3].variants[0][0] + generator.multivariate_normal(np.zeros(ROWS), covariance)
-    found = score(residual, [Null(covariance)], effects)
+    found = score_each(residual[None], [Null(covariance)], effects)[0].scores
     best = max(found, key=lambda one: one.evidence)
     assert best.id == "3"
     assert abs(best.amounts[0] - 1.5) < 3 * best.sd[0]
@@ -99,7 +99,7 @@ def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
     """Amounts one prior deviation large move the score by so many standard deviations."""
     effect = candidate(generator, "one")
     (signature,) = effect.variants
-    (found,) = score(np.zeros(ROWS), [Null(covariance)], [effect])
+    (found,) = score_each(np.zeros(ROWS)[None], [Null(covariance)], [effect])[0].scores
     inverse = np.linalg.inv(covariance)
     slopes = [
         signature[0] @ inverse @ generator.multivariate_normal(0.7 * signature[0], covariance)
@@ -112,10 +112,10 @@ def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
 def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
     one, other = (candidate(generator, name).variants[0] for name in ("one", "other"))
     twin = np.concatenate([2.0 * one, other])
-    amount = np.array([1.0])
-    assert inimitable(one, twin, covariance, amount) < 1e-9
-    assert inimitable(one, other, covariance, amount) > 9.0
-    assert inimitable(twin, one, covariance, np.array([0.5, 1.0])) > 9.0
+    signals = (one[0], other[0], np.array([0.5, 1.0]) @ twin)
+    apart = likeness(signals, (one, other, twin), covariance)
+    assert apart[0, 2] < 1e-9 and np.diag(apart).max() < 1e-9
+    assert apart[0, 1] > 9.0 and apart[2, 0] > 9.0
 
 
 def test_noise_is_estimated_from_deviations(generator):

@@ -15,7 +15,6 @@ from wrapjax.api.calibration import Calibration
 from wrapjax.api.cylinders import freed_wraps
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
-from wrapjax.api.measured_changes import measured_changes
 from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
 from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
@@ -23,6 +22,7 @@ from wrapjax.gap.anatomy import groups_of
 from wrapjax.geometry import PathState, PathSurrogate, fixed_path
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_slopes import laid_paths, slopes_by_ends, slopes_by_wraps
+from wrapjax.measurement import measured_changes
 from wrapjax.model import QUANTITIES, Recording, initial_parameters
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.osim import describe_model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,9 +27,10 @@ from wrapjax.gap.result import (
     GapResult,
     MuscleShare,
 )
-from wrapjax.gap.scene import Scene
+from wrapjax.gap.scene import Investigation, Scene
 from wrapjax.gap.score import Score, likeness
 from wrapjax.gap.shrinkage import shapley
+from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.verdict import (
     UNSEEN,
     credible_set,
@@ -40,16 +41,13 @@ from wrapjax.gap.verdict import (
 )
 from wrapjax.gap.where import Where
 
-if TYPE_CHECKING:
-    from wrapjax.gap.investigation import Investigation, Watch
-
 #: Effects that are fitted together with all that is calibrated, and that are compared with one another.
 REFITS, COMPARED = 3, 8
 #: Share of people with nothing amiss whose strongest evidence is above the alarm level.
 ALARM_SHARE = 0.025
 
 
-def conclude(scene: Scene, watch: Watch) -> GapResult:
+def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     """Say which effects explain the error, and how far it shrinks."""
     case, tuning, scores = scene.case, scene.tuning, scene.scores
     evidence = {id: one.evidence for id, one in scores.items()}
@@ -87,28 +85,24 @@ def conclude(scene: Scene, watch: Watch) -> GapResult:
         for id, one in scores.items()
         if one.detectability < UNSEEN
     )
-    return GapResult(
-        outcome=verdict.outcome,
-        reason=verdict.reason,
+    silent = stopped(
+        case,
+        verdict.outcome,
+        verdict.reason,
+        watch.seconds,
+        scene.plain.predicted,
+        scene.place,
+        scene.certificate,
+    )
+    return replace(
+        silent,
         named=verdict.named,
         ties=(verdict.tie,) if verdict.tie else (),
         credible_set=credible_set(found, tie, tuning.set_level),
         effects=findings,
         none_probability=found.none,
         unknown_probability=found.unknown,
-        not_testable=(*_untestable(case), *hidden),
-        withheld=case.withheld,
-        coordinates=case.context.coordinates,
-        trials=case.context.trials,
-        recordings=case.recordings,
-        uses=case.uses,
-        speeds=case.context.speeds,
-        time=case.time,
-        measured=case.measured,
-        plain=scene.plain.predicted,
-        budget=scene.place.budget,
-        budget_speeds=scene.place.speeds,
-        explainable_share=scene.place.explainable,
+        not_testable=(*silent.not_testable, *hidden),
         alternatives=alternatives,
         shares=_shares(alternatives, verdict.named),
         likeness=(compared, apart),
@@ -116,8 +110,6 @@ def conclude(scene: Scene, watch: Watch) -> GapResult:
         alarm=alarm,
         global_p=float((1 + np.sum(twins >= settled[order[0]])) / (1 + len(twins))) if order else 1.0,
         advice=_advice(scene, verdict.tie, compared, apart),
-        certificate=scene.certificate,
-        seconds=watch.seconds,
     )
 
 
@@ -130,7 +122,7 @@ def stopped(
     place: Where | None = None,
     certificate: Certificate | None = None,
 ) -> GapResult:
-    """Say why there is no diagnosis, and what is known all the same."""
+    """Say why there is no diagnosis, and what is known all the same; effects are not spoken of."""
     nothing = Effects(())
     modelled = case.predict(nothing)(case.variables, np.zeros(0)) if plain is None else plain
     return GapResult(
@@ -142,7 +134,7 @@ def stopped(
         effects=(),
         none_probability=0.0,
         unknown_probability=1.0,
-        not_testable=_untestable(case),
+        not_testable=tuple(entry for entry in case.entries if isinstance(entry, NotTestable)),
         withheld=case.withheld,
         coordinates=case.context.coordinates,
         trials=case.context.trials,
@@ -165,10 +157,6 @@ def stopped(
         certificate=certificate or unfinished(case.outcomes, reason),
         seconds=seconds,
     )
-
-
-def _untestable(case: Investigation) -> tuple[NotTestable, ...]:
-    return tuple(entry for entry in case.entries if isinstance(entry, NotTestable))
 
 
 def _apart(scene: Scene, ids: Sequence[str]) -> Float[np.ndarray, "effect effect"]:

@@ -99,7 +99,6 @@ def cross_fit(
     plan: Plan,
     speeds: Int[np.ndarray, " cycle"],
     predict: Predict,
-    tell: Callable[[], None] = lambda: None,
 ) -> CrossFit:
     """Fit to all cycles, and to all but each block, and but each speed; starts are the whole fit's end.
 
@@ -113,18 +112,13 @@ def cross_fit(
         Speeds are those of all cycles, counted from 0.
     predict
         Of the same model.
-    tell
-        Called after each fit.
     """
     full = fit_jointly(problem, start)
-    tell()
     predicted = np.array(_predicted(full, predict))
     everything = np.arange(len(plan.calibration))
 
     def fitted_to(used: Bool[np.ndarray, " seen"]) -> Refit:
-        found = fit_jointly(problem, full.variables, used)
-        tell()
-        return found
+        return fit_jointly(problem, full.variables, used)
 
     for block in plan.blocks if len(plan.blocks) > 1 else ():
         left_out = plan.calibration[block]

@@ -2,115 +2,29 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
 
-from wrapjax.calibrate import Objective, Outcome
 from wrapjax.gap.catalogue import catalogue, effects_in
 from wrapjax.gap.conclusion import conclude, stopped
-from wrapjax.gap.context import Context
 from wrapjax.gap.cycle_noise import cycle_noise
-from wrapjax.gap.effect import Effect, Effects, NotTestable
-from wrapjax.gap.held_out import Plan, Predict, cross_fit, plan_of
-from wrapjax.gap.linearized import linear_gap, phase_frames, speed_numbers
+from wrapjax.gap.effect import Effects
+from wrapjax.gap.held_out import cross_fit
+from wrapjax.gap.linearized import linear_gap, phase_frames
 from wrapjax.gap.null import nulls
-from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.refit import joint_problem
 from wrapjax.gap.result import GapResult
-from wrapjax.gap.scene import Scene
+from wrapjax.gap.scene import Investigation, Scene
 from wrapjax.gap.score import score_each
+from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.twins import TwinWorld, twin_residuals
 from wrapjax.gap.verdict import Tuning
 from wrapjax.gap.where import amount_weight, certificate_of, where
-from wrapjax.model import Recording
 
 #: Fewest calibration cycles at any one speed.
 FEWEST_CYCLES = 3
-
-
-@dataclass(frozen=True)
-class Investigation:
-    """A calibrated model and all that was recorded.
-
-    Parameters
-    ----------
-    problem, variables
-        The calibration of one leg, with held paths, over its calibration cycles in their order, and where
-        it ended.
-    outcomes
-        Where each start led.
-    recording, context
-        Over all cycles.
-    entries
-        The catalogue for this subject.
-    withheld
-        Ids that were left out of it.
-    recordings, uses, time
-        Of all cycles; the first names the recording that each is from.
-    measured
-        Their moments, N m.
-    inputs
-        What may drive differences between cycles, any units.
-    """
-
-    problem: Objective
-    variables: Float[np.ndarray, " variable"]
-    outcomes: Sequence[Outcome]
-    recording: Recording
-    context: Context
-    entries: Sequence[Effect | NotTestable]
-    withheld: tuple[str, ...]
-    recordings: tuple[str, ...]
-    uses: tuple[str, ...]
-    time: Float[np.ndarray, "cycle frame"]
-    measured: Float[np.ndarray, "cycle coordinate frame"]
-    inputs: Float[np.ndarray, "cycle input frame"]
-
-    @property
-    def speeds(self) -> Int[np.ndarray, " cycle"]:
-        """Of all cycles, counted from 0."""
-        return speed_numbers(self.context.speeds)
-
-    @property
-    def plan(self) -> Plan:
-        """Which cycles are left out together."""
-        return plan_of(self.uses, self.speeds)
-
-    def predict(self, effects: Effects) -> Predict:
-        """Give what predicts all cycles with these effects."""
-
-        def predicted(
-            variables: Float[np.ndarray, " variable"], amounts: Float[np.ndarray, " amount"]
-        ) -> Float[np.ndarray, "cycle coordinate frame"]:
-            parameters = self.problem.parameters(jnp.asarray(variables))
-            found = predicted_moments(
-                self.problem.curves, parameters, self.recording, effects, jnp.asarray(amounts)
-            )
-            return np.asarray(found)
-
-        return predicted
-
-
-@dataclass
-class Watch:
-    """Says what is going on, and how long it took."""
-
-    tell: Callable[[str], None]
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def during(self, part: str, line: str) -> Iterator[None]:
-        """Add the time of what is done within to a part of the work."""
-        self.tell(line)
-        began = time.perf_counter()
-        yield
-        self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began
 
 
 def investigate(
@@ -137,7 +51,7 @@ def investigate(
     seconds
         Of what was done before.
     """
-    watch = Watch(tell, dict(seconds or {}))
+    watch = Stopwatch(tell, dict(seconds or {}))
     plan, problem = case.plan, case.problem
     fewest = int(plan.counts.min()) if len(plan.counts) else 0
     if fewest < FEWEST_CYCLES:
@@ -175,7 +89,7 @@ def investigate(
         )
     sizes = case.measured[plan.calibration].std(axis=(0, 2))
     with watch.during("twins", f"making {twins} people with nothing amiss"):
-        world = TwinWorld(problem, ended, inputs, gap, cycle_noise(gap.fitted, gap.speeds))
+        world = TwinWorld(problem, ended, inputs, gap, gap.noise)
         others = twin_residuals(world, twins, seed)
     with watch.during("score", "scoring effects"):
         residuals = np.concatenate([gap.residual.reshape(1, -1), others])

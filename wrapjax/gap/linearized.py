@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import equinox as eqx
@@ -20,6 +21,7 @@ from jaxtyping import Array, Float, Int
 from wrapjax.calibrate import Linearization, Objective
 from wrapjax.gap.context import Context
 from wrapjax.gap.covariance import InputErrors, MuscleErrors
+from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.prediction import signatures
 from wrapjax.gap.score import Candidate
@@ -72,6 +74,11 @@ class LinearGap:
     input_errors: tuple[InputErrors, ...]
     muscle_errors: MuscleErrors
     speeds: Int[np.ndarray, " cycle"]
+
+    @cached_property
+    def noise(self) -> CycleNoise:
+        """What is new in each cycle, and how large errors of inputs are."""
+        return cycle_noise(self.fitted, self.speeds, self.input_errors)
 
     @property
     def calibrated(self) -> Float[np.ndarray, "sum cycle coordinate phase"]:

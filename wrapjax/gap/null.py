@@ -14,9 +14,8 @@ from wrapjax.gap.covariance import (
     parameter_covariance,
     repeated_covariance,
 )
-from wrapjax.gap.cycle_noise import cycle_noise
 from wrapjax.gap.linearized import LinearGap
-from wrapjax.gap.score import Null, Score, Scored, score
+from wrapjax.gap.score import Null, Scored
 
 #: Errors of muscle force that depend on the muscle's state, in maximum isometric forces; and what is
 #: expected of them.
@@ -49,19 +48,12 @@ def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]
 def known_covariance(gap: LinearGap) -> Matrix:
     """Sum what is always there: noise, errors of inputs, calibrated parameters and nuisances."""
     cycles, _, phases = gap.residual.shape
-    noise = cycle_noise(gap.fitted, gap.speeds, gap.input_errors)
-    total = noise.covariance(cycles, phases)
-    for share, errors in zip(noise.input_shares, gap.input_errors, strict=True):
+    total = gap.noise.covariance(cycles, phases)
+    for share, errors in zip(gap.noise.input_shares, gap.input_errors, strict=True):
         total += share**2 * input_covariance(errors)
     for signatures in (gap.calibrated, gap.nuisances):
         total += parameter_covariance(signatures, np.ones(len(signatures)))
     return total
-
-
-def score_effects(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> tuple[Score, ...]:
-    """Score all candidates, the strongest evidence first."""
-    found = score(gap.residual.ravel(), nulls(gap, sizes), gap.candidates)
-    return tuple(sorted(found, key=lambda one: -one.evidence))
 
 
 def best_null(gap: LinearGap, sizes: Sequence[float] | np.ndarray, found: Scored) -> Null:

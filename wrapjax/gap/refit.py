@@ -171,12 +171,12 @@ def fit_jointly(
     solver
         With its tolerances.
     """
-    own = replace(problem, plain=replace(problem.plain, moment_error=cycle_errors(problem.plain, used)))
+    own = replace(problem, plain=replace(problem.plain, moment_error=allowed_errors(problem.plain, used)))
     solution = solver.solve(own, start)
     return Refit(own, solution.variables, solution.cost, solution.linearization, solution.status)
 
 
-def cycle_errors(
+def allowed_errors(
     plain: Objective, used: Bool[np.ndarray, " trial"] | None
 ) -> Float[np.ndarray, "trial one one"]:
     """Allow any error in cycles that do not count; the others then weigh what all did."""

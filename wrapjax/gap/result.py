@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from wrapjax.gap.budget import Budget
 from wrapjax.gap.effect import NotTestable
@@ -295,15 +295,3 @@ class GapResult:
     advice: tuple[Advice, ...]
     certificate: Certificate
     seconds: dict[str, float]
-
-    @property
-    def best(self) -> Alternative | None:
-        """The fitted effect that is most probable."""
-        return self.alternatives[0] if self.alternatives else None
-
-    @property
-    def speed_of_row(self) -> Int[np.ndarray, " cycle"]:
-        """Row of the budget that each cycle belongs to; -1 for none."""
-        one, row = self.speeds[:, None], self.budget_speeds[None]
-        same = (one == row) | (np.isnan(one) & np.isnan(row))
-        return np.where(same.any(axis=1), same.argmax(axis=1), -1)

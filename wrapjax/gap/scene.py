@@ -1,23 +1,88 @@
-"""What is known once effects are scored."""
+"""What an investigation looks at, and what is known once effects are scored."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from wrapjax.gap.effect import Effect
-from wrapjax.gap.held_out import CrossFit
-from wrapjax.gap.linearized import LinearGap
+from wrapjax.calibrate import Objective, Outcome
+from wrapjax.gap.context import Context
+from wrapjax.gap.effect import Effect, Effects, NotTestable
+from wrapjax.gap.held_out import CrossFit, Plan, Predict, plan_of
+from wrapjax.gap.linearized import LinearGap, speed_numbers
+from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.result import Certificate
 from wrapjax.gap.score import Candidate, Score, Scored
 from wrapjax.gap.verdict import Tuning
 from wrapjax.gap.where import Where
+from wrapjax.model import Recording
 
-if TYPE_CHECKING:
-    from wrapjax.gap.investigation import Investigation
+
+@dataclass(frozen=True)
+class Investigation:
+    """A calibrated model and all that was recorded.
+
+    Parameters
+    ----------
+    problem, variables
+        The calibration of one leg, with held paths, over its calibration cycles in their order, and where
+        it ended.
+    outcomes
+        Where each start led.
+    recording, context
+        Over all cycles.
+    entries
+        The catalogue for this subject.
+    withheld
+        Ids that were left out of it.
+    recordings, uses, time
+        Of all cycles; the first names the recording that each is from.
+    measured
+        Their moments, N m.
+    inputs
+        What may drive differences between cycles, any units.
+    """
+
+    problem: Objective
+    variables: Float[np.ndarray, " variable"]
+    outcomes: Sequence[Outcome]
+    recording: Recording
+    context: Context
+    entries: Sequence[Effect | NotTestable]
+    withheld: tuple[str, ...]
+    recordings: tuple[str, ...]
+    uses: tuple[str, ...]
+    time: Float[np.ndarray, "cycle frame"]
+    measured: Float[np.ndarray, "cycle coordinate frame"]
+    inputs: Float[np.ndarray, "cycle input frame"]
+
+    @property
+    def speeds(self) -> Int[np.ndarray, " cycle"]:
+        """Of all cycles, counted from 0."""
+        return speed_numbers(self.context.speeds)
+
+    @property
+    def plan(self) -> Plan:
+        """Which cycles are left out together."""
+        return plan_of(self.uses, self.speeds)
+
+    def predict(self, effects: Effects) -> Predict:
+        """Give what predicts all cycles with these effects."""
+
+        def predicted(
+            variables: Float[np.ndarray, " variable"], amounts: Float[np.ndarray, " amount"]
+        ) -> Float[np.ndarray, "cycle coordinate frame"]:
+            parameters = self.problem.parameters(jnp.asarray(variables))
+            found = predicted_moments(
+                self.problem.curves, parameters, self.recording, effects, jnp.asarray(amounts)
+            )
+            return np.asarray(found)
+
+        return predicted
 
 
 @dataclass(frozen=True)

@@ -116,30 +116,23 @@ class Null:
     log_prior: float = 0.0
 
 
-def score(
-    residual: Float[np.ndarray, " row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
-) -> tuple[Score, ...]:
-    """Score every candidate against all nulls together.
+def score_each(
+    residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
+) -> tuple[Scored, ...]:
+    """Score every candidate against all nulls together, on several residuals that share these.
 
     Each hypothesis is averaged over the nulls for itself: an effect that explains the residual earns the
     evidence of a null that has less to explain.
 
     Parameters
     ----------
-    residual
-        At the prior mean of what was calibrated: its give is part of the nulls.
+    residuals
+        Each at the prior mean of what was calibrated: its give is part of the nulls.
     nulls
         Of different strengths of what cannot be named.
     candidates
         In any order.
     """
-    return score_each(residual[None], nulls, candidates)[0].scores
-
-
-def score_each(
-    residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
-) -> tuple[Scored, ...]:
-    """Score every candidate on several residuals that share their nulls, each for itself; see `score`."""
     weights, by_null = [], []
     for null in nulls:
         factor = scipy.linalg.cholesky(null.covariance, lower=True, check_finite=False)
@@ -260,35 +253,15 @@ def evidence_of(
     return np.asarray(evidence), kept * prior_sd, sd * prior_sd, detectability
 
 
-def inimitable(
-    of: Signature,
-    by: Float[np.ndarray, "other row"],
-    covariance: Matrix,
-    amounts: Float[np.ndarray, " parameter"],
-) -> float:
-    """Say how much of one effect another cannot imitate, D in squared standard deviations.
-
-    Below 9 both ways, two effects are a tie: this recording cannot tell one from the other.
-
-    Parameters
-    ----------
-    of, by
-        Signatures of the one, and of the other.
-    covariance
-        The null's.
-    amounts
-        Of the one.
-    """
-    return float(likeness((amounts @ of, np.zeros(of.shape[1])), (of, by), covariance)[0, 1])
-
-
 def likeness(
     signals: Sequence[Float[np.ndarray, " row"]],
     # Of as many rows each, but of any number of amounts.
     signatures: Sequence[Float[np.ndarray, "_ row"]],
     covariance: Matrix,
 ) -> Float[np.ndarray, "effect other"]:
-    """Say how much of each effect (row) each other one (column) cannot imitate; see `inimitable`.
+    """Say how much of each effect (row) each other (column) cannot imitate: squared deviations.
+
+    Below 9 both ways, two effects are a tie: this recording cannot tell one from the other.
 
     Parameters
     ----------

@@ -12,10 +12,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
-from wrapjax.api.walk import Walk
-from wrapjax.api.wrong_inputs import SLOPES
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.gap import MeasuredChange
+from wrapjax.measurement.walk import Walk
+from wrapjax.measurement.wrong_inputs import SLOPES
 from wrapjax.osim import describe_model
 from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
 from wrapjax.subject import GroundLoads, Subject, Trials, read_ground_loads

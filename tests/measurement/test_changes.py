@@ -7,46 +7,16 @@ import numpy as np
 import pytest
 
 from tests.subject import synthetic
-from tests.subject.synthetic import write_subject
+from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
 from wrapjax.api import load_subject
-from wrapjax.api.gap_context import gap_context
-from wrapjax.api.measured_changes import measured_changes, recorded_walk
-from wrapjax.api.walk import UP, Walk
 from wrapjax.errors import InputError
-from wrapjax.gap import NotTestable, catalogue
 from wrapjax.gap.effects.measurement import CHAIN
+from wrapjax.measurement.changes import measured_changes, recorded_walk
+from wrapjax.measurement.walk import UP, Walk
 from wrapjax.osim.inverse_dynamics import Mechanics
-from wrapjax.subject import Storage, write_storage
 
 #: Of both segments of the synthetic leg: kg, m, m, kg m^2; and m/s^2.
 MASS, LENGTH, TO_CENTER, INERTIA, GRAVITY = 5.0, 0.4, 0.2, 0.1, 9.80665
-POINT, TORQUE = np.array([0.1, -0.75, 0.05]), np.array([1.0, 5.0, -2.0])
-COLUMNS = tuple(f"foot_{kind}{axis}" for kind in "vpt" for axis in "xyz")
-LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="loads"><objects><ExternalForce name="foot">
-<applied_to_body>tibia_l</applied_to_body><force_identifier>foot_v</force_identifier>
-<point_identifier>foot_p</point_identifier><torque_identifier>foot_t</torque_identifier>
-</ExternalForce></objects></ExternalLoads></OpenSimDocument>"""
-
-
-def force(time):
-    """What the ground does to the foot, N: on it for most of a cycle."""
-    phase = 2.0 * np.pi * (np.asarray(time) - 0.5) / synthetic.PERIOD
-    load = np.maximum(np.sin(phase - 0.3) + 0.6, 0.0) ** 2
-    return np.array([-60.0 * load * np.cos(phase), 300.0 * load, 20.0 * load])
-
-
-def with_forces(folder):
-    """Write the synthetic subject with ground forces."""
-    write_subject(folder)
-    time = np.arange(8001) / 2000.0
-    still = np.ones((time.size, 3))
-    values = np.concatenate([force(time).T, POINT * still, TORQUE * still], axis=1)
-    write_storage(folder / "forces.mot", Storage("forces", COLUMNS, time, values))
-    (folder / "loads.xml").write_text(LOADS, encoding="utf-8")
-    settings = folder / "subject.toml"
-    files = '\nground_forces = "forces.mot"\nexternal_loads = "loads.xml"\nangles ='
-    settings.write_text(settings.read_text().replace("\nangles =", files))
-    return load_subject(folder)
 
 
 @pytest.fixture(scope="module")
@@ -247,17 +217,6 @@ def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     adduction = names.index("hip_adduction_r")
     np.testing.assert_allclose(moment[adduction], expected, atol=0.1 * np.abs(expected).max())
     assert np.abs(np.delete(moment, adduction, axis=0)).max() == 0.0
-
-
-def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, subject, found):
-    _, context = gap_context(dataclasses.replace(calibrated, subject=subject))
-    testable = {entry.id for entry in catalogue(context) if not isinstance(entry, NotTestable)}
-    assert set(found[0]) <= testable and "crossed_plates" in testable
-    part = context.select([2, 0])
-    for id, whole in context.measured_changes.items():
-        amounts = jnp.array([row[2] for row in CHAIN[id][1]])
-        np.testing.assert_array_equal(part.measured_changes[id](amounts), whole(amounts)[np.array([2, 0])])
-        assert np.abs(whole(0.0 * amounts)).max() == 0.0
 
 
 def test_the_other_foot_is_this_one_half_a_cycle_away():

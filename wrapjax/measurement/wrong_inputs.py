@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.api.walk import CONTACT, Walk
+from wrapjax.measurement.walk import CONTACT, Walk
 
 Slopes = Float[np.ndarray, "parameter coordinate pose"]
 
