@@ -105,9 +105,9 @@ def from_one_start(leg):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(held_out, "fit_jointly", fit)
         plan = plan_of(uses("cccc"), SPEEDS)
-        told = []
-        first = cross_fit(problem, start, plan, SPEEDS, predict, lambda: told.append(1))
-        return first, cross_fit(changed(problem, 1), start, plan, SPEEDS, predict), seen[: len(told)]
+        first = cross_fit(problem, start, plan, SPEEDS, predict)
+        of_first = list(seen)
+        return first, cross_fit(changed(problem, 1), start, plan, SPEEDS, predict), of_first
 
 
 def moved(first, second):
