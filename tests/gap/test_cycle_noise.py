@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.gap.covariance import InputErrors, input_blocks
+from wrapjax.gap.covariance import InputErrors, input_blocks, periodic_kernel
 from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
 
 COORDINATES, PHASES = 2, 12
@@ -17,7 +17,7 @@ def found_on_average(share, cycles=8, draws=60):
     wave = 1.0 + 0.3 * np.cos(2 * np.pi * np.arange(PHASES) / PHASES)
     inputs = InputErrors(generator.normal(size=(2, cycles, COORDINATES, 1)) * wave, 0.1)
     blocks = input_blocks(inputs)
-    truth = CycleNoise(BETWEEN, 0.05).block(PHASES) + share**2 * blocks
+    truth = CycleNoise.of_width(BETWEEN, 0.05).block(PHASES) + share**2 * blocks
     factors = np.linalg.cholesky(truth)
     drawn = np.einsum("cij,ncj->nci", factors, generator.normal(size=(draws, *truth.shape[:2])))
     residuals = drawn.reshape(draws, cycles, COORDINATES, PHASES) + 5.0 * speeds[:, None, None]
@@ -51,8 +51,22 @@ def test_inputs_that_are_not_given_are_noise():
     speeds = np.repeat([0, 1], 3)
     plain, with_silent = (cycle_noise(residuals, speeds, inputs) for inputs in ((), (silent,)))
     assert plain.input_shares == ()
-    assert plain.width == with_silent.width
+    np.testing.assert_allclose(plain.spectrum, with_silent.spectrum)
     np.testing.assert_allclose(plain.between, with_silent.between)
+
+
+@pytest.mark.parametrize("phases", [24, 25])
+def test_noise_need_not_be_of_one_width(phases):
+    """Slow swings and quick ripples together: neither passes for the other."""
+    generator = np.random.default_rng(2)
+    kernel = 0.7 * periodic_kernel(phases, 0.15) + 0.3 * periodic_kernel(phases, 0.02)
+    factor = np.linalg.cholesky(np.kron(BETWEEN, kernel))
+    speeds = np.repeat([0, 1], 40)
+    drawn = (generator.normal(size=(80, len(factor))) @ factor.T).reshape(80, COORDINATES, phases)
+    found = cycle_noise(drawn, speeds).block(phases)[:phases, :phases] / BETWEEN[0, 0]
+    waves = np.stack([np.cos(2 * np.pi * h * np.arange(phases) / phases) for h in range(phases // 2)])
+    power = np.einsum("hp,pq,hq->h", waves, found, waves) / np.einsum("hp,pq,hq->h", waves, kernel, waves)
+    assert np.all((power > 0.6) & (power < 1.7)) and 0.9 < power[1:4].mean() < 1.1
 
 
 def test_cycles_alone_at_their_speeds_show_no_noise():

@@ -21,6 +21,7 @@ from wrapjax.gap import (
     catalogue,
     effects_in,
     predicted_moments,
+    secants,
     signatures,
 )
 from wrapjax.geometry import fixed_path
@@ -92,6 +93,19 @@ def test_derivative_is_the_difference(effect, slopes):
         scale = np.abs(slope).max()
         assert scale > 1e-4
         np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-5 * scale)
+
+
+def test_a_secant_is_what_an_amount_of_the_expected_size_changes():
+    effects = all_at_once(0)
+    found = np.asarray(secants(CURVES, CONTEXT.parameters, RECORDING, effects))
+    for place, (size, parameter) in enumerate(zip(effects.prior_sd, effects.parameters, strict=True)):
+        amounts = np.zeros(effects.count)
+        amounts[place] = size
+        other = -amounts if parameter.sign == 0 else 0.0 * amounts
+        expected = predict(effects, amounts) - predict(effects, other)
+        span = size if parameter.sign else 2.0 * size
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(span * found[place], expected, rtol=0, atol=1e-9 * scale + 1e-9)
 
 
 def test_no_effects_at_all_are_the_plain_model(plain):

@@ -208,7 +208,7 @@ def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_st
     shared = np.array(alone.model.gauss_newton)
     shared[0, place] = shared[place, 0] = 0.8
     mixed = replace(alone, model=replace(alone.model, gauss_newton=jnp.asarray(shared)))
-    sizes = fit.problem.effects.prior_sd**2
+    sizes = np.asarray(fit.problem.amount_sd) ** 2
     np.testing.assert_allclose(np.diag(amount_covariance(alone, 0.1)), 0.1 * sizes, rtol=1e-6)
     ratio = np.diag(amount_covariance(mixed, 0.1)) / np.diag(amount_covariance(alone, 0.1))
     np.testing.assert_allclose(ratio, [1.0 / (1.0 - 0.64), 1.0, 1.0, 1.0], rtol=1e-6)

@@ -15,7 +15,7 @@ from wrapjax.gap.covariance import (
     repeated_covariance,
 )
 from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
-from wrapjax.gap.score import Candidate, Null, evidence_of, likeness, score_each
+from wrapjax.gap.score import SIZES, Candidate, Null, evidence_of, likeness, score_each
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
 ROWS = CYCLES * COORDINATES * PHASES
@@ -29,7 +29,7 @@ def generator():
 
 @pytest.fixture
 def covariance(generator):
-    noise = CycleNoise(np.array([[1.0, 0.4], [0.4, 2.0]]), 0.05).covariance(CYCLES, PHASES)
+    noise = CycleNoise.of_width(np.array([[1.0, 0.4], [0.4, 2.0]]), 0.05).covariance(CYCLES, PHASES)
     nuisance = parameter_covariance(generator.normal(size=(3, CYCLES, COORDINATES, PHASES)), np.full(3, 0.5))
     return noise + nuisance
 
@@ -44,10 +44,10 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
     residual = generator.multivariate_normal(np.zeros(ROWS), covariance)
     (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
     (signature,) = effect.variants
-    with_effect = covariance + signature.T @ signature * 0.7**2
-    expected = multivariate_normal(cov=with_effect).logpdf(residual) - multivariate_normal(
-        cov=covariance
-    ).logpdf(residual)
+    with_effect = [covariance + signature.T @ signature * (0.7 * size) ** 2 for size in SIZES]
+    likelihoods = [multivariate_normal(cov=cov).logpdf(residual) for cov in with_effect]
+    expected = np.logaddexp.reduce(likelihoods) - np.log(len(SIZES))
+    expected -= multivariate_normal(cov=covariance).logpdf(residual)
     assert found.evidence == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
@@ -69,16 +69,17 @@ def test_variants_and_nulls_are_averaged(generator, covariance):
     nulls = [Null(covariance, np.log(0.2)), Null(3.0 * covariance, np.log(0.8))]
     (found,) = score_each(residual[None], nulls, [effect])[0].scores
 
-    def likelihood(scale, signature=None):
+    def likelihood(scale, signature=None, size=1.0):
         own = scale * covariance
         if signature is not None:
-            own = own + signature.T @ signature * 0.7**2
+            own = own + signature.T @ signature * (0.7 * size) ** 2
         return multivariate_normal(cov=own).logpdf(residual)
 
     with_effect = [
-        np.log(weight / 2) + likelihood(scale, signature)
+        np.log(weight / 2 / len(SIZES)) + likelihood(scale, signature, size)
         for weight, scale in ((0.2, 1.0), (0.8, 3.0))
         for signature in effect.variants
+        for size in SIZES
     ]
     without = [np.log(weight) + likelihood(scale) for weight, scale in ((0.2, 1.0), (0.8, 3.0))]
     expected = np.logaddexp.reduce(with_effect) - np.logaddexp.reduce(without)
@@ -93,6 +94,22 @@ def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
     assert best.id == "3"
     assert abs(best.amounts[0] - 1.5) < 3 * best.sd[0]
     assert best.detectability > 5
+
+
+def test_an_effect_larger_than_expected_counts_for_more_than_one_of_its_prior_alone(generator, covariance):
+    """What nobody has measured well may be three times as large as a paper says."""
+    effect = candidate(generator, "one", parameters=4)
+    (signature,) = effect.variants
+    residual = np.full(4, 5.0 * 0.7) @ signature
+    (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
+    inverse = np.linalg.inv(covariance)
+    of_prior, *_ = evidence_of(
+        signature @ inverse @ residual,
+        signature @ inverse @ signature.T,
+        effect.prior_sd,
+        effect.one_sided,
+    )
+    assert found.evidence > of_prior + 10.0
 
 
 def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
@@ -119,14 +136,14 @@ def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
 
 
 def test_noise_is_estimated_from_deviations(generator):
-    truth = CycleNoise(np.array([[4.0, -1.2], [-1.2, 1.0]]), 0.05)
+    truth = CycleNoise.of_width(np.array([[4.0, -1.2], [-1.2, 1.0]]), 0.05)
     speeds = np.repeat([0, 1], 60)
     factor = np.linalg.cholesky(truth.block(25))
     drawn = (generator.normal(size=(120, 50)) @ factor.T).reshape(120, 2, 25)
     drawn[speeds == 0] += 10.0
     found = cycle_noise(drawn, speeds)
-    assert found.width == truth.width
     np.testing.assert_allclose(found.between, truth.between, rtol=0.15)
+    np.testing.assert_allclose(found.block(25), truth.block(25), atol=0.1 * truth.between.max())
 
 
 def test_covariances_are_what_random_draws_have(generator):

@@ -127,6 +127,30 @@ def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
     assert np.abs(turned[0]).max() == 0.0
 
 
+def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found, leg):
+    """Own force, and the other's at this foot's center of pressure, have the levers of a cross product."""
+    time, (hip, _), _, _ = leg
+    walk, _ = recorded_walk(subject)
+    other = walk.other_foot()[3:].reshape(3, *time.shape)
+    vertical = force(time)[1]
+    limit = 0.05 * vertical.max()
+    both = (vertical > limit) & (other[1] > limit)
+    assert 0.1 < both.mean() < 0.9
+    # Where the force's line and its moment about the upright meet the ground's plane.
+    own = force(time)
+    about = np.cross(POINT[:, None, None], own, axis=0) + TORQUE[:, None, None]
+    center = np.stack([about[2], 0.0 * own[0], -about[0]]) / np.maximum(own[1], 1.0)
+    knee = np.stack([LENGTH * np.sin(hip), -LENGTH * np.cos(hip), 0.0 * hip])
+    for name, acting, moment in (
+        ("own_share", own, about),
+        ("leaked_share", other, np.cross(center, other, axis=0)),
+    ):
+        moments = [(moment - np.cross(joint, acting, axis=0))[2] for joint in (0.0 * knee, knee)]
+        expected = -0.1 * np.where(both, np.stack(moments), 0.0)
+        crossed = change(found, "crossed_plates", **{name: 0.1})
+        np.testing.assert_allclose(crossed, expected, atol=1e-6 * np.abs(expected).max())
+
+
 def test_a_wobble_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
     time = leg[0]
     pulse = change(found, "wobbling_mass", impulse=0.7)

@@ -15,4 +15,5 @@ from wrapjax.gap.effect import Effects as Effects
 from wrapjax.gap.effect import NotTestable as NotTestable
 from wrapjax.gap.effect import Variant as Variant
 from wrapjax.gap.prediction import predicted_moments as predicted_moments
+from wrapjax.gap.prediction import secants as secants
 from wrapjax.gap.prediction import signatures as signatures

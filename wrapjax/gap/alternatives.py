@@ -36,9 +36,14 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     case, scores = scene.case, scene.scores
     shapes = tuple(scores[id].variant for id in ids)
     parts = [scores[id].part for id in ids]
-    seen = Effects(tuple(scene.effects[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
     known = {entry.id: entry for entry in case.entries if isinstance(entry, Effect)}
-    whole = Effects(tuple(known[id].only(part) for id, part in zip(ids, parts, strict=True)), shapes)
+    seen, whole = (
+        Effects(
+            tuple(every[id].only(part).of_size(scores[id].size) for id, part in zip(ids, parts, strict=True)),
+            shapes,
+        )
+        for every in (scene.effects, known)
+    )
     amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
     start = np.clip(amounts, seen.lower, seen.upper)
     plain = scene.plain.full.calibrated

@@ -55,6 +55,8 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     with watch.during("refits", f"fitting {', '.join(leading) or 'no effect'} with all that is calibrated"):
         refits = {id: refit(scene, (id,)) for id in leading}
         refitted = refitted_evidence(scene, refits)
+    with watch.during("shrinkage", "measuring how far the error shrinks"):
+        shrunk = {id: alternative(scene, refits[id]) for id in leading}
     settled = evidence | refitted
     with watch.during("verdict", "comparing effects"):
         order = sorted(settled, key=lambda id: -settled[id])
@@ -66,12 +68,12 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         found = probabilities(settled, scene.scored.structured, tuning)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
         unseen = [id for id, one in scores.items() if one.detectability < UNSEEN]
-        verdict = judge(found, settled, tie, alarm, controls, unseen)
+        gains = {id: one.gains for id, one in shrunk.items()}
+        verdict = judge(found, settled, tie, alarm, controls, unseen, gains)
     accepted = verdict.named or verdict.tie
     shown = [id for id in order if id in refits]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))
-    with watch.during("shrinkage", "measuring how far the error shrinks"):
-        alternatives = tuple(alternative(scene, refits[id]) for id in shown)
+    alternatives = tuple(shrunk[id] for id in shown)
     findings = tuple(
         _finding(
             scene, scores[id], found.effects[id], refitted.get(id), refits.get(id), alarm, id in accepted

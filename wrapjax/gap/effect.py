@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -150,6 +150,13 @@ class Effect(eqx.Module):
         parameters = tuple(self.parameters[number] for number in chosen)
         return Effect(self.id, self.family, parameters, variants, self.negative_control)
 
+    def of_size(self, factor: float) -> Effect:
+        """Expect amounts so many times as large, within their limits."""
+        parameters = tuple(
+            replace(entry, prior_sd=min(factor * entry.prior_sd, entry.limit)) for entry in self.parameters
+        )
+        return replace(self, parameters=parameters)
+
     def alteration(self, amounts: Float[Array, " parameter"], variant: int = 0) -> Alteration:
         """Say what is different in the model at these amounts."""
         return self.variants[variant].form(amounts)
@@ -203,17 +210,17 @@ class Effects(eqx.Module):
     @property
     def prior_sd(self) -> Float[np.ndarray, " parameter"]:
         """Expected size of each amount."""
-        return np.array([entry.prior_sd for entry in self._parameters])
+        return np.array([entry.prior_sd for entry in self.parameters])
 
     @property
     def lower(self) -> Float[np.ndarray, " parameter"]:
         """Smallest amounts."""
-        return np.array([entry.lower for entry in self._parameters])
+        return np.array([entry.lower for entry in self.parameters])
 
     @property
     def upper(self) -> Float[np.ndarray, " parameter"]:
         """Largest amounts."""
-        return np.array([entry.upper for entry in self._parameters])
+        return np.array([entry.upper for entry in self.parameters])
 
     @property
     def zero(self) -> Float[Array, " parameter"]:
@@ -238,5 +245,6 @@ class Effects(eqx.Module):
         return tuple(amounts[first:last] for first, last in itertools.pairwise(ends))
 
     @property
-    def _parameters(self) -> list[EffectParameter]:
+    def parameters(self) -> list[EffectParameter]:
+        """One an amount."""
         return [entry for effect in self.members for entry in effect.parameters]

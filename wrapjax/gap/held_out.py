@@ -143,7 +143,7 @@ def speed_conflict(fit: CrossFit, amount_weight: float) -> float | None:
 
     The mean over amounts, and of several speeds the largest; None where there is one speed.
     """
-    count = fit.full.problem.effects.count
+    count = len(fit.full.problem.amount_sd)
     if len(fit.of_speeds) < 2 or not count:
         return None
     found = [(refit.amounts, amount_covariance(refit, amount_weight)) for refit in fit.of_speeds]
@@ -158,14 +158,14 @@ def speed_conflict(fit: CrossFit, amount_weight: float) -> float | None:
 def amount_covariance(refit: Refit, amount_weight: float) -> Float[np.ndarray, "amount amount"]:
     """Covariance of amounts in their units, by Laplace; the weight turns curvature of the cost into it."""
     curvature = np.asarray(refit.model.gauss_newton)
-    count, effects = refit.problem.plain.variables.count, refit.problem.effects
+    count, sizes = refit.problem.plain.variables.count, np.asarray(refit.problem.amount_sd)
     kept = curvature[:count, :count] + 1e-9 * np.trace(curvature) / len(curvature) * np.eye(count)
     across = curvature[:count, count:]
     own = curvature[count:, count:] - across.T @ np.linalg.solve(kept, across)
     # A fit to some cycles lets them weigh what all did, and they say less.
     seen = np.mean(np.isfinite(refit.problem.plain.moment_error))
     unit = amount_weight / seen * np.linalg.inv(0.5 * (own + own.T))
-    return unit * np.outer(effects.prior_sd, effects.prior_sd)
+    return unit * np.outer(sizes, sizes)
 
 
 def _predicted(refit: Refit, predict: Predict) -> Float[np.ndarray, "cycle coordinate frame"]:

@@ -23,7 +23,7 @@ from wrapjax.gap.context import Context
 from wrapjax.gap.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.gap.effect import Effect, Effects
-from wrapjax.gap.prediction import signatures
+from wrapjax.gap.prediction import secants
 from wrapjax.gap.score import Candidate
 from wrapjax.geometry import fixed_path
 from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
@@ -35,7 +35,7 @@ EMG_ERROR, EMG_WIDTH = 0.10, 0.04
 #: Expected error of a joint angle (rad), and how long it goes on alike.
 ANGLE_ERROR, ANGLE_WIDTH = np.radians(1.5), 0.08
 #: Differences of activation, normalised fiber length and velocity at which errors of force are independent.
-STATE_SCALES = (0.3, 0.15, 0.2)
+STATE_SCALES = (0.3, 0.075, 0.15)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def _candidate(
 ) -> Candidate:
     variants = []
     for number in range(len(effect.variants)):
-        found = signatures(problem.curves, parameters, recording, Effects((effect,), (number,)))
+        found = secants(problem.curves, parameters, recording, Effects((effect,), (number,)))
         variants.append(np.asarray(found)[..., frames].reshape(len(effect.parameters), -1))
     return Candidate(
         effect.id,

@@ -61,10 +61,36 @@ def signatures(
     return _slopes(curves, parameters, recording, effects.forms, at, every)
 
 
+def secants(
+    curves: AbstractCurves, parameters: ModelParameters, recording: Recording, effects: Effects
+) -> Float[Array, "parameter trial coordinate frame"]:
+    """Divide what each amount changes, when it is as large as expected, by its size: N m a unit.
+
+    Tendons, passive fibers and thresholds do little at first and much later: a tangent at zero says neither
+    how large their traces are nor what they look like. Amounts of either sign are taken half from each.
+
+    Parameters
+    ----------
+    curves, parameters, recording
+        Of the plain model.
+    effects
+        What it leaves out.
+    """
+    sizes, two_sided = effects.prior_sd, np.array([entry.sign == 0 for entry in effects.parameters])
+    first, last = (np.diag(sign * sizes) for sign in (np.where(two_sided, -1.0, 0.0), np.ones(len(sizes))))
+    ends = tuple(tuple(jnp.asarray(own) for own in _split(effects, rows)) for rows in (first, last))
+    low, high = (_each_moment(curves, parameters, recording, effects.forms, rows) for rows in ends)
+    return (high - low) / jnp.asarray(sizes * np.where(two_sided, 2.0, 1.0))[:, None, None, None]
+
+
 def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter _"]]:
     """Give the unit vectors of all amounts, cut into each effect's own."""
+    return _split(effects, np.eye(effects.count))
+
+
+def _split(effects: Effects, rows: Float[np.ndarray, "row parameter"]) -> list[Float[np.ndarray, "row _"]]:
     ends = np.cumsum([0, *(len(effect.parameters) for effect in effects.members)])
-    return [np.eye(effects.count)[:, first:last] for first, last in itertools.pairwise(ends)]
+    return [rows[:, first:last] for first, last in itertools.pairwise(ends)]
 
 
 # What is compiled knows forms, not names: shapes of one effect, and subjects, then share it.
@@ -95,3 +121,17 @@ def _slopes(
 
     # One after the other: all at once would fill memory with muscles times frames times amounts.
     return jax.lax.map(along, directions)
+
+
+@eqx.filter_jit
+def _each_moment(
+    curves: AbstractCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    forms: Forms,
+    amounts: tuple[Float[Array, "row _"], ...],
+) -> Float[Array, "row trial coordinate frame"]:
+    def moments(own: Amounts) -> Float[Array, "trial coordinate frame"]:
+        return _moments(curves, parameters, recording, forms, own)
+
+    return jax.lax.map(moments, amounts)

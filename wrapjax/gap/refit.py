@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +19,7 @@ from wrapjax.calibrate import (
     ProjectedLM,
     Status,
 )
-from wrapjax.gap.effect import Effects
+from wrapjax.gap.effect import Effects, Form
 from wrapjax.gap.prediction import signatures
 
 #: Solver of every refit. Amounts and predictions are looked at to a few digits, and starts are near.
@@ -33,7 +35,13 @@ class JointProblem(AbstractLeastSquares):
 
     #: Without any effect, and with held paths.
     plain: Objective
-    effects: Effects
+    #: Of the effects. What is compiled knows neither names nor sizes: other parts of an effect then share it.
+    forms: tuple[Form, ...]
+    #: How many amounts each has.
+    counts: tuple[int, ...] = eqx.field(static=True)
+    #: Their prior standard deviations, and between how many of these they are, one row an end.
+    amount_sd: Float[Array, " amount"]
+    amount_bounds: Float[Array, "end amount"]
     #: What one squared prior standard deviation of an amount costs.
     amount_weight: Float[Array, ""]
     #: Of the predicted moments by amounts in prior standard deviations, N m.
@@ -42,20 +50,26 @@ class JointProblem(AbstractLeastSquares):
     @property
     def lower(self) -> Float[Array | np.ndarray, " variable"]:
         """Lower bounds."""
-        return np.concatenate([self.plain.lower, self.effects.lower / self.effects.prior_sd])
+        return np.concatenate([self.plain.lower, self.amount_bounds[0]])
 
     @property
     def upper(self) -> Float[Array | np.ndarray, " variable"]:
         """Upper bounds."""
-        return np.concatenate([self.plain.upper, self.effects.upper / self.effects.prior_sd])
+        return np.concatenate([self.plain.upper, self.amount_bounds[1]])
 
     def amounts(self, variables: Float[Array, " variable"]) -> Float[Array, " amount"]:
         """Read the amounts, in their units."""
-        return variables[self.plain.variables.count :] * self.effects.prior_sd
+        return variables[self.plain.variables.count :] * self.amount_sd
 
     def altered(self, variables: Float[Array, " variable"]) -> Objective:
         """Hold the amounts, as they are, in the plain problem."""
-        return replace(self.plain, alterations=self.effects.alterations(self.amounts(variables)))
+        return self._with(self.amounts(variables))
+
+    def _with(self, amounts: Float[Array, " amount"]) -> Objective:
+        ends = np.cumsum([0, *self.counts])
+        own = [amounts[first:last] for first, last in itertools.pairwise(ends)]
+        alterations = tuple(form(part) for form, part in zip(self.forms, own, strict=True))
+        return replace(self.plain, alterations=alterations)
 
     def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
         """Sum of squares, the amounts' own too."""
@@ -68,12 +82,11 @@ class JointProblem(AbstractLeastSquares):
         count = self.plain.variables.count
         problem, calibrated, unit = self.altered(variables), variables[:count], variables[count:]
         own = problem.linearize(calibrated)
-        if not self.effects.count:
+        if not self.counts:
             return own
 
         def of_amounts(unit: Float[Array, " amount"]) -> Float[Array, ""]:
-            amounts = unit * self.effects.prior_sd
-            return replace(self.plain, alterations=self.effects.alterations(amounts)).value(calibrated)
+            return self._with(unit * self.amount_sd).value(calibrated)
 
         rows = self.slopes * problem.row_scale()[None]
         across = rows @ problem.moment_jacobian(calibrated)
@@ -149,7 +162,15 @@ def joint_problem(
         slopes = found.reshape(effects.count, -1) * effects.prior_sd[:, None]
     else:
         slopes = jnp.zeros((0, plain.measured.size))
-    return JointProblem(plain, effects, jnp.asarray(amount_weight), slopes)
+    return JointProblem(
+        plain=plain,
+        forms=effects.forms,
+        counts=tuple(len(effect.parameters) for effect in effects.members),
+        amount_sd=jnp.asarray(effects.prior_sd),
+        amount_bounds=jnp.asarray(np.stack([effects.lower, effects.upper]) / effects.prior_sd),
+        amount_weight=jnp.asarray(amount_weight),
+        slopes=slopes,
+    )
 
 
 def fit_jointly(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import scipy.linalg
@@ -19,6 +20,9 @@ from scipy.special import log_ndtr, logsumexp
 from wrapjax.gap.covariance import Matrix
 
 Signature = Float[np.ndarray, "parameter row"]
+
+#: An effect may be smaller or larger than its prior expects: its amounts share one of these sizes.
+SIZES = (0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,9 @@ class Score:
         Of the effect.
     evidence
         Logarithm of the ratio of evidences, in nats: positive for the effect.
-    variant, part
-        The shape that explains most, and the numbers of the amounts that are not zero.
+    variant, part, size
+        The shape that explains most, the numbers of the amounts that are not zero, and how large they are as
+        a rule, in what their prior expects.
     amounts, sd
         Most plausible amounts of that shape, in their units, and how well they are known.
     detectability
@@ -82,6 +87,7 @@ class Score:
     evidence: float
     variant: int
     part: tuple[int, ...]
+    size: float
     amounts: Float[np.ndarray, " parameter"]
     sd: Float[np.ndarray, " parameter"]
     detectability: float
@@ -158,6 +164,7 @@ def score_each(
                     float(logsumexp(joint) - usual[sample]),
                     one.variant,
                     one.part,
+                    one.size,
                     one.amounts[sample],
                     one.sd,
                     detectability,
@@ -171,6 +178,7 @@ def score_each(
 class _Hypothesis:
     variant: int
     part: tuple[int, ...]
+    size: float
     evidence: Float[np.ndarray, " sample"]
     #: Zero beside the part.
     amounts: Float[np.ndarray, "sample parameter"]
@@ -197,20 +205,22 @@ def _against(factor: Matrix, seen: Float[np.ndarray, "row sample"], candidate: C
     for variant, signature in enumerate(candidate.variants):
         white = scipy.linalg.solve_triangular(factor, signature.T, lower=True, check_finite=False)
         slope, information = seen.T @ white, white.T @ white
-        for part, share in candidate.hypotheses:
+        for (part, share), size in product(candidate.hypotheses, SIZES):
             own = np.array(part)
             evidence, amounts, sd, detectability = evidence_of(
                 slope[:, own],
                 information[np.ix_(own, own)],
-                candidate.prior_sd[own],
+                size * candidate.prior_sd[own],
                 candidate.one_sided[own],
             )
             placed = np.zeros((len(slope), len(candidate.prior_sd)))
             placed[:, own] = amounts
             spread = np.zeros(len(candidate.prior_sd))
             spread[own] = sd
-            log_prior = np.log(share / len(candidate.variants))
-            tried.append(_Hypothesis(variant, part, evidence, placed, spread, detectability, log_prior))
+            log_prior = np.log(share / len(candidate.variants) / len(SIZES))
+            tried.append(
+                _Hypothesis(variant, part, size, evidence, placed, spread, detectability / size, log_prior)
+            )
     weighed = np.array([one.evidence + one.log_prior for one in tried])
     return _Found(tuple(tried), logsumexp(weighed, axis=0), np.argmax(weighed, axis=0))
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float
@@ -155,6 +156,7 @@ def judge(
     alarm: float,
     controls: Sequence[str],
     unseen: Sequence[str] = (),
+    gains: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Verdict:
     """Say it, or say nothing.
 
@@ -170,6 +172,9 @@ def judge(
         Ids that cannot be at work in such a recording: if one leads, something else is.
     unseen
         Ids that this recording could not show at their expected size: none of them is named.
+    gains
+        By effect that was fitted, what each block of cycles that its fit has not seen says for it, in nats.
+        What is there helps in all, or in all but one.
     """
     first = tie[0] if tie else None
     together = sum(found.effects[name] for name in tie)
@@ -185,6 +190,8 @@ def judge(
                 "unknown",
                 f"what looks like {first} cannot be at work in such a recording: something else is amiss",
             )
+        if np.sum(np.asarray(gains.get(first, ())) <= 0.0) > 1:
+            return Verdict("unknown", f"{first} would explain most, but does not help with cycles kept back")
         if len(tie) == 1:
             return Verdict("named", "one effect explains the error best", named=(first,))
         return Verdict("tie", "this recording cannot tell these effects apart", tie=tuple(tie))

@@ -82,7 +82,7 @@ def amount_weight(noise: CycleNoise, cycles_and_coordinates: tuple[int, int]) ->
     and their squared allowable error over their noise, it is a negative log likelihood.
     """
     cycles, coordinates = cycles_and_coordinates
-    independent = cycles * coordinates / (2.0 * noise.width)
+    independent = cycles * coordinates * noise.independent_phases
     return float(np.mean(np.diag(noise.between)) / (MOMENT_ERROR**2 * independent))
 
 

@@ -59,6 +59,13 @@ class Walk:
         return self.wrench[:, 3:].sum(axis=0)
 
     @property
+    def center_of_pressure(self) -> Float[np.ndarray, "3 pose"]:
+        """Where the ground's whole force meets the ground; the origin while there is little force."""
+        moment, force = self.wrench.sum(axis=0).reshape(2, 3, -1)
+        lifted = np.cross(UP, moment, axisa=0, axisb=0, axisc=0) / np.where(self.in_contact, force[1], 1.0)
+        return np.where(self.in_contact, lifted, 0.0)
+
+    @property
     def in_contact(self) -> Bool[np.ndarray, " pose"]:
         """Whether the foot is on the ground."""
         vertical = self.force[1]

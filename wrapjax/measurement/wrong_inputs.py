@@ -37,13 +37,22 @@ def _force_latency(walk: Walk) -> Slopes:
 
 
 def _crossed_plates(walk: Walk) -> Slopes:
-    """While both feet are on the ground, a share of what acts on the other is taken to act on this one."""
-    other = walk.other_foot()
+    """While both feet are on the ground, plates give a share of a foot's force to the wrong one.
+
+    Of the other foot's force, where it acts or at this foot's center of pressure; and of this foot's own,
+    which is what stands on the other plate.
+    """
+    other, own = walk.other_foot(), walk.wrench.sum(axis=0)
     vertical = other[4]
     both = walk.in_contact & (vertical > CONTACT * vertical.max())
-    change = np.zeros_like(walk.wrench)
-    change[0] = np.where(both, other, 0.0)
-    return walk.moments_by_load(change)[None]
+    point = walk.center_of_pressure
+    leaked = np.concatenate([np.cross(point, other[3:], axis=0), other[3:]])
+    slopes = []
+    for crossed in (other, leaked, own):
+        change = np.zeros_like(walk.wrench)
+        change[0] = np.where(both, crossed, 0.0)
+        slopes.append(walk.moments_by_load(change))
+    return np.stack(slopes)
 
 
 def _segment_inertia(walk: Walk) -> Slopes:

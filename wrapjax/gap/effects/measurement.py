@@ -58,8 +58,12 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
         ),
     ),
     "crossed_plates": (
-        "0 to 20 % of the other foot's force",
-        (("share", "1", 0.10, 1, "share of the other foot's force in double support", 0.5),),
+        "0 to 20 % of a foot's force",
+        (
+            ("other_share", "1", 0.10, 0, "share of the other foot's force, where that foot is", 0.5),
+            ("leaked_share", "1", 0.10, 0, "share of the other foot's force, taken to act on this one", 0.5),
+            ("own_share", "1", 0.10, 0, "share of this foot's own force in double support", 0.5),
+        ),
     ),
     "belt_acceleration": (
         "Hnat & van den Bogert 2014, 12 N m RMS",
