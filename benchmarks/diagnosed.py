@@ -4,6 +4,7 @@
 Cases that are answered already are not asked again, unless the case or the package is another than then: so
 it goes on where it was stopped. ``--withheld`` asks again of every case with a single cause, which it reads
 in the bank's truth, with that effect left out of the catalogue: do that after the answers are in.
+``--baselines FOLDER`` also answers as textbooks would (see `benchmarks.baselines`), a folder each.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ QUESTION = "question.json"
 def main() -> int:
     options = _parser().parse_args()
     cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
-    jobs = [(case, options.out / case.name, (), options.starts) for case in cases]
+    jobs = [(case, options.out / case.name, (), options.starts, options.baselines) for case in cases]
     if options.withheld:
         causes = {case.name: _causes(options.bank / "truth" / f"{case.name}.json") for case in cases}
         jobs = [
-            (case, options.out / case.name, causes[case.name], options.starts)
+            (case, options.out / case.name, causes[case.name], options.starts, None)
             for case in cases
             if len(causes[case.name]) == 1
         ]
@@ -44,7 +45,7 @@ def main() -> int:
         return max(pool.map(_answer_all, parts))
 
 
-Job = tuple[Path, Path, tuple[str, ...], int]
+Job = tuple[Path, Path, tuple[str, ...], int, Path | None]
 
 
 def _answer_all(jobs: list[Job]) -> int:
@@ -52,19 +53,20 @@ def _answer_all(jobs: list[Job]) -> int:
     pin_threads()
     set_up_jax()
     failed = 0
-    for number, (case, answer, without, starts) in enumerate(jobs, 1):
+    for number, job in enumerate(jobs, 1):
         began = time.perf_counter()
         try:
-            said = _answer(case, answer, without, starts)
+            said = _answer(*job)
         except Exception as error:  # One case must not cost all others.
             said, failed = f"FAILED: {type(error).__name__}: {error}", 1
         seconds = time.perf_counter() - began
-        print(f"{number}/{len(jobs)} {case.name}: {said} ({seconds:.0f} s)", file=sys.stderr, flush=True)
+        print(f"{number}/{len(jobs)} {job[0].name}: {said} ({seconds:.0f} s)", file=sys.stderr, flush=True)
     return failed
 
 
-def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int) -> str:
+def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int, baselines: Path | None) -> str:
     import wrapjax
+    from benchmarks.baselines import BASELINES, write_answer, write_silence
     from wrapjax.files import content_hash, write_json
 
     files = sorted(path for path in case.rglob("*") if path.is_file())
@@ -80,6 +82,12 @@ def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int) -> 
     done = wrapjax.diagnose(subject, "NGA", paths, without=without, starts=starts)
     shutil.rmtree(answer, ignore_errors=True)
     done.save(answer)
+    for name, rank in BASELINES.items() if baselines else ():
+        folder = baselines / name / case.name
+        if done.result.lines is None:
+            write_silence(done.result.outcome, folder)
+        else:
+            write_answer(rank(done.result.lines), folder)
     write_json(kept, question)
     return f"{done.result.outcome} {', '.join(done.result.named or sum(done.result.ties, ()))}".strip()
 
@@ -94,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--starts", type=int, default=4)
+    parser.add_argument("--baselines", type=Path, help="where to answer as textbooks would")
     parser.add_argument("--withheld", action="store_true", help="leave each single cause out")
     return parser
 

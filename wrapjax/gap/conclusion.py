@@ -112,6 +112,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         alarm=alarm,
         global_p=float((1 + np.sum(twins >= settled[order[0]])) / (1 + len(twins))) if order else 1.0,
         advice=_advice(scene, verdict.tie, compared, apart),
+        lines=scene.gap,
     )
 
 

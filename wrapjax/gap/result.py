@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from wrapjax.gap.budget import Budget
 from wrapjax.gap.effect import NotTestable
+from wrapjax.gap.linearized import LinearGap
 
 #: How a diagnosis can end.
 #:
@@ -263,6 +264,8 @@ class GapResult:
         See there.
     seconds
         By part of the work.
+    lines
+        What effects were scored on; None where there is no diagnosis.
     """
 
     outcome: str
@@ -295,3 +298,4 @@ class GapResult:
     advice: tuple[Advice, ...]
     certificate: Certificate
     seconds: dict[str, float]
+    lines: LinearGap | None = None

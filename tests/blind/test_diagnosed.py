@@ -1,0 +1,80 @@
+"""Defends: a bank is answered once a question, one failing case costs no other, and a fault is told."""
+
+import types
+
+import pytest
+
+import wrapjax
+from benchmarks import diagnosed
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Names of the cases that were really asked; one called 'bad' fails."""
+    seen = []
+
+    def diagnose(subject, method, paths, *, without, starts):
+        seen.append((subject.name, without))
+        if subject.name == "bad":
+            raise ValueError("no such muscle")
+        result = types.SimpleNamespace(outcome="named", named=("joint_damping",), ties=(), lines=None)
+        return types.SimpleNamespace(
+            result=result, save=lambda folder: (folder / "moments").mkdir(parents=True)
+        )
+
+    monkeypatch.setattr(wrapjax, "load_subject", lambda case: case)
+    monkeypatch.setattr(wrapjax, "fit", lambda subject, geometry, processes: None)
+    monkeypatch.setattr(wrapjax, "diagnose", diagnose)
+    monkeypatch.setattr(diagnosed, "set_up_jax", lambda: None)
+    return seen
+
+
+def bank(folder, *names):
+    for name in names:
+        (folder / "cases" / name).mkdir(parents=True)
+        (folder / "cases" / name / "subject.toml").write_text(f"# {name}\n")
+    return folder
+
+
+def answer(monkeypatch, folder, *more):
+    arguments = ["diagnosed", "--bank", str(folder), "--out", str(folder / "answers"), *more]
+    monkeypatch.setattr("sys.argv", arguments)
+    return diagnosed.main()
+
+
+def test_a_case_is_asked_again_only_if_it_or_the_question_is_another(asked, monkeypatch, tmp_path, capsys):
+    folder = bank(tmp_path, "one", "two")
+    assert answer(monkeypatch, folder) == 0
+    assert answer(monkeypatch, folder) == 0
+    assert [name for name, _ in asked] == ["one", "two"]
+    assert capsys.readouterr().err.count("as before") == 2
+    (folder / "cases" / "two" / "subject.toml").write_text("# another two\n")
+    assert answer(monkeypatch, folder) == 0
+    assert [name for name, _ in asked] == ["one", "two", "two"]
+
+
+def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_path, capsys):
+    folder = bank(tmp_path, "bad", "one")
+    assert answer(monkeypatch, folder) == 1
+    assert "bad: FAILED: ValueError: no such muscle" in capsys.readouterr().err
+    assert (folder / "answers" / "one" / "question.json").exists()
+    assert not (folder / "answers" / "bad" / "question.json").exists()
+
+
+def test_withheld_asks_of_single_causes_alone(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one", "pair")
+    (folder / "truth").mkdir()
+    for name, causes in (("one", ["cop_offset"]), ("pair", ["cop_offset", "emg_drift"])):
+        listed = ", ".join(f'{{"id": "{cause}"}}' for cause in causes)
+        (folder / "truth" / f"{name}.json").write_text(f'{{"causes": [{listed}]}}')
+    assert answer(monkeypatch, folder, "--withheld") == 0
+    assert asked == [("one", ("cop_offset",))]
+
+
+def test_baselines_answer_beside_it(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    assert answer(monkeypatch, folder, "--baselines", str(folder / "others")) == 0
+    found = sorted(path.relative_to(folder / "others").as_posix() for path in folder.rglob("gap.json"))
+    assert found == [
+        f"{name}/one/gap.json" for name in ("held_out_drop", "modification_index", "raw_correlation")
+    ]
