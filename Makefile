@@ -10,7 +10,7 @@ PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-lo
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all lint bench setup clean
+.PHONY: demo test test-all lint bench blind blind-quick setup clean
 .DEFAULT_GOAL := test
 
 setup: $(VENV)/.ready
@@ -40,6 +40,23 @@ lint: setup
 
 bench: setup
 	$(RUN)/python -m benchmarks
+
+# Cases from a simulator that shares nothing with the model, diagnosed and scored; both go on where they were
+# stopped. Their folder, the bank, how many of its cases, and starts of each calibration:
+blind: BANK = out/blind test 720 4
+blind-quick: BANK = out/blind-quick development 40 1
+ANSWERERS := wrapjax modification_index raw_correlation held_out_drop
+
+blind blind-quick: setup
+	$(RUN)/python -m benchmarks.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
+		--cases $(word 3,$(BANK)) --workers $(JOBS)
+	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
+		--baselines $(word 1,$(BANK))/answers --starts $(word 4,$(BANK)) --workers $(JOBS)
+	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/withheld \
+		--withheld --starts $(word 4,$(BANK)) --workers $(JOBS)
+	$(RUN)/python -m benchmarks.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
+		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \
+		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache .mypy_cache
