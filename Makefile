@@ -44,7 +44,7 @@ bench: setup
 # Cases from a simulator that shares nothing with the model, diagnosed and scored; both go on where they were
 # stopped. Their folder, the bank, how many of its cases, and starts of each calibration:
 blind: BANK = out/blind test 720 4
-blind-quick: BANK = out/blind-quick development 40 1
+blind-quick: BANK = out/blind-quick development 40 2
 ANSWERERS := wrapjax modification_index raw_correlation held_out_drop
 
 blind blind-quick: setup

@@ -15,7 +15,7 @@ from wrapjax.gap.held_out import CrossFit, cross_fit, speed_conflict
 from wrapjax.gap.linearized import phase_frames
 from wrapjax.gap.null import nulls
 from wrapjax.gap.prediction import predicted_moments
-from wrapjax.gap.refit import joint_problem
+from wrapjax.gap.refit import Refit, fit_jointly, joint_problem
 from wrapjax.gap.result import Alternative, Estimate, Released
 from wrapjax.gap.scene import Scene
 from wrapjax.gap.score import Candidate, score_each
@@ -27,8 +27,11 @@ class Refitted:
     """An effect, or several, fitted together with what is calibrated."""
 
     ids: tuple[str, ...]
+    #: Over the calibration cycles, and over all.
     effects: Effects
-    fit: CrossFit
+    everywhere: Effects
+    #: To all calibration cycles.
+    fit: Refit
 
 
 def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
@@ -48,14 +51,8 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     start = np.clip(amounts, seen.lower, seen.upper)
     plain = scene.plain.full.calibrated
     problem = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
-    fit = cross_fit(
-        problem,
-        np.concatenate([plain, start / seen.prior_sd]),
-        case.plan,
-        case.speeds,
-        case.predict(whole),
-    )
-    return Refitted(ids, seen, fit)
+    fit = fit_jointly(problem, np.concatenate([plain, start / seen.prior_sd]))
+    return Refitted(ids, seen, whole, fit)
 
 
 def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, float]:
@@ -72,7 +69,7 @@ def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, fl
     expected = scene.plain.full.calibrated - gap.away
     residuals, chosen = [], []
     for id, refit in refits.items():
-        full, candidate = refit.fit.full, scene.candidates[id]
+        full, candidate = refit.fit, scene.candidates[id]
         moments = _moments_of(scene, refit)
         left = (case.measured[cycles] - moments)[..., frames].ravel()
         own = list(scene.scores[id].part)
@@ -95,7 +92,7 @@ def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, fl
 
 def _moments_of(scene: Scene, refit: Refitted) -> Float[np.ndarray, "cycle coordinate frame"]:
     """Predict the calibration cycles by the fit that has seen them all."""
-    problem, full = scene.case.problem, refit.fit.full
+    problem, full = scene.case.problem, refit.fit
     parameters = problem.parameters(jnp.asarray(full.calibrated))
     found = predicted_moments(
         problem.curves, parameters, problem.recording, refit.effects, jnp.asarray(full.amounts)
@@ -105,7 +102,9 @@ def _moments_of(scene: Scene, refit: Refitted) -> Float[np.ndarray, "cycle coord
 
 def alternative(scene: Scene, refitted: Refitted) -> Alternative:
     """Say what an effect takes away on cycles that its fits have not seen, and what it released."""
-    case, fit, plain = scene.case, refitted.fit, scene.plain
+    case, plain = scene.case, scene.plain
+    start, everywhere = refitted.fit, case.predict(refitted.everywhere)
+    fit = cross_fit(start.problem, start.variables, case.plan, case.speeds, everywhere)
     measured, speeds, floor = case.measured, case.speeds, scene.place.floor
     before, after = (cycle_errors(measured - one.predicted) for one in (plain, fit))
     held = np.array([use != "calibration" for use in case.uses]) & ~case.plan.new_speed

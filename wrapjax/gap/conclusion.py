@@ -41,8 +41,9 @@ from wrapjax.gap.verdict import (
 )
 from wrapjax.gap.where import Where
 
-#: Effects that are fitted together with all that is calibrated, and that are compared with one another.
-REFITS, COMPARED = 3, 8
+#: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
+#: are fitted to parts of the cycles.
+REFITS, COMPARED, TRIED = 6, 8, 3
 #: Share of people with nothing amiss whose strongest evidence is above the alarm level.
 ALARM_SHARE = 0.025
 
@@ -55,9 +56,10 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     with watch.during("refits", f"fitting {', '.join(leading) or 'no effect'} with all that is calibrated"):
         refits = {id: refit(scene, (id,)) for id in leading}
         refitted = refitted_evidence(scene, refits)
-    with watch.during("shrinkage", "measuring how far the error shrinks"):
-        shrunk = {id: alternative(scene, refits[id]) for id in leading}
     settled = evidence | refitted
+    tried = sorted(refits, key=lambda id: -settled[id])[:TRIED]
+    with watch.during("shrinkage", "measuring how far the error shrinks"):
+        shrunk = {id: alternative(scene, refits[id]) for id in tried}
     with watch.during("verdict", "comparing effects"):
         order = sorted(settled, key=lambda id: -settled[id])
         compared = tuple(order[:COMPARED])
@@ -71,7 +73,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         gains = {id: one.gains for id, one in shrunk.items()}
         verdict = judge(found, settled, tie, alarm, controls, unseen, gains)
     accepted = verdict.named or verdict.tie
-    shown = [id for id in order if id in refits]
+    shown = [id for id in order if id in shrunk]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))
     alternatives = tuple(shrunk[id] for id in shown)
     findings = tuple(
@@ -194,8 +196,8 @@ def _finding(
     if refit is not None:
         own = list(score.part)
         amounts, sd = np.zeros(len(score.amounts)), np.zeros(len(score.amounts))
-        amounts[own] = refit.fit.full.amounts
-        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit.full, scene.amount_weight)))
+        amounts[own] = refit.fit.amounts
+        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit, scene.amount_weight)))
     return EffectFinding(
         id=score.id,
         probability=probability,

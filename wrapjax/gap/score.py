@@ -22,7 +22,7 @@ from wrapjax.gap.covariance import Matrix
 Signature = Float[np.ndarray, "parameter row"]
 
 #: An effect may be smaller or larger than its prior expects: its amounts share one of these sizes.
-SIZES = (0.3, 1.0, 3.0)
+SIZES = (0.1, 0.3, 1.0, 3.0)
 
 
 @dataclass(frozen=True)
