@@ -69,6 +69,15 @@ def test_noise_need_not_be_of_one_width(phases):
     assert np.all((power > 0.6) & (power < 1.7)) and 0.9 < power[1:4].mean() < 1.1
 
 
+def test_what_filters_leave_nothing_of_is_not_taken_for_exact():
+    generator = np.random.default_rng(3)
+    waves = np.stack([np.cos(2 * np.pi * h * np.arange(PHASES) / PHASES) for h in range(3)])
+    drawn = generator.normal(size=(8, COORDINATES, 3)) @ waves
+    noise = cycle_noise(drawn, np.repeat([0, 1], 4))
+    values = np.linalg.eigvalsh(noise.block(PHASES))
+    assert values[0] > 0.002 * np.diag(noise.block(PHASES)).min()
+
+
 def test_cycles_alone_at_their_speeds_show_no_noise():
     with pytest.raises(ValueError, match=r"\[1, 1\]"):
         cycle_noise(np.zeros((2, 1, PHASES)), np.array([0, 1]))
