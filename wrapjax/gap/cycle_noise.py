@@ -21,8 +21,8 @@ INPUT_SHARES = (0.0, 0.35, 0.7, 1.0, 1.5, 2.2)
 # Deviations weigh so many cycles against coordinates that are independent: few cycles say little of
 # correlations.
 _PRIOR_CYCLES = 2.0
-# Of the variance of a coordinate or a harmonic, at least so much is left for noise that no input makes; and so
-# much of the mean power for every harmonic: filters leave nothing of some, and no model is as exact as that.
+# Of the variance of a coordinate or a harmonic, at least so much is left for noise that no input makes; and
+# so much of the mean power for every harmonic: filters leave nothing of some, and no model is as exact.
 _LEAST_NOISE, _LEAST_POWER = 0.05, 0.02
 # Covariance and spectrum are found in turn: they settle in two or three.
 _TURNS = 4
@@ -162,10 +162,10 @@ def _settled(
         between = np.einsum("h,hkl->kl", waves / spectrum, powers) / waves.sum()
         power = np.einsum("kl,hlk->h", np.linalg.inv(between), powers)
         # Neighbours are alike, and together better known; logarithms, as power falls steeply.
-        ends = np.log(np.concatenate([power[:1], power, power[-1:]]))
+        ends = np.log(np.maximum(np.concatenate([power[:1], power, power[-1:]]), 1e-12 * power.max()))
         power = np.exp((ends[:-2] + 2.0 * ends[1:-1] + ends[2:]) / 4.0)
-        spectrum = np.maximum(power * waves.sum() / (waves * power).sum(), _LEAST_POWER)
-    return between, spectrum * waves / _both_ways(np.ones(len(powers)))
+        spectrum = power * waves.sum() / (waves * power).sum()
+    return between, np.maximum(spectrum, _LEAST_POWER) * waves / _both_ways(np.ones(len(powers)))
 
 
 def _no_less(
