@@ -87,6 +87,7 @@ def investigate(
             effects,
             tuning.background,
         )
+    place = where(residual, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
     sizes = case.measured[plan.calibration].std(axis=(0, 2))
     with watch.during("twins", f"making {twins} people with nothing amiss"):
         world = TwinWorld(problem, ended, inputs, gap, gap.noise)

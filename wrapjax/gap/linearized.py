@@ -81,6 +81,14 @@ class LinearGap:
         return cycle_noise(self.fitted, self.speeds, self.input_errors)
 
     @property
+    def input_variance(self) -> Float[np.ndarray, "coordinate phase"]:
+        """What errors of EMG and of angles make of the moments, in the mean of cycles, (N m)^2."""
+        total = np.zeros(self.fitted.shape[1:])
+        for share, errors in zip(self.noise.input_shares, self.input_errors, strict=True):
+            total += share**2 * np.sum(errors.signatures**2, axis=0).mean(axis=0)
+        return total
+
+    @property
     def calibrated(self) -> Float[np.ndarray, "sum cycle coordinate phase"]:
         """By independent sums of calibrated variables, one prior standard deviation of each."""
         return np.tensordot(self.spread.T, self.slopes, axes=1)

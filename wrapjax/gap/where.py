@@ -47,6 +47,7 @@ def where(
     speeds: Int[np.ndarray, " cycle"],
     speeds_m_s: Float[np.ndarray, " cycle"],
     inputs: Float[np.ndarray, "cycle input frame"],
+    of_errors: Float[np.ndarray, "coordinate phase"] | None = None,
 ) -> Where:
     """Split the error of cycles that fits have not seen.
 
@@ -58,10 +59,14 @@ def where(
         Counted from 0, and as they are.
     inputs
         What may drive differences between cycles, any units.
+    of_errors
+        Variance that errors of inputs make, (N m)^2: it follows inputs too, yet no model takes it away.
     """
     several = np.flatnonzero(np.bincount(speeds)[speeds] > 1)
     kept, own = np.unique(speeds[several], return_inverse=True)
     driven = driven_variance(residual[several], inputs[several], own)
+    if of_errors is not None:
+        driven = np.maximum(driven - _round_the_cycle(of_errors, driven.shape[-1]), 0.0)
     by_speed = np.zeros(speeds.max() + 1)
     by_speed[kept] = driven.mean(axis=(1, 2))
     floor = cycle_floor(residual, speeds, by_speed)
@@ -73,6 +78,14 @@ def where(
         floor,
         explainable_share(cycle_errors(residual), floor, speeds),
     )
+
+
+def _round_the_cycle(
+    values: Float[np.ndarray, "coordinate phase"], frames: int
+) -> Float[np.ndarray, "coordinate frame"]:
+    """Values between phases; the last frame is the first one again."""
+    phases, wanted = np.arange(values.shape[-1]) / values.shape[-1], np.linspace(0.0, 1.0, frames)
+    return np.stack([np.interp(wanted, phases, own, period=1.0) for own in values])
 
 
 def amount_weight(noise: CycleNoise, cycles_and_coordinates: tuple[int, int]) -> float:
