@@ -28,7 +28,7 @@ from wrapjax.gap.result import (
     MuscleShare,
 )
 from wrapjax.gap.scene import Investigation, Scene
-from wrapjax.gap.score import Score, likeness
+from wrapjax.gap.score import SIZES, Score, likeness
 from wrapjax.gap.shrinkage import shapley
 from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.verdict import (
@@ -69,7 +69,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         alarm = max(tuning.alarm, float(np.quantile(twins, 1.0 - ALARM_SHARE)) if len(twins) else 0.0)
         found = probabilities(settled, scene.scored.structured, tuning)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
-        unseen = [id for id, one in scores.items() if one.detectability < UNSEEN]
+        unseen = [id for id, one in scores.items() if max(SIZES) * one.detectability < UNSEEN]
         gains = {id: one.gains for id, one in shrunk.items()}
         verdict = judge(found, settled, tie, alarm, controls, unseen, gains)
     accepted = verdict.named or verdict.tie
@@ -87,7 +87,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
             id, f"one of expected size would show by {one.detectability:.1f} standard deviations only"
         )
         for id, one in scores.items()
-        if one.detectability < UNSEEN
+        if one.detectability < UNSEEN and id not in accepted
     )
     silent = stopped(
         case,

@@ -171,7 +171,7 @@ def judge(
     controls
         Ids that cannot be at work in such a recording: if one leads, something else is.
     unseen
-        Ids that this recording could not show at their expected size: none of them is named.
+        Ids that this recording could not show if they were as large as they may be: none of them is named.
     gains
         By effect that was fitted, what each block of cycles that its fit has not seen says for it, in nats.
         What is there helps in all, or in all but one.
