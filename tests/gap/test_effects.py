@@ -108,6 +108,15 @@ def test_a_secant_is_what_an_amount_of_the_expected_size_changes():
         np.testing.assert_allclose(span * found[place], expected, rtol=0, atol=1e-9 * scale + 1e-9)
 
 
+def test_a_larger_effect_is_expected_to_be_larger_within_its_limits():
+    for effect in EFFECTS:
+        larger = effect.of_size(3.0)
+        assert larger.id == effect.id and larger.parts == effect.parts
+        for before, after in zip(effect.parameters, larger.parameters, strict=True):
+            assert after.prior_sd == min(3.0 * before.prior_sd, before.limit)
+            assert (after.name, after.limit) == (before.name, before.limit)
+
+
 def test_no_effects_at_all_are_the_plain_model(plain):
     np.testing.assert_allclose(predict(Effects(()), np.zeros(0)), plain, rtol=1e-13, atol=1e-12)
 

@@ -176,3 +176,17 @@ def test_what_the_recording_could_not_show_is_not_named():
     assert judge(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
     verdict = judge(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
     assert verdict.outcome == "unknown" and "could not show" in verdict.reason and not verdict.named
+
+
+def test_what_does_not_help_with_cycles_kept_back_is_not_named():
+    """One block of five may be against it; two may not."""
+    got = found(one=0.9, two=0.05, none=0.05)
+    for gains, outcome in (
+        ((1.0, 2.0, 0.5, 1.0, 3.0), "named"),
+        ((1.0, 2.0, -0.5, 1.0, 3.0), "named"),
+        ((1.0, 2.0, -0.5, 0.0, 3.0), "unknown"),
+    ):
+        verdict = judge(got, EVIDENCE, ("one",), 5.0, (), (), {"one": gains, "two": (-1.0,) * 5})
+        assert verdict.outcome == outcome
+    assert "kept back" in verdict.reason
+    assert judge(got, EVIDENCE, ("one",), 5.0, (), (), {"two": (-1.0,) * 5}).outcome == "named"
