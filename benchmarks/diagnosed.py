@@ -52,6 +52,8 @@ def _answer_all(jobs: list[Job]) -> int:
     """Answer in one process, so that what is compiled serves all; give 1 if any case failed."""
     pin_threads()
     set_up_jax()
+    import jax
+
     failed = 0
     for number, job in enumerate(jobs, 1):
         began = time.perf_counter()
@@ -60,8 +62,23 @@ def _answer_all(jobs: list[Job]) -> int:
         except Exception as error:  # One case must not cost all others.
             said, failed = f"FAILED: {type(error).__name__}: {error}", 1
         seconds = time.perf_counter() - began
+        if _crowded():
+            jax.clear_caches()
         print(f"{number}/{len(jobs)} {job[0].name}: {said} ({seconds:.0f} s)", file=sys.stderr, flush=True)
     return failed
+
+
+def _crowded() -> bool:
+    """Say whether another case might not find room: each compiles hundreds of programs for its own sizes.
+
+    Linux lets a process map only so many pieces of memory, and LLVM ends a process that it has none for.
+    """
+    try:
+        most = int(Path("/proc/sys/vm/max_map_count").read_text())
+        with Path("/proc/self/maps").open(encoding="utf-8") as maps:
+            return sum(1 for _ in maps) > most // 3
+    except (OSError, ValueError):
+        return False
 
 
 def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int, baselines: Path | None) -> str:

@@ -43,7 +43,7 @@ from wrapjax.gap.where import Where
 
 #: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
 #: are fitted to parts of the cycles.
-REFITS, COMPARED, TRIED = 6, 8, 3
+REFITS, COMPARED, TRIED = 4, 8, 2
 #: Share of people with nothing amiss whose strongest evidence is above the alarm level.
 ALARM_SHARE = 0.025
 
