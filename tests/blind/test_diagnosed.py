@@ -78,3 +78,12 @@ def test_baselines_answer_beside_it(asked, monkeypatch, tmp_path):
     assert found == [
         f"{name}/one/gap.json" for name in ("held_out_drop", "modification_index", "raw_correlation")
     ]
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_a_process_makes_room_before_it_is_full(crowded, asked, monkeypatch, tmp_path):
+    cleared = []
+    monkeypatch.setattr(diagnosed, "_crowded", lambda: crowded)
+    monkeypatch.setattr("jax.clear_caches", lambda: cleared.append(True))
+    assert answer(monkeypatch, bank(tmp_path, "one", "two"), "--workers", "1") == 0
+    assert len(cleared) == 2 * crowded
