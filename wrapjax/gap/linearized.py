@@ -1,7 +1,7 @@
 """A calibrated model, its residuals and all that may explain them, as straight lines.
 
 A score test looks at the model where calibration left it: how the prediction would change with what was
-calibrated, with each effect, and with errors of what was recorded. Residuals are taken back to where
+calibrated, with as much of each effect as is expected, and with errors of what was recorded. Residuals are taken back to where
 calibrated parameters were expected, since their give is part of the null hypothesis.
 """
 
