@@ -1,8 +1,8 @@
 """A calibrated model, its residuals and all that may explain them, as straight lines.
 
 A score test looks at the model where calibration left it: how the prediction would change with what was
-calibrated, with as much of each effect as is expected, and with errors of what was recorded. Residuals are taken back to where
-calibrated parameters were expected, since their give is part of the null hypothesis.
+calibrated, with as much of each effect as is expected, and with errors of what was recorded. Residuals are
+taken back to where calibrated parameters were expected, since their give is part of the null hypothesis.
 """
 
 from __future__ import annotations
