@@ -179,12 +179,15 @@ def test_what_the_recording_could_not_show_is_not_named():
 
 
 def test_what_does_not_help_with_cycles_kept_back_is_not_named():
-    """One block of five may be against it; two may not."""
+    """One block of five may be against it, two of eight; not more, and not their sum."""
     got = found(one=0.9, two=0.05, none=0.05)
     for gains, outcome in (
         ((1.0, 2.0, 0.5, 1.0, 3.0), "named"),
         ((1.0, 2.0, -0.5, 1.0, 3.0), "named"),
         ((1.0, 2.0, -0.5, 0.0, 3.0), "unknown"),
+        ((1.0, 2.0, -0.5, -0.1, 3.0, 1.0, 1.0, 1.0), "named"),
+        ((1.0, 2.0, -0.5, -0.1, 3.0, 1.0, 0.0, 1.0), "unknown"),
+        ((0.1, 0.1, -3.0, 0.1, 0.1), "unknown"),
     ):
         verdict = judge(got, EVIDENCE, ("one",), 5.0, (), (), {"one": gains, "two": (-1.0,) * 5})
         assert verdict.outcome == outcome
