@@ -92,19 +92,20 @@ def _answer(case: Path, answer: Path, without: tuple[str, ...], starts: int, bas
     ]
     question = {"case": content_hash(*files), "code": content_hash(*code), "without": list(without)}
     kept = answer / QUESTION
-    if kept.exists() and json.loads(kept.read_text(encoding="utf-8")) == question:
+    others = {name: baselines / name / case.name for name in BASELINES} if baselines else {}
+    complete = all((folder / "gap.json").exists() for folder in others.values())
+    if complete and kept.exists() and json.loads(kept.read_text(encoding="utf-8")) == question:
         return "as before"
     subject = wrapjax.load_subject(case)
     paths = wrapjax.fit(subject, "engine", processes=1)
     done = wrapjax.diagnose(subject, "NGA", paths, without=without, starts=starts)
     shutil.rmtree(answer, ignore_errors=True)
     done.save(answer)
-    for name, rank in BASELINES.items() if baselines else ():
-        folder = baselines / name / case.name
+    for name, folder in others.items():
         if done.result.lines is None:
             write_silence(done.result.outcome, folder)
         else:
-            write_answer(rank(done.result.lines), folder)
+            write_answer(BASELINES[name](done.result.lines), folder)
     write_json(kept, question)
     return f"{done.result.outcome} {', '.join(done.result.named or sum(done.result.ties, ()))}".strip()
 

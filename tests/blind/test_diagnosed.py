@@ -71,8 +71,9 @@ def test_withheld_asks_of_single_causes_alone(asked, monkeypatch, tmp_path):
     assert asked == [("one", ("cop_offset",))]
 
 
-def test_baselines_answer_beside_it(asked, monkeypatch, tmp_path):
+def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
+    assert answer(monkeypatch, folder) == 0
     assert answer(monkeypatch, folder, "--baselines", str(folder / "others")) == 0
     found = sorted(path.relative_to(folder / "others").as_posix() for path in folder.rglob("gap.json"))
     assert found == [

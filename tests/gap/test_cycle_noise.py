@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.gap.noise import noise_of_width
 from wrapjax.gap.covariance import InputErrors, input_blocks, periodic_kernel
-from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.cycle_noise import cycle_noise
 
 COORDINATES, PHASES = 2, 12
 BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])
@@ -17,7 +18,7 @@ def found_on_average(share, cycles=8, draws=60):
     wave = 1.0 + 0.3 * np.cos(2 * np.pi * np.arange(PHASES) / PHASES)
     inputs = InputErrors(generator.normal(size=(2, cycles, COORDINATES, 1)) * wave, 0.1)
     blocks = input_blocks(inputs)
-    truth = CycleNoise.of_width(BETWEEN, 0.05).block(PHASES) + share**2 * blocks
+    truth = noise_of_width(BETWEEN, 0.05).block(PHASES) + share**2 * blocks
     factors = np.linalg.cholesky(truth)
     drawn = np.einsum("cij,ncj->nci", factors, generator.normal(size=(draws, *truth.shape[:2])))
     residuals = drawn.reshape(draws, cycles, COORDINATES, PHASES) + 5.0 * speeds[:, None, None]

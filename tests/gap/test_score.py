@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
+from tests.gap.noise import noise_of_width
 from wrapjax.gap.covariance import (
     InputErrors,
     MuscleErrors,
@@ -14,7 +15,7 @@ from wrapjax.gap.covariance import (
     periodic_kernel,
     repeated_covariance,
 )
-from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.cycle_noise import cycle_noise
 from wrapjax.gap.score import SIZES, Candidate, Null, evidence_of, likeness, score_each
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
@@ -29,7 +30,7 @@ def generator():
 
 @pytest.fixture
 def covariance(generator):
-    noise = CycleNoise.of_width(np.array([[1.0, 0.4], [0.4, 2.0]]), 0.05).covariance(CYCLES, PHASES)
+    noise = noise_of_width(np.array([[1.0, 0.4], [0.4, 2.0]]), 0.05).covariance(CYCLES, PHASES)
     nuisance = parameter_covariance(generator.normal(size=(3, CYCLES, COORDINATES, PHASES)), np.full(3, 0.5))
     return noise + nuisance
 
@@ -136,7 +137,7 @@ def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
 
 
 def test_noise_is_estimated_from_deviations(generator):
-    truth = CycleNoise.of_width(np.array([[4.0, -1.2], [-1.2, 1.0]]), 0.05)
+    truth = noise_of_width(np.array([[4.0, -1.2], [-1.2, 1.0]]), 0.05)
     speeds = np.repeat([0, 1], 60)
     factor = np.linalg.cholesky(truth.block(25))
     drawn = (generator.normal(size=(120, 50)) @ factor.T).reshape(120, 2, 25)

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.gap.noise import noise_of_width
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap import twins
 from wrapjax.gap.covariance import MuscleErrors
-from wrapjax.gap.cycle_noise import CycleNoise
 from wrapjax.gap.linearized import LinearGap, expectations, moment_slopes, phase_frames, speed_numbers
 from wrapjax.gap.twins import TwinCurves, TwinWorld, _twin_moments, _with_arms, _with_noise, twin_residuals
 from wrapjax.model import free_variables, joint_moments, nga
@@ -89,9 +89,7 @@ def world():
         ),
         speeds=speed_numbers(context.speeds),
     )
-    return TwinWorld(
-        problem, np.asarray(start), recording, gap, CycleNoise.of_width(np.eye(coordinates), 0.05)
-    )
+    return TwinWorld(problem, np.asarray(start), recording, gap, noise_of_width(np.eye(coordinates), 0.05))
 
 
 def test_equal_seeds_give_equal_twins(world):
@@ -117,7 +115,7 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
     monkeypatch.setattr(twins, "_twin_moments", own_moments)
     monkeypatch.setattr(twins, "PARAMETER_ERROR", 0.02)
     gap = replace(world.gap, fitted=0.01 * world.gap.fitted)
-    silent = replace(world, gap=gap, noise=CycleNoise.of_width(1e-9 * np.eye(3), 0.05))
+    silent = replace(world, gap=gap, noise=noise_of_width(1e-9 * np.eye(3), 0.05))
     residuals = twin_residuals(silent, 2, seed=3)
     basis = np.linalg.qr(gap.slopes.reshape(len(gap.slopes), -1).T)[0]
     frames = phase_frames(lived[0].shape[-1])

@@ -54,8 +54,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     evidence = {id: one.evidence for id, one in scores.items()}
     leading = [id for id in scores if evidence[id] > 0.0][:REFITS]
     with watch.during("refits", f"fitting {', '.join(leading) or 'no effect'} with all that is calibrated"):
-        refits = {id: refit(scene, (id,)) for id in leading}
-        refitted = refitted_evidence(scene, refits)
+        refits, refitted = _fitted_until_the_first_is(scene, evidence, leading)
     settled = evidence | refitted
     tried = sorted(refits, key=lambda id: -settled[id])[:TRIED]
     with watch.during("shrinkage", "measuring how far the error shrinks"):
@@ -116,6 +115,22 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         advice=_advice(scene, verdict.tie, compared, apart),
         lines=scene.gap,
     )
+
+
+def _fitted_until_the_first_is(
+    scene: Scene, evidence: dict[str, float], wanted: list[str]
+) -> tuple[dict[str, Refitted], dict[str, float]]:
+    """Fit these, and whatever then leads without having been fitted: straight lines alone name nothing."""
+    refits: dict[str, Refitted] = {}
+    refitted: dict[str, float] = {}
+    while wanted:
+        new = {id: refit(scene, (id,)) for id in wanted}
+        refits |= new
+        refitted |= refitted_evidence(scene, new)
+        settled = evidence | refitted
+        first = max(settled, key=lambda id: settled[id])
+        wanted = [first] if first not in refits and settled[first] > 0.0 else []
+    return refits, refitted
 
 
 def stopped(

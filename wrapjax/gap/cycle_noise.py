@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from wrapjax.gap.covariance import InputErrors, Matrix, input_blocks, periodic_kernel, within_cycles
+from wrapjax.gap.covariance import InputErrors, Matrix, input_blocks, within_cycles
 
 #: Sizes of the errors of inputs that are tried, in what is expected of them.
 INPUT_SHARES = (0.0, 0.35, 0.7, 1.0, 1.5, 2.2)
@@ -47,12 +47,6 @@ class CycleNoise:
     between: Float[np.ndarray, "coordinate coordinate"]
     spectrum: Float[np.ndarray, " harmonic"]
     input_shares: tuple[float, ...] = ()
-
-    @classmethod
-    def of_width(cls, between: Float[np.ndarray, "coordinate coordinate"], width: float) -> CycleNoise:
-        """Take the spectrum of a smooth kernel, given over how much of a gait cycle it goes on alike."""
-        phases = 2 * round(1.5 / width) + 1
-        return cls(between, np.maximum(np.fft.rfft(periodic_kernel(phases, width)[0]).real, 0.0))
 
     @property
     def independent_phases(self) -> float:

@@ -183,6 +183,14 @@ class NotTestable:
     reason: str
 
 
+def split_amounts(
+    amounts: Float[Array, "*row amount"], counts: Sequence[int]
+) -> tuple[Float[Array, "*row _"], ...]:
+    """Cut the amounts of several effects, or rows of them, into each effect's own."""
+    ends = np.cumsum([0, *counts])
+    return tuple(amounts[..., first:last] for first, last in itertools.pairwise(ends))
+
+
 class Effects(eqx.Module):
     """Several effects at once, or none, with their amounts in one vector.
 
@@ -206,6 +214,11 @@ class Effects(eqx.Module):
     def count(self) -> int:
         """Number of amounts."""
         return len(self.labels)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many amounts each member has."""
+        return tuple(len(effect.parameters) for effect in self.members)
 
     @property
     def prior_sd(self) -> Float[np.ndarray, " parameter"]:
@@ -241,8 +254,7 @@ class Effects(eqx.Module):
 
     def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " _"], ...]:
         """Hand each effect its own amounts."""
-        ends = np.cumsum([0, *(len(effect.parameters) for effect in self.members)])
-        return tuple(amounts[first:last] for first, last in itertools.pairwise(ends))
+        return split_amounts(amounts, self.counts)
 
     @property
     def parameters(self) -> list[EffectParameter]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.gap.effect import Effects, Form
+from wrapjax.gap.effect import Effects, Form, split_amounts
 from wrapjax.model import ModelParameters, Recording, joint_moments
 from wrapjax.muscle import AbstractCurves
 
@@ -57,7 +55,7 @@ def signatures(
         What it leaves out, and how much of it; none of it if not given.
     """
     at = effects.split(effects.zero if amounts is None else jnp.asarray(amounts))
-    every = tuple(jnp.asarray(columns) for columns in _directions(effects))
+    every = split_amounts(jnp.eye(effects.count), effects.counts)
     return _slopes(curves, parameters, recording, effects.forms, at, every)
 
 
@@ -78,19 +76,9 @@ def secants(
     """
     sizes, two_sided = effects.prior_sd, np.array([entry.sign == 0 for entry in effects.parameters])
     first, last = (np.diag(sign * sizes) for sign in (np.where(two_sided, -1.0, 0.0), np.ones(len(sizes))))
-    ends = tuple(tuple(jnp.asarray(own) for own in _split(effects, rows)) for rows in (first, last))
+    ends = (split_amounts(jnp.asarray(rows), effects.counts) for rows in (first, last))
     low, high = (_each_moment(curves, parameters, recording, effects.forms, rows) for rows in ends)
     return (high - low) / jnp.asarray(sizes * np.where(two_sided, 2.0, 1.0))[:, None, None, None]
-
-
-def _directions(effects: Effects) -> list[Float[np.ndarray, "parameter _"]]:
-    """Give the unit vectors of all amounts, cut into each effect's own."""
-    return _split(effects, np.eye(effects.count))
-
-
-def _split(effects: Effects, rows: Float[np.ndarray, "row parameter"]) -> list[Float[np.ndarray, "row _"]]:
-    ends = np.cumsum([0, *(len(effect.parameters) for effect in effects.members)])
-    return [rows[:, first:last] for first, last in itertools.pairwise(ends)]
 
 
 # What is compiled knows forms, not names: shapes of one effect, and subjects, then share it.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 
 import equinox as eqx
@@ -19,7 +18,7 @@ from wrapjax.calibrate import (
     ProjectedLM,
     Status,
 )
-from wrapjax.gap.effect import Effects, Form
+from wrapjax.gap.effect import Effects, Form, split_amounts
 from wrapjax.gap.prediction import signatures
 
 #: Solver of every refit. Amounts and predictions are looked at to a few digits, and starts are near.
@@ -66,8 +65,7 @@ class JointProblem(AbstractLeastSquares):
         return self._with(self.amounts(variables))
 
     def _with(self, amounts: Float[Array, " amount"]) -> Objective:
-        ends = np.cumsum([0, *self.counts])
-        own = [amounts[first:last] for first, last in itertools.pairwise(ends)]
+        own = split_amounts(amounts, self.counts)
         alterations = tuple(form(part) for form, part in zip(self.forms, own, strict=True))
         return replace(self.plain, alterations=alterations)
 
@@ -165,7 +163,7 @@ def joint_problem(
     return JointProblem(
         plain=plain,
         forms=effects.forms,
-        counts=tuple(len(effect.parameters) for effect in effects.members),
+        counts=effects.counts,
         amount_sd=jnp.asarray(effects.prior_sd),
         amount_bounds=jnp.asarray(np.stack([effects.lower, effects.upper]) / effects.prior_sd),
         amount_weight=jnp.asarray(amount_weight),

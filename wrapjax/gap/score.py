@@ -110,7 +110,7 @@ class Scored:
 
     @property
     def structured(self) -> float:
-        """Evidence (nats) for errors that no effect is known for, against the first null, which has none."""
+        """Evidence (nats) for errors that no effect is known for, against the first null, which has least."""
         return float(logsumexp(self.plausible) - self.plausible[0])
 
 

@@ -60,7 +60,7 @@ class Walk:
 
     @property
     def center_of_pressure(self) -> Float[np.ndarray, "3 pose"]:
-        """Where the ground's whole force meets the ground; the origin while there is little force."""
+        """Where the ground's whole force meets its plane at height zero; the origin while it is small."""
         moment, force = self.wrench.sum(axis=0).reshape(2, 3, -1)
         lifted = np.cross(UP, moment, axisa=0, axisb=0, axisc=0) / np.where(self.in_contact, force[1], 1.0)
         return np.where(self.in_contact, lifted, 0.0)

@@ -1,0 +1,12 @@
+"""Noise of a smooth kernel."""
+
+import numpy as np
+
+from wrapjax.gap.covariance import periodic_kernel
+from wrapjax.gap.cycle_noise import CycleNoise
+
+
+def noise_of_width(between, width):
+    """Noise that goes on alike over so much of a gait cycle."""
+    phases = 2 * round(1.5 / width) + 1
+    return CycleNoise(between, np.maximum(np.fft.rfft(periodic_kernel(phases, width)[0]).real, 0.0))
