@@ -13,11 +13,12 @@ def subject(tmp_path):
     return read_subject(write_subject(tmp_path / "subject"))
 
 
-def test_padding_is_a_fifth_of_a_second_at_the_finest_step():
+def test_padding_is_a_fifth_of_a_second_at_the_finest_step_rounded_up_to_tens():
     assert padding_frames([(0.0, 1.0)]) == 20
+    assert padding_frames([(0.0, 0.99)]) == 30  # 20.2 frames
     assert padding_frames([(0.07, 0.57)]) == 40  # 0.49999999999999994 s
     assert padding_frames([(0.0, 2.0), (2.0, 3.0)]) == 20
-    assert padding_frames([(9.49, 10.59)]) == 19
+    assert padding_frames([(9.49, 10.59)]) == 20  # 18.2 frames
 
 
 def test_times_are_even_and_end_where_the_cycle_ends():
@@ -59,9 +60,9 @@ def test_signals_are_those_of_the_recording(subject):
         np.testing.assert_allclose(trials.angular_velocities[index], angular_velocities(time), atol=1e-5)
         np.testing.assert_allclose(trials.moments[index], moments(time), atol=1e-5)
         np.testing.assert_allclose(trials.emg[index], emg(trials.emg_time[index]), atol=1e-6)
-    assert trials.padding == 17
+    assert trials.padding == 20
     np.testing.assert_allclose(np.diff(trials.emg_time, axis=1), PERIOD / 100, rtol=1e-9)
-    np.testing.assert_allclose(trials.emg_time[:, 17:-17], trials.time, atol=1e-12)
+    np.testing.assert_allclose(trials.emg_time[:, 20:-20], trials.time, atol=1e-12)
     assert subject.notes == ()
 
 

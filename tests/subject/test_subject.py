@@ -207,7 +207,7 @@ def test_s1_left(s1_left):
     # Angles were recorded on the very frames they are resampled to.
     table = read_storage(s1_left / "trials" / "walk_0p8_4" / "angles.sto")
     np.testing.assert_allclose(trials.angles[-1], np.deg2rad(table.values.T), atol=1e-6)
-    assert trials.padding == 19
+    assert trials.padding == 20
 
 
 def _left(*groups):

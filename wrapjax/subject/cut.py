@@ -96,7 +96,8 @@ def _cut_emg(
         clipped = f"negative values, down to {emg.min():.3g}, were set to 0 in {', '.join(low)}"
         notes.append(f"{entry.trial.emg}: {clipped}")
     wanted = cycle_times(cycles, padding)
-    missing = np.maximum(time[0] - wanted[:, 0], wanted[:, -1] - time[-1])
+    limits = np.array(cycles)
+    missing = PADDING_SECONDS + np.maximum(time[0] - limits[:, 0], limits[:, 1] - time[-1])
     if missing.max() > TIME_TOLERANCE:
         count = int((missing > TIME_TOLERANCE).sum())
         notes.append(

@@ -12,15 +12,18 @@ from wrapjax.subject.trials import FRAMES
 
 #: Seconds of EMG kept before and after each cycle, so that it can be delayed electromechanically.
 PADDING_SECONDS = 0.2
+#: Frames beside a cycle come in multiples of this: people who walk at other paces then share what is compiled.
+PADDING_STEP = 10
 #: A cycle may reach beyond the recording by this much, in s: times are often printed with few digits.
 TIME_TOLERANCE = 1e-5
 
 
 def padding_frames(cycles: list[tuple[float, float]]) -> int:
-    """Count the frames to add on each side of every cycle: `PADDING_SECONDS` at the step of the shortest."""
+    """Count the frames to add on each side of every cycle: `PADDING_SECONDS` of the shortest, or more."""
     shortest = min(end - start for start, end in cycles)
-    # A cycle from 0.07 to 0.57 s lasts 0.49999999999999994 s, which must not cost another frame.
-    return math.ceil(PADDING_SECONDS / (shortest / (FRAMES - 1)) - 1e-9)
+    # A cycle from 0.07 to 0.57 s lasts 0.49999999999999994 s, which must not cost more frames.
+    frames = math.ceil(PADDING_SECONDS / (shortest / (FRAMES - 1)) - 1e-9)
+    return PADDING_STEP * math.ceil(frames / PADDING_STEP)
 
 
 def cycle_times(cycles: list[tuple[float, float]], padding: int = 0) -> Float[np.ndarray, "trial frame"]:
