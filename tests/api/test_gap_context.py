@@ -62,13 +62,30 @@ def test_muscles_without_emg_run_where_the_model_has_them(gathered):
     np.testing.assert_allclose(context.others.path.moment_arm[0], context.paths.moment_arm[row], atol=2e-3)
 
 
-def test_paths_follow_changed_angles(gathered):
-    """To first order length falls by moment arm times angle."""
+def test_paths_follow_changed_angles(calibrated, gathered):
+    """Length falls by the moment arm, and rates and arms change as by differences of the polynomials."""
     _, context = gathered
-    by_angle = np.full(context.angles.shape, 1e-5)
-    changed = context.paths_of_angles(jnp.asarray(by_angle), jnp.zeros(by_angle.shape))
-    fall = (context.paths.length - changed.length) / 1e-5
-    np.testing.assert_allclose(fall, context.paths.moment_arm.sum(axis=2), atol=1e-5)
+    by_angle = context.paths_by_angle
+    np.testing.assert_allclose(-by_angle.length, np.moveaxis(context.paths.moment_arm, 1, 2), atol=1e-12)
+    subject, surrogate = calibrated.subject, calibrated.fit.surrogate.of_muscles(context.muscles)
+    trials = subject.trials
+    recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
+    angles, velocities = trials.angles[:, recorded], trials.angular_velocities[:, recorded]
+    about = [surrogate.coordinates.index(name) for name in context.coordinates]
+    for number, column in enumerate(about):
+        step = np.zeros(angles.shape)
+        step[:, column] = 1e-5
+        above, below = (
+            surrogate(jnp.asarray(angles + sign * step), jnp.asarray(velocities)) for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(
+            by_angle.velocity[:, number], (above.velocity - below.velocity) / 2e-5, atol=1e-7
+        )
+        np.testing.assert_allclose(
+            by_angle.moment_arm[:, number],
+            (above.moment_arm - below.moment_arm)[:, :, about] / 2e-5,
+            atol=1e-7,
+        )
 
 
 def test_paths_follow_their_ends(gathered):

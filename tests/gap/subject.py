@@ -73,8 +73,14 @@ def _recorded_angles(step):
     return angles, size * rate * (np.cos(phase + shift) + 0.6 * np.cos(2 * phase))
 
 
-def _paths_of_changed_angles(angles, velocities, by_angle, by_velocity) -> PathState:
-    return paths_at(MUSCLES, angles + by_angle, velocities + by_velocity)
+def _paths_by_angle(angles, velocities) -> PathState:
+    def along(direction):
+        change = jnp.broadcast_to(direction[:, None], angles.shape)
+        return jax.jvp(
+            lambda angles: paths_at(MUSCLES, angles, velocities), (jnp.asarray(angles),), (change,)
+        )[1]
+
+    return jax.vmap(along, out_axes=1)(jnp.eye(angles.shape[1]))
 
 
 def _moved_ends(directions: PathState, changes):
@@ -143,7 +149,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
             parameters=of_others,
             path=paths_at(OTHERS, angles, velocities),
         ),
-        paths_of_angles=Partial(_paths_of_changed_angles, angles, velocities),
+        paths_by_angle=_paths_by_angle(angles, velocities),
         wraps=wraps,
         attachments=changes,
         at_bounds=(

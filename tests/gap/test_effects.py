@@ -311,7 +311,7 @@ def test_controls_are_quiet_in_gait(slopes):
         ({"speeds": np.full(4, np.nan)}, "speed_dependent_delay", "not given"),
         ({"speeds": np.full(4, 0.8)}, "speed_dependent_delay", "one speed"),
         ({"order": np.zeros(4)}, "emg_drift", "one cycle"),
-        ({"paths_of_angles": None}, "soft_tissue_artifact", "joint angles"),
+        ({"paths_by_angle": None}, "soft_tissue_artifact", "joint angles"),
         ({"wraps": None}, "wrap_surface", "cylinders"),
         ({"attachments": None}, "muscle_attachment", "ends"),
         ({"at_bounds": ()}, "bound_pressure", "at a bound"),

@@ -19,9 +19,9 @@ from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
 from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
 from wrapjax.gap.anatomy import groups_of
-from wrapjax.geometry import PathState, PathSurrogate, fixed_path
+from wrapjax.geometry import PathState, fixed_path
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_slopes import laid_paths, slopes_by_ends, slopes_by_wraps
+from wrapjax.geometry.path_slopes import laid_paths, slopes_by_angles, slopes_by_ends, slopes_by_wraps
 from wrapjax.measurement import measured_changes
 from wrapjax.model import QUANTITIES, Recording, initial_parameters
 from wrapjax.muscle import HILL_CURVES
@@ -76,7 +76,7 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
         paretic=subject.paretic,
         others=others,
         no_others=no_others,
-        paths_of_angles=_paths_of_angles(fit, subject),
+        paths_by_angle=_paths_by_angle(fit, subject),
         wraps=wraps,
         attachments=attachments,
         at_bounds=_at_bounds(calibration),
@@ -110,38 +110,18 @@ def _at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:
     return tuple(found)
 
 
-def _paths_of_angles(fit: Fit | ExactGeometry, subject: Subject) -> Partial | None:
-    """Give polynomial paths as a function of what angles differ by; None for other paths."""
+def _paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | None:
+    """Differentiate polynomial paths by the angles that moments are about; None for other paths."""
     if not isinstance(fit, Fit):
         return None
     trials, surrogate = subject.trials, fit.surrogate.of_muscles(subject.muscles.names)
     recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
-    wanted = trials.moment_coordinates
-    # From the coordinates of moments to those of the polynomials, and back.
-    places = np.array([[name == one for one in wanted] for name in surrogate.coordinates], dtype=float)
-    return Partial(
-        _polynomials,
+    return slopes_by_angles(
         surrogate,
-        jnp.asarray(trials.angles[:, recorded]),
-        jnp.asarray(trials.angular_velocities[:, recorded]),
-        jnp.asarray(places),
+        trials.angles[:, recorded],
+        trials.angular_velocities[:, recorded],
+        trials.moment_coordinates,
     )
-
-
-def _polynomials(
-    surrogate: PathSurrogate,
-    angles: Float[Array, "trial path_coordinate frame"],
-    velocities: Float[Array, "trial path_coordinate frame"],
-    places: Float[Array, "path_coordinate coordinate"],
-    by_angle: Float[Array, "trial coordinate frame"],
-    by_velocity: Float[Array, "trial coordinate frame"],
-) -> PathState:
-    def moved(recorded: Array, change: Array) -> Array:
-        return recorded + jnp.einsum("pc,tcf->tpf", places, change)
-
-    found = surrogate(moved(angles, by_angle), moved(velocities, by_velocity))
-    arms = jnp.einsum("pc,mtpf->mtcf", places, found.moment_arm)
-    return PathState(found.length, found.velocity, arms)
 
 
 def _other_muscles(subject: Subject, curves: str) -> tuple[OtherMuscles | None, str]:

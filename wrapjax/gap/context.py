@@ -17,11 +17,6 @@ from wrapjax.model import ModelParameters
 from wrapjax.muscle import AbstractCurves
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
-#: From what joint angles (rad) and their rates differ by from the recorded ones, both
-#: ``trial coordinate frame``, to all paths.
-PathsOfAngles = Callable[
-    [Float[Array, "trial coordinate frame"], Float[Array, "trial coordinate frame"]], PathState
-]
 #: From amounts of an effect to what it adds to the prediction of measured moments, N m.
 MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coordinate frame"]]
 
@@ -110,8 +105,9 @@ class Context:
         Muscles without EMG, where there are any whose paths are known.
     no_others
         Why there are none.
-    paths_of_angles
-        The paths as a function of changed joint angles, where there is one.
+    paths_by_angle
+        How paths change with each joint angle (rad), where that is known; leaves lead with
+        ``muscle coordinate``.
     wraps, attachments
         How paths follow their cylinders, and their muscles' ends, where that is known.
     at_bounds
@@ -141,7 +137,7 @@ class Context:
     paretic: bool | None = None
     others: OtherMuscles | None = None
     no_others: str = "every muscle of this leg has an EMG channel"
-    paths_of_angles: PathsOfAngles | None = None
+    paths_by_angle: PathState | None = None
     wraps: PathChanges | None = None
     attachments: PathChanges | None = None
     at_bounds: tuple[AtBound, ...] = ()
@@ -177,8 +173,6 @@ class Context:
         chosen = np.asarray(trials, dtype=int)
         keep = jnp.asarray(chosen)
 
-        nothing = jnp.zeros(self.angles.shape)
-
         def cut(paths: PathState) -> PathState:
             return _of_trials(paths, keep)
 
@@ -194,9 +188,9 @@ class Context:
             others=None
             if self.others is None
             else eqx.tree_at(lambda tree: tree.path, self.others, cut(self.others.path)),
-            paths_of_angles=None
-            if self.paths_of_angles is None
-            else jax.tree_util.Partial(_of_chosen_angles, self.paths_of_angles, keep, nothing),
+            paths_by_angle=None
+            if self.paths_by_angle is None
+            else jax.tree.map(lambda leaf: leaf[:, :, keep], self.paths_by_angle),
             wraps=_cut_changes(self.wraps, keep),
             attachments=_cut_changes(self.attachments, keep),
             measured_changes={
@@ -212,16 +206,6 @@ def _of_trials(paths: PathState, keep: Int[Array, " trial"]) -> PathState:
     return PathState(
         *(jnp.asarray(leaf)[:, keep] for leaf in (paths.length, paths.velocity, paths.moment_arm))
     )
-
-
-def _of_chosen_angles(
-    paths: PathsOfAngles,
-    keep: Int[Array, " trial"],
-    nothing: Float[Array, "whole coordinate frame"],
-    angles: Float[Array, "trial coordinate frame"],
-    velocities: Float[Array, "trial coordinate frame"],
-) -> PathState:
-    return _of_trials(paths(nothing.at[keep].set(angles), nothing.at[keep].set(velocities)), keep)
 
 
 def _of_trials_at(

@@ -25,8 +25,9 @@ from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.prediction import secants
 from wrapjax.gap.score import Candidate
-from wrapjax.geometry import fixed_path
+from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
+from wrapjax.muscle import AbstractCurves
 
 #: Phases of a gait cycle that are looked at: residuals change little between them.
 PHASES = 25
@@ -269,23 +270,30 @@ def _angle_errors(
     frames: Int[np.ndarray, " phase"],
 ) -> tuple[InputErrors, ...]:
     """Run errors of angles through the paths; none where the paths are not known beside these angles."""
-    paths = context.paths_of_angles
-    if paths is None:
+    by_angle = context.paths_by_angle
+    if by_angle is None:
         return ()
-    nothing = jnp.zeros(context.angles.shape)
+    moved = _by_angle(problem.curves, parameters, recording, by_angle)
+    return (InputErrors(ANGLE_ERROR * np.asarray(moved)[..., frames], ANGLE_WIDTH),)
 
-    @jax.jit
-    def along(coordinate: Int[Array, ""]) -> Float[Array, "trial coordinate frame"]:
-        direction = nothing.at[:, coordinate].set(1.0)
 
-        def moments(angles: Float[Array, "trial coordinate frame"]) -> Float[Array, "trial coordinate frame"]:
-            moved = replace(recording, path=fixed_path(paths(angles, nothing)))
-            return joint_moments(problem.curves, parameters, moved)
+@eqx.filter_jit
+def _by_angle(
+    curves: AbstractCurves, parameters: ModelParameters, recording: Recording, by_angle: PathState
+) -> Float[Array, "angle trial coordinate frame"]:
+    """Differentiate moments by each angle at all frames alike, through the paths: N m per radian."""
 
-        return jax.jvp(moments, (nothing,), (direction,))[1]
+    def moments(path: PathState) -> Float[Array, "trial coordinate frame"]:
+        return joint_moments(curves, parameters, replace(recording, path=fixed_path(path)))
 
-    by_angle = [np.asarray(along(jnp.asarray(number)))[..., frames] for number in range(nothing.shape[1])]
-    return (InputErrors(ANGLE_ERROR * np.stack(by_angle), ANGLE_WIDTH),)
+    nominal = recording.path.nominal
+    here = PathState(nominal.length, nominal.velocity, nominal.moment_arm)
+
+    def along(direction: PathState) -> Float[Array, "trial coordinate frame"]:
+        return jax.jvp(moments, (here,), (direction,))[1]
+
+    # One after the other: all at once would fill memory with muscles times frames times angles.
+    return jax.lax.map(along, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), by_angle))
 
 
 def _muscle_errors(

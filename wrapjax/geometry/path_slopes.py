@@ -1,6 +1,6 @@
-"""How the exact engine's paths follow their cylinders and their ends, to first order.
+"""How paths follow angles, and the exact engine's paths their cylinders and their ends, to first order.
 
-By differences: to compile derivatives of paths round several cylinders takes minutes.
+The engine's by differences: to compile derivatives of paths round several cylinders takes minutes.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.paths import PathState
 from wrapjax.geometry.surfaces import NOMINAL
+from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.skeleton import ModelDescription
 from wrapjax.skeleton.description import Muscle
@@ -42,6 +43,46 @@ def laid_paths(
     """
     path = wrapped_paths(engine, angles, velocities, moment_coordinates, ())[0].nominal
     return PathState(path.length, path.velocity, path.moment_arm)
+
+
+def slopes_by_angles(
+    surrogate: PathSurrogate, angles: Kinematics, velocities: Kinematics, moment_coordinates: Sequence[str]
+) -> PathState:
+    """Differentiate polynomial paths by joint angles; rates of angles stay what they are.
+
+    Parameters
+    ----------
+    surrogate
+        The polynomials.
+    angles, velocities
+        Of its coordinates: rad and rad/s.
+    moment_coordinates
+        The angles, and what moment arms are wanted about.
+
+    Returns
+    -------
+    PathState
+        Leaves lead with ``muscle coordinate``; a change of one radian.
+    """
+    about = [[name == one for name in surrogate.coordinates] for one in moment_coordinates]
+    return _by_angle(surrogate, jnp.asarray(angles), jnp.asarray(velocities), jnp.asarray(about, dtype=float))
+
+
+@jax.jit
+def _by_angle(
+    surrogate: PathSurrogate,
+    angles: Float[Array, "trial path_coordinate frame"],
+    velocities: Float[Array, "trial path_coordinate frame"],
+    about: Float[Array, "coordinate path_coordinate"],
+) -> PathState:
+    def along(direction: Float[Array, " path_coordinate"]) -> PathState:
+        change = jnp.broadcast_to(direction[:, None], angles.shape)
+        found = jax.jvp(lambda angles: surrogate(angles, velocities), (angles,), (change,))[1]
+        arm = jnp.einsum("cp,mtpf->mtcf", about, found.moment_arm)
+        return PathState(found.length, found.velocity, arm)
+
+    # One after the other: terms times muscles times frames are many already.
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), jax.lax.map(along, about))
 
 
 def slopes_by_ends(

@@ -9,6 +9,7 @@ so that velocity and moment arms are consistent with length by construction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -23,6 +24,9 @@ from wrapjax.geometry.polynomial import monomial_exponents, monomial_gradients, 
 
 #: Highest total degree of the outer level.
 DEGREE = 5
+#: Terms are padded to a multiple of this: people whose polynomials have a few terms more or less then share
+#: what is compiled.
+_TERMS = 16
 
 
 class PathSurrogate(eqx.Module):
@@ -197,7 +201,7 @@ def fit_surrogate(
         keep, coefficients = _fit_pruned(design, target, tolerance)
         fits.append((slots, exponents[keep], coefficients))
     width = max(len(slots) for slots, _, _ in fits)
-    terms = max(len(exponents) for _, exponents, _ in fits)
+    terms = _TERMS * math.ceil(max(len(exponents) for _, exponents, _ in fits) / _TERMS)
     count = len(fits)
     spans = np.zeros((count, width), dtype=np.int64)
     in_use = np.zeros((count, width), dtype=bool)

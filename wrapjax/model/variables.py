@@ -53,6 +53,7 @@ class Variables(eqx.Module):
         """Read the variables off a parameter tree; of a shared one, the last muscle's value."""
         return jnp.zeros(self.count + 1).at[self.index].set(self._local(parameters))[:-1]
 
+    @eqx.filter_jit
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:
         """Put the variables into the tree."""
         values = self.localize(variables) * self.scale

@@ -12,7 +12,7 @@ from wrapjax.subject.trials import FRAMES
 
 #: Seconds of EMG kept before and after each cycle, so that it can be delayed electromechanically.
 PADDING_SECONDS = 0.2
-#: Frames beside a cycle come in multiples of this: people who walk at other paces then share what is compiled.
+#: Frames beside a cycle come in multiples of this: people who walk at other paces then share compiled code.
 PADDING_STEP = 10
 #: A cycle may reach beyond the recording by this much, in s: times are often printed with few digits.
 TIME_TOLERANCE = 1e-5

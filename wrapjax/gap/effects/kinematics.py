@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.gap.context import Context, PathsOfAngles
+from wrapjax.gap.context import Context
 from wrapjax.gap.cycles import bell
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.gap.effects.emg import later
@@ -29,7 +28,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     To first order, moment arms included. Shapes: when in the cycle. What inverse dynamics make of other
     angles is not part of it.
     """
-    if context.paths_of_angles is None:
+    if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
     source = "thigh 10, shank 7 degrees: PMC8631460"
     slides = [
@@ -59,38 +58,41 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         for name in context.coordinates
     ]
     variants = tuple(
-        Variant(Partial(_slid, _slopes(context.paths_of_angles, *_errors(context, center))), when)
+        Variant(
+            Partial(_slid, context.paths_by_angle, context.paths.moment_arm, *_errors(context, center)), when
+        )
         for when, center in _SLIDES.items()
     )
     return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
 
 
 def _errors(context: Context, center: float) -> tuple[Array, Array]:
-    """Errors of angles and of their rates for a unit of each amount."""
+    """Errors of angles and of their rates for a unit of sliding, then of the share."""
     value, by_phase = bell(context.phase, center, _WIDTH)
     shape = context.angles.shape
     slide = np.broadcast_to(value, shape)
     slide_rate = np.broadcast_to(by_phase / context.duration[:, None, None], shape)
-    alone = np.eye(shape[1])[:, None, :, None]
-    angles = np.concatenate([slide[None] * alone, context.angles[None] * alone])
-    rates = np.concatenate([slide_rate[None] * alone, context.velocities[None] * alone])
-    return jnp.asarray(angles), jnp.asarray(rates)
+    return jnp.asarray(np.stack([slide, context.angles])), jnp.asarray(
+        np.stack([slide_rate, context.velocities])
+    )
 
 
-@jax.jit
-def _slopes(
-    paths: PathsOfAngles,
-    angles: Float[Array, "parameter trial coordinate frame"],
-    rates: Float[Array, "parameter trial coordinate frame"],
-) -> PathState:
-    """How paths change with each amount; leaves lead with ``parameter``."""
-    recorded = jnp.zeros(angles.shape[1:]), jnp.zeros(rates.shape[1:])
-    return jax.lax.map(lambda error: jax.jvp(paths, recorded, error)[1], (angles, rates))
-
-
-def _slid(slopes: PathState, amounts: Amounts) -> Alteration:
-    change = jax.tree.map(lambda leaf: jnp.tensordot(amounts, leaf, axes=1), slopes)
-    return Alteration(paths=Partial(added_to_paths, change))
+def _slid(
+    by_angle: PathState,
+    moment_arm: Float[Array, "muscle trial coordinate frame"],
+    angles: Float[Array, "kind trial coordinate frame"],
+    rates: Float[Array, "kind trial coordinate frame"],
+    amounts: Amounts,
+) -> Alteration:
+    own = amounts.reshape(len(angles), -1)
+    angle, rate = (jnp.einsum("kc,ktcf->tcf", own, errors) for errors in (angles, rates))
+    length, velocity, arm = (
+        jnp.einsum("tcf,mct...f->mt...f", angle, leaf)
+        for leaf in (by_angle.length, by_angle.velocity, by_angle.moment_arm)
+    )
+    # Where an angle changes faster than was recorded, length falls faster by the moment arm.
+    velocity -= jnp.einsum("tcf,mtcf->mtf", rate, moment_arm)
+    return Alteration(paths=Partial(added_to_paths, PathState(length, velocity, arm)))
 
 
 def event_jitter(context: Context) -> Effect | NotTestable:
