@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp
 
-from wrapjax.calibrate import MOMENT_ERROR
+from wrapjax.calibrate import MOMENT_ERROR, ProjectedLM
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.held_out import CrossFit, cross_fit, speed_conflict
 from wrapjax.gap.linearized import phase_frames
@@ -20,6 +20,10 @@ from wrapjax.gap.result import Alternative, Estimate, Released
 from wrapjax.gap.scene import Scene
 from wrapjax.gap.score import Candidate, score_each
 from wrapjax.gap.shrinkage import cycle_errors, shrinkage
+
+
+#: Slopes by amounts are drawn anew where this one ends: far from where a refit starts they mislead it.
+_FIRST = ProjectedLM(gtol=1e-2, ftol=1e-3, max_iterations=15)
 
 
 @dataclass(frozen=True)
@@ -50,9 +54,10 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
     start = np.clip(amounts, seen.lower, seen.upper)
     plain = scene.plain.full.calibrated
-    problem = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
-    fit = fit_jointly(problem, np.concatenate([plain, start / seen.prior_sd]))
-    return Refitted(ids, seen, whole, fit)
+    first = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
+    near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST)
+    problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.amount_weight)
+    return Refitted(ids, seen, whole, fit_jointly(problem, near.variables))
 
 
 def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, float]:

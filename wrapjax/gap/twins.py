@@ -152,7 +152,10 @@ def _expected_residual(
     residual = left(at)
     slopes = gap.slopes.reshape(len(gap.slopes), -1)
     damping = 1e-2
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
+        if number:
+            anew = moment_slopes(problem, jnp.asarray(at), world.recording, frames)
+            slopes = anew.reshape(len(slopes), -1)
         gram = slopes @ slopes.T + prior
         downhill = slopes @ residual - prior @ (at - expected)
         for _ in range(_TRIES):
@@ -163,7 +166,6 @@ def _expected_residual(
                 at, residual, damping = tried, found, 0.2 * damping
                 break
             damping *= 10.0
-        slopes = moment_slopes(problem, jnp.asarray(at), world.recording, frames).reshape(len(slopes), -1)
     # Straight lines are the subject's: it is its score that is tried.
     return residual + (at - expected) @ gap.slopes.reshape(len(gap.slopes), -1)
 

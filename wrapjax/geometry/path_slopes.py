@@ -64,25 +64,14 @@ def slopes_by_angles(
     PathState
         Leaves lead with ``muscle coordinate``; a change of one radian.
     """
-    about = [[name == one for name in surrogate.coordinates] for one in moment_coordinates]
-    return _by_angle(surrogate, jnp.asarray(angles), jnp.asarray(velocities), jnp.asarray(about, dtype=float))
-
-
-@jax.jit
-def _by_angle(
-    surrogate: PathSurrogate,
-    angles: Float[Array, "trial path_coordinate frame"],
-    velocities: Float[Array, "trial path_coordinate frame"],
-    about: Float[Array, "coordinate path_coordinate"],
-) -> PathState:
-    def along(direction: Float[Array, " path_coordinate"]) -> PathState:
-        change = jnp.broadcast_to(direction[:, None], angles.shape)
-        found = jax.jvp(lambda angles: surrogate(angles, velocities), (angles,), (change,))[1]
-        arm = jnp.einsum("cp,mtpf->mtcf", about, found.moment_arm)
-        return PathState(found.length, found.velocity, arm)
-
-    # One after the other: terms times muscles times frames are many already.
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), jax.lax.map(along, about))
+    at = [surrogate.coordinates.index(name) for name in moment_coordinates]
+    bend = surrogate.second_derivatives(jnp.asarray(angles))
+    slope = -surrogate(jnp.asarray(angles), jnp.asarray(velocities)).moment_arm
+    return PathState(
+        length=jnp.moveaxis(slope, 1, 2)[:, at],
+        velocity=jnp.moveaxis(jnp.einsum("mtijf,tjf->mtif", bend, velocities), 1, 2)[:, at],
+        moment_arm=-jnp.moveaxis(bend, 1, 2)[:, at][:, :, :, at],
+    )
 
 
 def slopes_by_ends(

@@ -78,6 +78,25 @@ class PathSurrogate(eqx.Module):
             moment_arm=jnp.moveaxis(-slope.reshape(*shape, -1), -1, 2),
         )
 
+    @eqx.filter_jit
+    def second_derivatives(
+        self, angles: Float[Array, "trial coordinate frame"]
+    ) -> Float[Array, "muscle trial coordinate coordinate frame"]:
+        """Differentiate lengths twice by the coordinates, at all frames (m/rad^2)."""
+        trials, _, frames = angles.shape
+        poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
+
+        def of_one(muscle: tuple[Array, ...]) -> Float[Array, "coordinate pose coordinate"]:
+            def along(direction: Float[Array, " coordinate"]) -> Float[Array, "pose coordinate"]:
+                change = jnp.broadcast_to(direction, poses.shape)
+                return jax.jvp(lambda poses: self._path(*muscle, poses)[1], (poses,), (change,))[1]
+
+            return jax.lax.map(along, jnp.eye(poses.shape[1]))
+
+        # One muscle after the other: terms times frames of a single one fit into a processor's cache.
+        found = jax.lax.map(of_one, (self.spans, self.spanned, self.exponents, self.coefficients))
+        return jnp.moveaxis(found.reshape(*found.shape[:2], trials, frames, -1), (2, 4), (1, 3))
+
     def of_muscles(self, names: Sequence[str]) -> PathSurrogate:
         """Pick muscles by name, in this order."""
         rows = np.array([self.muscles.index(name) for name in names])
