@@ -21,7 +21,6 @@ from wrapjax.gap.scene import Scene
 from wrapjax.gap.score import Candidate, score_each
 from wrapjax.gap.shrinkage import cycle_errors, shrinkage
 
-
 #: Slopes by amounts are drawn anew where this one ends: far from where a refit starts they mislead it.
 _FIRST = ProjectedLM(gtol=1e-2, ftol=1e-3, max_iterations=15)
 

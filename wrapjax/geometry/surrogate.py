@@ -86,7 +86,9 @@ class PathSurrogate(eqx.Module):
         trials, _, frames = angles.shape
         poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
 
-        def of_one(muscle: tuple[Array, ...]) -> Float[Array, "coordinate pose coordinate"]:
+        def of_one(
+            muscle: tuple[Array, Array, Array, Array],
+        ) -> Float[Array, "coordinate pose coordinate"]:
             def along(direction: Float[Array, " coordinate"]) -> Float[Array, "pose coordinate"]:
                 change = jnp.broadcast_to(direction, poses.shape)
                 return jax.jvp(lambda poses: self._path(*muscle, poses)[1], (poses,), (change,))[1]
