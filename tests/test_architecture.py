@@ -21,6 +21,7 @@ ARROWS: dict[str, set[str]] = {
     "precision": set(),
     "files": {"errors"},
     "subject": {"errors", "files", "progress"},
+    "nmsm": {"errors", "files", "subject"},
     "skeleton": {"errors"},
     "osim": {"errors", "files", "progress", "skeleton"},
     "geometry": {"errors", "skeleton"},

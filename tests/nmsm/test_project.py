@@ -1,0 +1,203 @@
+"""Projects of the NMSM Pipeline become subjects: nothing is lost on the way, and what is wrong is said."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from tests.subject.synthetic import CHANNELS, COORDINATES, MODEL, PERIOD, angles, emg, moments
+from wrapjax.errors import InputError
+from wrapjax.nmsm import read_project, write_subject_folder
+from wrapjax.nmsm.project import FOLDERS
+from wrapjax.subject import Storage, read_model_file, read_storage, read_subject, write_storage
+
+#: Frames that the project keeps beside each cycle.
+BESIDE = 20
+STARTS = {"gait_1": 0.5, "gait_2": 1.9}
+SETTINGS = """<?xml version="1.0" encoding="utf-8"?>
+<NMSMPipelineDocument Version="1.5.0">
+ <MuscleTendonPersonalizationTool>
+  <results_directory>results</results_directory>
+  <input_model_file>models\\model.osim</input_model_file>
+  <input_osimx_file>{osimx}</input_osimx_file>
+  <data_directory>preprocessed</data_directory>
+  <coordinate_list>{coordinates}</coordinate_list>
+  <collected_emg_channel_muscle_groups>{groups}</collected_emg_channel_muscle_groups>
+  <missing_emg_channel_muscle_groups>{missing}</missing_emg_channel_muscle_groups>
+  <trial_prefixes>{prefixes}</trial_prefixes>
+ </MuscleTendonPersonalizationTool>
+</NMSMPipelineDocument>
+"""
+OSIMX = """<NMSMPipelineDocument Version="1.5.0"><OsimxModel name="m"><RCNLMuscleSet><objects>
+<RCNLMuscle name="semiten_l"><electromechanical_delay>0.5</electromechanical_delay>
+<optimal_fiber_length>0.17</optimal_fiber_length></RCNLMuscle>
+</objects></RCNLMuscleSet></OsimxModel></NMSMPipelineDocument>
+"""
+
+
+def with_groups(model: str) -> str:
+    own = "".join(
+        f'<ObjectGroup name="{channel}"><members> {" ".join(muscles)}</members></ObjectGroup>'
+        for channel, muscles in CHANNELS.items()
+    )
+    return model.replace("</groups>", own + "</groups>")
+
+
+def write_settings(folder, **changes):
+    values = {
+        "osimx": "",
+        "coordinates": " ".join(COORDINATES),
+        "groups": " ".join(CHANNELS),
+        "missing": "",
+        "prefixes": "",
+        **changes,
+    }
+    (folder / "settings.xml").write_text(SETTINGS.format(**values), encoding="utf-8")
+    return folder / "settings.xml"
+
+
+@pytest.fixture
+def project(tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "model.osim").write_text(with_groups(MODEL), encoding="utf-8")
+    (tmp_path / "earlier.osimx").write_text(OSIMX, encoding="utf-8")
+    step = PERIOD / 100
+    for name, start in STARTS.items():
+        time = start + step * np.arange(-BESIDE, 101 + BESIDE)
+        data = tmp_path / "preprocessed"
+        write_storage(data / "IKData" / f"{name}.sto", Storage("ik", COORDINATES, time, angles(time).T))
+        write_storage(data / "IDData" / f"{name}.sto", Storage("id", COORDINATES, time, moments(time).T))
+        write_storage(data / "EMGData" / f"{name}.sto", Storage("emg", tuple(CHANNELS), time, emg(time).T))
+    return tmp_path
+
+
+def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
+    write_subject_folder(read_project(write_settings(project)), tmp_path / "subject", name="somebody")
+    subject = read_subject(tmp_path / "subject")
+    trials = subject.trials
+    assert subject.name == "somebody" and subject.side == "l" and subject.mass_kg == 10.0
+    assert subject.muscles.names == ("recfem_l", "semiten_l") and trials.channels == tuple(CHANNELS)
+    assert trials.names == tuple(STARTS) and set(trials.uses) == {"calibration"}
+    np.testing.assert_allclose(
+        trials.time[:, [0, -1]], [[start, start + PERIOD] for start in STARTS.values()]
+    )
+    for number, time in enumerate(trials.time):
+        np.testing.assert_allclose(trials.angles[number], angles(time), atol=1e-7)
+        np.testing.assert_allclose(trials.moments[number], moments(time), atol=1e-5)
+        np.testing.assert_allclose(trials.emg[number], emg(trials.emg_time[number]), atol=1e-6)
+    assert subject.notes == ()
+
+
+def test_lengths_of_an_earlier_step_win_over_the_model(project, tmp_path):
+    done = read_project(write_settings(project, osimx="earlier.osimx"))
+    assert "calibrated anew" in done.notes[0]
+    write_subject_folder(done, tmp_path / "subject")
+    muscles = read_subject(tmp_path / "subject").muscles
+    model = read_model_file(tmp_path / "models" / "model.osim").muscles
+    np.testing.assert_array_equal(muscles.optimal_fiber_length, [model.optimal_fiber_length[0], 0.17])
+    np.testing.assert_array_equal(muscles.tendon_slack_length, model.tendon_slack_length)
+
+
+def test_prefixes_choose_trials_and_missing_groups_are_noted(project):
+    done = read_project(write_settings(project, prefixes="gait_2", groups="RecFem", missing="SemiTen"))
+    assert [trial.name for trial in done.trials] == ["gait_2"]
+    assert done.channels == {"RecFem": ("recfem_l",)} and "SemiTen" in done.notes[0]
+
+
+def rename(folder, *_):
+    (folder / "preprocessed" / "EMGData" / "gait_1.sto").rename(folder / "preprocessed" / "gait_1.sto")
+
+
+def shorten(folder, *_):
+    file = folder / "preprocessed" / "IKData" / "gait_2.sto"
+    whole = read_storage(file)
+    write_storage(file, Storage("ik", whole.columns, whole.time[:140], whole.values[:140]))
+
+
+def lose_model(folder, *_):
+    (folder / "models" / "model.osim").unlink()
+
+
+def lose_trials(folder, *_):
+    shutil.rmtree(folder / "preprocessed" / "IKData")
+
+
+@pytest.mark.parametrize(
+    ("harm", "changes", "said"),
+    [
+        (None, {"groups": "RecFem SemiTenn"}, "did you mean 'SemiTen'"),
+        (None, {"groups": ""}, "collected_emg_channel_muscle_groups"),
+        (None, {"coordinates": "hip_flexion_l knee_angle_r"}, "one leg"),
+        (None, {"prefixes": "squat"}, "begin with squat"),
+        (None, {"osimx": "none.osimx"}, "none.osimx"),
+        (rename, {}, "the trial 'gait_1'"),
+        (shorten, {}, "found 140"),
+        (lose_model, {}, "model.osim"),
+        (lose_trials, {}, "IKData"),
+    ],
+)
+def test_what_is_wrong_is_said(project, harm, changes, said):
+    settings = write_settings(project, **changes)
+    if harm:
+        harm(project)
+    with pytest.raises(InputError, match=said):
+        read_project(settings)
+
+
+def test_other_documents_are_refused(project):
+    (project / "other.xml").write_text(
+        "<NMSMPipelineDocument><JointModelPersonalizationTool/></NMSMPipelineDocument>", encoding="utf-8"
+    )
+    with pytest.raises(InputError, match="JointModelPersonalizationTool"):
+        read_project(project / "other.xml")
+
+
+def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
+    """The lab's own groups of muscles are the channels that its subject was given."""
+    subject = read_subject(s1_left)
+    groups = read_model_file(s1_left / "model.osim").groups
+    names = {frozenset(members): group for group, members in groups.items()}
+    renamed = tuple(names[frozenset(own)] for own in _driven(subject).values())
+    assert len(set(renamed)) == len(subject.trials.channels)
+    shutil.copyfile(s1_left / "model.osim", tmp_path / "model.osim")
+    for name in subject.trials.names:
+        for kind, folder in FOLDERS.items():
+            file = s1_left / "trials" / name / f"{kind}.sto"
+            place = tmp_path / "preprocessed" / folder / f"{name}.sto"
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if kind != "emg":
+                shutil.copyfile(file, place)
+                continue
+            table = read_storage(file)
+            columns = tuple(
+                dict(zip(subject.trials.channels, renamed, strict=True))[name] for name in table.columns
+            )
+            write_storage(place, Storage("emg", columns, table.time, table.values))
+    text = SETTINGS.replace("models\\model.osim", "model.osim")
+    (tmp_path / "settings.xml").write_text(
+        text.format(
+            osimx="",
+            coordinates=" ".join(subject.trials.moment_coordinates),
+            groups=" ".join(renamed),
+            missing="",
+            prefixes="",
+        ),
+        encoding="utf-8",
+    )
+    write_subject_folder(read_project(tmp_path / "settings.xml"), tmp_path / "subject")
+    again = read_subject(tmp_path / "subject")
+    assert again.muscles.names == subject.muscles.names
+    np.testing.assert_allclose(again.trials.time, subject.trials.time, atol=1e-6)
+    np.testing.assert_allclose(again.trials.moments, subject.trials.moments, atol=1e-3)
+    np.testing.assert_allclose(again.trials.emg, subject.trials.emg, atol=1e-4)
+
+
+def _driven(subject):
+    return {
+        channel: tuple(
+            muscle
+            for muscle, own in zip(subject.muscles.names, subject.muscle_channels, strict=True)
+            if own == number
+        )
+        for number, channel in enumerate(subject.trials.channels)
+    }

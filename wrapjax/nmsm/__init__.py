@@ -1,0 +1,17 @@
+"""Projects of the NMSM Pipeline: read as subjects, and its parameter files written."""
+
+from wrapjax.nmsm.osimx import OsimxMuscle, osimx_text, read_osimx
+from wrapjax.nmsm.project import Project, Recorded, read_project, write_subject_folder
+from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
+
+__all__ = [
+    "OsimxMuscle",
+    "Project",
+    "Recorded",
+    "ToolSettings",
+    "osimx_text",
+    "read_osimx",
+    "read_project",
+    "read_tool_settings",
+    "write_subject_folder",
+]

@@ -1,0 +1,114 @@
+"""The NMSM Pipeline's file of muscle parameters, ``.osimx``.
+
+Its delays count tenths of a second and its time constants hundredths, as its code does; here both are in s.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.nmsm.settings import ROOT
+from wrapjax.subject.model_file import read_xml
+
+#: By our name: the file's, and the unit of its numbers in ours.
+QUANTITIES: Mapping[str, tuple[str, float]] = {
+    "electromechanical_delay": ("electromechanical_delay", 0.1),
+    "activation_time_constant": ("activation_time_constant", 0.01),
+    "activation_nonlinearity": ("activation_nonlinearity_constant", 1.0),
+    "emg_scale": ("emg_scale_factor", 1.0),
+    "optimal_fiber_length": ("optimal_fiber_length", 1.0),
+    "tendon_slack_length": ("tendon_slack_length", 1.0),
+    "max_isometric_force": ("max_isometric_force", 1.0),
+}
+#: Of the documents that are written.
+_VERSION = "1.5.0"
+
+
+@dataclass(frozen=True)
+class OsimxMuscle:
+    """What a file says of one muscle.
+
+    Parameters
+    ----------
+    name
+        Of the muscle.
+    values
+        By our name of the quantity (`QUANTITIES`), SI units; what the file does not give is left out.
+    """
+
+    name: str
+    values: Mapping[str, float]
+
+
+def read_osimx(path: str | Path) -> tuple[OsimxMuscle, ...]:
+    """Read the muscles of an ``.osimx`` file; what else is in it is passed over.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in the file.
+    """
+    path = Path(path)
+    root = read_xml(path, ROOT)
+    problems: list[Problem] = []
+    muscles: dict[str, OsimxMuscle] = {}
+    for element in root.iter("RCNLMuscle"):
+        name = element.get("name", "").strip()
+        if not name or name in muscles:
+            found = "a second time" if name else "without a name"
+            problems.append(Problem(str(path), f"a muscle is there {found}", f"<RCNLMuscle> {name}".strip()))
+            continue
+        muscles[name] = OsimxMuscle(name, _values(element, name, path, problems))
+    if problems:
+        raise InputError(problems)
+    return tuple(muscles.values())
+
+
+def _values(element: Element, muscle: str, path: Path, problems: list[Problem]) -> dict[str, float]:
+    found = {}
+    for name, (tag, unit) in QUANTITIES.items():
+        text = (element.findtext(tag) or "").strip()
+        if not text:
+            continue
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            place = f"muscle {muscle}, <{tag}>"
+            problems.append(Problem(str(path), f"expected a number, found '{text[:40]}'", place))
+            continue
+        found[name] = value * unit
+    return found
+
+
+def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle]) -> str:
+    """Write muscles as the text of an ``.osimx`` file.
+
+    Parameters
+    ----------
+    name
+        Of the model.
+    model_file
+        Name of the model's file, which must lie beside this one.
+    muscles
+        In SI units.
+    """
+    root = Element(ROOT, Version=_VERSION)
+    model = SubElement(root, "OsimxModel", name=name)
+    SubElement(model, "associated_osim_model").text = model_file
+    objects = SubElement(SubElement(model, "RCNLMuscleSet"), "objects")
+    for muscle in muscles:
+        element = SubElement(objects, "RCNLMuscle", name=muscle.name)
+        for quantity, value in muscle.values.items():
+            tag, unit = QUANTITIES[quantity]
+            SubElement(element, tag).text = repr(float(value) / unit)
+    ElementTree.indent(root, "   ")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'

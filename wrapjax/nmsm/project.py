@@ -1,0 +1,277 @@
+"""From a project of the NMSM Pipeline to a subject folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.files import new_folder, write_text
+from wrapjax.nmsm.osimx import OsimxMuscle, read_osimx
+from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
+from wrapjax.subject import FRAMES, ModelFile, MuscleParameters, read_model_file, read_storage
+from wrapjax.subject.model_file import read_xml
+from wrapjax.subject.settings import SETTINGS_FILE
+
+#: Folders of a project's data, by what is in them.
+FOLDERS = {"angles": "IKData", "moments": "IDData", "emg": "EMGData"}
+_SUFFIXES = (".sto", ".mot")
+_LENGTHS = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A trial of a project: one gait cycle.
+
+    Parameters
+    ----------
+    name
+        Of the trial.
+    files
+        By kind: ``angles``, ``moments``, ``emg``.
+    cycle
+        Its start and end in s, without what the project keeps beside it.
+    """
+
+    name: str
+    files: dict[str, Path]
+    cycle: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Project:
+    """One leg of a project, as a subject takes it.
+
+    Parameters
+    ----------
+    settings
+        What was read.
+    side, mass_kg
+        Of the leg, and of all bodies of the model.
+    channels
+        The muscles of this leg that each channel drives.
+    trials
+        The gait cycles.
+    muscles
+        Parameters where an ``.osimx`` file gives some, else None: the model's then hold.
+    notes
+        What of the project a subject does not have.
+    """
+
+    settings: ToolSettings
+    side: str
+    mass_kg: float
+    channels: dict[str, tuple[str, ...]]
+    trials: tuple[Recorded, ...]
+    muscles: MuscleParameters | None
+    notes: tuple[str, ...]
+
+
+def read_project(path: str | Path) -> Project:
+    """Read a project by its settings of muscle-tendon personalisation.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in it.
+    """
+    settings = read_tool_settings(path)
+    model = read_model_file(settings.model_file)
+    problems: list[Problem] = []
+    side = _side(settings, problems)
+    channels = _channels(settings, model, side, problems)
+    trials = _trials(settings, problems)
+    notes = []
+    if settings.missing:
+        notes.append(f"no EMG, and not driven: the groups {', '.join(settings.missing)}")
+    muscles = None
+    if settings.osimx_file is not None:
+        earlier = read_osimx(settings.osimx_file)
+        muscles = _with_lengths(model.muscles, earlier)
+        if any(set(muscle.values) - set(_LENGTHS) for muscle in earlier):
+            notes.append(
+                f"{settings.osimx_file.name}: lengths and forces are taken over; delays, time constants and "
+                "EMG scales are calibrated anew"
+            )
+    if problems:
+        raise InputError(problems)
+    return Project(settings, side, _mass(settings.model_file), channels, trials, muscles, tuple(notes))
+
+
+def write_subject_folder(
+    project: Project, folder: str | Path, *, name: str | None = None, force: bool = False
+) -> None:
+    """Write a project as a subject folder; files are copied as they are.
+
+    Parameters
+    ----------
+    project
+        From `read_project`.
+    folder
+        It appears when complete.
+    name
+        Of the subject; the folder's if not given.
+    force
+        Replace a folder that exists.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``force`` is not set, or cannot be created.
+    """
+    folder = Path(folder)
+    with new_folder(folder, force=force) as subject:
+        shutil.copyfile(project.settings.model_file, subject / "model.osim")
+        if project.muscles is not None:
+            write_text(subject / "muscle_parameters.csv", _parameter_table(project.muscles))
+        for trial in project.trials:
+            (subject / "trials" / trial.name).mkdir(parents=True)
+            for kind, file in trial.files.items():
+                shutil.copyfile(file, subject / _place(trial, kind))
+        write_text(subject / SETTINGS_FILE, _settings_text(project, name or folder.name))
+
+
+def _side(settings: ToolSettings, problems: list[Problem]) -> str:
+    sides = {coordinate[-2:] for coordinate in settings.coordinates}
+    if sides in ({"_l"}, {"_r"}):
+        return sides.pop()[1:]
+    listed = ", ".join(settings.coordinates)
+    problems.append(
+        Problem(
+            str(settings.file),
+            f"expected coordinates of one leg, which end in _l or in _r, found {listed}",
+            "<coordinate_list>",
+            "a subject is one leg: give each settings of its own",
+        )
+    )
+    return ""
+
+
+def _channels(
+    settings: ToolSettings, model: ModelFile, side: str, problems: list[Problem]
+) -> dict[str, tuple[str, ...]]:
+    channels = {}
+    for group in settings.collected:
+        if group not in model.groups:
+            found = f"names the group '{group}', which {settings.model_file.name} does not have"
+            place = "<collected_emg_channel_muscle_groups>"
+            problems.append(
+                Problem(str(settings.file), found, place, nearest_name(group, list(model.groups)))
+            )
+            continue
+        own = tuple(
+            name for name in model.groups[group] if name in model.muscles.names and name.endswith(f"_{side}")
+        )
+        if own:
+            channels[group] = own
+    if settings.collected and not channels and not problems:
+        found = f"expected a group with muscles that end in _{side}, found none"
+        problems.append(Problem(str(settings.file), found, "<collected_emg_channel_muscle_groups>"))
+    return channels
+
+
+def _trials(settings: ToolSettings, problems: list[Problem]) -> tuple[Recorded, ...]:
+    angles = settings.data_directory / FOLDERS["angles"]
+    files = _tables(angles)
+    if not files:
+        problems.append(Problem(str(angles), "expected a .sto or .mot file a trial, found none"))
+    found = []
+    prefixes = settings.prefixes or tuple(file.stem.removesuffix("_ik") for file in files)
+    wanted = [file for file in files if file.stem.startswith(prefixes)] if prefixes else []
+    if files and not wanted:
+        listed = ", ".join(settings.prefixes)
+        problems.append(Problem(str(angles), f"expected files that begin with {listed}, found none"))
+    for file in wanted:
+        name = file.stem.removesuffix("_ik")
+        own = {"angles": file}
+        for kind in ("moments", "emg"):
+            folder = settings.data_directory / FOLDERS[kind]
+            match = [other for other in _tables(folder) if _same_trial(other.stem, name)]
+            if not match:
+                problems.append(Problem(str(folder), f"expected a file of the trial '{name}', found none"))
+                continue
+            own[kind] = match[0]
+        found.append(Recorded(name, own, _cycle(file, problems)))
+    return tuple(found)
+
+
+def _tables(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
+
+
+def _same_trial(stem: str, trial: str) -> bool:
+    return stem in (trial, *(f"{trial}_{kind}" for kind in ("id", "emg")))
+
+
+def _cycle(file: Path, problems: list[Problem]) -> tuple[float, float]:
+    """Leave out the frames beside the cycle: the same number at either end, and `FRAMES` between them."""
+    time = read_storage(file).time
+    beside, odd = divmod(len(time) - FRAMES, 2)
+    if beside < 0 or odd:
+        message = f"expected {FRAMES} frames, and as many before as after them, found {len(time)}"
+        problems.append(Problem(str(file), message))
+        return (0.0, 0.0)
+    return float(time[beside]), float(time[len(time) - 1 - beside])
+
+
+def _with_lengths(model: MuscleParameters, earlier: Sequence[OsimxMuscle]) -> MuscleParameters:
+    """Put what an earlier step found in the place of what the model has."""
+    columns = {name: np.array(getattr(model, name)) for name in _LENGTHS}
+    for muscle in earlier:
+        if muscle.name in model.names:
+            row = model.names.index(muscle.name)
+            for name in _LENGTHS:
+                columns[name][row] = muscle.values.get(name, columns[name][row])
+    return MuscleParameters(names=model.names, pennation_angle=model.pennation_angle, **columns)
+
+
+def _mass(model_file: Path) -> float:
+    masses = [body.findtext("mass") for body in read_xml(model_file, "OpenSimDocument").iter("Body")]
+    return float(sum(float(mass) for mass in masses if mass))
+
+
+def _place(trial: Recorded, kind: str) -> str:
+    return f"trials/{trial.name}/{kind}{trial.files[kind].suffix}"
+
+
+def _parameter_table(muscles: MuscleParameters) -> str:
+    lines = ["muscle,max_isometric_force_N,optimal_fiber_length_m,tendon_slack_length_m,pennation_rad"]
+    rows = zip(*(getattr(muscles, name).tolist() for name in (*_LENGTHS, "pennation_angle")), strict=True)
+    lines += [",".join((name, *map(repr, row))) for name, row in zip(muscles.names, rows, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _settings_text(project: Project, name: str) -> str:
+    def quoted(names: Sequence[str]) -> str:
+        return "[" + ", ".join(f'"{entry}"' for entry in names) + "]"
+
+    lines = [
+        "# Taken over from a project of the NMSM Pipeline. All trials calibrate: say 'validation' of",
+        "# some, and give their speeds (speed_m_s), to see how errors are on cycles that were not seen.",
+        *(f"# {note}" for note in project.notes),
+        "[subject]",
+        f'name = "{name}"',
+        f"mass_kg = {project.mass_kg!r}",
+        f'side = "{project.side}"',
+        "",
+        "[model]",
+        'file = "model.osim"',
+        *([] if project.muscles is None else ['muscle_parameters = "muscle_parameters.csv"']),
+        f"coordinates = {quoted(project.settings.coordinates)}",
+        "",
+        "[emg]",
+        'kind = "envelope"',
+        "[emg.channels]",
+        *(f'"{channel}" = {quoted(muscles)}' for channel, muscles in project.channels.items()),
+    ]
+    for trial in project.trials:
+        lines += ["", "[[trial]]", f'name = "{trial.name}"', 'use = "calibration"']
+        lines += [f'{kind} = "{_place(trial, kind)}"' for kind in FOLDERS]
+        lines.append(f"cycle = [{trial.cycle[0]!r}, {trial.cycle[1]!r}]")
+    return "\n".join(lines) + "\n"
