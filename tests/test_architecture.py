@@ -33,11 +33,22 @@ ARROWS: dict[str, set[str]] = {
     "evaluate": set(),
     "virtual": {"errors", "files", "precision", "subject", "osim", "geometry", "muscle", "model"},
     "report": {
-        *("errors", "files", "subject", "geometry", "muscle", "model", "calibrate", "gap", "evaluate"),
+        *(
+            "errors",
+            "files",
+            "subject",
+            "nmsm",
+            "geometry",
+            "muscle",
+            "model",
+            "calibrate",
+            "gap",
+            "evaluate",
+        ),
         "virtual",  # whose truth is drawn beside what calibration found
     },
     "api": {
-        *("errors", "files", "precision", "progress", "subject", "osim"),
+        *("errors", "files", "precision", "progress", "subject", "nmsm", "osim"),
         *("geometry", "muscle", "model", "calibrate", "gap", "measurement", "evaluate", "report", "virtual"),
     },
     # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.

@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wrapjax.errors import InputError
-from wrapjax.nmsm import OsimxMuscle, osimx_text, read_osimx
-from wrapjax.nmsm.osimx import QUANTITIES
+from wrapjax.nmsm import OSIMX_QUANTITIES, OsimxMuscle, osimx_text, read_osimx
 
-VALUES = st.dictionaries(st.sampled_from(list(QUANTITIES)), st.floats(1e-4, 1e4))
+VALUES = st.dictionaries(st.sampled_from(list(OSIMX_QUANTITIES)), st.floats(1e-4, 1e4))
 
 
 @given(values=st.lists(VALUES, min_size=1, max_size=4))

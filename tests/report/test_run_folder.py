@@ -9,6 +9,7 @@ import pytest
 
 from wrapjax import InputError
 from wrapjax.model import QUANTITIES
+from wrapjax.nmsm import OSIMX_QUANTITIES, read_osimx
 from wrapjax.report import run_folder
 from wrapjax.report.run_folder import write_run
 from wrapjax.subject import read_storage
@@ -30,7 +31,8 @@ def test_the_folder_holds_what_was_promised_and_nothing_else(run):
         for kind in ("activations", "moments", "muscle_forces")
         for trial in ("fast", "slow", "walk_02")
     ]
-    whole = ["parameters.csv", "report.html", "settings.json", "starts.csv", "summary.json"]
+    tables = ["calibrated.osimx", "parameters.csv", "starts.csv"]
+    whole = [*tables, "report.html", "settings.json", "summary.json"]
     assert _files(run) == sorted(curves + whole)
     assert [path.name for path in run.parent.iterdir()] == ["run"]
 
@@ -51,6 +53,15 @@ def test_parameters_keep_every_digit_and_have_bounds_where_they_were_free(run, r
             assert float(row["upper"]) == freed[row["parameter"]].upper[muscle]
         else:
             assert row["lower"] == row["upper"] == ""
+
+
+def test_the_nmsm_pipeline_finds_the_same_parameters(run, result):
+    muscles = read_osimx(run / "calibrated.osimx")
+    assert tuple(muscle.name for muscle in muscles) == result.muscles
+    for row, muscle in enumerate(muscles):
+        assert set(muscle.values) == set(OSIMX_QUANTITIES)
+        for name, value in muscle.values.items():
+            assert value == pytest.approx(float(getattr(result.parameters, name)[row]), rel=1e-14)
 
 
 def test_curves_read_back_as_they_were(run, result):

@@ -1,10 +1,11 @@
 """Projects of the NMSM Pipeline: read as subjects, and its parameter files written."""
 
-from wrapjax.nmsm.osimx import OsimxMuscle, osimx_text, read_osimx
+from wrapjax.nmsm.osimx import OSIMX_QUANTITIES, OsimxMuscle, osimx_text, read_osimx
 from wrapjax.nmsm.project import Project, Recorded, read_project, write_subject_folder
 from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
 
 __all__ = [
+    "OSIMX_QUANTITIES",
     "OsimxMuscle",
     "Project",
     "Recorded",

@@ -18,7 +18,7 @@ from wrapjax.nmsm.settings import ROOT
 from wrapjax.subject.model_file import read_xml
 
 #: By our name: the file's, and the unit of its numbers in ours.
-QUANTITIES: Mapping[str, tuple[str, float]] = {
+OSIMX_QUANTITIES: Mapping[str, tuple[str, float]] = {
     "electromechanical_delay": ("electromechanical_delay", 0.1),
     "activation_time_constant": ("activation_time_constant", 0.01),
     "activation_nonlinearity": ("activation_nonlinearity_constant", 1.0),
@@ -40,7 +40,7 @@ class OsimxMuscle:
     name
         Of the muscle.
     values
-        By our name of the quantity (`QUANTITIES`), SI units; what the file does not give is left out.
+        By our name of the quantity (`OSIMX_QUANTITIES`), SI units; what the file does not give is left out.
     """
 
     name: str
@@ -73,7 +73,7 @@ def read_osimx(path: str | Path) -> tuple[OsimxMuscle, ...]:
 
 def _values(element: Element, muscle: str, path: Path, problems: list[Problem]) -> dict[str, float]:
     found = {}
-    for name, (tag, unit) in QUANTITIES.items():
+    for name, (tag, unit) in OSIMX_QUANTITIES.items():
         text = (element.findtext(tag) or "").strip()
         if not text:
             continue
@@ -108,7 +108,7 @@ def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle]) -> st
     for muscle in muscles:
         element = SubElement(objects, "RCNLMuscle", name=muscle.name)
         for quantity, value in muscle.values.items():
-            tag, unit = QUANTITIES[quantity]
+            tag, unit = OSIMX_QUANTITIES[quantity]
             SubElement(element, tag).text = repr(float(value) / unit)
     ElementTree.indent(root, "   ")
     return f'<?xml version="1.0" encoding="utf-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'

@@ -13,7 +13,7 @@ from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings
 from wrapjax.report.starts import starts_csv
 from wrapjax.report.summary import file_stems, summarize
-from wrapjax.report.tables import curve_tables, parameters_csv
+from wrapjax.report.tables import curve_tables, osimx_of, parameters_csv
 from wrapjax.subject import Subject, write_storage
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ def _write_leg(
     write_json(run / "summary.json", summary)
     write_json(run / "settings.json", settings)
     write_text(run / "parameters.csv", parameters_csv(result))
+    model = subject.model_file.name if result.freedom.wraps is None else PERSONALISED_MODEL
+    write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
     for trial, stem in enumerate(file_stems(result.trials).values()):
         for kind, table in curve_tables(result, trial).items():

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import QUANTITIES
+from wrapjax.nmsm import OSIMX_QUANTITIES, OsimxMuscle, osimx_text
 from wrapjax.subject import Storage
 
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
@@ -44,6 +45,24 @@ def parameters_csv(result: CalibrationResult) -> str:
             for term, value in zip(names[row], values, strict=True):
                 writer.writerow((result.muscles[row], "term", term, value, "m", "", ""))
     return text.getvalue()
+
+
+def osimx_of(result: CalibrationResult, model_file: str) -> str:
+    """Write the muscles' parameters as the NMSM Pipeline takes them on; it has no place for cylinders.
+
+    Parameters
+    ----------
+    result
+        Of one leg.
+    model_file
+        Name of the model that they belong to.
+    """
+    columns = {name: np.asarray(getattr(result.parameters, name)) for name in OSIMX_QUANTITIES}
+    muscles = [
+        OsimxMuscle(muscle, {name: float(column[row]) for name, column in columns.items()})
+        for row, muscle in enumerate(result.muscles)
+    ]
+    return osimx_text(model_file.removesuffix(".osim"), model_file, muscles)
 
 
 def wrap_parameters(
