@@ -67,7 +67,7 @@ LAZY_PACKAGES: dict[str, set[str]] = {
     "rich": {"progress"},
     "pandas": set(),
     "sklearn": {"geometry"},
-    "xarray": set(),
+    "xarray": {"api"},
 }
 
 #: Folders that must do without JAX, so that a folder can be checked before it is loaded.

@@ -71,6 +71,12 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
     total = sum(effect.probability for effect in result.effects)
     assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
     assert result.certificate.holds and result.certificate.conflicts["by_half"]
+    dataset = found.dataset
+    assert (
+        set(dataset["effect"].values) == KEPT - {"curve_family"}
+        and dataset.attrs["outcome"] == result.outcome
+    )
+    np.testing.assert_array_equal(dataset["predicted_moment"].sel(model="plain"), result.plain)
     held = result.measured - result.plain
     seen = result.measured - found.calibration.result.modelled
     calibrated = np.array(result.uses) == "calibration"

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.api.assembly import recording
+from wrapjax.api.datasets import calibration_dataset
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.personalised import write_model
@@ -37,6 +39,9 @@ from wrapjax.files import cache_folder, content_hash
 from wrapjax.model import Freedom, muscle_states
 from wrapjax.osim import describe_model
 from wrapjax.subject import Subject, read_legs
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: Starts of a calibration that does not ask for another number.
 STARTS = 4
@@ -63,6 +68,11 @@ class Calibration:
     def status(self) -> Status:
         """Why the solver stopped; of two legs, for both."""
         return self.result.solution.status
+
+    @property
+    def dataset(self) -> Dataset:
+        """This leg's curves and parameters as an `xarray.Dataset`, every variable with its unit."""
+        return calibration_dataset(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write the run's folder: summary, parameters, curves and report; ``other_leg/`` within it."""

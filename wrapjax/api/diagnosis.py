@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wrapjax.api.calibration import STARTS, Calibration, kept_calibration
+from wrapjax.api.datasets import gap_dataset
 from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.gap_context import gap_context
@@ -23,6 +25,9 @@ from wrapjax.gap.verdict import Tuning
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, free_variables
 from wrapjax.subject import Subject
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: No-effect twins that the alarm level is read off.
 TWINS = 60
@@ -39,6 +44,11 @@ class Diagnosis:
     def subject(self) -> Subject:
         """Whose."""
         return self.calibration.subject
+
+    @property
+    def dataset(self) -> Dataset:
+        """Moments measured and predicted, and evidence by effect, as an `xarray.Dataset` with units."""
+        return gap_dataset(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
         """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
