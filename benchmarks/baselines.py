@@ -16,7 +16,7 @@ from scipy.special import softmax
 from scipy.stats import chi2
 
 from wrapjax.files import write_json
-from wrapjax.gap.linearized import LinearGap
+from wrapjax.gap.evidence.linearized import LinearGap
 
 Rows = Float[np.ndarray, "column row"]
 

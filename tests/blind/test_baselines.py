@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.baselines import BASELINES, modification_index, write_answer, write_silence
 from benchmarks.blind.score.records import read_answer
-from wrapjax.gap.covariance import MuscleErrors
-from wrapjax.gap.linearized import LinearGap
-from wrapjax.gap.score import Candidate
+from wrapjax.gap.evidence.covariance import MuscleErrors
+from wrapjax.gap.evidence.linearized import LinearGap
+from wrapjax.gap.evidence.score import Candidate
 
 CYCLES, COORDINATES, PHASES, EFFECTS = 6, 2, 10, 12
 ROWS = CYCLES * COORDINATES * PHASES

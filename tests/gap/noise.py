@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wrapjax.gap.covariance import periodic_kernel
-from wrapjax.gap.cycle_noise import CycleNoise
+from wrapjax.gap.evidence.covariance import periodic_kernel
+from wrapjax.gap.evidence.cycle_noise import CycleNoise
 
 
 def noise_of_width(between, width):

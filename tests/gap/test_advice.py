@@ -2,8 +2,8 @@
 
 import pytest
 
-from wrapjax.gap.advice import MENU, advise
 from wrapjax.gap.catalogue import CATALOGUE
+from wrapjax.gap.conclude.advice import MENU, advise
 
 
 def test_the_menu_speaks_of_effects_of_the_catalogue():

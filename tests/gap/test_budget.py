@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.gap.budget import BINS, bin_weights, split_error
-from wrapjax.gap.driven import driven_variance
+from wrapjax.gap.where.budget import BINS, bin_weights, split_error
+from wrapjax.gap.where.driven import driven_variance
 
 FRAMES = 101
 PHASE = np.linspace(0.0, 1.0, FRAMES)

@@ -6,7 +6,7 @@ import pytest
 
 from wrapjax.calibrate import Linearization, Outcome, Status
 from wrapjax.calibrate.augmented_lagrangian import ConstrainedSolution
-from wrapjax.gap.certificate import certify, conflict, decrement_of, unfinished
+from wrapjax.gap.fits.certificate import certify, conflict, decrement_of, unfinished
 
 
 def ended(*costs, status=Status.cost):

@@ -2,8 +2,8 @@
 
 import pytest
 
-from wrapjax.gap import conclusion
-from wrapjax.gap.alternatives import Refitted
+from wrapjax.gap.conclude import conclusion
+from wrapjax.gap.fits.alternatives import Refitted
 from wrapjax.gap.scene import Scene
 
 SCENE = object.__new__(Scene)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.gap.noise import noise_of_width
-from wrapjax.gap.covariance import InputErrors, input_blocks, periodic_kernel
-from wrapjax.gap.cycle_noise import cycle_noise
+from wrapjax.gap.evidence.covariance import InputErrors, input_blocks, periodic_kernel
+from wrapjax.gap.evidence.cycle_noise import cycle_noise
 
 COORDINATES, PHASES = 2, 12
 BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])

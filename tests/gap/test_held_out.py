@@ -9,10 +9,11 @@ import pytest
 from tests.gap.joint_leg import WEIGHT, damped_leg
 from tests.gap.subject import CURVES
 from wrapjax.calibrate import Linearization
-from wrapjax.gap import held_out, predicted_moments
-from wrapjax.gap.held_out import amount_covariance, cross_fit, plan_of, speed_conflict
-from wrapjax.gap.linearized import speed_numbers
-from wrapjax.gap.refit import allowed_errors, fit_jointly, joint_problem
+from wrapjax.gap import predicted_moments
+from wrapjax.gap.evidence.linearized import speed_numbers
+from wrapjax.gap.fits import held_out
+from wrapjax.gap.fits.held_out import amount_covariance, cross_fit, plan_of, speed_conflict
+from wrapjax.gap.fits.refit import allowed_errors, fit_jointly, joint_problem
 
 SPEEDS = np.array([0, 0, 1, 1])
 

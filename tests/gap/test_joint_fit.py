@@ -9,7 +9,7 @@ import pytest
 from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, linearize, value
 from wrapjax.calibrate import MOMENT_ERROR
 from wrapjax.gap import Effects
-from wrapjax.gap.refit import allowed_errors, fit_jointly, joint_problem
+from wrapjax.gap.fits.refit import allowed_errors, fit_jointly, joint_problem
 
 USED = np.array([True, False, True, True])
 

@@ -10,9 +10,9 @@ import pytest
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap import CATALOGUE, Effects, predicted_moments
-from wrapjax.gap.linearized import linear_gap, phase_frames
-from wrapjax.gap.null import known_covariance, nulls
-from wrapjax.gap.score import score_each
+from wrapjax.gap.evidence.linearized import linear_gap, phase_frames
+from wrapjax.gap.evidence.null import known_covariance, nulls
+from wrapjax.gap.evidence.score import score_each
 from wrapjax.model import free_variables, joint_moments, nga
 
 EFFECTS = ("joint_damping", "ankle_foot_orthosis", "emg_drift", "slow_fibers", "curve_family")

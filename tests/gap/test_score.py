@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 
 from tests.gap.noise import noise_of_width
-from wrapjax.gap.covariance import (
+from wrapjax.gap.evidence.covariance import (
     InputErrors,
     MuscleErrors,
     input_covariance,
@@ -15,8 +15,8 @@ from wrapjax.gap.covariance import (
     periodic_kernel,
     repeated_covariance,
 )
-from wrapjax.gap.cycle_noise import cycle_noise
-from wrapjax.gap.score import SIZES, Candidate, Null, evidence_of, likeness, score_each
+from wrapjax.gap.evidence.cycle_noise import cycle_noise
+from wrapjax.gap.evidence.score import SIZES, Candidate, Null, evidence_of, likeness, score_each
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
 ROWS = CYCLES * COORDINATES * PHASES

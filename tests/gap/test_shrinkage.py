@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.gap.shrinkage import cycle_errors, cycle_floor, explainable_share, shapley, shrinkage
+from wrapjax.gap.fits.shrinkage import cycle_errors, cycle_floor, explainable_share, shapley, shrinkage
 
 PHASE = np.arange(25) / 25
 WAVES = np.concatenate([[np.sin(2 * np.pi * k * PHASE), np.cos(2 * np.pi * k * PHASE)] for k in (1, 2, 3)])

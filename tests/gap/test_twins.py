@@ -10,10 +10,23 @@ import pytest
 from tests.gap.noise import noise_of_width
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
-from wrapjax.gap import twins
-from wrapjax.gap.covariance import MuscleErrors
-from wrapjax.gap.linearized import LinearGap, expectations, moment_slopes, phase_frames, speed_numbers
-from wrapjax.gap.twins import TwinCurves, TwinWorld, _twin_moments, _with_arms, _with_noise, twin_residuals
+from wrapjax.gap.evidence import twins
+from wrapjax.gap.evidence.covariance import MuscleErrors
+from wrapjax.gap.evidence.linearized import (
+    LinearGap,
+    expectations,
+    moment_slopes,
+    phase_frames,
+    speed_numbers,
+)
+from wrapjax.gap.evidence.twins import (
+    TwinCurves,
+    TwinWorld,
+    _twin_moments,
+    _with_arms,
+    _with_noise,
+    twin_residuals,
+)
 from wrapjax.model import free_variables, joint_moments, nga
 
 PEOPLE = [TwinCurves.drawn(jax.random.key(seed)) for seed in range(20)]

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.gap.result import OUTCOMES
-from wrapjax.gap.verdict import (
+from wrapjax.gap.conclude.verdict import (
     LEVEL_WITH,
     TIE,
     Probabilities,
@@ -17,6 +16,7 @@ from wrapjax.gap.verdict import (
     probabilities,
     tie_of,
 )
+from wrapjax.gap.result import OUTCOMES
 
 NAMES = ("one", "two", "three", "four")
 TUNING = Tuning("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.gap.where import where
+from wrapjax.gap.where.place import where
 
 CYCLES, COORDINATES, FRAMES = 12, 2, 51
 SPEEDS = np.zeros(CYCLES, dtype=int)

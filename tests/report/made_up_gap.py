@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.gap.budget import split_error
 from wrapjax.gap.effect import NotTestable
 from wrapjax.gap.result import (
     Advice,
@@ -17,6 +16,7 @@ from wrapjax.gap.result import (
     MuscleShare,
     Released,
 )
+from wrapjax.gap.where.budget import split_error
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 SPEEDS = (0.5, 0.8)

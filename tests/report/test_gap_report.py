@@ -14,9 +14,9 @@ from tests.report.made_up_gap import CENTER, COORDINATES, ENDINGS, ORTHOSIS, SPE
 from tests.report.test_html import Page
 from wrapjax import InputError
 from wrapjax.api.gap_text import gap_table
-from wrapjax.gap.budget import BINS, Budget
 from wrapjax.gap.effect import NotTestable
 from wrapjax.gap.result import OUTCOMES, Amount, Estimate, Released
+from wrapjax.gap.where.budget import BINS, Budget
 from wrapjax.report.gap import folder as gap_folder
 from wrapjax.report.gap.effects_section import half_interval
 from wrapjax.report.gap.errors import mean_absolute_errors

@@ -18,10 +18,10 @@ from wrapjax.api.gap_context import gap_context
 from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
 from wrapjax.gap import Context, catalogue
 from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
+from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.investigation import investigate
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.scene import Investigation
-from wrapjax.gap.verdict import Tuning
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, free_variables
 from wrapjax.subject import Subject

@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.gap.catalogue import catalogue, effects_in
-from wrapjax.gap.conclusion import conclude, stopped
-from wrapjax.gap.cycle_noise import cycle_noise
+from wrapjax.gap.conclude.conclusion import conclude, stopped
+from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.effect import Effects
-from wrapjax.gap.held_out import cross_fit
-from wrapjax.gap.linearized import linear_gap, phase_frames
-from wrapjax.gap.null import nulls
-from wrapjax.gap.refit import joint_problem
+from wrapjax.gap.evidence.cycle_noise import cycle_noise
+from wrapjax.gap.evidence.linearized import linear_gap, phase_frames
+from wrapjax.gap.evidence.null import nulls
+from wrapjax.gap.evidence.score import score_each
+from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
+from wrapjax.gap.fits.held_out import cross_fit
+from wrapjax.gap.fits.refit import joint_problem
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.scene import Investigation, Scene
-from wrapjax.gap.score import score_each
 from wrapjax.gap.stopwatch import Stopwatch
-from wrapjax.gap.twins import TwinWorld, twin_residuals
-from wrapjax.gap.verdict import Tuning
-from wrapjax.gap.where import amount_weight, certificate_of, where
+from wrapjax.gap.where.place import amount_weight, certificate_of, where
 
 #: Fewest calibration cycles at any one speed.
 FEWEST_CYCLES = 3

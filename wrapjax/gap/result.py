@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.gap.budget import Budget
 from wrapjax.gap.effect import NotTestable
-from wrapjax.gap.linearized import LinearGap
+from wrapjax.gap.evidence.linearized import LinearGap
+from wrapjax.gap.where.budget import Budget
 
 #: How a diagnosis can end.
 #:

@@ -10,15 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibrate import Objective, Outcome
+from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects, NotTestable
-from wrapjax.gap.held_out import CrossFit, Plan, Predict, plan_of
-from wrapjax.gap.linearized import LinearGap, speed_numbers
+from wrapjax.gap.evidence.linearized import LinearGap, speed_numbers
+from wrapjax.gap.evidence.score import Candidate, Score, Scored
+from wrapjax.gap.fits.held_out import CrossFit, Plan, Predict, plan_of
 from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.result import Certificate
-from wrapjax.gap.score import Candidate, Score, Scored
-from wrapjax.gap.verdict import Tuning
-from wrapjax.gap.where import Where
+from wrapjax.gap.where.place import Where
 from wrapjax.model import Recording
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.evaluate import moment_errors, pooled_mae
-from wrapjax.gap.budget import Budget
 from wrapjax.gap.result import Alternative, Estimate, GapResult
+from wrapjax.gap.where.budget import Budget
 
 #: Where shrinkage is told, as fields of `Alternative`.
 HELD_OUT = ("held_out_cycles", "held_out_speed")

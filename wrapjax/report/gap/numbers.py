@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.gap.budget import BIN_PERCENT, Budget
 from wrapjax.gap.result import Alternative, Certificate, EffectFinding, Estimate, GapResult
+from wrapjax.gap.where.budget import BIN_PERCENT, Budget
 from wrapjax.report.gap.errors import (
     HELD_OUT,
     best,

@@ -6,8 +6,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from wrapjax.gap.budget import BIN_PERCENT, BINS, Budget
 from wrapjax.gap.result import GapResult
+from wrapjax.gap.where.budget import BIN_PERCENT, BINS, Budget
 from wrapjax.report import markup
 from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
 from wrapjax.report.gap.errors import mean_absolute_errors, speed_label

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.gap.refit import JointProblem, Refit, fit_jointly
+from wrapjax.gap.fits.refit import JointProblem, Refit, fit_jointly
 
 #: From five cycles a speed on, one of each is left out at a time; below, single cycles are.
 BLOCKS = 5

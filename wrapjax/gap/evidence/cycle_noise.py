@@ -14,7 +14,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from wrapjax.gap.covariance import InputErrors, Matrix, input_blocks, within_cycles
+from wrapjax.gap.evidence.covariance import InputErrors, Matrix, input_blocks, within_cycles
 
 #: Sizes of the errors of inputs that are tried, in what is expected of them.
 INPUT_SHARES = (0.0, 0.35, 0.7, 1.0, 1.5, 2.2)

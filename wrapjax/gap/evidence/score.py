@@ -17,7 +17,7 @@ import scipy.linalg
 from jaxtyping import Bool, Float, Int
 from scipy.special import log_ndtr, logsumexp
 
-from wrapjax.gap.covariance import Matrix
+from wrapjax.gap.evidence.covariance import Matrix
 
 Signature = Float[np.ndarray, "parameter row"]
 

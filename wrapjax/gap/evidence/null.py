@@ -7,15 +7,15 @@ from itertools import product
 
 import numpy as np
 
-from wrapjax.gap.covariance import (
+from wrapjax.gap.evidence.covariance import (
     Matrix,
     input_covariance,
     muscle_covariance,
     parameter_covariance,
     repeated_covariance,
 )
-from wrapjax.gap.linearized import LinearGap
-from wrapjax.gap.score import Null, Scored
+from wrapjax.gap.evidence.linearized import LinearGap
+from wrapjax.gap.evidence.score import Null, Scored
 
 #: Errors of muscle force that depend on the muscle's state, in maximum isometric forces; and what is
 #: expected of them. No model of a muscle is without: these take up what other curves and another activation

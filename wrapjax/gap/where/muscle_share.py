@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from wrapjax.gap.covariance import periodic_kernel
+from wrapjax.gap.evidence.covariance import periodic_kernel
 from wrapjax.gap.result import MuscleShare
 
 #: How far a muscle's force may be off, in maximum isometric forces, and over how much of a cycle alike.

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibrate import MOMENT_ERROR, Objective, Outcome
-from wrapjax.gap.budget import Budget, split_error
-from wrapjax.gap.certificate import certify, conflict, decrement_of
-from wrapjax.gap.cycle_noise import CycleNoise
-from wrapjax.gap.driven import driven_variance
-from wrapjax.gap.held_out import CrossFit, Plan
-from wrapjax.gap.refit import fit_jointly
+from wrapjax.gap.evidence.cycle_noise import CycleNoise
+from wrapjax.gap.fits.certificate import certify, conflict, decrement_of
+from wrapjax.gap.fits.held_out import CrossFit, Plan
+from wrapjax.gap.fits.refit import fit_jointly
+from wrapjax.gap.fits.shrinkage import cycle_errors, cycle_floor, explainable_share
 from wrapjax.gap.result import Certificate, Estimate
-from wrapjax.gap.shrinkage import cycle_errors, cycle_floor, explainable_share
+from wrapjax.gap.where.budget import Budget, split_error
+from wrapjax.gap.where.driven import driven_variance
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.calibrate import Linearization, Objective
 from wrapjax.gap.context import Context
-from wrapjax.gap.covariance import InputErrors, MuscleErrors
-from wrapjax.gap.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.gap.effect import Effect, Effects
+from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
+from wrapjax.gap.evidence.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.evidence.score import Candidate
 from wrapjax.gap.prediction import secants
-from wrapjax.gap.score import Candidate
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
 from wrapjax.muscle import AbstractCurves

@@ -9,14 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.gap.advice import advise
-from wrapjax.gap.alternatives import Refitted, alternative, refit, refitted_evidence
-from wrapjax.gap.certificate import unfinished
+from wrapjax.gap.conclude.advice import advise
+from wrapjax.gap.conclude.verdict import (
+    UNSEEN,
+    credible_set,
+    decision,
+    judge,
+    probabilities,
+    tie_of,
+)
 from wrapjax.gap.effect import Effect, Effects, NotTestable
-from wrapjax.gap.held_out import amount_covariance
-from wrapjax.gap.linearized import phase_frames
-from wrapjax.gap.muscle_share import muscle_share
-from wrapjax.gap.null import best_null
+from wrapjax.gap.evidence.linearized import phase_frames
+from wrapjax.gap.evidence.null import best_null
+from wrapjax.gap.evidence.score import SIZES, Score, likeness
+from wrapjax.gap.fits.alternatives import Refitted, alternative, refit, refitted_evidence
+from wrapjax.gap.fits.certificate import unfinished
+from wrapjax.gap.fits.held_out import amount_covariance
+from wrapjax.gap.fits.shrinkage import shapley
 from wrapjax.gap.result import (
     Advice,
     Alternative,
@@ -28,18 +37,9 @@ from wrapjax.gap.result import (
     MuscleShare,
 )
 from wrapjax.gap.scene import Investigation, Scene
-from wrapjax.gap.score import SIZES, Score, likeness
-from wrapjax.gap.shrinkage import shapley
 from wrapjax.gap.stopwatch import Stopwatch
-from wrapjax.gap.verdict import (
-    UNSEEN,
-    credible_set,
-    decision,
-    judge,
-    probabilities,
-    tie_of,
-)
-from wrapjax.gap.where import Where
+from wrapjax.gap.where.muscle_share import muscle_share
+from wrapjax.gap.where.place import Where
 
 #: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
 #: are fitted to parts of the cycles.

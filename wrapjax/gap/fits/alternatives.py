@@ -11,15 +11,15 @@ from scipy.special import logsumexp
 
 from wrapjax.calibrate import MOMENT_ERROR, ProjectedLM
 from wrapjax.gap.effect import Effect, Effects
-from wrapjax.gap.held_out import CrossFit, cross_fit, speed_conflict
-from wrapjax.gap.linearized import phase_frames
-from wrapjax.gap.null import nulls
+from wrapjax.gap.evidence.linearized import phase_frames
+from wrapjax.gap.evidence.null import nulls
+from wrapjax.gap.evidence.score import Candidate, score_each
+from wrapjax.gap.fits.held_out import CrossFit, cross_fit, speed_conflict
+from wrapjax.gap.fits.refit import Refit, fit_jointly, joint_problem
+from wrapjax.gap.fits.shrinkage import cycle_errors, shrinkage
 from wrapjax.gap.prediction import predicted_moments
-from wrapjax.gap.refit import Refit, fit_jointly, joint_problem
 from wrapjax.gap.result import Alternative, Estimate, Released
 from wrapjax.gap.scene import Scene
-from wrapjax.gap.score import Candidate, score_each
-from wrapjax.gap.shrinkage import cycle_errors, shrinkage
 
 #: Slopes by amounts are drawn anew where this one ends: far from where a refit starts they mislead it.
 _FIRST = ProjectedLM(gtol=1e-2, ftol=1e-3, max_iterations=15)

@@ -1,0 +1,1 @@
+"""What is said in the end: probabilities, the verdict, and which experiment would tell more."""

@@ -1,0 +1,1 @@
+"""How far the error shrinks: effects fitted together with what is calibrated, on cycles kept back."""

@@ -1,0 +1,1 @@
+"""Where the error is: its parts, and the muscles that may make them."""
