@@ -22,6 +22,7 @@ ARROWS: dict[str, set[str]] = {
     "files": {"errors"},
     "subject": {"errors", "files", "progress"},
     "nmsm": {"errors", "files", "subject"},
+    "raw": {"errors", "files", "subject"},
     "skeleton": {"errors"},
     "osim": {"errors", "files", "progress", "skeleton"},
     "geometry": {"errors", "skeleton"},
@@ -48,7 +49,7 @@ ARROWS: dict[str, set[str]] = {
         "virtual",  # whose truth is drawn beside what calibration found
     },
     "api": {
-        *("errors", "files", "precision", "progress", "subject", "nmsm", "osim"),
+        *("errors", "files", "precision", "progress", "subject", "nmsm", "raw", "skeleton", "osim"),
         *("geometry", "muscle", "model", "calibrate", "gap", "measurement", "evaluate", "report", "virtual"),
     },
     # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.
@@ -63,6 +64,7 @@ LAZY_ARROWS = {("api", "report"), ("cli", "api"), ("cli", "subject"), ("cli", "c
 #: Packages of others that only these folders may import, inside functions.
 LAZY_PACKAGES: dict[str, set[str]] = {
     "opensim": {"osim"},
+    "ezc3d": {"raw"},
     "matplotlib": {"report"},
     "rich": {"progress"},
     "pandas": set(),
@@ -76,6 +78,7 @@ WITHOUT_JAX = {
     "files",
     "progress",
     "subject",
+    "raw",
     "skeleton",
     "osim",
     "evaluate",
@@ -204,7 +207,7 @@ def test_modules_stay_small():
     assert {name: length for name, length in lengths.items() if length > 500} == {}
 
 
-SLOW = {"opensim", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt"}
+SLOW = {"opensim", "ezc3d", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt"}
 
 
 @pytest.mark.parametrize(
@@ -214,6 +217,7 @@ SLOW = {"opensim", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt"}
         ("wrapjax", SLOW | {"jax"}),
         ("wrapjax.cli", SLOW | {"jax"}),
         ("wrapjax.subject", SLOW | {"jax"}),
+        ("wrapjax.raw", SLOW | {"jax"}),
         ("wrapjax.api", SLOW),
     ],
 )
