@@ -64,7 +64,7 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
             coordinate = model.getCoordinateSet().get(index)
             coordinate.setValue(state, coordinate.getDefaultValue(), False)
     except RuntimeError as error:
-        reason = _reason(error)
+        reason = failure_reason(error)
         raise InputError(Problem(str(path), f"OpenSim cannot load it as a model ({reason})")) from error
     if model.getBodySet().getSize() == 0:
         # OpenSim takes any of its XML files, a tool's settings for example, as an empty model.
@@ -86,7 +86,7 @@ def _check_outermost_element(path: Path) -> None:
         raise InputError(Problem(str(path), message))
 
 
-def _reason(error: RuntimeError) -> str:
+def failure_reason(error: RuntimeError) -> str:
     """What OpenSim complains of, on one line, without where in its source it did so."""
     text = _PLACE_IN_SOURCE.sub("", _WRAPPING.sub("", str(error)))
     return " ".join(text.split()).rstrip(".")
