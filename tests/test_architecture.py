@@ -22,7 +22,7 @@ ARROWS: dict[str, set[str]] = {
     "files": {"errors"},
     "subject": {"errors", "files", "progress"},
     "nmsm": {"errors", "files", "subject"},
-    "raw": {"errors", "files", "subject"},
+    "raw": {"errors", "files", "skeleton", "subject"},
     "skeleton": {"errors"},
     "osim": {"errors", "files", "progress", "skeleton"},
     "geometry": {"errors", "skeleton"},

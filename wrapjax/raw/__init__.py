@@ -1,1 +1,1 @@
-"""A laboratory's raw files: markers, ground forces and EMG, read, checked and made ready for OpenSim's tools."""
+"""A laboratory's raw files: markers, ground forces and EMG, read, checked, ready for OpenSim's tools."""

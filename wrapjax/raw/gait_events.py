@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -87,7 +88,7 @@ def without_short_runs(
     cleaned = on.copy()
     for value in (False, True):
         edges = np.flatnonzero(cleaned[1:] != cleaned[:-1]) + 1
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in pairwise(edges):
             if cleaned[first] == value and time[last] - time[first] < shortest:
                 cleaned[first:last] = not value
     return cleaned

@@ -102,7 +102,7 @@ def read_signals(
     if "angles" in tables:
         names = tuple(info.name for info in wanted)
         columns["angles"] = _columns(tables["angles"], names, ("",), trial.angles, problems)
-        _check_angles(tables["angles"], wanted, trial.angles, problems)
+        check_angle_unit(tables["angles"], wanted, trial.angles, problems)
     if "moments" in tables:
         # A coordinate that the model lacks has been reported; its column need not be missed as well.
         expected = tuple(info.name for info in wanted) if model_coordinates else settings.coordinates
@@ -119,7 +119,7 @@ def read_signals(
     found = {kind: values for kind, values in columns.items() if values is not None}
     if len(found) < 3:
         return None
-    coordinates, angles = _all_angles(tables["angles"], model_coordinates)
+    coordinates, angles = all_angles(tables["angles"], model_coordinates)
     return Signals(
         trial=trial,
         coordinates=coordinates,
@@ -176,7 +176,9 @@ def _check_cycles(
             problems.append(Problem(str(path), message, place))
 
 
-def _check_angles(table: Storage, wanted: list[CoordinateInfo], path: Path, problems: list[Problem]) -> None:
+def check_angle_unit(
+    table: Storage, wanted: list[CoordinateInfo], path: Path, problems: list[Problem]
+) -> None:
     """Report degrees taken for radians, and radians taken for degrees."""
     peaks = {}
     for info in wanted:
@@ -202,7 +204,7 @@ def _check_angles(table: Storage, wanted: list[CoordinateInfo], path: Path, prob
         problems.append(Problem(str(path), message, f"columns {', '.join(peaks)}", hint))
 
 
-def _all_angles(
+def all_angles(
     table: Storage, model_coordinates: tuple[CoordinateInfo, ...]
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "coordinate sample"]]:
     """Take every coordinate of the model that the file holds, in rad or m.

@@ -47,6 +47,11 @@ class TrialSettings:
     ground_forces: Path | None = None
     external_loads: Path | None = None
 
+    @staticmethod
+    def is_fit_name(name: str) -> bool:
+        """Say whether a trial may be called so: its files are."""
+        return bool(_TRIAL_NAME.fullmatch(name) and name.strip("."))
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -106,7 +111,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     emg_kind = emg.text("kind", choices=("envelope", "raw")) or ""
-    channels = _channels(emg.table("channels"), file, problems)
+    channels = read_channels(emg.table("channels"), file, problems)
     emg.finish()
 
     tables = top.tables("trial")
@@ -155,7 +160,7 @@ def _other_leg(subject: TableReader, folder: Path) -> Path | None:
     return settings.parent
 
 
-def _channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
+def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
     """Take the muscles of each channel; a muscle can be driven by one channel only."""
     reader = TableReader(table, file, "[emg.channels]", problems)
     channels = {}
@@ -185,14 +190,14 @@ def _trial(
     place = f"[[trial]] '{label}'" if isinstance(label, str) and label else f"[[trial]] number {number}"
     reader = TableReader(table, file, place, problems)
     name = reader.text("name")
-    if name is not None and not (_TRIAL_NAME.fullmatch(name) and name.strip(".")):
+    if name is not None and not TrialSettings.is_fit_name(name):
         reader.problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
         name = None
     use = reader.text("use", choices=("calibration", "validation"))
     paths = [reader.path(key, folder) for key in ("angles", "moments", "emg")]
     extra = [reader.path(key, folder, required=False) for key in ("ground_forces", "external_loads")]
     speed = reader.number("speed_m_s", lowest=0.0, highest=15.0, unit="m/s", required=False)
-    cycles = _cycles(reader)
+    cycles = read_cycles(reader)
     reader.finish()
     angles, moments, emg = paths
     if name is None or use is None or angles is None or moments is None or emg is None:
@@ -210,7 +215,7 @@ def _trial(
     )
 
 
-def _cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
+def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
     """Take ``cycle = [t0, t1]`` or ``cycles = [[t0, t1], ...]``, without those that are unfit."""
     if reader.has("cycle") == reader.has("cycles"):
         found = "both" if reader.has("cycle") else "neither"

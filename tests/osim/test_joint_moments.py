@@ -1,0 +1,62 @@
+"""Defends: OpenSim's tools are used as a laboratory uses them, and say nothing on standard output."""
+
+import numpy as np
+import pytest
+
+from wrapjax.errors import InputError
+from wrapjax.osim.inverse_kinematics import solve_inverse_kinematics
+from wrapjax.osim.joint_moments import solve_inverse_dynamics
+from wrapjax.osim.model import describe_model
+from wrapjax.raw.angles import couplers_of, read_motion
+from wrapjax.subject import read_model_file, read_storage
+
+#: Hip, knee and ankle of both legs.
+JOINTS = tuple(
+    f"{name}_{side}"
+    for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle")
+    for side in "lr"
+)
+
+
+def rerun(folder, coordinates, time, values):
+    """Root mean square differences in N m from the moments that came with the recording."""
+    # The tool's own filter at 6 Hz: how these moments were made.
+    loads = folder / "trials" / "walk" / "external_loads.xml"
+    found = solve_inverse_dynamics(folder / "model.osim", coordinates, time, values, loads, 6.0)
+    given = read_storage(folder / "trials" / "walk" / "moments.sto")
+    return {
+        name: float(np.sqrt(np.mean((found[f"{name}_moment"] - _column(given, f"{name}_moment")) ** 2)))
+        for name in JOINTS
+    }
+
+
+def _column(table, name):
+    return table.values[:, table.columns.index(name)]
+
+
+def test_given_moments_are_reproduced_once_patellae_are_in_radians(data_folder, capfd):
+    """Taken as the file has them, patellae in degrees are the whole difference."""
+    folder = data_folder / "healthy_overground"
+    file = folder / "trials" / "walk" / "angles.sto"
+    infos = read_model_file(folder / "model.osim").coordinates
+    couplers = couplers_of(describe_model(folder / "model.osim").coordinates)
+    notes = []
+    motion = read_motion(file, infos, couplers, JOINTS, notes)
+    assert sorted(couplers) == ["knee_angle_l_beta", "knee_angle_r_beta"]
+    assert len(notes) == 2 and all("is in degrees" in note for note in notes)
+    differences = rerun(folder, motion.coordinates, motion.time, motion.values)
+    assert max(differences.values()) < 0.3, differences
+
+    table = read_storage(file)
+    names = [label.split("/")[-2] for label in table.columns]
+    untouched = rerun(folder, names, table.time, table.values.T)
+    assert untouched["hip_flexion_r"] > 50.0 and untouched["ankle_angle_r"] < 0.3
+    assert capfd.readouterr().out == ""
+
+
+def test_what_stops_a_tool_is_told(odd_model, tmp_path):
+    time = np.arange(20) / 100.0
+    with pytest.raises(InputError, match=r"absent\.xml: OpenSim's inverse dynamics stopped"):
+        solve_inverse_dynamics(odd_model, ("hip",), time, np.zeros((1, 20)), tmp_path / "absent.xml")
+    with pytest.raises(InputError, match=r"absent\.trc: OpenSim's inverse kinematics stopped"):
+        solve_inverse_kinematics(odd_model, tmp_path / "absent.trc", {}, 0.0, 1.0)

@@ -1,0 +1,133 @@
+"""What a ``.c3d`` file holds: markers, analog channels, force plates. Its first frame is at time zero."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.raw.forces import FootForces, ForceColumns
+from wrapjax.raw.markers import METERS, Markers, checked
+from wrapjax.subject.content import read_content
+from wrapjax.subject.storage import Storage
+
+
+def read_c3d_markers(path: Path) -> Markers:
+    """Read all markers, in m, in the laboratory's axes; prefixes such as ``Person:`` are cut off.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file, holds no markers, or markers that are no person's.
+    """
+    content = _open(path)
+    points = content["data"]["points"]
+    unit = _unit(content["parameters"]["POINT"], path)
+    names = tuple(label.rsplit(":", 1)[-1].strip() for label in _labels(content["parameters"]["POINT"]))
+    if not names or points.shape[2] == 0:
+        raise InputError(Problem(str(path), "expected markers, found none"))
+    time = np.arange(points.shape[2]) / float(content["parameters"]["POINT"]["RATE"]["value"][0])
+    positions = np.moveaxis(points[:3, : len(names)], 0, -1) * unit
+    # What was not seen is NaN, or, as older programs write it, the origin.
+    positions = np.where((positions == 0.0).all(axis=-1, keepdims=True), np.nan, positions)
+    return checked(Markers(names, time, positions.astype(np.float64)), path)
+
+
+def read_c3d_analog(path: Path) -> Storage:
+    """Read all analog channels in the units of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file or holds no analog channels.
+    """
+    content = _open(path)
+    values = content["data"]["analogs"][0]
+    labels = tuple(label.strip() for label in _labels(content["parameters"]["ANALOG"]))
+    if not labels or values.shape[1] < 2:
+        raise InputError(Problem(str(path), "expected analog channels, found none"))
+    rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
+    time = np.arange(values.shape[1]) / rate
+    return Storage("analog", labels, time, values[: len(labels)].T.astype(np.float64))
+
+
+def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarray, "3 3"]) -> FootForces:
+    """Read what plates do to each foot, summed over the plates that are its own.
+
+    Plates differ in sign: the ground pushes up, and all of a plate is turned over where it seems to pull.
+
+    Parameters
+    ----------
+    path
+        The file.
+    feet
+        Plates of each foot.
+    axes
+        Rotation from the laboratory's axes to OpenSim's.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file or has no plate of that number.
+    """
+    content = _open(path, plates=True)
+    platforms = content["data"].get("platform", [])
+    problems = [
+        Problem(
+            str(path), f"expected force plate {number}, found {len(platforms)} plates", f"[forces.{side}]"
+        )
+        for side, foot in feet.items()
+        for number in foot.plates
+        if number > len(platforms)
+    ]
+    if problems:
+        raise InputError(problems)
+    rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
+    wrench = [
+        np.sum([_wrench(platforms[number - 1], axes, path) for number in foot.plates], axis=0)
+        for foot in feet.values()
+    ]
+    time = np.arange(wrench[0].shape[1]) / rate
+    return FootForces(tuple(feet), time, np.array(wrench))
+
+
+def _wrench(platform: Any, axes: Float[np.ndarray, "3 3"], path: Path) -> Float[np.ndarray, "6 sample"]:
+    lengths = METERS[platform["unit_position"].strip().lower()]
+    moment_unit = platform["unit_moment"].strip().lower().removeprefix("n").lstrip(".* ")
+    if platform["unit_force"].strip().lower() != "n" or moment_unit not in METERS:
+        found = f"{platform['unit_force']} and {platform['unit_moment']}"
+        raise InputError(Problem(str(path), f"expected forces in N and moments in Nmm or Nm, found {found}"))
+    force = axes @ platform["force"]
+    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * lengths
+    free = axes @ np.nan_to_num(platform["Tz"]) * METERS[moment_unit]
+    wrench = np.concatenate([np.cross(center, force, axis=0) + free, force])
+    return wrench * (-1.0 if wrench[4].sum() < 0.0 else 1.0)
+
+
+def _open(path: Path, plates: bool = False) -> Any:
+    # Says in plain words what is wrong with a file that is missing or empty.
+    read_content(path, "a .c3d file", 1)
+    import ezc3d
+
+    try:
+        return ezc3d.c3d(str(path), extract_forceplat_data=plates)
+    except (OSError, ValueError, RuntimeError) as error:
+        message = f"cannot be read as a C3D file ({' '.join(str(error).split())})"
+        raise InputError(Problem(str(path), message)) from None
+
+
+def _labels(group: Any) -> list[str]:
+    """List labels; what does not fit into one list of 255 goes on in ``LABELS2``."""
+    keys = ["LABELS", *(f"LABELS{number}" for number in range(2, 20))]
+    return [label for key in keys if key in group for label in group[key]["value"]]
+
+
+def _unit(group: Any, path: Path) -> float:
+    units = group["UNITS"]["value"] if "UNITS" in group else []
+    unit = units[0].strip().lower() if len(units) else ""
+    if unit not in METERS:
+        raise InputError(Problem(str(path), f"expected {', '.join(METERS)} as POINT:UNITS, found '{unit}'"))
+    return METERS[unit]
