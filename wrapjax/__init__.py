@@ -1,7 +1,8 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients.
 
-``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
-learns how those follow the cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
+``prepare_subject`` makes a subject folder of a laboratory's raw files, ``load_subject`` reads one,
+``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
+cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
 ``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
 pure function for `jax.grad`, and ``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from wrapjax.api import Diagnosis as Diagnosis
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
+    from wrapjax.api import Preparation as Preparation
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import compare as compare
     from wrapjax.api import diagnose as diagnose
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
     from wrapjax.api import prepare as prepare
+    from wrapjax.api import prepare_subject as prepare_subject
     from wrapjax.errors import InputError as InputError
 
 __version__ = version("wrapjax")
@@ -44,6 +47,7 @@ _PLACES = {
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
     "InputError": "wrapjax.errors",
+    "Preparation": "wrapjax.api",
     "calibrate": "wrapjax.api",
     "compare": "wrapjax.api",
     "diagnose": "wrapjax.api",
@@ -54,6 +58,7 @@ _PLACES = {
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",
     "prepare": "wrapjax.api",
+    "prepare_subject": "wrapjax.api",
 }
 
 

@@ -72,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     check = command("check", _check, "Read a subject folder and show what is in it, or all that is wrong.")
     check.add_argument("subject", type=Path, metavar="SUBJECT")
 
+    prepare = command("prepare", _prepare, "Make a subject folder of a laboratory's raw files.")
+    prepare.add_argument("settings", type=Path, metavar="SETTINGS.toml")
+    prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT")
+    prepare.add_argument("--force", action="store_true", help="replace the folder if it exists")
+
     fit = command("fit", _fit, "Replace the subject's muscle paths by polynomials.", writing)
     fit.add_argument("subject", type=Path, metavar="SUBJECT")
     fit.add_argument("--out", type=Path, required=True, metavar="FIT")
@@ -184,6 +189,22 @@ def _check(options: argparse.Namespace) -> int:
         )
     else:
         print(render_tables(tables))
+    return DONE
+
+
+def _prepare(options: argparse.Namespace) -> int:
+    from wrapjax.api import prepare_subject
+    from wrapjax.progress import say
+    from wrapjax.subject import render_tables
+
+    _refuse_existing(options.out, options.force)
+    done = prepare_subject(options.settings, tell=lambda line: say(line, quiet=options.quiet))
+    done.save(options.out, force=options.force)
+    if options.json:
+        _print_json(_stored(options.out / "preparation.json"))
+    else:
+        print(render_tables(done.tables()))
+        print(f"written to {options.out}; see 'wrapjax check {options.out}'")
     return DONE
 
 

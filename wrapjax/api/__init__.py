@@ -13,6 +13,8 @@ from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
 from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
+from wrapjax.api.preparing import Preparation as Preparation
+from wrapjax.api.preparing import prepare_subject as prepare_subject
 from wrapjax.api.wrap_fitting import fit_wraps as fit_wraps
 from wrapjax.api.wrap_pictures import physiological_picture as physiological_picture
 from wrapjax.subject import read_subject as load_subject
@@ -23,6 +25,7 @@ __all__ = [
     "Diagnosis",
     "ExactGeometry",
     "Fit",
+    "Preparation",
     "calibrate",
     "compare",
     "diagnose",
@@ -34,4 +37,5 @@ __all__ = [
     "objective",
     "physiological_picture",
     "prepare",
+    "prepare_subject",
 ]

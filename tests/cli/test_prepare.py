@@ -1,0 +1,257 @@
+"""``wrapjax prepare``: a laboratory's files become a subject folder, or every fault is named with numbers.
+
+The walker's motion, forces and EMG are known: what comes out is compared with what went in.
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.raw import walker
+from wrapjax.api import load_subject
+from wrapjax.subject import read_storage, write_storage
+from wrapjax.subject.storage import Storage
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """The walker's files, a marker hidden for 0.4 s and another for 0.05 s. Not to be changed."""
+    folder = tmp_path_factory.mktemp("lab")
+    settings = walker.write_laboratory(folder)
+    lines = (folder / "walk.trc").read_text().splitlines()
+    names = lines[3].split("\t")[2::3]
+    for name, first, last in (("P3", 120, 160), ("LT0", 200, 205)):
+        for frame in range(first, last):
+            cells = lines[6 + frame].split("\t")
+            start = 2 + 3 * names.index(name)
+            cells[start : start + 3] = ["", "", ""]
+            lines[6 + frame] = "\t".join(cells)
+    (folder / "walk.trc").write_text("\n".join(lines) + "\n")
+    return settings
+
+
+@pytest.fixture(scope="module")
+def prepared(run, laboratory, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("prepared") / "walker"
+    return run("prepare", laboratory, "--out", folder), folder
+
+
+def test_the_folder_is_a_subject(run, prepared):
+    outcome, folder = prepared
+    assert outcome.status == 0, outcome.progress
+    # What OpenSim prints by itself would spoil results that others read.
+    assert "MODEL" not in outcome.output and "inverse kinematics" in outcome.progress
+    assert run("check", folder).status == 0
+    subject = load_subject(folder)
+    assert len(subject.trials.time) == 3 and subject.mass_kg == walker.MASS
+
+
+def test_cycles_begin_when_the_left_foot_bears_weight(prepared):
+    starts = load_subject(prepared[1]).trials.time[:, 0]
+    # The made-up foot bears 30 N only 16 ms after its strike.
+    np.testing.assert_allclose(starts, walker.STRIKES[:3], atol=0.02)
+
+
+def test_angles_are_those_walked(prepared):
+    table = read_storage(prepared[1] / "trials" / "walk" / "angles.sto")
+    truth = walker.motion(table.time)
+    for name, expected in truth.items():
+        # 0.005 is 0.3 degrees or 5 mm: what a filter at 6.4 Hz takes from movements of 1.8 Hz.
+        np.testing.assert_allclose(
+            table.values[:, table.columns.index(name)], expected, atol=0.005, err_msg=name
+        )
+    beta = table.values[:, table.columns.index("knee_angle_l_beta")]
+    np.testing.assert_allclose(beta, 0.7 * truth["knee_angle_l"] + 0.1, atol=0.004)
+
+
+def test_the_ankle_moment_is_what_statics_give(prepared):
+    """The foot weighs 0.84 kg, and the filter moves an ankle by up to 3 mm under 750 N."""
+    folder = prepared[1] / "trials" / "walk"
+    moments = read_storage(folder / "moments.sto")
+    forces = read_storage(folder / "ground_forces.mot")
+    column = {name: forces.values[:, place] for place, name in enumerate(forces.columns)}
+    frames, _, _, heels, _ = walker.truth()
+    ankle = [np.interp(forces.time, frames, heels[0][:, axis]) for axis in range(3)]
+    arm = column["left_px"] - ankle[0], column["left_py"] - ankle[1]
+    about = arm[0] * column["left_vy"] - arm[1] * column["left_vx"] + column["left_tz"]
+    found = moments.values[:, moments.columns.index("ankle_angle_l_moment")]
+    np.testing.assert_allclose(found, -np.interp(moments.time, forces.time, about), atol=3.0)
+    assert found.min() < -80.0
+
+
+def test_what_was_checked_is_told_with_numbers(prepared):
+    outcome, folder = prepared
+    told = json.loads((folder / "preparation.json").read_text())["trials"]["walk"]
+    whats = {check["what"] for check in told["checks"]}
+    assert {"markers", "weight", "timing of forces", "timing of EMG channel Sol"} <= whats
+    assert not any(check["fault"] for check in told["checks"])
+    assert any("P3" in note and "LT0" not in note for note in told["notes"])
+    assert told["motion_and_force_low_pass_hz"] == pytest.approx(7.0 / walker.PERIOD, rel=1e-3)
+    assert all(check["found"] in outcome.output for check in told["checks"])
+
+
+@pytest.fixture
+def solved(laboratory, prepared, tmp_path):
+    """The same files with angles solved already: quicker than markers. To be changed at will."""
+    for name in ("scaled.osim", "forces.mot", "emg.sto"):
+        (tmp_path / name).write_bytes((laboratory.parent / name).read_bytes())
+    angles = prepared[1] / "trials" / "walk" / "angles.sto"
+    (tmp_path / "angles.sto").write_bytes(angles.read_bytes())
+    text = walker.SETTINGS.replace('markers = "walk.trc"', 'angles = "angles.sto"')
+    (tmp_path / "prepare.toml").write_text(text, encoding="utf-8")
+    return tmp_path / "prepare.toml"
+
+
+def _table(settings, name, change):
+    """Change a table's time and columns (by name)."""
+    file = settings.parent / name
+    table = read_storage(file)
+    time, columns = change(table.time, dict(zip(table.columns, table.values.T, strict=True)))
+    write_storage(file, Storage(table.name, tuple(columns), time, np.array(list(columns.values())).T))
+
+
+def _text(settings, *pairs):
+    text = settings.read_text()
+    for old, new in pairs:
+        assert old in text
+        text = text.replace(old, new)
+    settings.write_text(text)
+
+
+def _late(settings):
+    _table(settings, "forces.mot", lambda time, columns: (time + 0.05, columns))
+
+
+def _early(settings):
+    _table(settings, "forces.mot", lambda time, columns: (time - 0.05, columns))
+
+
+def _swapped(settings):
+    _text(settings, ('"left_', '"?_'), ('"right_', '"left_'), ('"?_', '"right_'))
+
+
+def _kilonewtons(settings):
+    def change(time, columns):
+        return time, {name: 1e-3 * each if "_v" in name else each for name, each in columns.items()}
+
+    _table(settings, "forces.mot", change)
+    _text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[0.5, 1.6]]'))
+
+
+def _millimeters(settings):
+    def change(time, columns):
+        return time, {name: 1e3 * each if "_p" in name else each for name, each in columns.items()}
+
+    _table(settings, "forces.mot", change)
+
+
+def _dead(settings):
+    _table(settings, "emg.sto", lambda time, columns: (time, columns | {"RF": 0.0 * time}))
+
+
+def _clipped(settings):
+    def change(time, columns):
+        return time, columns | {"RF": np.clip(columns["RF"], -4e-4, 4e-4)}
+
+    _table(settings, "emg.sto", change)
+
+
+def _copied(settings):
+    _table(settings, "emg.sto", lambda time, columns: (time, columns | {"TA": 2.0 * columns["RF"]}))
+
+
+def _microvolts(settings):
+    _table(settings, "emg.sto", lambda time, columns: (time, {k: 1e6 * v for k, v in columns.items()}))
+
+
+def _other_leg(settings):
+    """What the other leg's calf does comes half a gait cycle later."""
+    shift = round(0.5 * walker.PERIOD * walker.EMG_RATE)
+    _table(settings, "emg.sto", lambda time, c: (time, c | {"Sol": np.roll(c["Sol"], shift)}))
+
+
+def _degrees(settings):
+    _table(settings, "angles.sto", lambda time, c: (time, {k: np.degrees(v) for k, v in c.items()}))
+
+
+def _misspelt(settings):
+    _text(settings, ("Sol =", "Soll ="))
+
+
+def _elsewhere(settings):
+    _text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
+
+
+PLANTED = {
+    "forces 50 ms late": (_late, ["timing of forces", "best 50 ms late", "within 20 ms"]),
+    "forces 50 ms early": (_early, ["timing of forces", "best 50 ms early"]),
+    "legs swapped": (_swapped, ["place of the left force", "the legs are swapped", "from the right one"]),
+    "forces in kN": (_kilonewtons, ["weight", "0.001 times", "not kN"]),
+    "points in mm": (_millimeters, ["place of the left force", "check the unit of the point"]),
+    "dead channel": (_dead, ["emg.sto", "channel RF", "is dead"]),
+    "clipped channel": (_clipped, ["channel RF", "is clipped (saturated)"]),
+    "copied channel": (_copied, ["channel TA", "is a duplicate of 'RF'"]),
+    "EMG in uV": (_microvolts, ["channel Sol", "is in another unit"]),
+    "EMG of the other leg": (_other_leg, ["timing of EMG channel Sol", "on the other leg"]),
+    "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
+    "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
+    "unknown body": (_elsewhere, ["[forces.r] body", "did you mean 'calcn_r'?"]),
+}
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_a_planted_fault_is_named(run, solved, fault):
+    plant, words = PLANTED[fault]
+    plant(solved)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2, outcome.output
+    assert [word for word in words if word not in outcome.progress] == [], outcome.progress
+    assert not (solved.parent / "out").exists()
+
+
+def test_a_coupled_patella_in_degrees_is_told_and_mended(run, solved, prepared):
+    def change(time, columns):
+        return time, columns | {"knee_angle_l_beta": np.degrees(columns["knee_angle_l_beta"])}
+
+    _table(solved, "angles.sto", change)
+    folder = solved.parent / "out"
+    outcome = run("prepare", solved, "--out", folder, "--json")
+    assert outcome.status == 0, outcome.progress
+    (note,) = json.loads(outcome.output)["trials"]["walk"]["notes"]
+    assert "knee_angle_l_beta: is in degrees" in note and "follow from knee_angle_l" in note
+    tables = [read_storage(place / "trials" / "walk" / "angles.sto") for place in (folder, prepared[1])]
+    beta = [table.values[:, table.columns.index("knee_angle_l_beta")] for table in tables]
+    np.testing.assert_allclose(beta[0][50:-50], beta[1][50:-50], atol=5e-3)
+
+
+def test_accepted_channels_are_used_with_their_faults(run, solved):
+    _copied(solved)
+    _text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
+    assert run("prepare", solved, "--out", solved.parent / "out").status == 0
+
+
+def test_all_faults_of_the_settings_are_told_at_once(run, solved):
+    _text(
+        solved,
+        ("mass_kg = 70.0", "mass_kg = 70000"),
+        ('unit = "V"', 'unit = "volt"'),
+        ("emg.sto", "emgs.sto"),
+    )
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2
+    for words in ("mass_kg", "'V' or 'mV' or 'uV'", "emgs.sto"):
+        assert words in outcome.progress
+
+
+def test_left_markers_on_the_right_leg_are_told(run, laboratory, tmp_path):
+    for file in laboratory.parent.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    lines = (tmp_path / "walk.trc").read_text().splitlines()
+    swap = {"L": "R", "R": "L"}
+    lines[3] = "\t".join(swap.get(cell[:1], cell[:1]) + cell[1:] for cell in lines[3].split("\t"))
+    (tmp_path / "walk.trc").write_text("\n".join(lines) + "\n")
+    _text(tmp_path / "prepare.toml", ('emg = "emg.sto"', 'emg = "emg.sto"\ncycles = [[1.55, 2.65]]'))
+    outcome = run("prepare", tmp_path / "prepare.toml", "--out", tmp_path / "out")
+    assert outcome.status == 2
+    assert "left and right?" in outcome.progress or "the legs are swapped" in outcome.progress

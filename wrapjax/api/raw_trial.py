@@ -1,0 +1,293 @@
+"""One recording of a laboratory: read, checked, solved by OpenSim's tools."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.inverse_kinematics import solve_inverse_kinematics
+from wrapjax.osim.joint_moments import solve_inverse_dynamics
+from wrapjax.raw.alignment import (
+    Check,
+    calf_against_moment,
+    forces_against_motion,
+    legs_of_forces,
+    markers_followed,
+)
+from wrapjax.raw.angles import Motion, read_motion
+from wrapjax.raw.c3d import read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.raw.emg_quality import emg_faults
+from wrapjax.raw.filters import MOTION_HARMONIC, laboratory_axes, low_pass
+from wrapjax.raw.folder import PreparedTrial
+from wrapjax.raw.forces import SIDES, FootForces, read_force_columns, write_forces
+from wrapjax.raw.gait_events import find_contacts
+from wrapjax.raw.markers import Markers, follow, read_trc, write_trc
+from wrapjax.raw.settings import RawSettings, RawTrial
+from wrapjax.skeleton.description import Coordinate
+from wrapjax.subject.emg import envelopes_of_raw, even_samples, sampling_rate
+from wrapjax.subject.model_file import ModelFile
+from wrapjax.subject.recordings import LEAST_RAW_RATE
+from wrapjax.subject.storage import Storage, read_storage
+
+#: Motion kept before and after the cycles, s, so that filters and derivatives have settled.
+MOTION_MARGIN = 0.4
+#: EMG kept before and after the cycles, s: delays, and the slow filter's settling.
+EMG_MARGIN = 1.5
+#: Frames a second at which Newton's law is asked of all bodies: the motion has no more in it.
+MECHANICS_RATE = 100.0
+#: What names of the calf's muscles start with.
+_CALF = ("soleus", "gas")
+
+
+@dataclass(frozen=True)
+class RawModel:
+    """The model as the preparation of all trials needs it.
+
+    Parameters
+    ----------
+    path, file
+        Where it is, and what its file says.
+    couplers
+        Coordinates that follow others.
+    markers
+        Names.
+    """
+
+    path: Path
+    file: ModelFile
+    couplers: Mapping[str, Coordinate]
+    markers: tuple[str, ...]
+
+
+def prepare_trial(
+    trial: RawTrial, settings: RawSettings, model: RawModel, tell: Callable[[str], None]
+) -> PreparedTrial:
+    """Read a recording, solve its motion and moments, and check that all of it belongs together.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in the files, or with every check that fails.
+    """
+    forces = _forces(trial, settings)
+    emg_time, volts = _emg(trial, settings)
+    notes: list[str] = []
+    recorded = _recorded(trial, settings, model, notes)
+    cycles = _cycles(trial, settings, forces, recorded.time, emg_time)
+    cutoff = MOTION_HARMONIC / float(np.mean([end - start for start, end in cycles]))
+    window = cycles[0][0] - MOTION_MARGIN, cycles[-1][1] + MOTION_MARGIN
+
+    checks: list[Check] = []
+    if isinstance(recorded, Markers):
+        tell(f"{trial.name}: inverse kinematics")
+        motion = _followed(recorded.filtered(cutoff).during(*window), trial, settings, model, checks, notes)
+    else:
+        motion = _smoothed(recorded, window, cutoff, model)
+    forces = forces.filtered(cutoff).during(motion.time[0] - MOTION_MARGIN, motion.time[-1] + MOTION_MARGIN)
+    tell(f"{trial.name}: inverse dynamics")
+    checks += _mechanical_checks(motion, forces, settings, model, notes)
+    with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
+        write_forces(Path(folder), forces, settings.feet)
+        loads = Path(folder) / "external_loads.xml"
+        moments = solve_inverse_dynamics(model.path, motion.coordinates, motion.time, motion.values, loads)
+    checks += _calf_checks(motion, moments, emg_time, volts, cycles, settings, notes)
+    faults = [
+        Problem(str(trial.motion), check.fault, f"trial '{trial.name}', {check.what}", check.hint)
+        for check in checks
+        if check.fault
+    ]
+    if faults:
+        raise InputError(faults)
+    kept = (emg_time >= cycles[0][0] - EMG_MARGIN) & (emg_time <= cycles[-1][1] + EMG_MARGIN)
+    return PreparedTrial(
+        trial=trial,
+        cycles=cycles,
+        cutoff_hz=cutoff,
+        motion=motion,
+        moments=moments,
+        forces=forces,
+        emg_time=emg_time[kept],
+        volts=volts[:, kept],
+        checks=tuple(checks),
+        notes=tuple(notes),
+    )
+
+
+def _is_c3d(path: Path) -> bool:
+    return path.suffix.lower() == ".c3d"
+
+
+def _forces(trial: RawTrial, settings: RawSettings) -> FootForces:
+    if _is_c3d(trial.forces):
+        return read_plates(trial.forces, settings.feet, laboratory_axes(settings.forward, settings.up))
+    return read_force_columns(trial.forces, settings.feet)
+
+
+def _recorded(trial: RawTrial, settings: RawSettings, model: RawModel, notes: list[str]) -> Markers | Motion:
+    if trial.angles is not None:
+        return read_motion(trial.angles, model.file.coordinates, model.couplers, settings.coordinates, notes)
+    assert trial.markers is not None
+    read = read_c3d_markers if _is_c3d(trial.markers) else read_trc
+    markers = read(trial.markers).turned(laboratory_axes(settings.forward, settings.up))
+    names = follow(markers, model.markers, settings.ignored_markers, trial.markers)
+    left = [name for name in model.markers if name not in names and name not in settings.ignored_markers]
+    if left:
+        notes.append(f"{trial.markers}: has no {', '.join(left)}, which the model has")
+    return markers.select(names)
+
+
+def _emg(
+    trial: RawTrial, settings: RawSettings
+) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "channel sample"]]:
+    """Read raw EMG in volts at the electrode, and refuse channels that are none."""
+    path = trial.emg
+    table: Storage = read_c3d_analog(path) if _is_c3d(path) else read_storage(path, trust_row_count=False)
+    missing = [name for name in settings.channels if name not in table.columns]
+    problems = [
+        Problem(str(path), "is not in the file", f"column {name}", nearest_name(name, table.columns))
+        for name in missing
+    ]
+    rate = sampling_rate(table.time)
+    if rate < LEAST_RAW_RATE:
+        message = f"expected raw EMG at {LEAST_RAW_RATE:g} Hz or more, found {rate:.4g} Hz"
+        problems.append(Problem(str(path), message))
+    if problems:
+        raise InputError(problems)
+    columns = [table.columns.index(name) for name in settings.channels]
+    time, volts = even_samples(table.time, table.values.T[columns] * settings.volts)
+    faults = [
+        Problem(str(path), message, f"channel {channel}", hint)
+        for channel, message, hint in emg_faults(tuple(settings.channels), volts, rate)
+        if channel not in settings.accepted
+    ]
+    if faults:
+        raise InputError(faults)
+    return time, volts
+
+
+def _cycles(
+    trial: RawTrial,
+    settings: RawSettings,
+    forces: FootForces,
+    motion_time: Float[np.ndarray, " frame"],
+    emg_time: Float[np.ndarray, " sample"],
+) -> tuple[tuple[float, float], ...]:
+    """Take the cycles listed, or those between strikes that all three recordings cover."""
+    spans = {"motion": motion_time, "forces": forces.time, "EMG": emg_time}
+    start = max(time[0] for time in spans.values())
+    end = min(time[-1] for time in spans.values())
+    covered = ", ".join(f"{kind} {time[0]:g} to {time[-1]:g} s" for kind, time in spans.items())
+    place = f"trial '{trial.name}'"
+    if trial.cycles:
+        outside = [cycle for cycle in trial.cycles if cycle[0] < start - 1e-6 or cycle[1] > end + 1e-6]
+        if outside:
+            message = f"expected cycles that all recordings cover ({covered}), found {list(outside[0])} s"
+            raise InputError(Problem(str(settings.file), message, place))
+        return trial.cycles
+    if settings.side not in forces.sides:
+        message = f"has no [forces.{settings.side}], by which gait cycles are found"
+        raise InputError(Problem(str(settings.file), message, place, "list them as cycles"))
+    contacts = find_contacts(forces.time, forces.vertical(settings.side))
+    cycles = contacts.cycles(start, end)
+    if not cycles:
+        side = SIDES[settings.side]
+        message = (
+            f"expected a gait cycle that all recordings cover ({covered}), found {contacts.strikes.size}"
+        )
+        message = f"{message} strikes of the {side} foot"
+        raise InputError(Problem(str(trial.forces), message, place, "list them as cycles, if there are any"))
+    return cycles
+
+
+def _followed(
+    markers: Markers,
+    trial: RawTrial,
+    settings: RawSettings,
+    model: RawModel,
+    checks: list[Check],
+    notes: list[str],
+) -> Motion:
+    """Let the model follow the markers."""
+    unseen = np.isnan(markers.positions).any(axis=2).sum(axis=1)
+    gaps = [f"{name} in {count} frames" for name, count in zip(markers.names, unseen, strict=True) if count]
+    if gaps:
+        notes.append(f"{trial.markers}: not seen, and not followed there: {', '.join(gaps)}")
+    weights = {name: settings.marker_weights.get(name, 1.0) for name in markers.names}
+    with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
+        file = Path(folder) / "markers.trc"
+        write_trc(file, markers)
+        try:
+            found = solve_inverse_kinematics(
+                model.path, file, weights, float(markers.time[0]), float(markers.time[-1])
+            )
+        except InputError as error:
+            renamed = [
+                Problem(str(trial.markers), each.message, each.place, each.hint) for each in error.problems
+            ]
+            raise InputError(renamed) from error
+    checks.append(markers_followed(markers.names, markers.positions, found.positions))
+    return Motion(found.coordinates, markers.time, found.values).coupled(model.couplers)
+
+
+def _smoothed(recorded: Motion, window: tuple[float, float], cutoff: float, model: RawModel) -> Motion:
+    """Filter joint angles that were solved elsewhere."""
+    time, values = even_samples(recorded.time, recorded.values)
+    smooth = low_pass(time, values, cutoff)
+    kept = (time >= window[0] - 1e-9) & (time <= window[1] + 1e-9)
+    return Motion(recorded.coordinates, time[kept], smooth[:, kept]).coupled(model.couplers)
+
+
+def _mechanical_checks(
+    motion: Motion, forces: FootForces, settings: RawSettings, model: RawModel, notes: list[str]
+) -> Iterator[Check]:
+    """Check weight, timing and legs of the forces by the bodies' motion."""
+    free = motion.independent(model.couplers)
+    step = max(1, round((motion.time.size - 1) / (motion.time[-1] - motion.time[0]) / MECHANICS_RATE))
+    time = motion.time[::step]
+    spline = CubicSpline(free.time, free.values, axis=1)
+    motions = [spline(time, order) for order in range(3)]
+    mechanics: Mechanics = analyse_mechanics(model.path, settings.coordinates, free.coordinates, *motions)
+    weight_of = mechanics.of_mass[:, 4].sum(axis=0)
+    feet = {side: mechanics.origin[mechanics.bodies.index(foot.body)] for side, foot in settings.feet.items()}
+    yield from legs_of_forces(time, feet, forces, 9.81 * settings.mass_kg)
+    if len(forces.sides) == 2:
+        yield from forces_against_motion(time, weight_of, forces)
+    else:
+        notes.append("timing of forces: not checked, since one foot's force alone does not bear the body")
+
+
+def _calf_checks(
+    motion: Motion,
+    moments: Mapping[str, Float[np.ndarray, " frame"]],
+    emg_time: Float[np.ndarray, " sample"],
+    volts: Float[np.ndarray, "channel sample"],
+    cycles: Sequence[tuple[float, float]],
+    settings: RawSettings,
+    notes: list[str],
+) -> Iterator[Check]:
+    """Check when the calf's channels are active by the moment about their ankle."""
+    ankle = f"ankle_angle_{settings.side}_moment"
+    calf = [
+        row
+        for row, muscles in enumerate(settings.channels.values())
+        if any(name.startswith(_CALF) for name in muscles)
+    ]
+    if ankle not in moments or not calf:
+        notes.append("timing of EMG: not checked, which takes a channel of the calf and the ankle's moment")
+        return
+    inside = (motion.time >= cycles[0][0]) & (motion.time <= cycles[-1][1])
+    duration = float(np.mean([end - start for start, end in cycles]))
+    envelopes = envelopes_of_raw(volts[calf], sampling_rate(emg_time), duration)
+    names = tuple(settings.channels)
+    for row, envelope in zip(calf, envelopes, strict=True):
+        yield calf_against_moment(
+            motion.time[inside], -moments[ankle][inside], names[row], emg_time, envelope
+        )
