@@ -33,26 +33,33 @@ def scale_model(generic: Path | str, setup: Path | str, mass_kg: float, scaled: 
     generic = check_is_file(generic)
     opensim = import_opensim()
     with running("scale tool", setup) as folder:
-        # The tool finds marker files from where its settings lie, and cannot be told whether they are there.
         tool = opensim.ScaleTool(str(setup.resolve()))
-        if not tool.getModelScaler().getMeasurementSet().getSize():
+        scaler, placer = tool.getModelScaler(), tool.getMarkerPlacer()
+        if not scaler.getMeasurementSet().getSize():
             message = "expected settings of OpenSim's scale tool with measurements, found none"
             raise InputError(Problem(str(setup), message))
-        home = str(setup.resolve().parent) + "/"
-        tool.setPathToSubject(home)
+        # The tool puts its folder before every name, absolute ones too.
+        tool.setPathToSubject("")
         tool.setSubjectMass(mass_kg)
         tool.getGenericModelMaker().setModelFileName(str(generic.resolve()))
-        before = folder / "scaled.osim"
-        after = folder / "placed.osim"
-        tool.getModelScaler().setOutputModelFileName(str(before))
-        tool.getModelScaler().setOutputScaleFileName("")
-        tool.getMarkerPlacer().setOutputModelFileName(str(after))
-        tool.getMarkerPlacer().setOutputMotionFileName("")
-        tool.getMarkerPlacer().setOutputMarkerFileName("")
-        done = tool.run()
-        result = after if after.is_file() else before
-        if not (done and result.is_file()):
-            raise InputError(
-                Problem(str(setup), "OpenSim's scale tool gave no model", hint="is its marker file there?")
-            )
+        for part in (scaler, placer) if placer.getApply() else (scaler,):
+            part.setMarkerFileName(str(_marker_file(setup, part.getMarkerFileName())))
+        scaler.setOutputModelFileName(str(folder / "scaled.osim"))
+        scaler.setOutputScaleFileName("")
+        placer.setOutputModelFileName(str(folder / "placed.osim"))
+        placer.setOutputMotionFileName("")
+        placer.setOutputMarkerFileName("")
+        # What it returns says whether markers were placed, not whether it failed.
+        tool.run()
+        result = folder / ("placed.osim" if placer.getApply() else "scaled.osim")
+        if not result.is_file():
+            raise InputError(Problem(str(setup), "OpenSim's scale tool gave no model"))
         scaled.write_bytes(result.read_bytes())
+
+
+def _marker_file(setup: Path, name: str) -> Path:
+    path = setup.resolve().parent / name
+    if not path.is_file():
+        message = f"expected the file of a static trial, found no {path}"
+        raise InputError(Problem(str(setup), message, "<marker_file>"))
+    return path

@@ -110,7 +110,7 @@ def forces_against_motion(
     late = "late" if lag > 0.0 else "early"
     found = f"forces fit motion best {abs(lag) * 1e3:.0f} ms {late}: the vertical force is then {least:.3g} N"
     found = f"{found} (standard deviation) from what the bodies need, and {unshifted:.3g} N as recorded"
-    shifted = abs(lag) > MOST_LAG and least < BETTER * unshifted
+    shifted = abs(lag) > MOST_LAG + 1e-9 and least < BETTER * unshifted
     yield Check(
         "timing of forces",
         found,

@@ -1,0 +1,86 @@
+"""``wrapjax prepare`` on recorded walking: accepted as it is, refused once something is planted in it.
+
+Angles and forces are recorded; raw EMG is made up of the recorded envelopes.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.raw.emg import band_of_muscle
+from wrapjax.subject import Storage, read_storage, write_storage
+
+RATE = 1000.0
+#: What the labels of forces, points and torques start with, by side.
+LABELS = {
+    "healthy_overground": {side: f"ground_{{}}_{side}_" for side in "lr"},
+    "healthy_treadmill": {"l": "1_ground_{}_", "r": "ground_{}_"},
+}
+
+
+def write_laboratory(folder, source, cycles=""):
+    """Write what a laboratory would have had; return its settings."""
+    walk = source / "trials" / "walk"
+    for name in ("angles.sto", "ground_forces.mot"):
+        (folder / name).write_bytes((walk / name).read_bytes())
+    (folder / "model.osim").write_bytes((source / "model.osim").read_bytes())
+    envelopes = read_storage(walk / "emg.sto")
+    time = np.arange(envelopes.time[0], envelopes.time[-1], 1.0 / RATE)
+    generator = np.random.default_rng(0)
+    shape = np.array([np.interp(time, envelopes.time, np.maximum(row, 0.0)) for row in envelopes.values.T])
+    volts = 3e-4 * shape * band_of_muscle(generator, shape.shape, RATE)
+    volts += 2e-6 * generator.standard_normal(shape.shape)
+    write_storage(folder / "emg.sto", Storage("raw", envelopes.columns, time, volts.T))
+    subject = (source / "subject.toml").read_text()
+    head, rest = subject.split("[emg]")
+    channels = rest[rest.index("[emg.channels]") :].split("[[trial]]")[0]
+    feet = "".join(
+        f'[forces.{side}]\nbody = "calcn_{side}"\nforce = "{label.format("force")}v"\n'
+        f'point = "{label.format("force")}p"\ntorque = "{label.format("torque")}"\n'
+        for side, label in LABELS[source.name].items()
+    )
+    settings = folder / "prepare.toml"
+    settings.write_text(
+        f'{head}{feet}[emg]\nunit = "V"\n{channels}[[trial]]\nname = "walk"\nuse = "calibration"\n'
+        f'angles = "angles.sto"\nforces = "ground_forces.mot"\nemg = "emg.sto"\n{cycles}\n'
+    )
+    return settings
+
+
+@pytest.fixture
+def overground(data_folder, tmp_path):
+    return write_laboratory(tmp_path, data_folder / "healthy_overground", "cycles = [[0.45, 1.41]]")
+
+
+def test_forces_50_ms_late_are_refused_with_the_lag(run, overground):
+    file = overground.parent / "ground_forces.mot"
+    forces = read_storage(file)
+    write_storage(file, replace(forces, time=forces.time + 0.05))
+    outcome = run("prepare", overground, "--out", overground.parent / "out")
+    assert outcome.status == 2
+    (line,) = (line for line in outcome.progress.splitlines() if line.startswith("error"))
+    assert "timing of forces" in line and "best 50 ms late" in line
+
+
+def test_swapped_legs_are_refused(run, overground):
+    text = overground.read_text()
+    for old, new in (("_r_", "_?_"), ("_l_", "_r_"), ("_?_", "_l_")):
+        text = text.replace(f'"ground_force{old}', f'"ground_force{new}')
+    overground.write_text(text)
+    outcome = run("prepare", overground, "--out", overground.parent / "out")
+    assert outcome.status == 2 and outcome.progress.count("the legs are swapped") == 2
+
+
+def test_recorded_walking_is_accepted_as_it_is(run, overground):
+    outcome = run("prepare", overground, "--out", overground.parent / "out")
+    assert outcome.status == 0, outcome.progress
+    assert outcome.output.count("is in degrees") == 2  # the patellae
+    assert "forces fit motion best 0 ms" in outcome.output
+
+
+def test_a_minute_on_a_treadmill_gives_its_53_cycles(run, data_folder, tmp_path):
+    settings = write_laboratory(tmp_path, data_folder / "healthy_treadmill")
+    outcome = run("prepare", settings, "--out", tmp_path / "out")
+    assert outcome.status == 0, outcome.progress
+    assert (tmp_path / "out" / "subject.toml").read_text().count("], [") == 52
