@@ -4,11 +4,13 @@ The walker's motion, forces and EMG are known: what comes out is compared with w
 """
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from tests.raw import walker
+from tests.raw import walker, walker_c3d
 from wrapjax.api import load_subject
 from wrapjax.subject import read_storage, write_storage
 from wrapjax.subject.storage import Storage
@@ -78,6 +80,44 @@ def test_the_ankle_moment_is_what_statics_give(prepared):
     found = moments.values[:, moments.columns.index("ankle_angle_l_moment")]
     np.testing.assert_allclose(found, -np.interp(moments.time, forces.time, about), atol=3.0)
     assert found.min() < -80.0
+
+
+def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
+    """Markers, plates and EMG in one file, the laboratory's axes other than OpenSim's."""
+    time, names, places, _, _ = walker.truth()
+    pairs = walker.forces(np.minimum(np.arange(10 * time.size) / 1000.0, time[-1]))
+    recordings = {"markers": places, "names": names, "channels": list(walker.CHANNELS)}
+    recordings |= {"force": [pair[0] for pair in pairs], "point": [pair[1] for pair in pairs]}
+    np.savez(tmp_path / "all.npz", emg=walker.volts()[1], **recordings)
+    script = [sys.executable, walker_c3d.__file__, str(tmp_path / "all.npz"), str(tmp_path / "walk.c3d")]
+    subprocess.run(script, check=True)
+    (tmp_path / "scaled.osim").write_bytes((laboratory.parent / "scaled.osim").read_bytes())
+    settings = tmp_path / "prepare.toml"
+    settings.write_text(walker.SETTINGS)
+    # One cycle is enough, and quicker.
+    _text(
+        settings,
+        ('force = "left_v"\npoint = "left_p"', "plates = [1]"),
+        ('force = "right_v"\npoint = "right_p"', "plates = [2]"),
+        ("walk.trc", "walk.c3d"),
+        ("forces.mot", "walk.c3d"),
+        ('"emg.sto"', '"walk.c3d"\ncycles = [[1.566, 2.666]]'),
+        ("[forces.l]", '[laboratory]\nforward = "y"\nup = "z"\n\n[forces.l]'),
+    )
+    outcome = run("prepare", settings, "--out", tmp_path / "out")
+    assert outcome.status == 0, outcome.progress
+    # The other one lost a marker to a gap.
+    for name, limit in (("angles", 0.005), ("moments", 2.0)):
+        found, expected = (
+            read_storage(place / "trials" / "walk" / f"{name}.sto")
+            for place in (tmp_path / "out", prepared[1])
+        )
+        inside = (found.time > 1.566) & (found.time < 2.666)
+        for label in ("hip_flexion_l", "knee_angle_l", "ankle_angle_l"):
+            label = label if name == "angles" else f"{label}_moment"
+            series = [table.values[:, table.columns.index(label)] for table in (found, expected)]
+            series[1] = np.interp(found.time, expected.time, series[1])
+            np.testing.assert_allclose(series[0][inside], series[1][inside], atol=limit, err_msg=label)
 
 
 def test_what_was_checked_is_told_with_numbers(prepared):
@@ -183,6 +223,10 @@ def _elsewhere(settings):
     _text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
 
 
+def _plates(settings):
+    _text(settings, ('force = "right_v"\npoint = "right_p"', "plates = [2]"))
+
+
 PLANTED = {
     "forces 50 ms late": (_late, ["timing of forces", "best 50 ms late", "within 20 ms"]),
     "forces 50 ms early": (_early, ["timing of forces", "best 50 ms early"]),
@@ -196,6 +240,7 @@ PLANTED = {
     "EMG of the other leg": (_other_leg, ["timing of EMG channel Sol", "on the other leg"]),
     "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
     "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
+    "plates of a file without": (_plates, ["[forces.r]", "expected force, by which"]),
     "unknown body": (_elsewhere, ["[forces.r] body", "did you mean 'calcn_r'?"]),
 }
 

@@ -126,7 +126,16 @@ def _is_c3d(path: Path) -> bool:
 
 
 def _forces(trial: RawTrial, settings: RawSettings) -> FootForces:
-    if _is_c3d(trial.forces):
+    plates = _is_c3d(trial.forces)
+    key = "plates" if plates else "force"
+    problems = [
+        Problem(str(settings.file), f"expected {key}, by which {trial.forces} is read", f"[forces.{side}]")
+        for side, foot in settings.feet.items()
+        if bool(foot.plates) != plates
+    ]
+    if problems:
+        raise InputError(problems)
+    if plates:
         return read_plates(trial.forces, settings.feet, laboratory_axes(settings.forward, settings.up))
     return read_force_columns(trial.forces, settings.feet)
 

@@ -216,7 +216,11 @@ def _feet(top: TableReader, file: Path, problems: list[Problem]) -> dict[str, Fo
         body = foot.text("body") or ""
         plates = foot.raw("plates")
         if plates is not None:
-            if not isinstance(plates, list) or not all(isinstance(n, int) and n > 0 for n in plates):
+            if (
+                not isinstance(plates, list)
+                or not plates
+                or not all(isinstance(n, int) and n > 0 for n in plates)
+            ):
                 foot.problem("plates", f"expected numbers from 1, found {describe_value(plates)}")
             else:
                 feet[side] = ForceColumns(body, plates=tuple(plates))
