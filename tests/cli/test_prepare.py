@@ -228,7 +228,7 @@ def _plates(settings):
 
 
 PLANTED = {
-    "forces 50 ms late": (_late, ["timing of forces", "best 50 ms late", "within 20 ms"]),
+    "forces 50 ms late": (_late, ["forces.mot", "timing of forces", "best 50 ms late", "within 20 ms"]),
     "forces 50 ms early": (_early, ["timing of forces", "best 50 ms early"]),
     "legs swapped": (_swapped, ["place of the left force", "the legs are swapped", "from the right one"]),
     "forces in kN": (_kilonewtons, ["weight", "0.001 times", "not kN"]),
@@ -237,7 +237,7 @@ PLANTED = {
     "clipped channel": (_clipped, ["channel RF", "is clipped (saturated)"]),
     "copied channel": (_copied, ["channel TA", "is a duplicate of 'RF'"]),
     "EMG in uV": (_microvolts, ["channel Sol", "is in another unit"]),
-    "EMG of the other leg": (_other_leg, ["timing of EMG channel Sol", "on the other leg"]),
+    "EMG of the other leg": (_other_leg, ["emg.sto", "timing of EMG channel Sol", "on the other leg"]),
     "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
     "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
     "plates of a file without": (_plates, ["[forces.r]", "expected force, by which"]),

@@ -83,7 +83,11 @@ def prepare_trial(
     recorded = _recorded(trial, settings, model, notes)
     cycles = _cycles(trial, settings, forces, recorded.time, emg_time)
     cutoff = MOTION_HARMONIC / float(np.mean([end - start for start, end in cycles]))
-    window = cycles[0][0] - MOTION_MARGIN, cycles[-1][1] + MOTION_MARGIN
+    # No further than forces go: inverse dynamics would make some up.
+    window = (
+        max(cycles[0][0] - MOTION_MARGIN, float(forces.time[0])),
+        min(cycles[-1][1] + MOTION_MARGIN, float(forces.time[-1])),
+    )
 
     checks: list[Check] = []
     if isinstance(recorded, Markers):
@@ -92,20 +96,16 @@ def prepare_trial(
     else:
         motion = _smoothed(recorded, window, cutoff, model)
     forces = forces.filtered(cutoff).during(motion.time[0] - MOTION_MARGIN, motion.time[-1] + MOTION_MARGIN)
+    _refuse(trial, trial.motion, checks)
+    mechanical = tuple(_mechanical_checks(motion, forces, settings, model, notes))
+    _refuse(trial, trial.forces, mechanical)
     tell(f"{trial.name}: inverse dynamics")
-    checks += _mechanical_checks(motion, forces, settings, model, notes)
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         write_forces(Path(folder), forces, settings.feet)
         loads = Path(folder) / "external_loads.xml"
         moments = solve_inverse_dynamics(model.path, motion.coordinates, motion.time, motion.values, loads)
-    checks += _calf_checks(motion, moments, emg_time, volts, cycles, settings, notes)
-    faults = [
-        Problem(str(trial.motion), check.fault, f"trial '{trial.name}', {check.what}", check.hint)
-        for check in checks
-        if check.fault
-    ]
-    if faults:
-        raise InputError(faults)
+    calf = tuple(_calf_checks(motion, moments, emg_time, volts, cycles, settings, notes))
+    _refuse(trial, trial.emg, calf)
     kept = (emg_time >= cycles[0][0] - EMG_MARGIN) & (emg_time <= cycles[-1][1] + EMG_MARGIN)
     return PreparedTrial(
         trial=trial,
@@ -116,9 +116,20 @@ def prepare_trial(
         forces=forces,
         emg_time=emg_time[kept],
         volts=volts[:, kept],
-        checks=tuple(checks),
+        checks=(*checks, *mechanical, *calf),
         notes=tuple(notes),
     )
+
+
+def _refuse(trial: RawTrial, file: Path, checks: Sequence[Check]) -> None:
+    """Raise with every check that failed, naming the file that has most likely to be mended."""
+    faults = [
+        Problem(str(file), check.fault, f"trial '{trial.name}', {check.what}", check.hint)
+        for check in checks
+        if check.fault
+    ]
+    if faults:
+        raise InputError(faults)
 
 
 def _is_c3d(path: Path) -> bool:
