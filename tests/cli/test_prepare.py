@@ -10,8 +10,10 @@ import sys
 import numpy as np
 import pytest
 
+from tests.osim.test_scaling import SETUP
 from tests.raw import walker, walker_c3d
 from wrapjax.api import load_subject
+from wrapjax.osim import describe_model
 from wrapjax.subject import read_storage, write_storage
 from wrapjax.subject.storage import Storage
 
@@ -274,6 +276,23 @@ def test_accepted_channels_are_used_with_their_faults(run, solved):
     _copied(solved)
     _text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
     assert run("prepare", solved, "--out", solved.parent / "out").status == 0
+
+
+def test_a_generic_model_is_scaled_on_the_way(run, solved):
+    """Somebody 2 % larger than the model stands still: the folder's model is as large as they are."""
+    _, names, places, _, _ = walker.truth()
+    still = np.repeat(1.02 * places[:, 60:61], 60, axis=1)
+    walker.write_trc(solved.parent / "static.trc", np.arange(60) / 100.0, names, still)
+    (solved.parent / "setup.xml").write_text(SETUP, encoding="utf-8")
+    _text(solved, ('file = "scaled.osim"', 'file = "scaled.osim"\nscaling = "setup.xml"'))
+    folder = solved.parent / "out"
+    outcome = run("prepare", solved, "--out", folder)
+    assert outcome.status == 0, outcome.progress
+    given, scaled = (describe_model(file) for file in (solved.parent / "scaled.osim", folder / "model.osim"))
+    femur = [
+        next(j for j in model.joints if j.child_body == "tibia_l").in_parent for model in (given, scaled)
+    ]
+    assert femur[1].translation[1] == pytest.approx(1.02 * femur[0].translation[1], rel=1e-3)
 
 
 def test_all_faults_of_the_settings_are_told_at_once(run, solved):
