@@ -72,8 +72,12 @@ def _parser() -> argparse.ArgumentParser:
     check = command("check", _check, "Read a subject folder and show what is in it, or all that is wrong.")
     check.add_argument("subject", type=Path, metavar="SUBJECT")
 
-    prepare = command("prepare", _prepare, "Make a subject folder of a laboratory's raw files.")
-    prepare.add_argument("settings", type=Path, metavar="SETTINGS.toml")
+    prepare = command(
+        "prepare",
+        _prepare,
+        "Make a subject folder of a laboratory's raw files, or of a project of the NMSM Pipeline.",
+    )
+    prepare.add_argument("settings", type=Path, metavar="SETTINGS", help="TOML, or the project's XML")
     prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT")
     prepare.add_argument("--force", action="store_true", help="replace the folder if it exists")
 

@@ -1,13 +1,16 @@
 """Projects of the NMSM Pipeline become subjects: nothing is lost on the way, and what is wrong is said."""
 
+import json
 import shutil
 
 import numpy as np
 import pytest
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, MODEL, PERIOD, angles, emg, moments
+from wrapjax.api import prepare_subject
+from wrapjax.cli import main
 from wrapjax.errors import InputError
-from wrapjax.nmsm import read_project, write_subject_folder
+from wrapjax.nmsm import read_project
 from wrapjax.nmsm.project import FOLDERS
 from wrapjax.subject import Storage, read_model_file, read_storage, read_subject, write_storage
 
@@ -72,8 +75,8 @@ def project(tmp_path):
 
 
 def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
-    write_subject_folder(read_project(write_settings(project)), tmp_path / "subject", name="somebody")
-    subject = read_subject(tmp_path / "subject")
+    prepare_subject(write_settings(project)).save(tmp_path / "somebody")
+    subject = read_subject(tmp_path / "somebody")
     trials = subject.trials
     assert subject.name == "somebody" and subject.side == "l" and subject.mass_kg == 10.0
     assert subject.muscles.names == ("recfem_l", "semiten_l") and trials.channels == tuple(CHANNELS)
@@ -89,9 +92,9 @@ def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
 
 
 def test_lengths_of_an_earlier_step_win_over_the_model(project, tmp_path):
-    done = read_project(write_settings(project, osimx="earlier.osimx"))
-    assert "calibrated anew" in done.notes[0]
-    write_subject_folder(done, tmp_path / "subject")
+    done = prepare_subject(write_settings(project, osimx="earlier.osimx"))
+    assert "calibrated anew" in done.project.notes[0]
+    done.save(tmp_path / "subject")
     muscles = read_subject(tmp_path / "subject").muscles
     model = read_model_file(tmp_path / "models" / "model.osim").muscles
     np.testing.assert_array_equal(muscles.optimal_fiber_length, [model.optimal_fiber_length[0], 0.17])
@@ -152,6 +155,16 @@ def test_other_documents_are_refused(project):
         read_project(project / "other.xml")
 
 
+def test_the_command_takes_a_project_like_raw_files(project, tmp_path, capsys):
+    settings, out = write_settings(project, missing="SemiTen", groups="RecFem"), tmp_path / "subject"
+    assert main(["prepare", str(settings), "--out", str(out), "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert list(content["trials"]) == list(STARTS) and "SemiTen" in content["notes"][0]
+    assert main(["check", str(out), "--quiet"]) == 0
+    assert main(["prepare", str(write_settings(project, groups="Sol")), "--out", str(tmp_path / "no")]) == 2
+    assert "'Sol'" in capsys.readouterr().err and not (tmp_path / "no").exists()
+
+
 def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
     """The lab's own groups of muscles are the channels that its subject was given."""
     subject = read_subject(s1_left)
@@ -184,7 +197,7 @@ def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
         ),
         encoding="utf-8",
     )
-    write_subject_folder(read_project(tmp_path / "settings.xml"), tmp_path / "subject")
+    prepare_subject(tmp_path / "settings.xml").save(tmp_path / "subject")
     again = read_subject(tmp_path / "subject")
     assert again.muscles.names == subject.muscles.names
     np.testing.assert_allclose(again.trials.time, subject.trials.time, atol=1e-6)

@@ -11,6 +11,7 @@ from pathlib import Path
 from wrapjax.api.raw_trial import RawModel, prepare_trial
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder, write_json
+from wrapjax.nmsm import Project, fill_subject_folder, read_project
 from wrapjax.osim.inverse_kinematics import marker_names
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.scaling import scale_model
@@ -86,10 +87,54 @@ class Preparation:
         )
 
 
+@dataclass(frozen=True)
+class ProjectPreparation:
+    """A project of the NMSM Pipeline, whose files are taken over as they are."""
+
+    project: Project
+
+    def save(self, folder: Path | str, *, force: bool = False) -> None:
+        """Write the subject folder, whole or not at all, and only if it can be read as one.
+
+        Raises
+        ------
+        InputError
+            If the folder exists, or what would be written is no fit subject.
+        """
+        folder = Path(folder)
+        with new_folder(folder, force=force) as temporary, _called(temporary, folder):
+            fill_subject_folder(self.project, temporary, folder.name)
+            write_json(temporary / "preparation.json", self.summary())
+            read_subject(temporary)
+
+    def summary(self) -> dict:
+        """Give what ``preparation.json`` holds: where it is from, cycles, notes."""
+        return {
+            "schema": 1,
+            "project": str(self.project.settings.file),
+            "trials": {trial.name: {"cycles": [trial.cycle]} for trial in self.project.trials},
+            "notes": self.project.notes,
+        }
+
+    def tables(self) -> tuple[Table, ...]:
+        """Give what the command prints."""
+        trials = tuple((trial.name, *trial.cycle) for trial in self.project.trials)
+        channels = tuple((name, ", ".join(own)) for name, own in self.project.channels.items())
+        notes = tuple((note,) for note in self.project.notes)
+        return (
+            Table("Trials", ("trial", "from (s)", "to (s)"), trials),
+            Table("Channels", ("channel", "muscles"), channels),
+            Table("Notes", ("note",), notes),
+        )
+
+
 def prepare_subject(
     settings_file: Path | str, *, tell: Callable[[str], None] = lambda line: None
-) -> Preparation:
+) -> Preparation | ProjectPreparation:
     """Read a laboratory's raw files, check that they belong together, and solve motion and moments.
+
+    Or, by the settings (``.xml``) of the NMSM Pipeline's muscle-tendon personalisation, take over what that
+    project holds already.
 
     Markers and forces are filtered low-pass at 7 over the gait period, forwards and backwards; OpenSim's own
     tools solve angles and moments. EMG stays raw: `load_subject` filters it.
@@ -97,14 +142,14 @@ def prepare_subject(
     Parameters
     ----------
     settings_file
-        TOML: who, which model, which files, whose forces, which electrodes.
+        TOML: who, which model, which files, whose forces, which electrodes. Or a project's XML.
     tell
         Called with a line of progress.
 
     Returns
     -------
-    Preparation
-        With `Preparation.save`.
+    Preparation or ProjectPreparation
+        With ``save``.
 
     Raises
     ------
@@ -115,6 +160,8 @@ def prepare_subject(
     --------
     >>> wrapjax.prepare_subject("lab/prepare.toml").save("P07_left")  # doctest: +SKIP
     """
+    if Path(settings_file).suffix.lower() == ".xml":
+        return ProjectPreparation(read_project(settings_file))
     settings = read_raw_settings(Path(settings_file))
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         path = settings.model_file

@@ -1,7 +1,7 @@
 """Projects of the NMSM Pipeline: read as subjects, and its parameter files written."""
 
 from wrapjax.nmsm.osimx import OSIMX_QUANTITIES, OsimxMuscle, osimx_text, read_osimx
-from wrapjax.nmsm.project import Project, Recorded, read_project, write_subject_folder
+from wrapjax.nmsm.project import Project, Recorded, fill_subject_folder, read_project
 from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
 
 __all__ = [
@@ -10,9 +10,9 @@ __all__ = [
     "Project",
     "Recorded",
     "ToolSettings",
+    "fill_subject_folder",
     "osimx_text",
     "read_osimx",
     "read_project",
     "read_tool_settings",
-    "write_subject_folder",
 ]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.files import new_folder, write_text
+from wrapjax.files import write_text
 from wrapjax.nmsm.osimx import OsimxMuscle, read_osimx
 from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
 from wrapjax.subject import FRAMES, ModelFile, MuscleParameters, read_model_file, read_storage
@@ -102,37 +102,16 @@ def read_project(path: str | Path) -> Project:
     return Project(settings, side, _mass(settings.model_file), channels, trials, muscles, tuple(notes))
 
 
-def write_subject_folder(
-    project: Project, folder: str | Path, *, name: str | None = None, force: bool = False
-) -> None:
-    """Write a project as a subject folder; files are copied as they are.
-
-    Parameters
-    ----------
-    project
-        From `read_project`.
-    folder
-        It appears when complete.
-    name
-        Of the subject; the folder's if not given.
-    force
-        Replace a folder that exists.
-
-    Raises
-    ------
-    InputError
-        If the folder exists and ``force`` is not set, or cannot be created.
-    """
-    folder = Path(folder)
-    with new_folder(folder, force=force) as subject:
-        shutil.copyfile(project.settings.model_file, subject / "model.osim")
-        if project.muscles is not None:
-            write_text(subject / "muscle_parameters.csv", _parameter_table(project.muscles))
-        for trial in project.trials:
-            (subject / "trials" / trial.name).mkdir(parents=True)
-            for kind, file in trial.files.items():
-                shutil.copyfile(file, subject / _place(trial, kind))
-        write_text(subject / SETTINGS_FILE, _settings_text(project, name or folder.name))
+def fill_subject_folder(project: Project, folder: Path, name: str) -> None:
+    """Fill an empty folder with a project, as a subject of this name; files are copied as they are."""
+    shutil.copyfile(project.settings.model_file, folder / "model.osim")
+    if project.muscles is not None:
+        write_text(folder / "muscle_parameters.csv", _parameter_table(project.muscles))
+    for trial in project.trials:
+        (folder / "trials" / trial.name).mkdir(parents=True)
+        for kind, file in trial.files.items():
+            shutil.copyfile(file, folder / _place(trial, kind))
+    write_text(folder / SETTINGS_FILE, _settings_text(project, name))
 
 
 def _side(settings: ToolSettings, problems: list[Problem]) -> str:
