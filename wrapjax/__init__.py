@@ -4,7 +4,7 @@
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
 ``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
-pure function for `jax.grad`, and ``prepare`` all that is behind it.
+pure function for `jax.grad`, and ``prepare`` all that is behind it. ``fetch`` downloads public recordings.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from wrapjax.api import compare as compare
     from wrapjax.api import diagnose as diagnose
     from wrapjax.api import exact_geometry as exact_geometry
+    from wrapjax.api import fetch as fetch
     from wrapjax.api import fit as fit
     from wrapjax.api import fit_wraps as fit_wraps
     from wrapjax.api import load_fit as load_fit
@@ -52,6 +53,7 @@ _PLACES = {
     "compare": "wrapjax.api",
     "diagnose": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
+    "fetch": "wrapjax.api",
     "fit": "wrapjax.api",
     "fit_wraps": "wrapjax.api",
     "load_fit": "wrapjax.api",

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -15,12 +14,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wrapjax.commands import ADDED
+from wrapjax.commands.common import (
+    BAD_INPUT,
+    DONE,
+    NOT_CONVERGED,
+    positive,
+    print_json,
+    refuse_existing,
+    set_up_jax,
+    stored,
+)
 from wrapjax.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from wrapjax.api import ExactGeometry, Fit
-
-DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -55,9 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument(
-        "--threads", type=_positive, metavar="N", help="processor cores to use (default: all)"
-    )
+    common.add_argument("--threads", type=positive, metavar="N", help="processor cores to use (default: all)")
     common.add_argument("--quiet", action="store_true", help="print no progress")
     common.add_argument("--json", action="store_true", help="print the result as JSON")
     writing = argparse.ArgumentParser(add_help=False)
@@ -108,10 +114,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     calibrate.add_argument(
-        "--starts", type=_positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
+        "--starts", type=positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
     )
     calibrate.add_argument(
-        "--max-iterations", type=_positive, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations", type=positive, metavar="N", help="of each start (default: the solver's)"
     )
     calibrate.add_argument(
         "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
@@ -137,10 +143,10 @@ def _parser() -> argparse.ArgumentParser:
         help="what NGA and PGA take paths from (SGA and LSGA: always the polynomials)",
     )
     compare.add_argument(
-        "--starts", type=_positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
+        "--starts", type=positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
     )
     compare.add_argument(
-        "--max-iterations", type=_positive, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations", type=positive, metavar="N", help="of each start (default: the solver's)"
     )
     compare.add_argument(
         "--resume", action="store_true", help="go on with an interrupted comparison of the same DIR"
@@ -169,7 +175,7 @@ def _parser() -> argparse.ArgumentParser:
         "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
     )
     diagnose.add_argument(
-        "--starts", type=_positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
+        "--starts", type=positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
     )
     diagnose.add_argument(
         "--resume", action="store_true", help="go on with an interrupted calibration (done in any case)"
@@ -177,6 +183,9 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command("demo", _demo, "Calibrate a virtual subject of known truth by every method.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
+
+    for add in ADDED:
+        add(command, writing)
     return parser
 
 
@@ -185,7 +194,7 @@ def _check(options: argparse.Namespace) -> int:
 
     tables = describe_subject(read_subject(options.subject))
     if options.json:
-        _print_json(
+        print_json(
             {
                 table.title: [dict(zip(table.header, row, strict=True)) for row in table.rows]
                 for table in tables
@@ -213,19 +222,19 @@ def _prepare(options: argparse.Namespace) -> int:
 
 
 def _fit(options: argparse.Namespace) -> int:
-    _set_up_jax()
+    set_up_jax()
     from wrapjax.api import fit, fit_wraps, load_subject
     from wrapjax.api.text import fit_table, wrap_table
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     subject = load_subject(options.subject)
     how = {"processes": options.threads, "quiet": options.quiet}
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     say("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
     if options.json:
-        _print_json(_stored(options.out / "fit.json"))
+        print_json(stored(options.out / "fit.json"))
     else:
         print(fit_table(result))
         if result.wraps is not None and result.wraps.quality:
@@ -235,7 +244,7 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _calibrate(options: argparse.Namespace) -> int:
-    _set_up_jax()
+    set_up_jax()
     from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
     from wrapjax.api.preparation import source_for
     from wrapjax.api.text import calibration_table, iteration_printer
@@ -243,7 +252,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from wrapjax.progress import say
     from wrapjax.subject import read_legs
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
     journal = _journal(options)
@@ -279,7 +288,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
     if options.json:
-        _print_json(_stored(options.out / "summary.json"))
+        print_json(stored(options.out / "summary.json"))
     else:
         print("\n\n".join(map(calibration_table, done.legs)))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
@@ -287,14 +296,14 @@ def _calibrate(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    _set_up_jax()
+    set_up_jax()
     from wrapjax.api import compare, load_subject
     from wrapjax.api.preparation import METHODS
     from wrapjax.api.text import comparison_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     journal = _journal(options)
     inner = ProjectedLM()
     if options.max_iterations:
@@ -321,7 +330,7 @@ def _compare(options: argparse.Namespace) -> int:
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
     if options.json:
-        _print_json(_stored(options.out / "comparison.json"))
+        print_json(stored(options.out / "comparison.json"))
     else:
         print(comparison_table(done))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
@@ -329,7 +338,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    _set_up_jax()
+    set_up_jax()
     from wrapjax.api import diagnose, load_fit, load_subject
     from wrapjax.api.diagnosis import refuse_unknown
     from wrapjax.api.gap_text import gap_table
@@ -337,7 +346,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     from wrapjax.api.text import iteration_printer
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     refuse_unknown(options.without)
     subject = load_subject(options.subject)
     if options.fit:
@@ -358,7 +367,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     )
     done.save(options.out, force=options.force)
     if options.json:
-        _print_json(_stored(options.out / "gap.json"))
+        print_json(stored(options.out / "gap.json"))
     else:
         print(gap_table(done.result))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
@@ -380,7 +389,7 @@ def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]
 
 
 def _demo(options: argparse.Namespace) -> int:
-    _set_up_jax()
+    set_up_jax()
     from wrapjax.api.demo import demo
     from wrapjax.api.gap_text import gap_table
     from wrapjax.api.text import (
@@ -390,7 +399,7 @@ def _demo(options: argparse.Namespace) -> int:
         wrap_recovery_table,
     )
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     shown = demo(
         options.out,
         seed=options.seed,
@@ -399,7 +408,7 @@ def _demo(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
     )
     if options.json:
-        _print_json(_stored(options.out / "demo.json"))
+        print_json(stored(options.out / "demo.json"))
     else:
         for calibration in shown.calibrations.values():
             print(calibration_table(calibration))
@@ -411,21 +420,6 @@ def _demo(options: argparse.Namespace) -> int:
         print(gap_table(shown.gap.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED
-
-
-def _refuse_existing(folder: Path, force: bool) -> None:
-    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
-    if folder.exists() and not force:
-        raise InputError(
-            Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
-        )
-    if folder.is_file():
-        raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
-    parent = next(place for place in folder.absolute().parents if place.exists())
-    if not parent.is_dir():
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
-    if not os.access(parent, os.W_OK):
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
 
 
 def _journal(options: argparse.Namespace) -> Path:
@@ -448,32 +442,6 @@ def _set_threads(threads: int | None) -> None:
         return
     for variable in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[variable] = str(threads)
-
-
-def _set_up_jax() -> None:
-    """Switch to 64 bits and keep compiled kernels for the next run."""
-    import jax
-
-    from wrapjax.files import cache_folder
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, found '{text}'")
-    return number
-
-
-def _stored(file: Path) -> Any:
-    return json.loads(file.read_text(encoding="utf-8"))
-
-
-def _print_json(content: Any) -> None:
-    print(json.dumps(content, indent=1))
 
 
 def _version() -> str:

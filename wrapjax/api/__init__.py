@@ -8,6 +8,7 @@ from wrapjax.api.diagnosis import Diagnosis as Diagnosis
 from wrapjax.api.diagnosis import diagnose as diagnose
 from wrapjax.api.exact import ExactGeometry as ExactGeometry
 from wrapjax.api.exact import exact_geometry as exact_geometry
+from wrapjax.api.fetching import fetch as fetch
 from wrapjax.api.fitting import Fit as Fit
 from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
@@ -30,6 +31,7 @@ __all__ = [
     "compare",
     "diagnose",
     "exact_geometry",
+    "fetch",
     "fit",
     "fit_wraps",
     "load_fit",

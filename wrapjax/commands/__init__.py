@@ -1,0 +1,6 @@
+"""Commands that have a module each. `wrapjax.cli` has the others, and calls these."""
+
+from wrapjax.commands import fetch
+
+#: Each adds its command to the parser.
+ADDED = (fetch.add,)
