@@ -20,6 +20,8 @@ ARROWS: dict[str, set[str]] = {
     "progress": set(),
     "precision": set(),
     "files": {"errors"},
+    "jax_setup": {"files"},
+    "scheduling": {"errors", "jax_setup"},
     "subject": {"errors", "files", "progress"},
     "nmsm": {"errors", "files", "subject"},
     "raw": {"errors", "files", "skeleton", "subject"},
@@ -52,11 +54,13 @@ ARROWS: dict[str, set[str]] = {
     "api": {
         *("errors", "files", "precision", "progress", "subject", "nmsm", "raw", "skeleton", "osim"),
         *("geometry", "muscle", "model", "calibrate", "gap", "measurement", "evaluate", "report", "virtual"),
-        "public",
+        *("public", "jax_setup", "scheduling"),
     },
-    "commands": {"api", "errors", "files", "progress", "calibrate"},
+    "commands": {"api", "errors", "files", "jax_setup", "progress", "calibrate"},
     # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.
-    "cli": {"api", "commands", "errors", "files", "progress", "subject", "calibrate", "__init__"},
+    "cli": {
+        *("api", "commands", "errors", "files", "jax_setup", "progress", "subject", "calibrate", "__init__"),
+    },
     "__init__": {"api", "errors"},
     "__main__": {"cli"},
 }
@@ -76,9 +80,9 @@ LAZY_PACKAGES: dict[str, set[str]] = {
     "pandas": set(),
     "pooch": {"public"},
     "requests": {"public"},
-    "dask": set(),
-    "distributed": {"cohort"},
-    "dask_jobqueue": {"cohort"},
+    "dask": {"scheduling"},
+    "distributed": {"scheduling"},
+    "dask_jobqueue": {"scheduling"},
     "sklearn": {"geometry"},
     "xarray": {"api"},
 }

@@ -4,6 +4,10 @@
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
 ``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
+``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
+learns how those follow the cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
+``compare`` does so by several methods and tests which differ, ``evaluate`` predicts other cycles by a
+finished run (``load_run``), ``objective`` gives what is minimised as a
 pure function for `jax.grad`, and ``prepare`` all that is behind it. ``fetch`` downloads public recordings.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
@@ -21,17 +25,21 @@ if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
     from wrapjax.api import Comparison as Comparison
     from wrapjax.api import Diagnosis as Diagnosis
+    from wrapjax.api import Evaluation as Evaluation
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import Preparation as Preparation
+    from wrapjax.api import Run as Run
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import compare as compare
     from wrapjax.api import diagnose as diagnose
+    from wrapjax.api import evaluate as evaluate
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fetch as fetch
     from wrapjax.api import fit as fit
     from wrapjax.api import fit_wraps as fit_wraps
     from wrapjax.api import load_fit as load_fit
+    from wrapjax.api import load_run as load_run
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
     from wrapjax.api import prepare as prepare
@@ -45,18 +53,22 @@ _PLACES = {
     "Calibration": "wrapjax.api",
     "Comparison": "wrapjax.api",
     "Diagnosis": "wrapjax.api",
+    "Evaluation": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
     "InputError": "wrapjax.errors",
     "Preparation": "wrapjax.api",
+    "Run": "wrapjax.api",
     "calibrate": "wrapjax.api",
     "compare": "wrapjax.api",
     "diagnose": "wrapjax.api",
+    "evaluate": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fetch": "wrapjax.api",
     "fit": "wrapjax.api",
     "fit_wraps": "wrapjax.api",
     "load_fit": "wrapjax.api",
+    "load_run": "wrapjax.api",
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",
     "prepare": "wrapjax.api",

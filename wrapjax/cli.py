@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,10 +21,10 @@ from wrapjax.commands.common import (
     positive,
     print_json,
     refuse_existing,
-    set_up_jax,
     stored,
 )
 from wrapjax.errors import InputError, Problem
+from wrapjax.jax_setup import set_threads, set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.api import ExactGeometry, Fit
@@ -37,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A terminal that lacks a letter of somebody's name shows its code instead of failing.
         sys.stdout.reconfigure(errors="backslashreplace")
     options = _parser().parse_args(arguments)
-    _set_threads(options.threads)
+    if options.threads is not None:
+        set_threads(options.threads)
     try:
         return options.run(options)
     except InputError as error:
@@ -434,14 +434,6 @@ def _journal(options: argparse.Namespace) -> Path:
             )
         )
     return journal
-
-
-def _set_threads(threads: int | None) -> None:
-    """Limit XLA's and the numerical libraries' threads; to be called before JAX is loaded."""
-    if threads is None:
-        return
-    for variable in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[variable] = str(threads)
 
 
 def _version() -> str:

@@ -45,19 +45,19 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, content: Any) -> None:
     """Write strict JSON (NaN and infinity become null) whole or not at all."""
-    write_text(path, json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(plain_values(content), indent=1, allow_nan=False) + "\n")
 
 
-def _plain(content: Any) -> Any:
+def plain_values(content: Any) -> Any:
     """NumPy scalars, arrays and dataclass-free containers as plain JSON values."""
     if isinstance(content, dict):
-        return {str(key): _plain(value) for key, value in content.items()}
+        return {str(key): plain_values(value) for key, value in content.items()}
     if isinstance(content, (list, tuple)):
-        return [_plain(value) for value in content]
+        return [plain_values(value) for value in content]
     if isinstance(content, np.ndarray):
-        return _plain(content.tolist())
+        return plain_values(content.tolist())
     if isinstance(content, np.generic):
-        return _plain(content.item())
+        return plain_values(content.item())
     if isinstance(content, float) and not np.isfinite(content):
         return None
     if isinstance(content, Path):

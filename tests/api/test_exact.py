@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.api.hidden_cylinders import errors_of_told_arms, hidden
+from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject, write_wrapped_subject
 from wrapjax.api import calibrate, exact_geometry, load_subject, prepare
 from wrapjax.cli import main
@@ -47,6 +48,12 @@ def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
     assert geometry.translations[name] in (*NARROWER, *WIDER)
     np.testing.assert_allclose(wraps.upper[0, 3:], [np.radians(20), np.radians(20), 0.2])
     assert geometry.freedom("NGA", subject).wraps is None
+
+
+def test_the_run_evaluates_to_itself(run, subject):
+    """Cylinders are where the run put them."""
+    assert not (run / "paths.npz").exists()
+    assert_reproduces_itself(run, subject)
 
 
 def test_command_calibrates_cylinders(run):

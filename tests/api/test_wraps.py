@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import MODEL, write_subject
 from wrapjax.api import calibrate, fit, fit_wraps, load_fit, load_subject, wrap_fitting
 from wrapjax.api.fitting import fit_poses
@@ -151,7 +152,7 @@ def test_a_fit_without_samples_cannot_serve_pga(person):
         fit(person, "engine").freedom("PGA", person)
 
 
-def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled):
+def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled, tmp_path):
     """And what it says of paths is what OpenSim finds in a model with the cylinder there."""
     nga, pga = (calibrate(person, method, sampled, starts=1) for method in ("NGA", "PGA"))
     assert pga.status.converged
@@ -171,6 +172,9 @@ def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled):
     length, _ = judge.analyse(poses)
     found = np.asarray(pga.result.states.path.length)[0, 0]
     assert np.sqrt(np.mean((found - length[:, 0]) ** 2)) < 3e-4
+    # The polynomials that its folder keeps are those that followed the cylinder.
+    pga.save(tmp_path / "run")
+    assert_reproduces_itself(tmp_path / "run", person)
 
 
 def test_opensim_gives_what_the_engine_gives(person, sampled):

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 import pytest
 
+from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject
 from wrapjax.api import calibrate, fit, load_subject
 from wrapjax.api.text import calibration_table
@@ -32,6 +33,11 @@ def run(done, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     done.save(folder)
     return folder
+
+
+def test_the_run_evaluates_to_itself(run, done):
+    """Coefficients are where the run put them."""
+    assert_reproduces_itself(run, done.subject)
 
 
 def _terms(run):

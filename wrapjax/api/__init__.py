@@ -6,6 +6,8 @@ from wrapjax.api.comparison import Comparison as Comparison
 from wrapjax.api.comparison import compare as compare
 from wrapjax.api.diagnosis import Diagnosis as Diagnosis
 from wrapjax.api.diagnosis import diagnose as diagnose
+from wrapjax.api.evaluation import Evaluation as Evaluation
+from wrapjax.api.evaluation import evaluate as evaluate
 from wrapjax.api.exact import ExactGeometry as ExactGeometry
 from wrapjax.api.exact import exact_geometry as exact_geometry
 from wrapjax.api.fetching import fetch as fetch
@@ -16,6 +18,8 @@ from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
 from wrapjax.api.preparing import Preparation as Preparation
 from wrapjax.api.preparing import prepare_subject as prepare_subject
+from wrapjax.api.stored_run import Run as Run
+from wrapjax.api.stored_run import load_run as load_run
 from wrapjax.api.wrap_fitting import fit_wraps as fit_wraps
 from wrapjax.api.wrap_pictures import physiological_picture as physiological_picture
 from wrapjax.subject import read_subject as load_subject
@@ -24,17 +28,21 @@ __all__ = [
     "Calibration",
     "Comparison",
     "Diagnosis",
+    "Evaluation",
     "ExactGeometry",
     "Fit",
     "Preparation",
+    "Run",
     "calibrate",
     "compare",
     "diagnose",
+    "evaluate",
     "exact_geometry",
     "fetch",
     "fit",
     "fit_wraps",
     "load_fit",
+    "load_run",
     "load_subject",
     "objective",
     "physiological_picture",

@@ -18,7 +18,6 @@ from wrapjax.api.datasets import calibration_dataset
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.personalised import write_model
-from wrapjax.api.polynomial_paths import modes_of
 from wrapjax.api.preparation import method_freedom, source_for, stages
 from wrapjax.calibrate import (
     AbstractCalibration,
@@ -237,7 +236,6 @@ def _result(
     parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
     everything = recording(subject, trials, fit.paths(subject, trials, freedom))
-    surrogate = fit.surrogate if isinstance(fit, Fit) else None
     run = eqx.filter_jit(muscle_states)
     states = run(problem.curves, parameters, everything)
     initial_states = run(problem.curves, problem.variables.base, everything)
@@ -255,8 +253,9 @@ def _result(
         freedom=freedom,
         at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),
         labels=problem.variables.labels,
-        paths=None if surrogate is None else surrogate.of_muscles(subject.muscles.names),
-        path_modes=None if surrogate is None or freedom.paths is None else modes_of(subject, surrogate),
+        geometry=fit.geometry if isinstance(fit, Fit) else fit.name,
+        paths=fit.surrogate.of_muscles(subject.muscles.names) if isinstance(fit, Fit) else None,
+        calibrated_paths=fit.calibrated(subject, freedom, parameters) if isinstance(fit, Fit) else None,
         measured=trials.moments,
         modelled=np.asarray(states.moment.sum(axis=0)),
         initial_modelled=np.asarray(initial_states.moment.sum(axis=0)),

@@ -10,18 +10,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from wrapjax.api.assembly import model_parameters
-from wrapjax.api.polynomial_paths import polynomial_freedom, polynomial_paths, wrapped_polynomial_paths
+from wrapjax.api.polynomial_paths import (
+    calibrated_polynomials,
+    polynomial_freedom,
+    polynomial_paths,
+    wrapped_polynomial_paths,
+)
 from wrapjax.api.wrap_fit import WrapFit, wrap_fit_from
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash, new_folder, write_json, write_text, write_whole
-from wrapjax.geometry import AbstractPath, PathSurrogate
-from wrapjax.model import Freedom, nga, with_wraps
+from wrapjax.geometry import AbstractPath, PathSurrogate, surrogate_from
+from wrapjax.model import Freedom, ModelParameters, nga, with_wraps
 from wrapjax.subject import Subject, Trials
 
 if TYPE_CHECKING:
@@ -123,6 +126,10 @@ class Fit:
             )
         return with_wraps(nga(model_parameters(subject)), method, freed)
 
+    def calibrated(self, subject: Subject, freedom: Freedom, parameters: ModelParameters) -> PathSurrogate:
+        """Give the subject's polynomials as these parameters change them."""
+        return calibrated_polynomials(subject, self.surrogate, self.wraps, freedom, parameters)
+
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
         """Evaluate the paths over cycles, with all that the freedom may change."""
         if freedom.wraps is None or self.wraps is None:
@@ -202,8 +209,7 @@ class Fit:
         }
 
     def _write(self, folder: Path) -> None:
-        names = {"muscles": self.surrogate.muscles, "coordinates": self.surrogate.coordinates}
-        arrays = _arrays(self.surrogate) | {name: np.array(value) for name, value in names.items()}
+        arrays = self.surrogate.arrays()
         if self.wraps is not None:
             arrays |= self.wraps.arrays()
 
@@ -234,10 +240,6 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def _arrays(surrogate: PathSurrogate) -> dict[str, np.ndarray]:
-    return {name: np.asarray(value) for name, value in vars(surrogate).items() if eqx.is_array(value)}
-
-
 def read_fit(folder: Path) -> Fit:
     """Read a fit, whoever's it is."""
     json_file, array_file = folder / "fit.json", folder / "fit.npz"
@@ -248,9 +250,8 @@ def read_fit(folder: Path) -> Fit:
         content = json.loads(json_file.read_text(encoding="utf-8"))
         with array_file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = dict(stored)
-        muscles, coordinates = (tuple(arrays.pop(key).tolist()) for key in ("muscles", "coordinates"))
         # Arrays of cylinders have a dot in their names.
-        outer = {name: jnp.asarray(value) for name, value in arrays.items() if "." not in name}
+        outer = {name: value for name, value in arrays.items() if "." not in name}
         wraps = None
         if content["wraps_of"] is not None:
             # Fits made before they said so were held to the defaults.
@@ -258,7 +259,7 @@ def read_fit(folder: Path) -> Fit:
             wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"], thresholds)
         return Fit(
             key=content["key"],
-            surrogate=PathSurrogate(muscles, coordinates, **outer),
+            surrogate=surrogate_from(outer),
             errors={name: PathError(**entry) for name, entry in content["muscles"].items()},
             touching=tuple(content["touching"]),
             seconds=content["seconds"],

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -19,7 +22,7 @@ from wrapjax.geometry import (
     two_level_paths,
 )
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.model import Freedom, FreedWraps, nga, with_paths
+from wrapjax.model import Freedom, FreedWraps, ModelParameters, nga, with_paths
 from wrapjax.subject import Subject, Trials
 
 # Frames in which the engine guards polynomials: paths come to jump over several of them.
@@ -92,6 +95,34 @@ def wrapped_polynomial_paths(
         freed.names,
     )
     return guarded_paths(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
+
+
+def calibrated_polynomials(
+    subject: Subject,
+    surrogate: PathSurrogate,
+    wraps: WrapFit | None,
+    freedom: Freedom,
+    parameters: ModelParameters,
+) -> PathSurrogate:
+    """Give the subject's polynomials with coefficients as a calibration left them.
+
+    Parameters
+    ----------
+    subject, surrogate, wraps
+        Whose paths, and how they follow cylinders, where that was sampled.
+    freedom, parameters
+        What was free, and what came of it. Where paths were held they stay as they are.
+    """
+    own = surrogate.of_muscles(subject.muscles.names)
+    changes = parameters.path_changes
+    coefficients = own.coefficients
+    if freedom.paths is not None:
+        coefficients = coefficients + jnp.einsum("mtk,mk->mt", modes_of(subject, surrogate), changes)
+    elif freedom.wraps is not None and wraps is not None:
+        moving = np.flatnonzero((freedom.wraps.places >= 0).any(axis=1))
+        inner = wraps.inner_of([own.muscles[row] for row in moving], freedom.wraps.places.shape[1])
+        coefficients = coefficients.at[moving].add(inner(changes[moving]))
+    return replace(own, coefficients=coefficients)
 
 
 def _two_level(

@@ -33,9 +33,10 @@ class CalibrationResult:
         Variables that ended on a bound, as ``soleus_l.emg_scale``.
     labels
         Names of the variables.
-    paths, path_modes
-        Nominal paths as polynomials, and the coefficients of each mode of change: None where paths are
-        not polynomials, and where they were held.
+    geometry
+        Where paths came from: ``opensim``, ``engine`` or ``engine-parity``.
+    paths, calibrated_paths
+        As polynomials, before and after calibration; None where paths are exact.
     measured, modelled, initial_modelled
         Joint moments in N m; the last before calibration.
     states, initial_states
@@ -66,8 +67,9 @@ class CalibrationResult:
     freedom: Freedom
     at_bounds: tuple[str, ...]
     labels: tuple[str, ...]
+    geometry: str
     paths: PathSurrogate | None
-    path_modes: Float[np.ndarray, "muscle term mode"] | None
+    calibrated_paths: PathSurrogate | None
     measured: Float[np.ndarray, "trial coordinate frame"]
     modelled: Float[np.ndarray, "trial coordinate frame"]
     initial_modelled: Float[np.ndarray, "trial coordinate frame"]
@@ -90,13 +92,3 @@ class CalibrationResult:
     def solve_seconds(self) -> float:
         """Time that went into solving from all starts, compiling apart."""
         return sum(outcome.seconds for outcome in self.outcomes)
-
-    @property
-    def path_coefficients(self) -> Float[np.ndarray, "muscle term"]:
-        """Coefficients of the calibrated paths, in m; of paths that are polynomials."""
-        assert self.paths is not None
-        nominal = np.asarray(self.paths.coefficients)
-        if self.path_modes is None:
-            return nominal
-        changes = np.asarray(self.parameters.path_changes)
-        return nominal + np.einsum("mtk,mk->mt", self.path_modes, changes)

@@ -32,17 +32,6 @@ def refuse_existing(folder: Path, force: bool) -> None:
         raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
 
 
-def set_up_jax() -> None:
-    """Switch to 64 bits and keep compiled kernels for the next run."""
-    import jax
-
-    from wrapjax.files import cache_folder
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-
-
 def positive(text: str) -> int:
     """Read a whole number above 0 off the command line."""
     number = int(text)

@@ -17,5 +17,6 @@ from wrapjax.geometry.poses import random_poses as random_poses
 from wrapjax.geometry.poses import smooth_poses as smooth_poses
 from wrapjax.geometry.surrogate import PathSurrogate as PathSurrogate
 from wrapjax.geometry.surrogate import fit_surrogate as fit_surrogate
+from wrapjax.geometry.surrogate import surrogate_from as surrogate_from
 from wrapjax.geometry.two_level import TwoLevelPaths as TwoLevelPaths
 from wrapjax.geometry.two_level import two_level_paths as two_level_paths

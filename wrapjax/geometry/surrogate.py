@@ -10,7 +10,7 @@ so that velocity and moment arms are consistent with length by construction.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -125,6 +125,11 @@ class PathSurrogate(eqx.Module):
         row = self.muscles.index(muscle)
         return np.asarray(self.spans[row])[np.asarray(self.spanned[row])].tolist()
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Give all that it is as arrays by name, for `surrogate_from`."""
+        stored = {name: np.asarray(value) for name, value in vars(self).items() if eqx.is_array(value)}
+        return stored | {"muscles": np.array(self.muscles), "coordinates": np.array(self.coordinates)}
+
     def term_names(self) -> tuple[tuple[str, ...], ...]:
         """Name the terms in use of each muscle: ``hip_flexion_l^2*knee_angle_l``, the constant ``1``.
 
@@ -175,6 +180,21 @@ class PathSurrogate(eqx.Module):
         by_slot = (monomial_gradients(exponents, scaled) @ coefficients).T / self.half_range[None, spans]
         slope = jnp.zeros_like(poses).at[:, spans].add(by_slot * spanned[None])
         return length, slope
+
+
+def surrogate_from(arrays: Mapping[str, np.ndarray]) -> PathSurrogate:
+    """Put together what `PathSurrogate.arrays` took apart.
+
+    Raises
+    ------
+    KeyError, TypeError
+        If one is missing.
+    """
+    muscles, coordinates = (tuple(arrays[name].tolist()) for name in ("muscles", "coordinates"))
+    rest = {
+        name: jnp.asarray(value) for name, value in arrays.items() if name not in ("muscles", "coordinates")
+    }
+    return PathSurrogate(muscles, coordinates, **rest)
 
 
 def fit_surrogate(

@@ -8,6 +8,7 @@ import numpy as np
 
 from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
 from wrapjax.report import markup
+from wrapjax.report.cycles import MomentCurves
 from wrapjax.report.figures import activation_figure, fiber_length_figure, moment_figure
 from wrapjax.report.limits import FIBER_LIMITS, pushing_muscles
 from wrapjax.report.wording import decimals
@@ -50,11 +51,12 @@ def errors_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
     )
 
 
-def moments_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
+def moments_section(result: MomentCurves, summary: dict[str, Any]) -> str:
     """Write the part of the report on joint moments."""
+    use = "calibration" if summary["mae_Nm"]["calibration"] else "validation"
     parts = [
         f"{name} {decimals(value)} N m"
-        for name, value in (summary["mae_Nm"]["calibration"] or {}).items()
+        for name, value in (summary["mae_Nm"][use] or {}).items()
         if name != "mean"
     ]
     return markup.section(
@@ -62,7 +64,7 @@ def moments_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
         markup.picture(
             moment_figure(result),
             alternative="Measured and modelled joint moments over the gait cycle for each coordinate. Mean "
-            f"absolute errors on calibration cycles: {', '.join(parts)}.",
+            f"absolute errors on {use} cycles: {', '.join(parts)}.",
             caption="Net joint moments in N m over the gait cycle: measured by inverse dynamics (black) and "
             "modelled from EMG (blue). Lines are means over cycles, bands one standard deviation to either "
             "side (no band where there is one cycle); 'error' is the mean absolute error. A positive moment "

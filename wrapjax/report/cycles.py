@@ -3,11 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.calibrate import CalibrationResult
+
+@runtime_checkable
+class MomentCurves(Protocol):
+    """Joint moments (N m) of gait cycles: a `CalibrationResult`, or what was read back from a folder."""
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names along the axis of coordinates."""
+        ...
+
+    @property
+    def trials(self) -> tuple[str, ...]:
+        """Names of the cycles."""
+        ...
+
+    @property
+    def uses(self) -> tuple[str, ...]:
+        """``calibration`` or ``validation``, one a cycle."""
+        ...
+
+    @property
+    def speeds(self) -> Float[np.ndarray, " trial"]:
+        """In m/s, NaN where unknown."""
+        ...
+
+    @property
+    def measured(self) -> Float[np.ndarray, "trial coordinate frame"]:
+        """By inverse dynamics."""
+        ...
+
+    @property
+    def modelled(self) -> Float[np.ndarray, "trial coordinate frame"]:
+        """From EMG."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -32,7 +66,7 @@ class CycleGroup:
         return f"{number} cycle{'' if number == 1 else 's'}"
 
 
-def groups_by_speed(result: CalibrationResult, *, most: int) -> list[CycleGroup]:
+def groups_by_speed(result: MomentCurves, *, most: int) -> list[CycleGroup]:
     """Group the cycles by walking speed; all in one group where there are more than ``most`` speeds."""
     speeds = np.unique(result.speeds)  # NaNs count as one, the last
     everything = np.ones(len(result.trials), dtype=bool)
@@ -46,7 +80,7 @@ def groups_by_speed(result: CalibrationResult, *, most: int) -> list[CycleGroup]
     ]
 
 
-def groups_by_speed_and_use(result: CalibrationResult, *, most_speeds: int) -> list[CycleGroup]:
+def groups_by_speed_and_use(result: MomentCurves, *, most_speeds: int) -> list[CycleGroup]:
     """Group the cycles by speed and, within a speed, by use; groups without cycles are left out."""
     groups = []
     for speed in groups_by_speed(result, most=most_speeds):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
-from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.cycles import MomentCurves, groups_by_speed, groups_by_speed_and_use, spread
 from wrapjax.report.limits import FIBER_LIMITS, pushing_muscles
 from wrapjax.report.style import (
     BAND_ALPHA,
@@ -28,7 +28,7 @@ PAGE_WIDTH = 11.0
 
 
 @in_style
-def moment_figure(result: CalibrationResult) -> Figure:
+def moment_figure(result: MomentCurves) -> Figure:
     """Draw measured and modelled joint moments, one row a coordinate, one column a kind of cycles."""
     groups = groups_by_speed_and_use(result, most_speeds=2)
     wrapped = len(groups) == 1

@@ -6,6 +6,7 @@ import base64
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
+from urllib.parse import quote
 
 from wrapjax.report.style import Figure, to_svg
 
@@ -51,6 +52,26 @@ _NUMBER = re.compile(rf"(\* |< )?{_ONE}(( ± | to | of |, ){_ONE}| \((< )?{_ONE}
 _NUMBER_AND_UNIT = re.compile(r"(\d) N m\b")
 
 
+class Link(str):
+    """Plain text of a table's cell that leads to a file.
+
+    Parameters
+    ----------
+    plain
+        What is read.
+    target
+        The file, as a relative path from the page, with slashes.
+    """
+
+    target: str
+
+    def __new__(cls, plain: str, target: str) -> Link:
+        """Join both."""
+        link = super().__new__(cls, plain)
+        link.target = target
+        return link
+
+
 def text(plain: str) -> str:
     """Plain text as HTML, numbers and their unit on one line."""
     return _NUMBER_AND_UNIT.sub("\\1\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m", escape(plain))
@@ -93,7 +114,7 @@ def table(
     Parameters
     ----------
     header, rows
-        Texts.
+        Texts; `Link` for cells that lead somewhere.
     caption
         What the table shows, with units.
     total
@@ -112,9 +133,9 @@ def table(
     for number, row in enumerate(lines):
         last = total and number == len(lines) - 1
         cells = "".join(
-            f"<td{_class(kind)}>{text(cell)}</td>" for cell, kind in zip(row[1:], kinds[1:], strict=True)
+            f"<td{_class(kind)}>{_cell(cell)}</td>" for cell, kind in zip(row[1:], kinds[1:], strict=True)
         )
-        body.append(f'<tr{_class("total" if last else "")}><th scope="row">{text(row[0])}</th>{cells}</tr>')
+        body.append(f'<tr{_class("total" if last else "")}><th scope="row">{_cell(row[0])}</th>{cells}</tr>')
     return (
         f'<div class="scroll"><table><caption>{text(caption)}</caption>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n" + "\n".join(body) + "\n</tbody></table></div>"
@@ -148,6 +169,14 @@ def page(title: str, content: Iterable[str]) -> str:
         f"<title>{text(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
         + "\n".join(content)
         + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _cell(plain: str) -> str:
+    return (
+        f'<a href="{escape(quote(plain.target))}">{text(plain)}</a>'
+        if isinstance(plain, Link)
+        else text(plain)
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.calibrate import CalibrationResult
+from wrapjax.files import content_hash
 from wrapjax.model import QUANTITIES
 from wrapjax.subject import Subject
 
@@ -35,8 +36,8 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
     dict
         Subject, drive of the muscles, solver, the seed of each start (None for the model's own values),
         trials, what was free with its bounds and priors (lists in the order of ``muscles``, SI units; no
-        prior is an infinite deviation), of freed paths the number of modes by muscle and what scales
-        the coordinates in their terms, versions and platform.
+        prior is an infinite deviation), where paths came from, of freed paths the number of modes by
+        muscle and what scales the coordinates in their terms, versions and platform.
     """
     trials = subject.trials
     driven = list(zip(subject.muscles.names, subject.muscle_channels, strict=True))
@@ -47,6 +48,8 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
             "name": subject.name,
             "folder": _path_from(run, subject.folder),
             "model_file": _path_from(run, subject.model_file),
+            # None where the file is gone by now.
+            "model_hash": content_hash(subject.model_file) if subject.model_file.is_file() else None,
             "mass_kg": subject.mass_kg,
             "side": subject.side,
             "paretic": subject.paretic,
@@ -72,6 +75,10 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
             )
         },
         "muscles": result.muscles,
+        "paths": {
+            "source": "exact" if result.calibrated_paths is None else "polynomials",
+            "geometry": result.geometry,
+        },
         "freed": {
             parameter.name: {
                 "unit": QUANTITIES[parameter.name].unit,

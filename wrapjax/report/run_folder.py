@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from wrapjax.calibrate import CalibrationResult
-from wrapjax.files import new_folder, write_json, write_text
+from wrapjax.files import new_folder, write_json, write_text, write_whole
 from wrapjax.report.html import render_report
 from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings
@@ -27,6 +29,9 @@ WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
 #: Of a leg whose cylinders were moved: opens in OpenSim.
 PERSONALISED_MODEL = "model_personalized.osim"
+
+#: Paths as calibrated, where they are polynomials: `PathSurrogate.arrays`.
+PATHS = "paths.npz"
 
 #: In the folder of a leg, that of the leg that was calibrated with it.
 OTHER_LEG = "other_leg"
@@ -79,6 +84,9 @@ def _write_leg(
     model = subject.model_file.name if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
+    if result.calibrated_paths is not None:
+        arrays = result.calibrated_paths.arrays()
+        write_whole(run / PATHS, lambda file: np.savez(file, allow_pickle=False, **arrays))
     for trial, stem in enumerate(file_stems(result.trials).values()):
         for kind, table in curve_tables(result, trial).items():
             write_storage(run / kind / f"{stem}.sto", table)

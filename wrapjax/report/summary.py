@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.evaluate import MomentErrors, moment_errors, pooled_mae
+from wrapjax.report.cycles import MomentCurves
 from wrapjax.report.limits import describe_limits
 from wrapjax.report.starts import describe_starts
 from wrapjax.subject import Subject
@@ -29,9 +30,8 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
         the errors before calibration, root-mean-square errors by use, the hard limits, where each start
         ended, the cost and its parts, and of each trial the name of its files.
     """
-    errors = _errors_by_trial(result, result.modelled)
-    before = _errors_by_trial(result, result.initial_modelled)
-    files = file_stems(result.trials)
+    errors = errors_of(result.measured, result.modelled)
+    before = errors_of(result.measured, result.initial_modelled)
     solution = result.solution
     return {
         "schema": SCHEMA,
@@ -45,21 +45,13 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
         "n_residuals": result.n_residuals,
         "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
         "max_constraint_violation": solution.max_violation,
-        "mae_Nm": _by_use(pooled_mae, errors, result),
-        "rmse_Nm": _by_use(pooled_rmse, errors, result),
+        "mae_Nm": by_use(pooled_mae, errors, result),
+        "rmse_Nm": by_use(pooled_rmse, errors, result),
         "before": {
-            "mae_Nm": _by_use(pooled_mae, before, result),
-            "rmse_Nm": _by_use(pooled_rmse, before, result),
+            "mae_Nm": by_use(pooled_mae, before, result),
+            "rmse_Nm": by_use(pooled_rmse, before, result),
         },
-        "trials": {
-            trial: {
-                "use": use,
-                "mae_Nm": pooled_mae([error], result.coordinates),
-                "rmse_Nm": pooled_rmse([error], result.coordinates),
-                "file": files[trial],
-            }
-            for trial, use, error in zip(result.trials, result.uses, errors, strict=True)
-        },
+        "trials": by_trial(errors, result),
         "geometry_change": geometry_change(result),
         "at_bounds": list(result.at_bounds),
         "limits": describe_limits(result),
@@ -102,22 +94,38 @@ def file_stems(trials: Sequence[str]) -> dict[str, str]:
     return stems
 
 
-def _errors_by_trial(
-    result: CalibrationResult, modelled: Float[np.ndarray, "trial coordinate frame"]
+def errors_of(
+    measured: Float[np.ndarray, "trial coordinate frame"],
+    modelled: Float[np.ndarray, "trial coordinate frame"],
 ) -> list[MomentErrors]:
-    return [moment_errors(*pair) for pair in zip(result.measured, modelled, strict=True)]
+    """Compare modelled with measured moments (N m), cycle by cycle."""
+    return [moment_errors(*pair) for pair in zip(measured, modelled, strict=True)]
 
 
-def _by_use(
+def by_trial(errors: list[MomentErrors], cycles: MomentCurves) -> dict[str, dict[str, Any]]:
+    """Give each cycle's use, errors in N m, and the name of its files."""
+    files = file_stems(cycles.trials)
+    return {
+        trial: {
+            "use": use,
+            "mae_Nm": pooled_mae([error], cycles.coordinates),
+            "rmse_Nm": pooled_rmse([error], cycles.coordinates),
+            "file": files[trial],
+        }
+        for trial, use, error in zip(cycles.trials, cycles.uses, errors, strict=True)
+    }
+
+
+def by_use(
     pool: Callable[[Sequence[MomentErrors], Sequence[str]], dict[str, float] | None],
     errors: list[MomentErrors],
-    result: CalibrationResult,
+    cycles: MomentCurves,
 ) -> dict[str, dict[str, float] | None]:
     """Pool the errors of the cycles of each use; None for a use without cycles."""
     return {
         use: pool(
-            [error for error, given in zip(errors, result.uses, strict=True) if given == use],
-            result.coordinates,
+            [error for error, given in zip(errors, cycles.uses, strict=True) if given == use],
+            cycles.coordinates,
         )
         for use in USES
     }

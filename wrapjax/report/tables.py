@@ -13,6 +13,7 @@ from wrapjax.calibrate import CalibrationResult
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import QUANTITIES
 from wrapjax.nmsm import OSIMX_QUANTITIES, OsimxMuscle, osimx_text
+from wrapjax.report.cycles import MomentCurves
 from wrapjax.subject import Storage
 
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
@@ -38,10 +39,11 @@ def parameters_csv(result: CalibrationResult) -> str:
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
     for owner, *entries in wrap_parameters(result):
         writer.writerow((owner, "wrap", *entries))
-    if result.freedom.paths is not None and result.paths is not None:
-        names, used = result.paths.term_names(), np.asarray(result.paths.used)
+    if result.freedom.paths is not None and result.calibrated_paths is not None:
+        paths = result.calibrated_paths
+        names, used, coefficients = paths.term_names(), np.asarray(paths.used), np.asarray(paths.coefficients)
         for row in np.flatnonzero(result.freedom.paths.muscles).tolist():
-            values = result.path_coefficients[row, used[row]].tolist()
+            values = coefficients[row, used[row]].tolist()
             for term, value in zip(names[row], values, strict=True):
                 writer.writerow((result.muscles[row], "term", term, value, "m", "", ""))
     return text.getvalue()
@@ -79,6 +81,19 @@ def wrap_parameters(
             yield owner, quantity, float(values[wrap, place]), wraps.units[place], lower, upper
 
 
+def moment_labels(coordinates: Sequence[str]) -> tuple[str, ...]:
+    """Name the columns of a table of moments: modelled, then measured."""
+    labels = tuple(f"{coordinate}_moment" for coordinate in coordinates)
+    return labels + tuple(f"{label}_measured" for label in labels)
+
+
+def moment_table(cycles: MomentCurves, time: Float[np.ndarray, "trial frame"], trial: int) -> Storage:
+    """Give one cycle's moments, modelled and measured, in N m over time in s."""
+    moments = np.concatenate([cycles.modelled[trial], cycles.measured[trial]])
+    name = f"joint moments (N m) of {cycles.trials[trial]}"
+    return Storage(name, moment_labels(cycles.coordinates), time[trial], moments.T)
+
+
 def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:
     """Give one cycle's curves, by the name of the folder they go to.
 
@@ -95,9 +110,6 @@ def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:
         ``moments`` in N m (``<coordinate>_moment`` modelled, ``<coordinate>_moment_measured``),
         ``activations`` from 0 to 1, ``muscle_forces`` in the tendon in N.
     """
-    labels = [f"{coordinate}_moment" for coordinate in result.coordinates]
-    moments = np.concatenate([result.modelled[trial], result.measured[trial]])
-
     activation = np.asarray(result.states.activation)[:, trial]
     force = np.asarray(result.states.fiber.tendon_force)[:, trial]
 
@@ -106,7 +118,7 @@ def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:
         return Storage(name, tuple(columns), result.time[trial], rows.T)
 
     return {
-        "moments": table("joint moments (N m)", labels + [f"{label}_measured" for label in labels], moments),
+        "moments": moment_table(result, result.time, trial),
         "activations": table("muscle activations", result.muscles, activation),
         "muscle_forces": table("tendon forces (N)", result.muscles, force),
     }

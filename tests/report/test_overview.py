@@ -1,0 +1,95 @@
+"""An index finds what there is, says of it what its files say, and invents nothing."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from wrapjax.api.reporting import redraw
+from wrapjax.errors import InputError
+from wrapjax.report.overview import KINDS, find_results
+from wrapjax.report.run_folder import write_run
+
+CONTENT = {
+    "fit/fit.json": {"muscles": {"a_l": {"length_rmse_mm": 0.1}, "b_l": {"length_rmse_mm": 0.25}}},
+    "deep/er/gap & co/gap.json": {
+        "subject": "<p1>",
+        "outcome": "tie",
+        "named": [],
+        "ties": [["cop_offset", "hip_center_offset"]],
+        "explainable_share": {"estimate": 0.6},
+    },
+    "broken/gap.json": {"subject": "p2"},
+    ".hidden/fit.json": {},
+}
+
+
+@pytest.fixture
+def results(subject, result, tmp_path):
+    folder = tmp_path / "all"
+    write_run([(subject, result)], folder / "run")
+    for name, content in CONTENT.items():
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_text(json.dumps(content))
+    (folder / "deep/er/gap & co/report.html").write_text("there")
+    return folder
+
+
+def test_every_result_has_a_line_with_its_figures(results):
+    found = {one.folder.relative_to(results).as_posix(): one for one in find_results(results)}
+    assert list(found) == ["broken", "deep/er/gap & co", "fit", "run"]
+    assert found["fit"].figures == "2 muscles; largest length error 0.25 mm RMSE (b_l)"
+    assert found["deep/er/gap & co"].figures == (
+        "tie: cop_offset, hip_center_offset; 60 % of the error explainable"
+    )
+    assert found["broken"].figures == "gap.json cannot be read"
+    mean = {
+        use: json.loads((results / "run/summary.json").read_text())["mae_Nm"][use]["mean"]
+        for use in ("calibration", "validation")
+    }
+    assert found["run"].about == "NGA of made_by_hand"
+    assert found["run"].figures == (
+        f"mean absolute error: calibration {mean['calibration']:.2f} N m, validation "
+        f"{mean['validation']:.2f} N m"
+    )
+
+
+def test_the_page_links_to_reports_that_are_there(results):
+    page = redraw(results)
+    assert page == results / "index.html"
+    links = []
+
+    class Links(HTMLParser):
+        def handle_starttag(self, tag, attributes):
+            links.extend(value for name, value in attributes if name == "href")
+
+    text = page.read_text()
+    Links().feed(text)
+    assert links == ["deep/er/gap%20%26%20co/report.html", "run/report.html"]
+    assert "&lt;p1&gt;" in text and not re.search(r'(src|href)="(https?:)?//', text)
+
+
+def test_a_result_that_keeps_too_little_is_left_as_it_is(results):
+    before = (results / "run" / "report.html").read_bytes()
+    with pytest.raises(InputError, match="holds a calibration, whose report shows more than its files keep"):
+        redraw(results / "run")
+    assert (results / "run" / "report.html").read_bytes() == before
+    assert not (results / "run" / "index.html").exists()
+
+
+def test_nothing_there(tmp_path):
+    with pytest.raises(InputError, match="holds no result"):
+        redraw(tmp_path)
+    with pytest.raises(InputError, match="does not exist"):
+        redraw(tmp_path / "nowhere")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_kind_names_the_command_that_writes_it():
+    from wrapjax.cli import main
+
+    for kind in KINDS.values():
+        with pytest.raises(SystemExit) as stopped:
+            main([kind.command, "--help"])
+        assert stopped.value.code == 0

@@ -1,0 +1,178 @@
+"""``load_run``: a finished calibration, read back from its folder."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.geometry import PathSurrogate, surrogate_from
+from wrapjax.geometry.surfaces import WRAP_PARAMETERS
+from wrapjax.model import QUANTITIES, ModelParameters
+
+_ANEW = "calibrate again with 'wrapjax calibrate'"
+_FILES = ("summary.json", "settings.json", "parameters.csv")
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a calibration found, as its folder says.
+
+    Parameters
+    ----------
+    folder
+        Where it was read from.
+    subject, method, curves
+        Whom it was calibrated to, what was adjusted, and the Hill curves.
+    muscles, coordinates
+        Names, in the run's order.
+    values
+        Of every muscle, by quantity (`QUANTITIES`), SI units.
+    wraps
+        The six parameters (`WRAP_PARAMETERS`) of each cylinder that was moved.
+    paths
+        Calibrated paths as polynomials; None where they are exact.
+    geometry
+        Where paths came from: ``opensim``, ``engine`` or ``engine-parity``.
+    model_hash
+        Of the model's file; None where that is not known.
+    summary
+        The content of ``summary.json``.
+    """
+
+    folder: Path
+    subject: str
+    method: str
+    curves: str
+    muscles: tuple[str, ...]
+    coordinates: tuple[str, ...]
+    values: dict[str, Float[np.ndarray, " muscle"]]
+    wraps: dict[str, Float[np.ndarray, " wrap_parameter"]]
+    paths: PathSurrogate | None
+    geometry: str
+    model_hash: str | None
+    summary: dict[str, Any]
+
+    def parameters(self, muscles: tuple[str, ...], path_modes: int = 0) -> ModelParameters:
+        """Arrange the parameters as the model takes them.
+
+        Parameters
+        ----------
+        muscles
+            The run's, in the order wanted.
+        path_modes
+            Width of ``path_changes``, which are zero.
+        """
+        rows = np.array([self.muscles.index(name) for name in muscles])
+        leaves = {name: jnp.asarray(values[rows]) for name, values in self.values.items()}
+        return ModelParameters(**leaves, path_changes=jnp.zeros((len(muscles), path_modes)))
+
+
+def load_run(folder: str | Path) -> Run:
+    """Read what `Calibration.save` (``wrapjax calibrate``) wrote.
+
+    Raises
+    ------
+    InputError
+        If it is no such folder, or a file in it is damaged or cut off.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        found = "is a file, where a RUN folder was expected" if folder.exists() else "does not exist"
+        raise InputError(Problem(str(folder), found, hint="a RUN is what 'wrapjax calibrate' writes"))
+    missing = [name for name in _FILES if not (folder / name).is_file()]
+    if missing:
+        message = f"is no RUN folder: {missing[0]} is missing"
+        raise InputError(Problem(str(folder), message, hint="a RUN is what 'wrapjax calibrate' writes"))
+    summary, settings = (_read_json(folder / name) for name in _FILES[:2])
+    try:
+        muscles, source = tuple(settings["muscles"]), settings.get("paths")
+        if source is None:
+            message = "does not say where the run's paths came from: it is from an earlier version"
+            raise InputError(Problem(str(folder / "settings.json"), message, hint=_ANEW))
+        values, wraps = _read_parameters(folder / "parameters.csv", muscles)
+        return Run(
+            folder=folder,
+            subject=str(summary["subject"]),
+            method=str(summary["method"]),
+            curves=str(settings["curves"]),
+            muscles=muscles,
+            coordinates=tuple(settings["coordinates"]),
+            values=values,
+            wraps=wraps,
+            paths=_read_paths(folder / "paths.npz", muscles) if source["source"] == "polynomials" else None,
+            geometry=str(source["geometry"]),
+            model_hash=settings["subject"].get("model_hash"),
+            summary=summary,
+        )
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_ANEW)) from error
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error
+    if not isinstance(content, dict):
+        raise InputError(Problem(str(file), "expected an object in JSON, found something else", hint=_ANEW))
+    return content
+
+
+def _read_parameters(
+    file: Path, muscles: tuple[str, ...]
+) -> tuple[dict[str, Float[np.ndarray, " muscle"]], dict[str, Float[np.ndarray, " wrap_parameter"]]]:
+    """Read values of muscles and of cylinders; those of path terms are in ``paths.npz`` as well."""
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(Problem(str(file), "is not text in UTF-8", hint=_ANEW)) from None
+    if not text.endswith("\n"):
+        raise InputError(Problem(str(file), "seems cut off: its last line has no end", hint=_ANEW))
+    found: dict[tuple[str, str, str], float] = {}
+    for number, row in enumerate(csv.DictReader(io.StringIO(text)), start=2):
+        try:
+            key = (row["owner"], row["kind"], row["parameter"])
+            value = float(row["value"])
+        except (KeyError, TypeError, ValueError):
+            message = "expected owner, kind, parameter and a value"
+            raise InputError(Problem(str(file), message, f"line {number}", _ANEW)) from None
+        if not math.isfinite(value):
+            message = f"expected a finite number, found {value}"
+            raise InputError(Problem(str(file), message, f"line {number}", _ANEW))
+        found[key] = value
+
+    def value_of(owner: str, kind: str, name: str) -> float:
+        if (owner, kind, name) not in found:
+            message = f"{name} of {owner} is missing: the file seems cut off or changed"
+            raise InputError(Problem(str(file), message, hint=_ANEW))
+        return found[owner, kind, name]
+
+    values = {name: np.array([value_of(muscle, "muscle", name) for muscle in muscles]) for name in QUANTITIES}
+    cylinders = dict.fromkeys(owner for owner, kind, _ in found if kind == "wrap")
+    wraps = {
+        owner: np.array([value_of(owner, "wrap", name) for name in WRAP_PARAMETERS]) for owner in cylinders
+    }
+    return values, wraps
+
+
+def _read_paths(file: Path, muscles: tuple[str, ...]) -> PathSurrogate:
+    if not file.is_file():
+        raise InputError(Problem(str(file), "is missing: the run's muscle paths are in it", hint=_ANEW))
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            paths = surrogate_from(dict(stored))
+        return paths.of_muscles(muscles)
+    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error
