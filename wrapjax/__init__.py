@@ -7,8 +7,9 @@ cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
 ``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
 learns how those follow the cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
 ``compare`` does so by several methods and tests which differ, ``evaluate`` predicts other cycles by a
-finished run (``load_run``), ``objective`` gives what is minimised as a
-pure function for `jax.grad`, and ``prepare`` all that is behind it. ``fetch`` downloads public recordings.
+finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch`` downloads public
+recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that
+is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
+    from wrapjax.api import Cohort as Cohort
     from wrapjax.api import Comparison as Comparison
     from wrapjax.api import Diagnosis as Diagnosis
     from wrapjax.api import Evaluation as Evaluation
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from wrapjax.api import Preparation as Preparation
     from wrapjax.api import Run as Run
     from wrapjax.api import calibrate as calibrate
+    from wrapjax.api import cohort as cohort
     from wrapjax.api import compare as compare
     from wrapjax.api import diagnose as diagnose
     from wrapjax.api import evaluate as evaluate
@@ -51,6 +54,7 @@ __version__ = version("wrapjax")
 # Imported on first use: the command line must be able to set thread counts before JAX is loaded.
 _PLACES = {
     "Calibration": "wrapjax.api",
+    "Cohort": "wrapjax.api",
     "Comparison": "wrapjax.api",
     "Diagnosis": "wrapjax.api",
     "Evaluation": "wrapjax.api",
@@ -60,6 +64,7 @@ _PLACES = {
     "Preparation": "wrapjax.api",
     "Run": "wrapjax.api",
     "calibrate": "wrapjax.api",
+    "cohort": "wrapjax.api",
     "compare": "wrapjax.api",
     "diagnose": "wrapjax.api",
     "evaluate": "wrapjax.api",

@@ -2,6 +2,8 @@
 
 from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
+from wrapjax.api.cohorts import Cohort as Cohort
+from wrapjax.api.cohorts import cohort as cohort
 from wrapjax.api.comparison import Comparison as Comparison
 from wrapjax.api.comparison import compare as compare
 from wrapjax.api.diagnosis import Diagnosis as Diagnosis
@@ -26,6 +28,7 @@ from wrapjax.subject import read_subject as load_subject
 
 __all__ = [
     "Calibration",
+    "Cohort",
     "Comparison",
     "Diagnosis",
     "Evaluation",
@@ -34,6 +37,7 @@ __all__ = [
     "Preparation",
     "Run",
     "calibrate",
+    "cohort",
     "compare",
     "diagnose",
     "evaluate",

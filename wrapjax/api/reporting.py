@@ -14,7 +14,7 @@ def redraw(folder: str | Path) -> Path:
     Parameters
     ----------
     folder
-        Of an evaluation: its ``report.html`` is drawn again. Of anything else that holds
+        Of an evaluation or a cohort: its ``report.html`` is drawn again. Of anything else that holds
         results: an ``index.html`` is written there, one line and link each.
 
     Returns
@@ -27,6 +27,7 @@ def redraw(folder: str | Path) -> Path:
     InputError
         If the folder is a result whose report needs what is not stored, or holds no result at all.
     """
+    from wrapjax.api.cohorts import redraw_cohort
     from wrapjax.report.evaluation.folder import redraw_evaluation
     from wrapjax.report.overview import find_results, kind_of, refuse_redrawing, render_overview
 
@@ -35,7 +36,7 @@ def redraw(folder: str | Path) -> Path:
         found = "is a file, where a folder was expected" if place.exists() else "does not exist"
         raise InputError(Problem(str(place), found))
     kind = kind_of(place)
-    redrawn = {"evaluation": redraw_evaluation}
+    redrawn = {"evaluation": redraw_evaluation, "cohort": redraw_cohort}
     if kind in redrawn:
         redrawn[kind](place)
         return place / "report.html"

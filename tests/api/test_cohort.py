@@ -1,0 +1,159 @@
+"""Many subjects: each whole in its folder, one that fails stops no other, what is done stays done."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.api.test_two_legs import scale_moments
+from tests.cli.conftest import run
+from tests.cli.folders import content, stored
+from tests.subject.synthetic import write_subject
+from wrapjax.api import cohort_member
+from wrapjax.api.cohorts import cohort
+from wrapjax.api.reporting import redraw
+from wrapjax.errors import InputError, Problem
+from wrapjax.scheduling import Finished, run_everywhere
+
+
+def one_after_the_other(work, jobs, **options):
+    """Do the work here: that of other processes has tests of its own."""
+    for name, job in jobs.items():
+        yield Finished(name, work(job))
+
+
+@pytest.fixture(scope="module")
+def here():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("wrapjax.api.cohorts.run_everywhere", one_after_the_other)
+        patch.setattr(cohort_member, "set_up_jax", lambda: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def subjects(tmp_path_factory) -> list[Path]:
+    """Two that can be calibrated, one with stronger moments, and one between them that cannot be read."""
+    place = tmp_path_factory.mktemp("subjects")
+    folders = [write_subject(place / name) for name in ("anna", "broken", "ben")]
+    (folders[1] / "model.osim").unlink()
+    scale_moments(folders[2], 1.3)
+    return folders
+
+
+@pytest.fixture(scope="module")
+def done(here, subjects, tmp_path_factory):
+    return cohort(subjects, tmp_path_factory.mktemp("cohorts") / "out", diagnose=True, starts=1)
+
+
+def test_one_that_cannot_be_read_stops_no_other(done, subjects):
+    states = {name: own["state"] for name, own in done.content["subjects"].items()}
+    assert states == {"anna": "done", "broken": "failed", "ben": "done"}
+    (said,) = done.failed.values()
+    assert str(subjects[1]) in said and "model.osim" in said and said.endswith(".")
+    assert not (done.folder / "broken").exists()
+    assert not done.complete
+
+
+def test_each_folder_holds_what_the_commands_write(done):
+    for name in ("anna", "ben"):
+        own = done.content["subjects"][name]
+        summary = stored(done.folder / name / "calibration" / "summary.json")
+        assert own["mae_Nm"] == summary["mae_Nm"] and own["converged"] is summary["converged"] is True
+        # Two cycles are too few to tell what repeats from what does not.
+        assert own["diagnosis"]["outcome"] == "insufficient_data"
+        assert stored(done.folder / name / "diagnosis" / "gap.json")["outcome"] == "insufficient_data"
+        for report in (own["report"], own["diagnosis_report"]):
+            assert (done.folder / report).is_file()
+    assert sorted(path.name for path in done.folder.iterdir()) == [
+        "anna",
+        "ben",
+        "cohort.json",
+        "report.html",
+    ]
+
+
+def test_population_is_the_textbooks(done):
+    assert stored(done.folder / "cohort.json") == json.loads(json.dumps(done.content))
+    population = done.content["population"]
+    assert (population["n"], population["converged"], population["failed"]) == (2, 2, 1)
+    assert population["outcomes"] == {"insufficient_data": 2} and population["named"] == {}
+    for use in ("calibration", "validation"):
+        own = [done.content["subjects"][name]["mae_Nm"][use] for name in ("anna", "ben")]
+        # Left and right legs are alike: names lose their side.
+        assert list(population["mae_Nm"][use]) == ["hip_flexion", "knee_angle", "mean"]
+        values = np.array([one["knee_angle_l"] for one in own])
+        assert population["mae_Nm"][use]["knee_angle"] == pytest.approx(
+            {
+                "n": 2,
+                "mean": values.mean(),
+                "sd": abs(values[1] - values[0]) / np.sqrt(2.0),
+                "min": values.min(),
+                "median": values.mean(),
+                "max": values.max(),
+            }
+        )
+
+
+def test_the_page_says_who_failed_and_is_drawn_again_from_numbers(done):
+    page = (done.folder / "report.html").read_bytes()
+    text = page.decode()
+    assert "2 of 3 subjects done" in text and "1 subject failed:" in text and "model.osim" in text
+    assert 'href="anna/calibration/report.html"' in text and 'href="ben/diagnosis/report.html"' in text
+    (done.folder / "report.html").unlink()
+    assert redraw(done.folder) == done.folder / "report.html"
+    assert (done.folder / "report.html").read_bytes() == page
+
+
+def test_resuming_does_what_is_missing_or_changed_and_nothing_else(done, subjects, tmp_path, monkeypatch):
+    place = shutil.copytree(done.folder, tmp_path / "out")
+    moved = [Path(shutil.copytree(one, tmp_path / "moved" / one.name)) for one in subjects]
+    before = content(place)
+    calculated = []
+
+    def calculate(subject, *arguments, **options):
+        calculated.append(subject.folder.name)
+        raise InputError(Problem(subject.name, "stopped by the test"))
+
+    monkeypatch.setattr("wrapjax.api.calibration.kept_calibration", calculate)
+    again = cohort(moved, place, diagnose=True, starts=1, resume=True)
+    assert calculated == [] and list(again.failed) == ["broken"]
+    for name in ("anna", "ben"):
+        kept, own = again.content["subjects"][name], done.content["subjects"][name]
+        assert kept | {"folder": ""} == own | {"folder": ""}
+    assert content(place)["anna/subject.json"] == before["anna/subject.json"]
+    # Other numbers in a file, or another question, and an old answer is worth nothing.
+    scale_moments(moved[0], 1.01)
+    assert list(cohort(moved, place, diagnose=True, starts=1, resume=True).failed) == ["anna", "broken"]
+    assert calculated == ["anna"]
+    assert list(cohort(moved[2:], place, diagnose=True, starts=2, resume=True).failed) == ["ben"]
+    assert calculated == ["anna", "ben"]
+
+
+def test_folders_that_are_there_are_not_touched(here, done, subjects, tmp_path):
+    with pytest.raises(InputError, match="--resume, or replace all of it with --force"):
+        cohort(subjects, done.folder)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "precious.txt").write_text("mine")
+    for options in ({}, {"force": True}, {"resume": True}):
+        with pytest.raises(InputError, match="is no folder of a cohort"):
+            cohort(subjects, tmp_path / "mine", **options)
+    assert (tmp_path / "mine" / "precious.txt").read_text() == "mine"
+
+
+def test_names_that_meet_are_refused(here, subjects, tmp_path):
+    twin = write_subject(tmp_path / "Anna")
+    with pytest.raises(InputError, match="would have the same folder in the result"):
+        cohort([*subjects, twin], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_command_with_a_process_of_its_own(done, subjects, tmp_path, monkeypatch):
+    """It recalls from the cache what was calibrated above."""
+    monkeypatch.setattr("wrapjax.api.cohorts.run_everywhere", run_everywhere)
+    outcome = run("cohort", *subjects[:2], "--out", tmp_path / "out", "--starts", "1", "--workers", "1")
+    assert outcome.status == 1
+    assert "anna" in outcome.output and "failed: " in outcome.output and "Traceback" not in outcome.progress
+    found = stored(tmp_path / "out" / "cohort.json")["subjects"]
+    assert [own["state"] for own in found.values()] == ["done", "failed"]

@@ -1,0 +1,60 @@
+"""A cohort's page says of a population what its numbers say, whatever state its subjects are in."""
+
+import re
+
+import pytest
+
+from wrapjax.report.cohort.content import describe_cohort
+from wrapjax.report.cohort.page import render_cohort
+
+
+def member(side, error, **diagnosis):
+    errors = {f"knee_angle_{side}": error, "mean": error}
+    gap = {"outcome": "none", "named": [], "ties": []} | diagnosis
+    return {
+        "state": "done",
+        "converged": True,
+        "mae_Nm": {"calibration": errors, "validation": None},
+        "rmse_Nm": {"calibration": errors, "validation": None},
+        "diagnosis": gap,
+        "report": "x/calibration/report.html",
+        "diagnosis_report": "x/diagnosis/report.html",
+    }
+
+
+@pytest.fixture
+def subjects():
+    tie = [["cop_offset", "hip_center_offset"]]
+    return {
+        "a": member("l", 1.0, outcome="named", named=["cop_offset"]),
+        "b": member("r", 2.0, outcome="tie", ties=tie),
+        "c": member("r", 6.0, outcome="tie", ties=tie),
+        "d": {"state": "failed", "message": "d/model.osim: <does not> exist."},
+        "e": {"state": "waiting"},
+    }
+
+
+def test_counts(subjects):
+    population = describe_cohort("NGA", True, subjects)["population"]
+    assert [population[key] for key in ("n", "converged", "failed", "waiting")] == [3, 3, 1, 1]
+    assert population["outcomes"] == {"tie": 2, "named": 1}
+    assert population["named"] == {"cop_offset": 1}
+    assert population["tied"] == {"cop_offset": 2, "hip_center_offset": 2}
+    knee = population["mae_Nm"]["calibration"]["knee_angle"]
+    assert (knee["n"], knee["mean"], knee["median"], knee["max"]) == (3, 3.0, 2.0, 6.0)
+    assert knee["sd"] == pytest.approx(7.0**0.5)
+    assert population["mae_Nm"]["validation"] == {}
+
+
+def test_page(subjects):
+    page = render_cohort(describe_cohort("NGA", True, subjects))
+    assert "3 of 5 subjects done" in page and "Still waiting when this was written: 1." in page
+    assert "d/model.osim: &lt;does not&gt; exist." in page
+    assert page.count("<img") == 2
+    text = re.sub(r"<[^>]*>", " ", page)
+    assert re.search(r"cop offset\s+1\s+2\s+hip center offset\s+0\s+2", text)
+
+
+def test_nobody_is_done(subjects):
+    page = render_cohort(describe_cohort("PGA", False, {"d": subjects["d"], "e": subjects["e"]}))
+    assert "0 of 2 subjects done" in page and "<img" not in page
