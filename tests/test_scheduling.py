@@ -55,3 +55,12 @@ def test_slurm_without_its_package(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "dask_jobqueue", None)
     with pytest.raises(InputError, match="needs dask-jobqueue, which is not installed"):
         collected(math.sqrt, {"four": 4.0}, scheduler=SLURM)
+
+
+def test_another_cluster_on_this_machine_is_no_hindrance():
+    """Two at once: both have servers, and a warning of either is an error here."""
+    outer = run_everywhere(math.sqrt, {"four": 4.0, "nine": 9.0}, workers=1)
+    first = next(outer)
+    assert collected(math.sqrt, {"one": 1.0}, workers=1) == {"one": (1.0, "")}
+    assert {first.value, next(outer).value} == {2.0, 3.0}
+    outer.close()

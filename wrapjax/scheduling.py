@@ -125,7 +125,7 @@ def _local(workers: int) -> Any:
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",  # any free port: others may have a cluster here, too
         # What is too much for this machine is said by it; a worker that is stopped for it loses its work.
         memory_limit=0,
         silence_logs=logging.CRITICAL,

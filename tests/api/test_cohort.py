@@ -15,7 +15,7 @@ from wrapjax.api import cohort_member
 from wrapjax.api.cohorts import cohort
 from wrapjax.api.reporting import redraw
 from wrapjax.errors import InputError, Problem
-from wrapjax.scheduling import Finished, run_everywhere
+from wrapjax.scheduling import Finished
 
 
 def one_after_the_other(work, jobs, **options):
@@ -24,12 +24,15 @@ def one_after_the_other(work, jobs, **options):
         yield Finished(name, work(job))
 
 
-@pytest.fixture(scope="module")
-def here():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("wrapjax.api.cohorts.run_everywhere", one_after_the_other)
-        patch.setattr(cohort_member, "set_up_jax", lambda: None)
-        yield
+@pytest.fixture
+def here(monkeypatch):
+    """Do the work in this process."""
+    stay(monkeypatch)
+
+
+def stay(patch):
+    patch.setattr("wrapjax.api.cohorts.run_everywhere", one_after_the_other)
+    patch.setattr(cohort_member, "set_up_jax", lambda: None)
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +46,10 @@ def subjects(tmp_path_factory) -> list[Path]:
 
 
 @pytest.fixture(scope="module")
-def done(here, subjects, tmp_path_factory):
-    return cohort(subjects, tmp_path_factory.mktemp("cohorts") / "out", diagnose=True, starts=1)
+def done(subjects, tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        stay(patch)
+        return cohort(subjects, tmp_path_factory.mktemp("cohorts") / "out", diagnose=True, starts=1)
 
 
 def test_one_that_cannot_be_read_stops_no_other(done, subjects):
@@ -106,8 +111,9 @@ def test_the_page_says_who_failed_and_is_drawn_again_from_numbers(done):
     assert (done.folder / "report.html").read_bytes() == page
 
 
-def test_resuming_does_what_is_missing_or_changed_and_nothing_else(done, subjects, tmp_path, monkeypatch):
+def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp_path, monkeypatch):
     place = shutil.copytree(done.folder, tmp_path / "out")
+    (place / ".anna-torn").mkdir()  # what a killed worker leaves
     moved = [Path(shutil.copytree(one, tmp_path / "moved" / one.name)) for one in subjects]
     before = content(place)
     calculated = []
@@ -118,6 +124,7 @@ def test_resuming_does_what_is_missing_or_changed_and_nothing_else(done, subject
 
     monkeypatch.setattr("wrapjax.api.calibration.kept_calibration", calculate)
     again = cohort(moved, place, diagnose=True, starts=1, resume=True)
+    assert not (place / ".anna-torn").exists()
     assert calculated == [] and list(again.failed) == ["broken"]
     for name in ("anna", "ben"):
         kept, own = again.content["subjects"][name], done.content["subjects"][name]
@@ -149,11 +156,18 @@ def test_names_that_meet_are_refused(here, subjects, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_command_with_a_process_of_its_own(done, subjects, tmp_path, monkeypatch):
-    """It recalls from the cache what was calibrated above."""
-    monkeypatch.setattr("wrapjax.api.cohorts.run_everywhere", run_everywhere)
-    outcome = run("cohort", *subjects[:2], "--out", tmp_path / "out", "--starts", "1", "--workers", "1")
+def test_a_process_of_its_own_says_what_is_wrong(subjects, tmp_path):
+    outcome = run("cohort", subjects[1], "--out", tmp_path / "out", "--workers", "1")
+    assert outcome.status == 1
+    assert "broken" in outcome.output and "model.osim" in outcome.output
+    assert "Traceback" not in outcome.progress
+    assert stored(tmp_path / "out" / "cohort.json")["subjects"]["broken"]["state"] == "failed"
+
+
+@pytest.mark.slow
+def test_command_with_processes_of_its_own(subjects, tmp_path):
+    outcome = run("cohort", *subjects, "--out", tmp_path / "out", "--starts", "1", "--workers", "2")
     assert outcome.status == 1
     assert "anna" in outcome.output and "failed: " in outcome.output and "Traceback" not in outcome.progress
     found = stored(tmp_path / "out" / "cohort.json")["subjects"]
-    assert [own["state"] for own in found.values()] == ["done", "failed"]
+    assert [own["state"] for own in found.values()] == ["done", "failed", "done"]

@@ -183,6 +183,8 @@ def _open(place: Path, *, resume: bool, force: bool) -> None:
     elif not resume and any(place.iterdir()):
         hint = "keep what is done with --resume, or replace all of it with --force"
         raise InputError(Problem(str(place), "exists already and is not overwritten", hint=hint))
+    for torn in place.glob(".*"):  # what workers that were killed left half-written
+        shutil.rmtree(torn, ignore_errors=True)
 
 
 def _state(one: Finished) -> dict[str, Any]:
