@@ -224,8 +224,10 @@ def test_modules_stay_small():
     assert {name: length for name, length in lengths.items() if length > 500} == {}
 
 
-SLOW = {"opensim", "ezc3d", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt"}
-SLOW = {"opensim", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt", "pooch", "requests", "distributed"}
+SLOW = {
+    *("opensim", "ezc3d", "sklearn", "pandas", "matplotlib", "xarray", "jaxopt"),
+    *("pooch", "requests", "distributed"),
+}
 
 
 @pytest.mark.parametrize(

@@ -210,11 +210,11 @@ def _prepare(options: argparse.Namespace) -> int:
     from wrapjax.progress import say
     from wrapjax.subject import render_tables
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     done = prepare_subject(options.settings, tell=lambda line: say(line, quiet=options.quiet))
     done.save(options.out, force=options.force)
     if options.json:
-        _print_json(_stored(options.out / "preparation.json"))
+        print_json(stored(options.out / "preparation.json"))
     else:
         print(render_tables(done.tables()))
         print(f"written to {options.out}; see 'wrapjax check {options.out}'")
