@@ -31,26 +31,18 @@ ARROWS: dict[str, set[str]] = {
     "calibrate": {"errors", "files", "model", "geometry", "muscle"},
     "gap": {"errors", "calibrate", "model", "geometry", "muscle"},
     "measurement": {"errors", "subject", "osim", "gap"},
+    "contact": {"errors", "geometry", "skeleton"},
     "evaluate": set(),
     "virtual": {"errors", "files", "precision", "subject", "osim", "geometry", "muscle", "model"},
     "report": {
-        *(
-            "errors",
-            "files",
-            "subject",
-            "nmsm",
-            "geometry",
-            "muscle",
-            "model",
-            "calibrate",
-            "gap",
-            "evaluate",
-        ),
+        *("errors", "files", "subject", "nmsm", "geometry", "muscle", "model"),
+        *("calibrate", "gap", "contact", "evaluate"),
         "virtual",  # whose truth is drawn beside what calibration found
     },
     "api": {
         *("errors", "files", "precision", "progress", "subject", "nmsm", "raw", "skeleton", "osim"),
-        *("geometry", "muscle", "model", "calibrate", "gap", "measurement", "evaluate", "report", "virtual"),
+        *("geometry", "muscle", "model", "calibrate", "gap"),
+        *("measurement", "contact", "evaluate", "report", "virtual"),
     },
     # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.
     "cli": {"api", "errors", "files", "progress", "subject", "calibrate", "__init__"},
