@@ -1,4 +1,4 @@
-"""Defends: joint reactions are what Newton's laws give, and what muscles add to them runs along their lines."""
+"""Defends: joint reactions are what Newton and Euler ask for, and muscles add to them along their lines."""
 
 import itertools
 
