@@ -3,8 +3,9 @@
 ``prepare_subject`` makes a subject folder of a laboratory's raw files, ``load_subject`` reads one,
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
-``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
-pure function for `jax.grad`, and ``prepare`` all that is behind it.
+``compare`` does so by several methods and tests which differ, ``contact`` says what joints bear,
+``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that is behind
+it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -20,12 +21,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
     from wrapjax.api import Comparison as Comparison
+    from wrapjax.api import Contact as Contact
     from wrapjax.api import Diagnosis as Diagnosis
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import Preparation as Preparation
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import compare as compare
+    from wrapjax.api import contact as contact
     from wrapjax.api import diagnose as diagnose
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fit as fit
@@ -43,6 +46,7 @@ __version__ = version("wrapjax")
 _PLACES = {
     "Calibration": "wrapjax.api",
     "Comparison": "wrapjax.api",
+    "Contact": "wrapjax.api",
     "Diagnosis": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
@@ -50,6 +54,7 @@ _PLACES = {
     "Preparation": "wrapjax.api",
     "calibrate": "wrapjax.api",
     "compare": "wrapjax.api",
+    "contact": "wrapjax.api",
     "diagnose": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fit": "wrapjax.api",

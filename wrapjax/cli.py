@@ -175,6 +175,20 @@ def _parser() -> argparse.ArgumentParser:
         "--resume", action="store_true", help="go on with an interrupted calibration (done in any case)"
     )
 
+    contact = command("contact", _contact, "Say what joints bear, by one finished run or two.", writing)
+    contact.add_argument("run", type=Path, metavar="RUN", help="from 'wrapjax calibrate', NGA or PGA")
+    contact.add_argument("other", type=Path, nargs="?", metavar="RUN2", help="to compare it with")
+    contact.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: RUN/contact)")
+    contact.add_argument(
+        "--subject", type=Path, metavar="SUBJECT", help="the subject folder, if it is not where it was"
+    )
+    contact.add_argument(
+        "--undriven",
+        choices=["static-optimization", "none"],
+        default="static-optimization",
+        help="what muscles without an electrode do: close the moments with least effort, or nothing",
+    )
+
     demo = command("demo", _demo, "Calibrate a virtual subject of known truth by every method.", writing)
     demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
     return parser
@@ -363,6 +377,32 @@ def _diagnose(options: argparse.Namespace) -> int:
         print(gap_table(done.result))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
+
+
+def _contact(options: argparse.Namespace) -> int:
+    _set_up_jax()
+    from wrapjax.api import contact
+    from wrapjax.api.contact_force import DEFAULT_FOLDER
+    from wrapjax.api.text import contact_table
+    from wrapjax.progress import say
+
+    out = options.out or options.run / DEFAULT_FOLDER
+    if options.run.is_dir():
+        _refuse_existing(out, options.force)
+    done = contact(
+        options.run,
+        options.other,
+        subject=options.subject,
+        undriven=options.undriven,
+        tell=lambda line: say(line, quiet=options.quiet),
+    )
+    done.save(out, force=options.force)
+    if options.json:
+        _print_json(_stored(out / "contact.json"))
+    else:
+        print(contact_table(done))
+        print(f"\nwritten to {out}; open {out / 'report.html'} in a browser")
+    return DONE if done.converged else NOT_CONVERGED
 
 
 def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]:

@@ -70,7 +70,7 @@ def test_residuals_are_what_muscles_leave(leg):
 
 def test_muscles_give_all_they_can_before_anything_is_left():
     arm, force = np.full((1, 1, 1), 0.05), np.full((1, 1), 1000.0)
-    found = share_moments(np.full((1, 1), 80.0), arm, force, np.zeros((1, 1)))
+    found = share_moments(np.full((1, 1), 80.0), arm, force, np.zeros((1, 1)), residual_scale=1.0)
     np.testing.assert_allclose(found.activation, 1.0)
     np.testing.assert_allclose(found.residual, 30.0)
 

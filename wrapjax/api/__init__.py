@@ -4,6 +4,8 @@ from wrapjax.api.calibration import Calibration as Calibration
 from wrapjax.api.calibration import calibrate as calibrate
 from wrapjax.api.comparison import Comparison as Comparison
 from wrapjax.api.comparison import compare as compare
+from wrapjax.api.contact_force import Contact as Contact
+from wrapjax.api.contact_force import contact as contact
 from wrapjax.api.diagnosis import Diagnosis as Diagnosis
 from wrapjax.api.diagnosis import diagnose as diagnose
 from wrapjax.api.exact import ExactGeometry as ExactGeometry
