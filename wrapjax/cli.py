@@ -176,8 +176,8 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     contact = command("contact", _contact, "Say what joints bear, by one finished run or two.", writing)
-    contact.add_argument("run", type=Path, metavar="RUN", help="from 'wrapjax calibrate', NGA or PGA")
-    contact.add_argument("other", type=Path, nargs="?", metavar="RUN2", help="to compare it with")
+    contact.add_argument("first", type=Path, metavar="RUN", help="from 'wrapjax calibrate', NGA or PGA")
+    contact.add_argument("second", type=Path, nargs="?", metavar="RUN2", help="to compare it with")
     contact.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: RUN/contact)")
     contact.add_argument(
         "--subject", type=Path, metavar="SUBJECT", help="the subject folder, if it is not where it was"
@@ -238,13 +238,12 @@ def _fit(options: argparse.Namespace) -> int:
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     say("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
-    if options.json:
-        _print_json(_stored(options.out / "fit.json"))
-    else:
-        print(fit_table(result))
-        if result.wraps is not None and result.wraps.quality:
-            print(f"\n{wrap_table(result.wraps)}")
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+
+    def tables() -> str:
+        wraps = result.wraps
+        return fit_table(result) + (f"\n\n{wrap_table(wraps)}" if wraps and wraps.quality else "")
+
+    _show(options, "fit.json", tables)
     return DONE
 
 
@@ -292,11 +291,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
-    if options.json:
-        _print_json(_stored(options.out / "summary.json"))
-    else:
-        print("\n\n".join(map(calibration_table, done.legs)))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    _show(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
     return DONE if done.status.converged else NOT_CONVERGED
 
 
@@ -334,11 +329,7 @@ def _compare(options: argparse.Namespace) -> int:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
-    if options.json:
-        _print_json(_stored(options.out / "comparison.json"))
-    else:
-        print(comparison_table(done))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    _show(options, "comparison.json", lambda: comparison_table(done))
     return DONE if done.converged else NOT_CONVERGED
 
 
@@ -371,11 +362,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         tell=lambda line: say(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
-    if options.json:
-        _print_json(_stored(options.out / "gap.json"))
-    else:
-        print(gap_table(done.result))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    _show(options, "gap.json", lambda: gap_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
 
 
@@ -383,25 +370,21 @@ def _contact(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import contact
     from wrapjax.api.contact_force import DEFAULT_FOLDER
-    from wrapjax.api.text import contact_table
+    from wrapjax.api.contact_text import contact_table
     from wrapjax.progress import say
 
-    out = options.out or options.run / DEFAULT_FOLDER
-    if options.run.is_dir():
-        _refuse_existing(out, options.force)
+    options.out = options.out or options.first / DEFAULT_FOLDER
+    if options.first.is_dir():
+        _refuse_existing(options.out, options.force)
     done = contact(
-        options.run,
-        options.other,
+        options.first,
+        options.second,
         subject=options.subject,
         undriven=options.undriven,
         tell=lambda line: say(line, quiet=options.quiet),
     )
-    done.save(out, force=options.force)
-    if options.json:
-        _print_json(_stored(out / "contact.json"))
-    else:
-        print(contact_table(done))
-        print(f"\nwritten to {out}; open {out / 'report.html'} in a browser")
+    done.save(options.out, force=options.force)
+    _show(options, "contact.json", lambda: contact_table(done))
     return DONE if done.converged else NOT_CONVERGED
 
 
@@ -506,6 +489,15 @@ def _positive(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, found '{text}'")
     return number
+
+
+def _show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
+    """Print what was written: the file of numbers, or a table and where the report is."""
+    if options.json:
+        _print_json(_stored(options.out / file))
+    else:
+        print(table())
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
 
 
 def _stored(file: Path) -> Any:

@@ -11,7 +11,6 @@ import numpy as np
 
 from wrapjax.api.calibration import Calibration
 from wrapjax.api.comparison import Comparison
-from wrapjax.api.contact_force import Contact
 from wrapjax.api.demo import Demonstration
 from wrapjax.api.fitting import Fit
 from wrapjax.api.wrap_fit import WrapFit
@@ -158,7 +157,7 @@ def comparison_table(comparison: Comparison) -> str:
         for number, method in enumerate(comparison.methods):
             own = [cells.get((use, speed, item)) for item in items]
             name = "" if number else f"{use}, {speed}"
-            texts = ["" if row is None else _mean_and_deviation(row.spreads[method]) for row in own]
+            texts = ["" if row is None else mean_and_deviation(row.spreads[method]) for row in own]
             lines.append(f"{name:{width}s}{method:{reach}s}" + "".join(f"{text:>16s}" for text in texts))
     failed = [
         f"{leg.label} by {method}: {result.solution.status.value}"
@@ -169,41 +168,8 @@ def comparison_table(comparison: Comparison) -> str:
     return "\n".join([*lines, "", textwrap.fill(note(comparison.legs), 100), *failed])
 
 
-def contact_table(contact: Contact) -> str:
-    """Show what the forces are, and the peaks of each joint by each run."""
-    from wrapjax.evaluate.statistics import Spread
-    from wrapjax.report.contact.numbers import compared_peaks, describe_contact, tests_reason
-    from wrapjax.report.contact.page import sentences, undriven_sentence
-
-    result = contact.result
-    lines = [textwrap.fill(sentences(result)[0], 100), ""]
-    lines.append(f"{'peak':24s}{'run':16s}{'bodyweights':>18s}{'N':>18s}{'% of cycle':>14s}")
-    runs = describe_contact(result)["runs"]
-    for joint in result.joints:
-        for measure in runs[0]["joints"][joint]:
-            for run in runs:
-                own = run["joints"][joint][measure]
-                cells = [
-                    _mean_and_deviation(Spread(own[f"mean_{unit}"], own[f"sd_{unit}"]), digits)
-                    for unit, digits in (("bodyweights", 2), ("N", 0), ("phase_percent", 0))
-                ]
-                name = f"{joint}, {measure.replace('_', ' ')}"
-                lines.append(f"{name:24s}{run['run']:16s}{cells[0]:>18s}{cells[1]:>18s}{cells[2]:>14s}")
-    lines.append("")
-    if reason := tests_reason(result):
-        lines.append(f"not tested: {reason}")
-    for joint, measure, test in compared_peaks(result):
-        if test is not None:
-            lines.append(
-                f"{joint}, {measure.replace('_', ' ')}: {result.runs[1].label} less {result.runs[0].label} "
-                f"{test.difference:+.3f} bodyweights (95 % {test.low:.3f} to {test.high:.3f}), paired t-test "
-                f"over {test.n} cycles: p = {test.p:.2g}"
-            )
-    lines += [textwrap.fill(f"{run.label}: {undriven_sentence(run)}", 100) for run in result.runs]
-    return "\n".join([*lines, *sentences(result)[1 + len(result.runs) :]])
-
-
-def _mean_and_deviation(spread: Spread, digits: int = 2) -> str:
+def mean_and_deviation(spread: Spread, digits: int = 2) -> str:
+    """Write ``mean ± standard deviation``, or the mean alone where there is no deviation."""
     return f"{spread.mean:.{digits}f}" + ("" if math.isnan(spread.sd) else f" ± {spread.sd:.{digits}f}")
 
 
