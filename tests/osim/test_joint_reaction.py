@@ -35,8 +35,10 @@ def two_links(tmp_path_factory):
         model.addBody(body)
         bodies.append(body)
     for number, (name, where) in enumerate((("hip", HIP.tolist()), ("knee", [0.0, -LENGTH, 0.0]))):
-        ends = (bodies[number], opensim.Vec3(*where), opensim.Vec3(0))
-        child = (bodies[number + 1], opensim.Vec3(0), opensim.Vec3(0))
+        # Joints' frames are turned in their bodies: forces are given along the bodies' axes all the same.
+        askew = opensim.Vec3(0, 0, 0.7)
+        ends = (bodies[number], opensim.Vec3(*where), askew)
+        child = (bodies[number + 1], opensim.Vec3(0), askew)
         joint = opensim.PinJoint(f"{name}_joint", *ends, *child)
         joint.updCoordinate().setName(name)
         model.addJoint(joint)
@@ -105,7 +107,7 @@ def newton_euler(motion, pose, load, tension):
             pulls[next_body] -= along
     at_knee = MASSES[1] * (centers[1] - gravity) - load - pulls[2]
     at_hip = at_knee + MASSES[0] * (centers[0] - gravity) - pulls[1]
-    # On the parent, in the axes of the joint's frame there.
+    # On the parent, along its axes.
     return np.stack([-at_hip, -axes[1].T @ at_knee])
 
 

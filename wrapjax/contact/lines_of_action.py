@@ -42,7 +42,7 @@ def lines_of_action(
     -------
     array
         What the distal body presses on the proximal one with, by unit force of the muscle (N/N), along x, y
-        and z of the joint's frame in the proximal body. Zero for a muscle that does not cross the joint;
+        and z of the proximal body. Zero for a muscle that does not cross the joint;
         otherwise the sum of unit vectors, one for each time that it crosses.
 
     Raises

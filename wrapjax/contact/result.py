@@ -54,7 +54,7 @@ class RunContact:
         Muscles without an electrode.
     force
         What the distal body puts on the proximal one, N, along x (forward), y (up) and z (to the right) of
-        the joint's frame there.
+        that bone.
     """
 
     label: str

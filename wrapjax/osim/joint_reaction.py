@@ -48,7 +48,7 @@ def analyse_joint_reactions(
     Returns
     -------
     array
-        N, along x, y and z of the joint's frame in the parent body.
+        N, along x, y and z of the parent body (of ground, where that is the parent).
 
     Raises
     ------
@@ -89,7 +89,7 @@ def analyse_joint_reactions(
         model.realizeAcceleration(state)
         for place, joint in enumerate(measured):
             reaction = joint.calcReactionOnParentExpressedInGround(state).get(1)
-            axes = joint.getParentFrame().getTransformInGround(state).R().asMat33()
+            axes = joint.getParentFrame().findBaseFrame().getTransformInGround(state).R().asMat33()
             turned = np.array([[axes.get(i, j) for j in range(3)] for i in range(3)])
             found[place, :, pose] = turned.T @ reaction.to_numpy()
     return found

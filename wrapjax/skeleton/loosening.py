@@ -13,7 +13,7 @@ from wrapjax.skeleton.functions import IDENTITY
 
 
 def loosened(model: ModelDescription, joints: Sequence[str]) -> ModelDescription:
-    """Let joints slide along x, y and z of their frame in the parent body, by coordinates of their own.
+    """Let joints slide along x, y and z of the parent body, by coordinates of their own.
 
     Where those are zero, everything is as before. What a muscle's length loses by unit speed of one is the
     part of its line of action across the joint along that axis.
@@ -68,7 +68,8 @@ def sliding_coordinates(joint: str) -> tuple[str, str, str]:
 def _sliding(joint: Joint) -> Joint:
     assert joint.axes is not None
     names = sliding_coordinates(joint.name)
-    directions = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    # Translations are given in the joint's frame: its rows are the body's axes there.
+    directions = joint.in_parent.rotation
     slides = tuple(
         Axis("translation", direction, name, IDENTITY)
         for direction, name in zip(directions, names, strict=True)

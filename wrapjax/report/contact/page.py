@@ -118,7 +118,7 @@ def _forces_section(result: ContactResult) -> str:
             component_figure(result),
             alternative="Force on the proximal bone of each joint along three axes.",
             caption="What the distal bone puts on the proximal one, in bodyweights, along the axes of the "
-            "joint's frame in the proximal bone.",
+            "proximal bone.",
         )
     )
     return markup.section("Forces", *parts)
