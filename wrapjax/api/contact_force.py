@@ -187,7 +187,7 @@ def _undriven(run: FinishedRun, model_file: Path, treatment: str) -> Undriven:
     others = other_muscles(run.subject, run.curves, model_file)[0] if treatment != "none" else None
     if others is None:
         return none
-    active, passive = _strengths(others)
+    active = _strengths(others)
     arm = np.asarray(others.path.moment_arm)
     count = len(others.names)
     # One row of frames: every frame is a question of its own.
@@ -195,7 +195,6 @@ def _undriven(run: FinishedRun, model_file: Path, treatment: str) -> Undriven:
         np.moveaxis(missing, 1, 0).reshape(coordinates, -1),
         np.moveaxis(arm, 2, 1).reshape(count, coordinates, -1),
         active.reshape(count, -1),
-        passive.reshape(count, -1),
     )
     activation = shared.activation.reshape(count, trials, frames)
     return replace(
@@ -204,17 +203,19 @@ def _undriven(run: FinishedRun, model_file: Path, treatment: str) -> Undriven:
         muscles=others.names,
         left_out=tuple(name for name in all_of_them if name not in others.names),
         activation=activation,
-        force=activation * active + passive,
+        force=activation * active,
         residual=np.moveaxis(shared.residual.reshape(coordinates, trials, frames), 0, 1),
     )
 
 
-def _strengths(
-    others: OtherMuscles,
-) -> tuple[Float[np.ndarray, "muscle trial frame"], Float[np.ndarray, "muscle trial frame"]]:
-    """Forces along the tendon at full activation, and passive ones, N; the model's own parameters."""
+def _strengths(others: OtherMuscles) -> Float[np.ndarray, "muscle trial frame"]:
+    """Forces along the tendon at full activation, N, by the model's own parameters.
 
-    def of_one(path: PathState, parameters: ModelParameters) -> tuple[Array, Array]:
+    Passive forces are left out: nobody fitted these muscles' slack lengths, and with tendons that do not
+    stretch a few millimetres too little make hundreds of newtons.
+    """
+
+    def of_one(path: PathState, parameters: ModelParameters) -> Array:
         fiber = rigid_tendon_fiber(
             others.curves,
             jnp.ones_like(path.length),
@@ -222,10 +223,9 @@ def _strengths(
             path.velocity,
             **fiber_parameters(parameters),
         )
-        return fiber.active_force, fiber.passive_force
+        return fiber.active_force
 
-    active, passive = jax.vmap(of_one)(others.path, others.parameters)
-    return np.maximum(np.asarray(active), 0.0), np.asarray(passive)
+    return np.maximum(np.asarray(jax.vmap(of_one)(others.path, others.parameters)), 0.0)
 
 
 def _reactions(

@@ -33,7 +33,6 @@ def share_moments(
     missing: Float[np.ndarray, "coordinate frame"],
     moment_arm: Float[np.ndarray, "muscle coordinate frame"],
     active_force: Float[np.ndarray, "muscle frame"],
-    passive_force: Float[np.ndarray, "muscle frame"],
     *,
     residual_scale: float = RESIDUAL_SCALE,
 ) -> SharedMoments:
@@ -43,7 +42,7 @@ def share_moments(
 
         sum over muscles of a^2  +  sum over coordinates of (residual / residual_scale)^2
 
-    over activations ``a`` from 0 to 1, where ``residual = missing - sum of arm (a active + passive)``. The
+    over activations ``a`` from 0 to 1, where ``residual = missing - sum of arm a active``. The
     criterion is of the kind that Crowninshield & Brand 1981 (doi:10.1016/0021-9290(81)90035-X) proposed, with
     activations in place of stresses and the exponent two. Reserve moments take the place of
     equality constraints, as in OpenSim's static optimization, so that there is always one solution. It is a
@@ -57,8 +56,6 @@ def share_moments(
         ``-dL/dq``, m.
     active_force
         Force along the tendon at full activation, N; never negative.
-    passive_force
-        Force along the tendon without activation, N.
     residual_scale
         Moment (N m) that weighs as much as one fully active muscle. Small enough, muscles give all that
         they can before anything is left.
@@ -72,19 +69,19 @@ def share_moments(
     --------
     Two equal muscles, each able to give 10 N m, share 10 N m equally:
 
+    >>> import numpy as np
     >>> arm, force = np.full((2, 1, 1), 0.1), np.full((2, 1), 100.0)
-    >>> found = share_moments(np.full((1, 1), 10.0), arm, force, 0.0 * force, residual_scale=1e-3)
+    >>> found = share_moments(np.full((1, 1), 10.0), arm, force, residual_scale=1e-3)
     >>> found.activation.round(3).tolist()
     [[0.5], [0.5]]
     """
     muscles, frames = active_force.shape
     activation = np.zeros((muscles, frames))
-    wanted = missing - np.einsum("mcf,mf->cf", moment_arm, passive_force)
     strength = moment_arm * active_force[:, None]
     for frame in range(frames if muscles else 0):
         # Above, what moments miss; below, the activations themselves.
         rows = np.concatenate([strength[:, :, frame].T / residual_scale, np.eye(muscles)])
-        aims = np.concatenate([wanted[:, frame] / residual_scale, np.zeros(muscles)])
+        aims = np.concatenate([missing[:, frame] / residual_scale, np.zeros(muscles)])
         found = lsq_linear(rows, aims, bounds=(0.0, 1.0), method="bvls", tol=1e-12)
         activation[:, frame] = np.clip(found.x, 0.0, 1.0)
-    return SharedMoments(activation, wanted - np.einsum("mcf,mf->cf", strength, activation))
+    return SharedMoments(activation, missing - np.einsum("mcf,mf->cf", strength, activation))

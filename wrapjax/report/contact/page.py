@@ -209,7 +209,7 @@ def undriven_sentence(run: RunContact) -> str:
             f"{counted(len(own.muscles), 'muscle')} without EMG got the activations whose squares sum to the "
             "least while closing the joint moments that driven muscles leave, frame by frame (static "
             f"optimization; {RESIDUAL_SCALE:g} N m left over weigh as one fully active muscle; the model's "
-            "own fiber and tendon lengths)."
+            "own fiber and tendon lengths, active force alone)."
         )
     if own.left_out:
         said.append(
