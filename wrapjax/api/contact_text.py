@@ -12,7 +12,7 @@ def contact_table(contact: Contact) -> str:
     """Show what the forces are, and the peaks of each joint by each run."""
     from wrapjax.evaluate.statistics import Spread
     from wrapjax.report.contact.numbers import compared_peaks, describe_contact, tests_reason
-    from wrapjax.report.contact.page import sentences, undriven_sentence
+    from wrapjax.report.contact.page import sentences, undriven_sentences
 
     result = contact.result
     lines = [textwrap.fill(sentences(result)[0], 100), ""]
@@ -38,5 +38,5 @@ def contact_table(contact: Contact) -> str:
                 f"{test.difference:+.3f} bodyweights (95 % {test.low:.3f} to {test.high:.3f}), paired t-test "
                 f"over {test.n} cycles: p = {test.p:.2g}"
             )
-    lines += [textwrap.fill(f"{run.label}: {undriven_sentence(run)}", 100) for run in result.runs]
+    lines += [textwrap.fill(sentence, 100) for sentence in undriven_sentences(result)]
     return "\n".join([*lines, *sentences(result)[1 + len(result.runs) :]])

@@ -18,7 +18,7 @@ from wrapjax.subject import Storage
 SCHEMA = 1
 #: Why medial and lateral knee forces are missing.
 ONE_KNEE = (
-    "the model's knee is one joint, whose force no model-free rule divides between the medial and the "
+    "the model's knee is one joint, and does not say how its force divides between the medial and the "
     "lateral side"
 )
 
@@ -118,9 +118,9 @@ def compared_peaks(result: ContactResult) -> Iterator[tuple[str, str, PairedTest
 def tests_reason(result: ContactResult) -> str:
     """Say why nothing is tested; empty where something is."""
     if len(result.runs) < 2:
-        return "one run alone: nothing to compare it with"
+        return "one run alone, and nothing to compare it with"
     if len(result.trials) < FEWEST_UNITS:
-        return f"fewer than {FEWEST_UNITS} gait cycles: no test"
+        return f"fewer than {FEWEST_UNITS} gait cycles"
     return ""
 
 

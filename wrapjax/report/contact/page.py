@@ -158,9 +158,7 @@ def _test_row(joint: str, measure: str, test: PairedTest) -> tuple[str, ...]:
 
 
 def _undriven_section(result: ContactResult) -> str:
-    parts = []
-    for run in result.runs:
-        parts.append(markup.paragraph(f"{run.label}: {undriven_sentence(run)}"))
+    parts = [markup.paragraph(sentence) for sentence in undriven_sentences(result)]
     rows = []
     for coordinate in result.coordinates:
         cells = [coordinate]
@@ -198,8 +196,15 @@ def _undriven_section(result: ContactResult) -> str:
     return markup.section("Muscles without EMG", *parts)
 
 
-def undriven_sentence(run: RunContact) -> str:
-    """Say what was made of muscles without an electrode."""
+def undriven_sentences(result: ContactResult) -> list[str]:
+    """Say what was made of muscles without an electrode, once for runs in which it was the same."""
+    said: dict[str, list[str]] = {}
+    for run in result.runs:
+        said.setdefault(_undriven_sentence(run), []).append(run.label)
+    return [f"{' and '.join(labels)}: {sentence}" for sentence, labels in said.items()]
+
+
+def _undriven_sentence(run: RunContact) -> str:
     own = run.undriven
     if not own.muscles and not own.left_out:
         return "EMG drives every muscle of this leg."
