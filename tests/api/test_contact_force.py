@@ -103,6 +103,18 @@ def test_the_hip_bears_what_newton_says(subject, compared):
             )
 
 
+def test_forces_are_labelled(compared):
+    result, dataset = compared.result, compared.dataset
+    at = {"run": "PGA", "trial": "walk_b", "joint": "knee"}
+    trial = result.trials.index("walk_b")
+    np.testing.assert_array_equal(
+        dataset["contact_force"].sel(at | {"axis": "y"}), result.runs[1].force[trial, 1, 1]
+    )
+    size = np.sqrt((dataset["contact_force"] ** 2).sum("axis"))
+    np.testing.assert_allclose(size, dataset["contact_force_magnitude"], rtol=1e-12)
+    assert all(dataset[name].attrs["units"] for name in dataset)
+
+
 def test_without_ground_forces_it_is_the_muscles_share(bare, tmp_path):
     found = contact(write_run(tmp_path / "run", bare)).result
     assert found.kind == MUSCLE_SHARE

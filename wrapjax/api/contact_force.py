@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from wrapjax.api.datasets import contact_dataset
 from wrapjax.api.finished_run import FinishedRun, read_run
 from wrapjax.api.undriven import other_muscles
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
@@ -29,11 +31,13 @@ from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject
 
+if TYPE_CHECKING:
+    from xarray import Dataset
+
 #: What may be made of muscles without an electrode.
 TREATMENTS = ("static-optimization", "none")
 #: In a run's folder, unless another place is named.
 DEFAULT_FOLDER = "contact"
-_PERSONALISED = "model_personalized.osim"
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,11 @@ class Contact:
     def converged(self) -> bool:
         """Whether the calibrations had, so that forces are final."""
         return all(run.converged for run in self.result.runs)
+
+    @property
+    def dataset(self) -> Dataset:
+        """All curves as an `xarray.Dataset`, every variable with its unit."""
+        return contact_dataset(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``contact.json``, curves and ``report.html``."""
@@ -152,10 +161,12 @@ def _labels(runs: Sequence[FinishedRun]) -> list[str]:
 
 def _model_of(run: FinishedRun) -> Path:
     """Find the model in which a run's muscles run."""
+    from wrapjax.report.run_folder import PERSONALISED_MODEL
+
     if run.method == "PGA":
-        file = run.folder / _PERSONALISED
+        file = run.folder / PERSONALISED_MODEL
         if not file.is_file():
-            message = "is not there; where the muscles of a PGA run is said by the model that it wrote"
+            message = "is not there; where muscles run after PGA is said by the model that it wrote"
             raise InputError(Problem(str(file), message))
         return file
     if run.method in ("SGA", "LSGA"):
