@@ -9,7 +9,8 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 #: Moment (N m) that is left unexplained as readily as one muscle is fully active. EMG-driven models miss
-#: measured moments by 5 to 10 N m: to close less would have other muscles undo what driven ones do wrong.
+#: measured moments by 5 to 10 N m: to leave less would have other muscles undo what driven ones do wrong.
+#: A judgement, not a measurement, and contact forces depend on it: README.md says by how much.
 RESIDUAL_SCALE = 10.0
 
 
