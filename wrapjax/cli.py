@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.files import refuse_existing
 
 if TYPE_CHECKING:
     from wrapjax.api import ExactGeometry, Fit
@@ -179,9 +180,7 @@ def _parser() -> argparse.ArgumentParser:
     contact.add_argument("first", type=Path, metavar="RUN", help="from 'wrapjax calibrate', NGA or PGA")
     contact.add_argument("second", type=Path, nargs="?", metavar="RUN2", help="to compare it with")
     contact.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: RUN/contact)")
-    contact.add_argument(
-        "--subject", type=Path, metavar="SUBJECT", help="the subject folder, if it is not where it was"
-    )
+    contact.add_argument("--subject", type=Path, metavar="SUBJECT", help="if it is not where it was")
     contact.add_argument(
         "--undriven",
         choices=["static-optimization", "none"],
@@ -215,7 +214,7 @@ def _prepare(options: argparse.Namespace) -> int:
     from wrapjax.progress import say
     from wrapjax.subject import render_tables
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     done = prepare_subject(options.settings, tell=lambda line: say(line, quiet=options.quiet))
     done.save(options.out, force=options.force)
     if options.json:
@@ -232,7 +231,7 @@ def _fit(options: argparse.Namespace) -> int:
     from wrapjax.api.text import fit_table, wrap_table
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     subject = load_subject(options.subject)
     how = {"processes": options.threads, "quiet": options.quiet}
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
@@ -256,7 +255,7 @@ def _calibrate(options: argparse.Namespace) -> int:
     from wrapjax.progress import say
     from wrapjax.subject import read_legs
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
     journal = _journal(options)
@@ -303,7 +302,7 @@ def _compare(options: argparse.Namespace) -> int:
     from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     journal = _journal(options)
     inner = ProjectedLM()
     if options.max_iterations:
@@ -342,7 +341,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     from wrapjax.api.text import iteration_printer
     from wrapjax.progress import say
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     refuse_unknown(options.without)
     subject = load_subject(options.subject)
     if options.fit:
@@ -369,13 +368,11 @@ def _diagnose(options: argparse.Namespace) -> int:
 def _contact(options: argparse.Namespace) -> int:
     _set_up_jax()
     from wrapjax.api import contact
-    from wrapjax.api.contact_force import DEFAULT_FOLDER
     from wrapjax.api.contact_text import contact_table
     from wrapjax.progress import say
 
-    options.out = options.out or options.first / DEFAULT_FOLDER
-    if options.first.is_dir():
-        _refuse_existing(options.out, options.force)
+    options.out = options.out or options.first / "contact"
+    refuse_existing(options.out, options.force)
     done = contact(
         options.first,
         options.second,
@@ -413,7 +410,7 @@ def _demo(options: argparse.Namespace) -> int:
         wrap_recovery_table,
     )
 
-    _refuse_existing(options.out, options.force)
+    refuse_existing(options.out, options.force)
     shown = demo(
         options.out,
         seed=options.seed,
@@ -434,21 +431,6 @@ def _demo(options: argparse.Namespace) -> int:
         print(gap_table(shown.gap.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED
-
-
-def _refuse_existing(folder: Path, force: bool) -> None:
-    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
-    if folder.exists() and not force:
-        raise InputError(
-            Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
-        )
-    if folder.is_file():
-        raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
-    parent = next(place for place in folder.absolute().parents if place.exists())
-    if not parent.is_dir():
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
-    if not os.access(parent, os.W_OK):
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
 
 
 def _journal(options: argparse.Namespace) -> Path:

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 #: What may be made of muscles without an electrode.
 TREATMENTS = ("static-optimization", "none")
-#: In a run's folder, unless another place is named.
-DEFAULT_FOLDER = "contact"
 
 
 @dataclass(frozen=True)
