@@ -3,13 +3,10 @@
 ``prepare_subject`` makes a subject folder of a laboratory's raw files, ``load_subject`` reads one,
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
-``compare`` does so by several methods and tests which differ, ``objective`` gives what is minimised as a
-``load_subject`` reads a subject folder, ``fit`` replaces its muscle paths by polynomials, ``fit_wraps``
-learns how those follow the cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
-``compare`` does so by several methods and tests which differ, ``evaluate`` predicts other cycles by a
-finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch`` downloads public
-recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that
-is behind it.
+``compare`` does so by several methods and tests which differ, ``contact`` says what joints bear,
+``evaluate`` predicts other cycles by a finished run (``load_run``), ``cohort`` calibrates many subjects side
+by side, ``fetch`` downloads public recordings, ``objective`` gives what is minimised as a pure function for
+`jax.grad`, and ``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -26,6 +23,7 @@ if TYPE_CHECKING:
     from wrapjax.api import Calibration as Calibration
     from wrapjax.api import Cohort as Cohort
     from wrapjax.api import Comparison as Comparison
+    from wrapjax.api import Contact as Contact
     from wrapjax.api import Diagnosis as Diagnosis
     from wrapjax.api import Evaluation as Evaluation
     from wrapjax.api import ExactGeometry as ExactGeometry
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import cohort as cohort
     from wrapjax.api import compare as compare
+    from wrapjax.api import contact as contact
     from wrapjax.api import diagnose as diagnose
     from wrapjax.api import evaluate as evaluate
     from wrapjax.api import exact_geometry as exact_geometry
@@ -56,6 +55,7 @@ _PLACES = {
     "Calibration": "wrapjax.api",
     "Cohort": "wrapjax.api",
     "Comparison": "wrapjax.api",
+    "Contact": "wrapjax.api",
     "Diagnosis": "wrapjax.api",
     "Evaluation": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
@@ -66,6 +66,7 @@ _PLACES = {
     "calibrate": "wrapjax.api",
     "cohort": "wrapjax.api",
     "compare": "wrapjax.api",
+    "contact": "wrapjax.api",
     "diagnose": "wrapjax.api",
     "evaluate": "wrapjax.api",
     "exact_geometry": "wrapjax.api",

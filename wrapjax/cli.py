@@ -20,10 +20,11 @@ from wrapjax.commands.common import (
     NOT_CONVERGED,
     positive,
     print_json,
-    refuse_existing,
+    show,
     stored,
 )
 from wrapjax.errors import InputError, Problem
+from wrapjax.files import refuse_existing
 from wrapjax.jax_setup import set_threads, set_up_jax
 
 if TYPE_CHECKING:
@@ -233,13 +234,12 @@ def _fit(options: argparse.Namespace) -> int:
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     say("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
-    if options.json:
-        print_json(stored(options.out / "fit.json"))
-    else:
-        print(fit_table(result))
-        if result.wraps is not None and result.wraps.quality:
-            print(f"\n{wrap_table(result.wraps)}")
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+
+    def tables() -> str:
+        wraps = result.wraps
+        return fit_table(result) + (f"\n\n{wrap_table(wraps)}" if wraps and wraps.quality else "")
+
+    show(options, "fit.json", tables)
     return DONE
 
 
@@ -287,11 +287,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
-    if options.json:
-        print_json(stored(options.out / "summary.json"))
-    else:
-        print("\n\n".join(map(calibration_table, done.legs)))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    show(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
     return DONE if done.status.converged else NOT_CONVERGED
 
 
@@ -329,11 +325,7 @@ def _compare(options: argparse.Namespace) -> int:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
-    if options.json:
-        print_json(stored(options.out / "comparison.json"))
-    else:
-        print(comparison_table(done))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    show(options, "comparison.json", lambda: comparison_table(done))
     return DONE if done.converged else NOT_CONVERGED
 
 
@@ -366,11 +358,7 @@ def _diagnose(options: argparse.Namespace) -> int:
         tell=lambda line: say(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
-    if options.json:
-        print_json(stored(options.out / "gap.json"))
-    else:
-        print(gap_table(done.result))
-        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+    show(options, "gap.json", lambda: gap_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
 
 

@@ -98,6 +98,21 @@ def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
+def refuse_existing(folder: Path, force: bool) -> None:
+    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
+    if folder.exists() and not force:
+        raise InputError(
+            Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
+        )
+    if folder.is_file():
+        raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
+    parent = next(place for place in folder.absolute().parents if place.exists())
+    if not parent.is_dir():
+        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
+    if not os.access(parent, os.W_OK):
+        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
+
+
 def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
     """Name content by its SHA-256 (hex, 32 digits). A `Path` stands for the bytes of its file."""
     digest = hashlib.sha256()

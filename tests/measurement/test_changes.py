@@ -14,6 +14,7 @@ from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.measurement.changes import measured_changes, recorded_walk
 from wrapjax.measurement.walk import UP, Walk
 from wrapjax.osim.inverse_dynamics import Mechanics
+from wrapjax.osim.motion import Motion
 
 #: Of both segments of the synthetic leg: kg, m, m, kg m^2; and m/s^2.
 MASS, LENGTH, TO_CENTER, INERTIA, GRAVITY = 5.0, 0.4, 0.2, 0.1, 9.80665
@@ -279,6 +280,7 @@ def test_the_other_foot_is_this_one_half_a_cycle_away():
     walk = Walk(
         side="r",
         time=phase[None],
+        motion=Motion((), *(np.zeros((0, phase.size)) for _ in range(3))),
         mechanics=mechanics,
         loaded=("foot",),
         wrench=wrench(1)[None],

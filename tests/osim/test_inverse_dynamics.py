@@ -6,6 +6,7 @@ import pytest
 
 from wrapjax.errors import InputError
 from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.motion import Motion
 
 MOVING = ("hip", "knee")
 POSES = 4
@@ -20,7 +21,7 @@ def motion():
 
 @pytest.fixture(scope="module")
 def mechanics(odd_model, motion) -> Mechanics:
-    return analyse_mechanics(odd_model, MOVING, MOVING, *motion)
+    return analyse_mechanics(odd_model, MOVING, Motion(MOVING, *motion))
 
 
 @pytest.fixture(scope="module")
@@ -129,4 +130,4 @@ def test_what_a_coordinate_moves(mechanics):
 def test_an_unknown_coordinate_is_named(odd_model):
     nothing = np.zeros((1, 1))
     with pytest.raises(InputError, match=r"kneee.*no such coordinate.*'knee'"):
-        analyse_mechanics(odd_model, ("kneee",), ("hip",), nothing, nothing, nothing)
+        analyse_mechanics(odd_model, ("kneee",), Motion(("hip",), nothing, nothing, nothing))

@@ -6,6 +6,8 @@ from wrapjax.api.cohorts import Cohort as Cohort
 from wrapjax.api.cohorts import cohort as cohort
 from wrapjax.api.comparison import Comparison as Comparison
 from wrapjax.api.comparison import compare as compare
+from wrapjax.api.contact_force import Contact as Contact
+from wrapjax.api.contact_force import contact as contact
 from wrapjax.api.diagnosis import Diagnosis as Diagnosis
 from wrapjax.api.diagnosis import diagnose as diagnose
 from wrapjax.api.evaluation import Evaluation as Evaluation

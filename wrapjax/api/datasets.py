@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrapjax.calibrate import CalibrationResult
+from wrapjax.contact.result import ContactResult
 from wrapjax.gap.result import GapResult
 from wrapjax.model import QUANTITIES
 
@@ -129,6 +130,50 @@ def gap_dataset(result: GapResult) -> Dataset:
     }
     attributes = {"outcome": result.outcome, "reason": result.reason, "named": ", ".join(result.named)}
     return _dataset(columns, labels, _of_trials(result), attributes)
+
+
+def contact_dataset(result: ContactResult) -> Dataset:
+    """Label what joints bear, by run, and which moments no muscle explains.
+
+    Returns
+    -------
+    Dataset
+        Forces in N, of the distal bone on the proximal one, along the proximal one's axes.
+    """
+    columns: dict[str, _Column] = {
+        "contact_force": (
+            ("run", "trial", "joint", "axis", "frame"),
+            "N",
+            f"{result.kind.replace('_', ' ')} on the proximal bone, along its axes",
+            np.stack([run.force for run in result.runs]),
+        ),
+        "contact_force_magnitude": (
+            ("run", "trial", "joint", "frame"),
+            "N",
+            f"size of the {result.kind.replace('_', ' ')}",
+            np.stack([run.magnitude for run in result.runs]),
+        ),
+        "unexplained_moment": (
+            ("run", *_MOMENT),
+            "N m",
+            "measured joint moment less those of all muscles",
+            np.stack([run.undriven.residual for run in result.runs]),
+        ),
+    }
+    labels = {
+        "run": [run.label for run in result.runs],
+        "trial": result.trials,
+        "joint": list(result.joints),
+        "axis": ("x", "y", "z"),
+        "coordinate": result.coordinates,
+        "frame": np.arange(result.time.shape[1]),
+    }
+    of_trials: dict[str, _Column] = {
+        "use": (("trial",), "", "calibration or validation", list(result.uses)),
+        "time": (("trial", "frame"), "s", "time in the recording", result.time),
+    }
+    attributes = {"kind": result.kind, "reason": result.reason, "bodyweight_N": f"{result.bodyweight:.6g}"}
+    return _dataset(columns, labels, of_trials, attributes)
 
 
 def _of_trials(result: CalibrationResult | GapResult) -> dict[str, _Column]:

@@ -15,19 +15,16 @@ from wrapjax.api.calibration import Calibration
 from wrapjax.api.cylinders import freed_wraps
 from wrapjax.api.exact import ExactGeometry, exact_geometry
 from wrapjax.api.fitting import Fit
+from wrapjax.api.undriven import other_muscles
 from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
-from wrapjax.gap import AtBound, Context, OtherMuscles, PathChanges
-from wrapjax.gap.anatomy import groups_of
+from wrapjax.gap import AtBound, Context, PathChanges
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_slopes import laid_paths, slopes_by_angles, slopes_by_ends, slopes_by_wraps
+from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_wraps
 from wrapjax.measurement import measured_changes
-from wrapjax.model import QUANTITIES, Recording, initial_parameters
-from wrapjax.muscle import HILL_CURVES
-from wrapjax.osim import describe_model
+from wrapjax.model import QUANTITIES, Recording
 from wrapjax.subject import Subject
-from wrapjax.subject.model_file import read_model_file
 
 #: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
 #: differ from the model's by 4 to 12 mm.
@@ -57,7 +54,7 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
     inputs = replace(inputs, path=fixed_path(paths))
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     wraps, attachments = _engine_changes(subject)
-    others, no_others = _other_muscles(subject, result.curves)
+    others, no_others = other_muscles(subject, result.curves)
     changes, no_changes = measured_changes(subject)
     context = Context(
         muscles=subject.muscles.names,
@@ -122,44 +119,6 @@ def _paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | N
         trials.angular_velocities[:, recorded],
         trials.moment_coordinates,
     )
-
-
-def _other_muscles(subject: Subject, curves: str) -> tuple[OtherMuscles | None, str]:
-    """Lay the muscles without a channel, with the model's own parameters; or say why there are none."""
-    if not subject.undriven_muscles:
-        return None, "every muscle of this leg has an EMG channel"
-    model = describe_model(subject.model_file)
-    table = read_model_file(subject.model_file).muscles
-
-    def can_be_laid(muscle: str) -> bool:
-        try:
-            ExactPaths(model, (muscle,), ())
-        except InputError:
-            return False
-        return muscle in table.names
-
-    known = tuple(filter(can_be_laid, subject.undriven_muscles))
-    spanned = {name for muscle in known for name in model.spanned_by(muscle)}
-    engine = ExactPaths(model, known, tuple(name for name in subject.trials.coordinates if name in spanned))
-    every = laid_paths(engine, *_laid_through(engine, subject)) if known else None
-    moving = () if every is None else np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
-    names = tuple(known[row] for row in moving)
-    if every is None or not names:
-        return None, "the paths of the muscles without an EMG channel are not known about these joints"
-    own = table.select(names)
-    muscles = OtherMuscles(
-        names=names,
-        groups=groups_of(names),
-        curves=HILL_CURVES[curves],
-        parameters=initial_parameters(
-            own.max_isometric_force,
-            own.optimal_fiber_length,
-            own.tendon_slack_length,
-            own.pennation_angle,
-        ),
-        path=jax.tree.map(lambda leaf: leaf[moving], every),
-    )
-    return muscles, ""
 
 
 def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges | None]:

@@ -15,6 +15,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
 from wrapjax.osim.inverse_kinematics import solve_inverse_kinematics
 from wrapjax.osim.joint_moments import solve_inverse_dynamics
+from wrapjax.osim.motion import Motion as PosedMotion
 from wrapjax.raw.alignment import (
     Check,
     calf_against_moment,
@@ -274,7 +275,8 @@ def _mechanical_checks(
     time = motion.time[::step]
     spline = CubicSpline(free.time, free.values, axis=1)
     motions = [spline(time, order) for order in range(3)]
-    mechanics: Mechanics = analyse_mechanics(model.path, settings.coordinates, free.coordinates, *motions)
+    posed = PosedMotion(free.coordinates, *motions)
+    mechanics: Mechanics = analyse_mechanics(model.path, settings.coordinates, posed)
     weight_of = mechanics.of_mass[:, 4].sum(axis=0)
     feet = {side: mechanics.origin[mechanics.bodies.index(foot.body)] for side, foot in settings.feet.items()}
     yield from legs_of_forces(time, feet, forces, 9.81 * settings.mass_kg)

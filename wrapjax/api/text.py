@@ -157,7 +157,7 @@ def comparison_table(comparison: Comparison) -> str:
         for number, method in enumerate(comparison.methods):
             own = [cells.get((use, speed, item)) for item in items]
             name = "" if number else f"{use}, {speed}"
-            texts = ["" if row is None else _mean_and_deviation(row.spreads[method]) for row in own]
+            texts = ["" if row is None else mean_and_deviation(row.spreads[method]) for row in own]
             lines.append(f"{name:{width}s}{method:{reach}s}" + "".join(f"{text:>16s}" for text in texts))
     failed = [
         f"{leg.label} by {method}: {result.solution.status.value}"
@@ -168,8 +168,9 @@ def comparison_table(comparison: Comparison) -> str:
     return "\n".join([*lines, "", textwrap.fill(note(comparison.legs), 100), *failed])
 
 
-def _mean_and_deviation(spread: Spread) -> str:
-    return f"{spread.mean:.2f}" + ("" if math.isnan(spread.sd) else f" ± {spread.sd:.2f}")
+def mean_and_deviation(spread: Spread, digits: int = 2) -> str:
+    """Write ``mean ± standard deviation``, or the mean alone where there is no deviation."""
+    return f"{spread.mean:.{digits}f}" + ("" if math.isnan(spread.sd) else f" ± {spread.sd:.{digits}f}")
 
 
 def recovery_table(shown: Demonstration) -> str:

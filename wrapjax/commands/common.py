@@ -4,32 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-from wrapjax.errors import InputError, Problem
 
 DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
 #: Adds a command by its name, what runs it, a sentence, and the options that it shares with others.
 AddCommand = Callable[..., argparse.ArgumentParser]
-
-
-def refuse_existing(folder: Path, force: bool) -> None:
-    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
-    if folder.exists() and not force:
-        raise InputError(
-            Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
-        )
-    if folder.is_file():
-        raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
-    parent = next(place for place in folder.absolute().parents if place.exists())
-    if not parent.is_dir():
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
-    if not os.access(parent, os.W_OK):
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
 
 
 def positive(text: str) -> int:
@@ -48,3 +30,12 @@ def stored(file: Path) -> Any:
 def print_json(content: Any) -> None:
     """Print a result as JSON."""
     print(json.dumps(content, indent=1))
+
+
+def show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
+    """Print what was written: the file of numbers, or a table and where the report is."""
+    if options.json:
+        print_json(stored(options.out / file))
+    else:
+        print(table())
+        print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")

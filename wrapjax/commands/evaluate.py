@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.commands.common import DONE, AddCommand, print_json, refuse_existing
-from wrapjax.files import plain_values
+from wrapjax.commands.common import DONE, AddCommand, print_json
+from wrapjax.files import plain_values, refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
 

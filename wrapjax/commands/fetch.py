@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.commands.common import DONE, AddCommand, print_json, refuse_existing
+from wrapjax.commands.common import DONE, AddCommand, print_json
 from wrapjax.errors import InputError, Problem
+from wrapjax.files import refuse_existing
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:

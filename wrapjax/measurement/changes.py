@@ -18,6 +18,7 @@ from wrapjax.measurement.walk import Walk
 from wrapjax.measurement.wrong_inputs import SLOPES
 from wrapjax.osim import describe_model
 from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.motion import Motion
 from wrapjax.subject import GroundLoads, Subject, Trials, read_ground_loads
 
 #: By how much foot deformation (rad/N) and latency (s) are moved to see what they do: half a prior deviation.
@@ -160,16 +161,22 @@ def _walk(
     others = tuple({body for entry in loads.values() for body in entry.bodies} - set(loaded))
     vertical = own[:, 4].sum(axis=0).reshape(trials.time.shape)
     ankle = f"ankle_angle_{subject.side}"
+
+    def mechanics(motion: Motion) -> Mechanics:
+        return analyse_mechanics(subject.model_file, trials.moment_coordinates, motion)
+
     bent = [
-        _mechanics(subject, model, ankle, sign * _COMPLIANCE * vertical)
+        mechanics(_motion(subject, model, ankle, sign * _COMPLIANCE * vertical))
         if ankle in trials.coordinates
         else None
         for sign in (1.0, -1.0)
     ]
+    motion = _motion(subject, model, ankle, 0.0 * vertical)
     return Walk(
         side=subject.side,
         time=trials.time,
-        mechanics=_mechanics(subject, model, ankle, 0.0 * vertical),
+        motion=motion,
+        mechanics=mechanics(motion),
         loaded=loaded,
         wrench=own,
         # What is recorded later by an amount is, now, what it was that amount ago.
@@ -193,10 +200,10 @@ def _acting(
     return found.reshape(6, -1)
 
 
-def _mechanics(
+def _motion(
     subject: Subject, model: _Structure, ankle: str, bent: Float[np.ndarray, "trial frame"]
-) -> Mechanics:
-    """Move the model as recorded, but for what the ankle is bent by (rad)."""
+) -> Motion:
+    """Give the recorded motion, but for what the ankle is bent by (rad)."""
     trials = subject.trials
     chosen = [row for row, name in enumerate(trials.coordinates) if name not in model.following]
     moving = [trials.coordinates[row] for row in chosen]
@@ -217,11 +224,4 @@ def _mechanics(
     ) -> Float[np.ndarray, "coordinate pose"]:
         return np.moveaxis(signals, 1, 0).reshape(len(moving), -1)
 
-    return analyse_mechanics(
-        subject.model_file,
-        trials.moment_coordinates,
-        moving,
-        in_a_row(values),
-        in_a_row(speeds),
-        in_a_row(accelerations),
-    )
+    return Motion(tuple(moving), in_a_row(values), in_a_row(speeds), in_a_row(accelerations))

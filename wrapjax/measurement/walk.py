@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.osim.inverse_dynamics import Mechanics
+from wrapjax.osim.motion import Motion
 
 UP = np.array([0.0, 1.0, 0.0])
 #: Share of the largest vertical force from which a foot counts as on the ground.
@@ -24,8 +25,8 @@ class Walk:
         ``l`` or ``r``.
     time
         s.
-    mechanics
-        Of the model, moved as recorded.
+    motion, mechanics
+        How the model moved, and what inverse dynamics need of that.
     loaded, wrench
         Bodies of this leg on which the ground acts, and what acts on each: moment about ground's origin
         (N m), then force (N).
@@ -40,6 +41,7 @@ class Walk:
 
     side: str
     time: Float[np.ndarray, "trial frame"]
+    motion: Motion
     mechanics: Mechanics
     loaded: tuple[str, ...]
     wrench: Float[np.ndarray, "load 6 pose"]

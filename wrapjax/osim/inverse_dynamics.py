@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float
 
 from wrapjax.errors import InputError
 from wrapjax.osim.loading import import_opensim, load_model
-from wrapjax.osim.model import couplers_of, elements, independent_names, unknown_names
+from wrapjax.osim.model import elements, unknown_names
+from wrapjax.osim.motion import Motion, Mover
 
 #: Where the entries of a tensor stand among OpenSim's six numbers, xx yy zz xy xz yz.
 _TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
@@ -82,10 +83,7 @@ class Mechanics:
 def analyse_mechanics(
     model_file: Path | str,
     coordinates: Sequence[str],
-    moving: Sequence[str],
-    values: Float[np.ndarray, "coordinate pose"],
-    speeds: Float[np.ndarray, "coordinate pose"],
-    accelerations: Float[np.ndarray, "coordinate pose"],
+    motion: Motion,
 ) -> Mechanics:
     """Move a model as recorded and read what inverse dynamics need.
 
@@ -95,11 +93,8 @@ def analyse_mechanics(
         OpenSim model (.osim).
     coordinates
         Whose moments are wanted.
-    moving
-        Independent coordinates whose motion is given. The others stay at the model's defaults, locked
-        ones where they are held; those coupled to one other follow it.
-    values, speeds, accelerations
-        Of ``moving``: rad (or m), and per s and s^2.
+    motion
+        How it moved.
 
     Raises
     ------
@@ -113,10 +108,10 @@ def analyse_mechanics(
     opensim = import_opensim()
     model, state = load_model(model_file)
     entries = {entry.getName(): entry for entry in elements(model.getCoordinateSet())}
-    problems = unknown_names(model_file, "coordinate", (*coordinates, *moving), list(entries))
+    problems = unknown_names(model_file, "coordinate", (*coordinates, *motion.coordinates), list(entries))
     if problems:
         raise InputError(problems)
-    mover = _Mover(opensim, model, state, [entries[name] for name in moving])
+    mover = Mover(opensim, model, state, [entries[name] for name in motion.coordinates])
     bodies = tuple(elements(model.getBodySet()))
     index = [int(body.getMobilizedBodyIndex()) for body in bodies]
     joints = {name: entries[name].getJoint() for name in coordinates}
@@ -126,15 +121,15 @@ def analyse_mechanics(
     columns = [mover.column(entries[name]) for name in coordinates]
     rows = [index[names.index(child[name])] for name in coordinates]
 
-    count = values.shape[1]
+    count = motion.values.shape[1]
     jacobian = np.zeros((count, len(coordinates), 6))
     center = np.zeros((count, len(coordinates), 3))
     rotation, origin = np.zeros((count, len(bodies), 3, 3)), np.zeros((count, len(bodies), 3))
-    spin, motion = np.zeros((count, len(bodies), 3)), np.zeros((count, len(bodies), 6))
+    spin, accelerations = np.zeros((count, len(bodies), 3)), np.zeros((count, len(bodies), 6))
     found, accelerated = opensim.Matrix(), opensim.VectorOfSpatialVec()
     matter = model.getMatterSubsystem()
     for pose in range(count):
-        rates = mover.move(values[:, pose], speeds[:, pose], accelerations[:, pose])
+        rates = mover.move(motion.values[:, pose], motion.speeds[:, pose], motion.accelerations[:, pose])
         matter.calcSystemJacobian(state, found)
         whole = found.to_numpy()
         matter.calcBodyAccelerationFromUDot(state, rates, accelerated)
@@ -148,14 +143,14 @@ def analyse_mechanics(
             rotation[pose, place] = [[axes.get(i, j) for j in range(3)] for i in range(3)]
             origin[pose, place] = transform.p().to_numpy()
             spin[pose, place] = body.getAngularVelocityInGround(state).to_numpy()
-            motion[pose, place, :3] = acceleration.get(0).to_numpy()
-            motion[pose, place, 3:] = acceleration.get(1).to_numpy()
+            accelerations[pose, place, :3] = acceleration.get(0).to_numpy()
+            accelerations[pose, place, 3:] = acceleration.get(1).to_numpy()
 
     at = origin[:, [names.index(child[name]) for name in coordinates]]
     turning = jacobian[..., :3]
     screw = np.concatenate([turning, jacobian[..., 3:] - np.cross(turning, at)], axis=-1)
     gravity = model.getGravity().to_numpy()
-    of_mass, of_inertia = _needed(bodies, rotation, origin, spin, motion, gravity)
+    of_mass, of_inertia = _needed(bodies, rotation, origin, spin, accelerations, gravity)
     moves = [[child[name] in _carriers(body, parents) for body in names] for name in coordinates]
     return Mechanics(
         bodies=names,
@@ -169,63 +164,6 @@ def analyse_mechanics(
         of_mass=np.moveaxis(of_mass, 0, -1),
         of_inertia=np.moveaxis(of_inertia, 0, -1),
     )
-
-
-class _Mover:
-    """Sets a state's coordinates, their speeds, and gives their accelerations in Simbody's order."""
-
-    def __init__(self, opensim: Any, model: Any, state: Any, moving: Sequence[Any]):
-        self._opensim, self._model, self._state = opensim, model, state
-        # Locked coordinates stay where the model holds them, and refuse to be set.
-        self._moving = [(row, entry) for row, entry in enumerate(moving) if not entry.get_locked()]
-        entries = model.getCoordinateSet()
-        self._couplers = [
-            (
-                entries.get(coupler.getDependentCoordinateName()),
-                entries.get(independent_names(coupler)[0]),
-                coupler.getFunction(),
-                float(coupler.getPropertyByName("scale_factor").toString()),
-            )
-            for coupler in couplers_of(opensim, model)
-            if len(independent_names(coupler)) == 1
-        ]
-        self._columns = {entry.getName(): self.column(entry) for entry in elements(entries)}
-
-    def column(self, coordinate: Any) -> int:
-        """Find a coordinate's place among the system's mobilities, which are in an order of their own."""
-        before = self._state.getU().to_numpy()
-        self._state.setU(self._opensim.Vector(self._state.getNU(), 0.0))
-        coordinate.setSpeedValue(self._state, 1.0)
-        place = int(np.argmax(self._state.getU().to_numpy()))
-        self._state.setU(self._opensim.Vector.createFromMat(before))
-        return place
-
-    def move(
-        self,
-        values: Float[np.ndarray, " coordinate"],
-        speeds: Float[np.ndarray, " coordinate"],
-        accelerations: Float[np.ndarray, " coordinate"],
-    ) -> Any:
-        """Put the state there, realized to velocities, and return all accelerations."""
-        state, opensim = self._state, self._opensim
-        rates = np.zeros(state.getNU())
-        for row, coordinate in self._moving:
-            # False: neither clamped to its range nor assembled.
-            coordinate.setValue(state, float(values[row]), False)
-            coordinate.setSpeedValue(state, float(speeds[row]))
-            rates[self._columns[coordinate.getName()]] = accelerations[row]
-        for dependent, leader, function, scale in self._couplers:
-            at = opensim.Vector(1, leader.getValue(state))
-            speed = leader.getSpeedValue(state)
-            slope = scale * function.calcDerivative(opensim.StdVectorInt([0]), at)
-            bend = scale * function.calcDerivative(opensim.StdVectorInt([0, 0]), at)
-            dependent.setValue(state, scale * function.calcValue(at), False)
-            dependent.setSpeedValue(state, slope * speed)
-            rates[self._columns[dependent.getName()]] = (
-                slope * rates[self._columns[leader.getName()]] + bend * speed**2
-            )
-        self._model.realizeVelocity(state)
-        return opensim.Vector.createFromMat(rates)
 
 
 def _parents(model: Any) -> dict[str, str]:
@@ -250,7 +188,7 @@ def _needed(
     rotation: Float[np.ndarray, "pose body 3 3"],
     origin: Float[np.ndarray, "pose body 3"],
     spin: Float[np.ndarray, "pose body 3"],
-    motion: Float[np.ndarray, "pose body 6"],
+    accelerations: Float[np.ndarray, "pose body 6"],
     gravity: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, "pose body 6"], Float[np.ndarray, "pose body 6"]]:
     """Newton's and Euler's equations of each body, as wrenches about ground's origin."""
@@ -260,8 +198,8 @@ def _needed(
     inertia = np.array([np.array(vector)[np.array(_TENSOR)] for vector in vectors])
 
     arm = np.einsum("pbij,bj->pbi", rotation, center)
-    turning = motion[..., :3]
-    of_center = motion[..., 3:] + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
+    turning = accelerations[..., :3]
+    of_center = accelerations[..., 3:] + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
     force = mass[:, None] * (of_center - gravity)
     of_mass = np.concatenate([np.cross(origin + arm, force), force], axis=-1)
 

@@ -1,0 +1,248 @@
+"""Defends: what joints bear by a finished run is Newton's, on the right model, or refused in a sentence."""
+
+import json
+import shutil
+
+import numpy as np
+import opensim
+import pytest
+
+from tests.contact.made_up_run import MUSCLES, muscle_forces, write_run
+from tests.subject import synthetic
+from tests.subject.synthetic_forces import force, with_forces
+from wrapjax.api import contact, load_subject
+from wrapjax.contact.result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
+from wrapjax.errors import InputError
+
+#: Of both segments of the synthetic leg: kg, m, m.
+MASS, LENGTH, TO_CENTER = 5.0, 0.4, 0.2
+#: Where both muscles come from in ground and end on the shank: forward, m; and how far below the knee.
+FORWARD, BELOW = np.array([0.05, -0.05]), -0.05
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory):
+    """With ground forces."""
+    return with_forces(tmp_path_factory.mktemp("forces") / "person")
+
+
+@pytest.fixture(scope="module")
+def bare(tmp_path_factory):
+    """Without ground forces."""
+    return load_subject(synthetic.write_subject(tmp_path_factory.mktemp("bare") / "person"))
+
+
+@pytest.fixture(scope="module")
+def runs(subject, tmp_path_factory):
+    place = tmp_path_factory.mktemp("runs")
+    return write_run(place / "nga", subject), write_run(place / "pga", subject, "PGA", factor=1.2)
+
+
+@pytest.fixture(scope="module")
+def compared(runs):
+    return contact(*runs)
+
+
+def places(time):
+    """Angles of thigh and shank; of the knee and each muscle's end in ground, by frame."""
+    hip, knee = synthetic.angles(time)
+    thigh, shank = hip, hip + knee
+    at_knee = LENGTH * np.stack([np.sin(thigh), -np.cos(thigh), 0.0 * thigh])
+    ends = [
+        at_knee
+        + np.stack(
+            [
+                forward * np.cos(shank) - BELOW * np.sin(shank),
+                forward * np.sin(shank) + BELOW * np.cos(shank),
+                0.0 * shank,
+            ]
+        )
+        for forward in FORWARD
+    ]
+    return thigh, shank, np.array(ends)
+
+
+def pulls(time, factor=1.0):
+    """What both muscles pull the leg up with in ground, N: straight from the shank to the pelvis."""
+    _, _, ends = places(time)
+    origin = np.stack([FORWARD, 0.0 * FORWARD, 0.0 * FORWARD], axis=1)[:, :, None]
+    along = (origin - ends) / np.linalg.norm(origin - ends, axis=1, keepdims=True)
+    return (along * muscle_forces(time, factor)[:, None]).sum(axis=0)
+
+
+def needed(time):
+    """What both segments need to be carried and accelerated, N, by the double pendulum's formulas."""
+    turn = 2.0 * np.pi / synthetic.PERIOD
+    change = -(turn**2) * (synthetic.angles(time) - np.array([0.2, 0.6])[:, None])
+    rate = synthetic.angular_velocities(time)
+    thigh, shank, _ = places(time)
+
+    def accelerated(length, angle, speed, change):
+        """Acceleration of the end of a rod that hangs down."""
+        x = change * np.cos(angle) - speed**2 * np.sin(angle)
+        y = change * np.sin(angle) + speed**2 * np.cos(angle)
+        return length * np.stack([x, y, 0.0 * x])
+
+    first = (thigh, rate[0], change[0])
+    second = (shank, rate.sum(axis=0), change.sum(axis=0))
+    both = accelerated(TO_CENTER, *first) + accelerated(LENGTH, *first) + accelerated(TO_CENTER, *second)
+    return MASS * (both + 2.0 * np.array([0.0, GRAVITY, 0.0])[:, None])
+
+
+def test_the_hip_bears_what_newton_says(subject, compared):
+    result = compared.result
+    assert (result.kind, result.reason) == (JOINT_REACTION, "")
+    assert result.joints == {"hip": "hip_l", "knee": "knee_l"}
+    for run, factor in zip(result.runs, (1.0, 1.2), strict=True):
+        for trial, time in enumerate(subject.trials.time):
+            on_leg = needed(time) - force(time) - pulls(time, factor)
+            # Accelerations are those of a spline through samples, which knows the ends of cycles less well.
+            inner = slice(5, -5)
+            np.testing.assert_allclose(
+                run.force[trial, 0, :, inner], -on_leg[:, inner], atol=2e-3 * np.abs(on_leg).max()
+            )
+
+
+def test_forces_are_labelled(compared):
+    result, dataset = compared.result, compared.dataset
+    at = {"run": "PGA", "trial": "walk_b", "joint": "knee"}
+    trial = result.trials.index("walk_b")
+    np.testing.assert_array_equal(
+        dataset["contact_force"].sel(at | {"axis": "y"}), result.runs[1].force[trial, 1, 1]
+    )
+    size = np.sqrt((dataset["contact_force"] ** 2).sum("axis"))
+    np.testing.assert_allclose(size, dataset["contact_force_magnitude"], rtol=1e-12)
+    assert all(dataset[name].attrs["units"] for name in dataset)
+
+
+def test_without_ground_forces_it_is_the_muscles_share(bare, tmp_path):
+    found = contact(write_run(tmp_path / "run", bare)).result
+    assert found.kind == MUSCLE_SHARE
+    assert "no ground reaction forces" in found.reason
+    for trial, time in enumerate(bare.trials.time):
+        # Angles are those of a spline through samples.
+        np.testing.assert_allclose(found.runs[0].force[trial, 0], pulls(time), atol=1e-4)
+
+
+def test_pga_pulls_along_the_model_that_it_wrote(bare, tmp_path):
+    folder = write_run(tmp_path / "run", bare, "PGA")
+    before = contact(folder).result.runs[0].force
+    model = folder / "model_personalized.osim"
+    # The semitendinosus' origin, 30 mm further back.
+    model.write_text(model.read_text().replace("<location>-0.05 0.0 0<", "<location>-0.08 0.0 0<"))
+    assert np.abs(contact(folder).result.runs[0].force - before).max() > 5.0
+    model.unlink()
+    with pytest.raises(InputError, match=r"model_personalized\.osim: is not there"):
+        contact(folder)
+
+
+@pytest.fixture
+def partly_driven(tmp_path):
+    """A subject whose semitendinosus has no electrode, and a run of it."""
+    folder = synthetic.write_subject(tmp_path / "person")
+    settings = folder / "subject.toml"
+    settings.write_text(settings.read_text().replace('SemiTen = ["semiten_l"]\n', ""))
+    subject = load_subject(folder)
+    return subject, write_run(tmp_path / "run", subject, muscles=MUSCLES[:1])
+
+
+def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven):
+    subject, folder = partly_driven
+    closing, nothing = (
+        contact(folder, undriven=treatment).result.runs[0] for treatment in ("static-optimization", "none")
+    )
+    assert closing.undriven.muscles == ("semiten_l",)
+    assert (nothing.undriven.muscles, nothing.undriven.left_out) == ((), ("semiten_l",))
+    # What is left of the moments is what measured ones are more than modelled ones, less the muscle's.
+    np.testing.assert_allclose(nothing.undriven.residual, 0.5 * subject.trials.moments, atol=1e-9)
+    assert np.square(closing.undriven.residual).sum() < np.square(nothing.undriven.residual).sum()
+    assert closing.undriven.activation.max() > 0.1
+    # It pulls straight, so that it adds its force to both joints, and nothing sideways.
+    added = np.linalg.norm(closing.force - nothing.force, axis=2)
+    np.testing.assert_allclose(added, closing.undriven.force[0][:, None].repeat(2, axis=1), rtol=1e-9)
+
+
+def test_peaks_are_looked_for_where_they_are_said_to_be():
+    percent = np.linspace(0.0, 100.0, 101)
+    curve = 2.0 * np.exp(-((percent - 20.0) ** 2) / 50.0) + 3.0 * np.exp(-((percent - 50.0) ** 2) / 50.0)
+    assert peaks(curve[None], (0.0, 100.0)).phase == [50.0]
+    first = peaks(curve[None], (0.0, 30.0))
+    assert first.phase == [20.0]
+    np.testing.assert_allclose(first.force, 2.0, rtol=1e-3)
+
+
+def test_what_is_saved_is_numbers_for_programs_and_curves_for_opensim(compared, tmp_path):
+    out = tmp_path / "contact"
+    compared.save(out)
+    content = json.loads((out / "contact.json").read_text())
+    assert (content["schema"], content["kind"]) == (1, JOINT_REACTION)
+    one, other = content["runs"]
+    hip = one["joints"]["hip"]["peak"]
+    trials = hip["trials"].values()
+    assert hip["mean_N"] == pytest.approx(np.mean([entry["N"] for entry in trials]))
+    assert hip["mean_bodyweights"] == pytest.approx(hip["mean_N"] / (synthetic.MASS * GRAVITY))
+    difference = other["joints"]["hip"]["peak"]["mean_bodyweights"] - hip["mean_bodyweights"]
+    tests = {(entry["joint"], entry["measure"]): entry["test"] for entry in content["tests"]}
+    assert set(tests) == {("hip", "peak"), ("hip", "first_peak"), ("knee", "peak")}
+    assert tests["hip", "peak"]["difference"] == pytest.approx(difference)
+    assert tests["hip", "peak"]["n"] == 3
+    table = opensim.TimeSeriesTable(str(out / "forces" / "NGA" / "walk_a_01.sto"))
+    labels = table.getColumnLabels()
+    assert labels[:4] == ("hip_force_x", "hip_force_y", "hip_force_z", "hip_force")
+    size = np.array([table.getDependentColumn("hip_force").to_numpy()])[0]
+    assert size.max() == pytest.approx(hip["trials"]["walk_a/01"]["N"])
+    with pytest.raises(InputError, match="exists already"):
+        compared.save(out)
+
+
+def broken(folder, subject):
+    """Ways in which a run cannot be used, and what is said."""
+    other = write_run(folder / "sga", subject, "SGA")
+    yield other, "was made by SGA, which adjusts polynomials"
+    yield folder / "nothing", "does not exist, where a run's folder was expected"
+    empty = folder / "empty"
+    empty.mkdir()
+    yield empty, "settings.json: is not there"
+    cut = write_run(folder / "cut", subject)
+    (cut / "settings.json").write_text("{")
+    yield cut, "settings.json: is not JSON"
+    lean = write_run(folder / "lean", subject)
+    (lean / "settings.json").write_text("{}")
+    yield lean, "expected what 'wrapjax calibrate' writes, and 'subject' is not there"
+    without = write_run(folder / "without", subject)
+    shutil.rmtree(without / "muscle_forces")
+    yield without, "muscle_forces"
+    late = write_run(folder / "late", subject)
+    file = late / "moments" / "walk_b.sto"
+    shutil.copy(late / "moments" / "walk_a_01.sto", file)
+    yield late, "expected the frames of cycle 'walk_b', 0.6 to 1.8 s"
+
+
+def test_what_is_no_usable_run_is_said(bare, tmp_path):
+    for folder, words in broken(tmp_path, bare):
+        with pytest.raises(InputError) as caught:
+            contact(folder)
+        assert words in str(caught.value), folder
+
+
+def test_a_subject_that_moved_is_asked_for(bare, tmp_path):
+    subject = load_subject(shutil.copytree(bare.folder, tmp_path / "person"))
+    folder = write_run(tmp_path / "run", subject)
+    shutil.move(tmp_path / "person", tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="name it with --subject"):
+        contact(folder)
+    assert contact(folder, subject=tmp_path / "elsewhere").subject.name == "synthetic"
+
+
+def test_a_subject_with_other_cycles_is_refused(bare, tmp_path):
+    folder = write_run(tmp_path / "run", bare)
+    other = shutil.copytree(bare.folder, tmp_path / "other")
+    settings = other / "subject.toml"
+    settings.write_text(settings.read_text().replace('name = "walk_b"', 'name = "walk_c"'))
+    with pytest.raises(InputError, match=r"to have the cycles .*walk_b, found .*walk_c"):
+        contact(folder, subject=other)
+
+
+def test_runs_of_two_subjects_are_not_compared(bare, subject, tmp_path):
+    with pytest.raises(InputError, match="compare runs of one subject"):
+        contact(write_run(tmp_path / "one", bare), write_run(tmp_path / "two", subject))

@@ -1,0 +1,72 @@
+"""``wrapjax contact``: from finished runs to what joints bear, or to a sentence why not."""
+
+import json
+
+import pytest
+
+from tests.cli.folders import content, names, stored
+from tests.cli.test_check import assert_only_errors
+from tests.contact.made_up_run import write_run
+from wrapjax.api import load_subject
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    def started(*arguments, **options):
+        raise AssertionError("the command started to work")
+
+    monkeypatch.setattr("wrapjax.api.contact", started)
+
+
+def test_two_runs_side_by_side(run, subject, tmp_path):
+    """The answer is beside the first run, a second one is not lost, and scripts can read it."""
+    person = load_subject(subject)
+    nga, pga = write_run(tmp_path / "nga", person), write_run(tmp_path / "pga", person, "PGA", factor=0.8)
+    done = run("contact", nga, pga)
+    assert done.status == 0
+    assert done.output.startswith("This is the muscles' share alone, not the whole contact force")
+    assert "PGA less NGA" in done.output and f"written to {nga / 'contact'}" in done.output
+    assert "lines of action" in done.progress
+    found = stored(nga / "contact" / "contact.json")
+    assert found["kind"] == "muscle_share"
+    assert [entry["run"] for entry in found["runs"]] == ["NGA", "PGA"]
+    assert found["tests"][0]["test"]["difference"] < 0.0
+    assert found["knee_compartments"] is None
+    assert {"report.html", "forces/PGA/walk_b.sto"} < set(names(nga / "contact"))
+    page = (nga / "contact" / "report.html").read_text()
+    assert "not the whole contact force" in page and "http" not in page.replace("http://www.w3.org", "")
+
+    before = content(nga)
+    assert_only_errors(run("contact", nga), nga / "contact")
+    assert content(nga) == before
+    again = run("contact", nga, "--undriven", "none", "--force", "--json", "--quiet")
+    assert (again.status, again.progress) == (0, "")
+    assert json.loads(again.output)["tests"] == []
+
+
+def test_a_run_that_had_not_converged_is_told_scripts(run, subject, tmp_path):
+    folder = write_run(tmp_path / "nga", load_subject(subject), converged=False)
+    done = run("contact", folder, "--out", tmp_path / "out")
+    assert done.status == 1
+    assert "The calibration NGA had not converged, so its forces are not final." in done.output
+    assert (tmp_path / "out" / "contact.json").exists()
+
+
+def test_two_runs_by_one_method_keep_their_names_apart(run, subject, tmp_path):
+    person = load_subject(subject)
+    folders = [write_run(tmp_path / name, person) for name in ("one", "other")]
+    done = run("contact", *folders, "--out", tmp_path / "out", "--json")
+    assert [entry["run"] for entry in json.loads(done.output)["runs"]] == ["NGA 1 (one)", "NGA 2 (other)"]
+
+
+def test_bad_input_is_refused_and_leaves_nothing(run, subject, tmp_path, no_work):
+    assert_only_errors(run("contact", subject, "--out", subject), subject)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["nowhere", "."])
+def test_what_is_no_run_is_a_clear_error(run, tmp_path, name):
+    folder = tmp_path / name
+    before = content(tmp_path)
+    assert_only_errors(run("contact", folder), folder)
+    assert content(tmp_path) == before

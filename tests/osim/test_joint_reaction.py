@@ -1,0 +1,165 @@
+"""Defends: joint reactions are what Newton and Euler ask for, and muscles add to them along their lines."""
+
+import itertools
+
+import numpy as np
+import opensim
+import pytest
+
+from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
+from wrapjax.errors import InputError
+from wrapjax.geometry.engine import PARITY
+from wrapjax.osim import describe_model
+from wrapjax.osim.joint_reaction import analyse_joint_reactions
+from wrapjax.osim.motion import Motion
+
+POSES = 4
+LENGTH = 0.4
+MASSES, CENTERS = (7.0, 3.0), ((0.02, -0.17, 0.01), (-0.01, -0.19, -0.02))
+HIP = np.array([0.1, 1.0, 0.2])
+#: Points of each muscle: body (0 ground, 1 thigh, 2 shank), place.
+MUSCLES = {
+    "hip_flexor": ((0, (0.15, 1.1, 0.25)), (1, (0.05, -0.2, 0.01))),
+    "long_flexor": ((0, (0.05, 1.05, 0.15)), (1, (-0.05, -0.3, 0.0)), (2, (-0.04, -0.1, 0.02))),
+}
+
+
+@pytest.fixture(scope="module")
+def two_links(tmp_path_factory):
+    """A thigh and a shank that hang on ground by two pins, with two muscles."""
+    opensim.Logger.setLevelString("Off")
+    model = opensim.Model()
+    bodies = [model.getGround()]
+    for name, mass, center in zip(("thigh", "shank"), MASSES, CENTERS, strict=True):
+        body = opensim.Body(name, mass, opensim.Vec3(*center), opensim.Inertia(0.2, 0.1, 0.2))
+        model.addBody(body)
+        bodies.append(body)
+    for number, (name, where) in enumerate((("hip", HIP.tolist()), ("knee", [0.0, -LENGTH, 0.0]))):
+        # Joints' frames are turned in their bodies: forces are given along the bodies' axes all the same.
+        askew = opensim.Vec3(0, 0, 0.7)
+        ends = (bodies[number], opensim.Vec3(*where), askew)
+        child = (bodies[number + 1], opensim.Vec3(0), askew)
+        joint = opensim.PinJoint(f"{name}_joint", *ends, *child)
+        joint.updCoordinate().setName(name)
+        model.addJoint(joint)
+    for name, points in MUSCLES.items():
+        muscle = opensim.Millard2012EquilibriumMuscle(name, 100.0, 0.1, 0.2, 0.0)
+        for number, (body, where) in enumerate(points):
+            muscle.addNewPathPoint(f"{name}-{number}", bodies[body], opensim.Vec3(*where))
+        model.addForce(muscle)
+    # What else pulls must be left out.
+    spring = opensim.PointToPointSpring(bodies[0], opensim.Vec3(0), bodies[2], opensim.Vec3(0), 1e4, 0.1)
+    model.addForce(spring)
+    model.finalizeConnections()
+    file = tmp_path_factory.mktemp("links") / "model.osim"
+    model.printToXML(str(file))
+    return file
+
+
+@pytest.fixture(scope="module")
+def motion():
+    generator = np.random.default_rng(8)
+    parts = [generator.uniform(-1.0, 1.0, (2, POSES)) * size + 0.3 for size in (0.6, 4.0, 30.0)]
+    return Motion(("hip", "knee"), *parts)
+
+
+@pytest.fixture(scope="module")
+def wrench():
+    return np.random.default_rng(9).uniform(-200.0, 200.0, (1, 6, POSES))
+
+
+@pytest.fixture(scope="module")
+def forces():
+    return np.random.default_rng(10).uniform(100.0, 900.0, (2, POSES))
+
+
+def turn(angle):
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def newton_euler(motion, pose, load, tension):
+    """Sum up forces on each link, from the last one to the first, with pen and paper's formulas."""
+    (q1, q2), (u1, u2), (a1, a2) = (
+        part[:, pose] for part in (motion.values, motion.speeds, motion.accelerations)
+    )
+    axes = [np.eye(3), turn(q1), turn(q1 + q2)]
+    knee = axes[1] @ [0.0, -LENGTH, 0.0]
+    origins = [np.zeros(3), HIP, HIP + knee]
+    arms = [axes[link] @ CENTERS[link - 1] for link in (1, 2)]
+
+    def carried(arm, rate, change):
+        """Acceleration of an arm that turns about z."""
+        flat = arm * [1.0, 1.0, 0.0]
+        return change * np.cross([0.0, 0.0, 1.0], arm) - rate**2 * flat
+
+    centers = [
+        carried(arms[0], u1, a1),
+        carried(knee, u1, a1) + carried(arms[1], u1 + u2, a1 + a2),
+    ]
+    gravity = np.array([0.0, -9.80665, 0.0])
+    pulls = [np.zeros(3) for _ in range(3)]
+    for points, force in zip(MUSCLES.values(), tension, strict=True):
+        places = [(body, origins[body] + axes[body] @ where) for body, where in points]
+        for (body, start), (next_body, end) in itertools.pairwise(places):
+            along = force * (end - start) / np.linalg.norm(end - start)
+            pulls[body] += along
+            pulls[next_body] -= along
+    at_knee = MASSES[1] * (centers[1] - gravity) - load - pulls[2]
+    at_hip = at_knee + MASSES[0] * (centers[0] - gravity) - pulls[1]
+    # On the parent, along its axes.
+    return np.stack([-at_hip, -axes[1].T @ at_knee])
+
+
+def test_reactions_are_newton_and_eulers_sum(two_links, motion, wrench, forces):
+    joints = ("hip_joint", "knee_joint")
+    found = analyse_joint_reactions(two_links, joints, motion, ("shank",), wrench, tuple(MUSCLES), forces)
+    for pose in range(POSES):
+        expected = newton_euler(motion, pose, wrench[0, 3:, pose], forces[:, pose])
+        np.testing.assert_allclose(found[:, :, pose], expected, rtol=1e-9, atol=1e-7)
+
+
+def test_a_load_acts_wherever_it_is_given(two_links, motion, wrench, forces):
+    """Where a force acts changes moments, which coordinates close, and no force in a joint."""
+    question = (two_links, ("hip_joint",), motion, ("shank",))
+    shifted = wrench.copy()
+    shifted[:, :3] += 50.0
+    one, other = (
+        analyse_joint_reactions(*question, load, tuple(MUSCLES), forces) for load in (wrench, shifted)
+    )
+    np.testing.assert_allclose(one, other, atol=1e-7)
+
+
+def test_muscles_that_are_not_named_do_not_pull(two_links, motion, wrench, forces):
+    question = (two_links, ("hip_joint", "knee_joint"), motion, ("shank",), wrench)
+    one = analyse_joint_reactions(*question, ("long_flexor",), forces[1:])
+    silent = forces.copy()
+    silent[0] = 0.0
+    other = analyse_joint_reactions(*question, tuple(MUSCLES), silent)
+    np.testing.assert_allclose(one, other, atol=1e-7)
+
+
+def test_unknown_names_are_said(two_links, motion, wrench, forces):
+    with pytest.raises(InputError, match="knee_jont: the model has no such joint; did you mean 'knee_joint'"):
+        analyse_joint_reactions(two_links, ("knee_jont",), motion, ("shank",), wrench, tuple(MUSCLES), forces)
+
+
+def test_what_muscles_add_runs_along_their_lines(odd_model, motion):
+    """Through wraps, pulleys, conditional and moving points, and to a bone two joints further on."""
+    muscles, joints = (
+        ("extensor", "flexor", "toe_flexor", "conditional", "moving"),
+        ("hip_joint", "knee_joint"),
+    )
+    none = np.zeros((0, 6, POSES))
+    force = np.random.default_rng(11).uniform(100.0, 900.0, (len(muscles), POSES))
+    question = (odd_model, joints, motion, (), none, muscles)
+    added = analyse_joint_reactions(*question, force) - analyse_joint_reactions(*question, 0.0 * force)
+
+    lines = lines_of_action(
+        describe_model(odd_model), muscles, joints, motion.coordinates, motion.values[None], PARITY
+    )
+    share = muscle_share(lines, force[:, None])[0]
+    np.testing.assert_allclose(np.moveaxis(share, 1, 1), added, atol=1e-5)
+    assert np.abs(share).max() > 100.0
+    # Its two ends are on the foot and the toes' way: it does not cross the hip.
+    np.testing.assert_allclose(lines[muscles.index("toe_flexor"), 0], 0.0, atol=1e-12)

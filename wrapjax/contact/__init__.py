@@ -1,0 +1,1 @@
+"""Forces between the bones of a joint: what muscles press, which muscles nobody recorded, what peaks are."""

@@ -1,0 +1,140 @@
+"""Contact forces of a leg's joints over recorded cycles, and their peaks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+#: m/s^2; OpenSim's.
+GRAVITY = 9.80665
+#: What a force is: OpenSim's joint reaction, or what muscles alone press with.
+JOINT_REACTION, MUSCLE_SHARE = "joint_reaction", "muscle_share"
+
+
+@dataclass(frozen=True)
+class Undriven:
+    """Muscles without an electrode, and what was made of them.
+
+    Parameters
+    ----------
+    treatment
+        ``none``: without force; ``static-optimization``.
+    muscles
+        That were given a force.
+    left_out
+        Those that were not.
+    activation, force
+        From 0 to 1; along the tendon, N.
+    residual_before, residual
+        Measured joint moments less those of driven muscles alone, and less those of all, N m.
+    """
+
+    treatment: str
+    muscles: tuple[str, ...]
+    left_out: tuple[str, ...]
+    activation: Float[np.ndarray, "muscle trial frame"]
+    force: Float[np.ndarray, "muscle trial frame"]
+    residual_before: Float[np.ndarray, "trial coordinate frame"]
+    residual: Float[np.ndarray, "trial coordinate frame"]
+
+
+@dataclass(frozen=True)
+class RunContact:
+    """What one calibrated run presses its joints with.
+
+    Parameters
+    ----------
+    label
+        Method, and the folder's name where two have the same.
+    method, folder, converged
+        Of the run.
+    undriven
+        Muscles without an electrode.
+    force
+        What the distal body puts on the proximal one, N, along x (forward), y (up) and z (to the right) of
+        that bone.
+    """
+
+    label: str
+    method: str
+    folder: str
+    converged: bool
+    undriven: Undriven
+    force: Float[np.ndarray, "trial joint 3 frame"]
+
+    @property
+    def magnitude(self) -> Float[np.ndarray, "trial joint frame"]:
+        """Size of the force, N."""
+        return np.linalg.norm(self.force, axis=2)
+
+
+@dataclass(frozen=True)
+class ContactResult:
+    """Contact forces of one leg by one or two runs.
+
+    Parameters
+    ----------
+    subject, side, mass_kg
+        Whose.
+    kind, reason
+        `JOINT_REACTION` or `MUSCLE_SHARE`, and why it is the latter (else empty).
+    joints
+        By a plain name (``hip``), the joint in the model.
+    coordinates
+        Whose moments were measured.
+    trials, uses, time
+        Cycles; s.
+    runs
+        In the order given.
+    """
+
+    subject: str
+    side: str
+    mass_kg: float
+    kind: str
+    reason: str
+    joints: dict[str, str]
+    coordinates: tuple[str, ...]
+    trials: tuple[str, ...]
+    uses: tuple[str, ...]
+    time: Float[np.ndarray, "trial frame"]
+    runs: tuple[RunContact, ...]
+
+    @property
+    def bodyweight(self) -> float:
+        """N."""
+        return self.mass_kg * GRAVITY
+
+
+def stretches(joint: str) -> dict[str, tuple[float, float]]:
+    """Name the peaks that are read off a joint, and where in the gait cycle (%) each is looked for.
+
+    The hip's first one is what studies of walking report, near 20 % of the cycle.
+    """
+    return {"peak": (0.0, 100.0)} | ({"first_peak": (0.0, 30.0)} if joint == "hip" else {})
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Largest force of every cycle within a stretch of it, N, and where in the cycle it is, %."""
+
+    force: Float[np.ndarray, " trial"]
+    phase: Float[np.ndarray, " trial"]
+
+
+def peaks(magnitude: Float[np.ndarray, "trial frame"], stretch: tuple[float, float]) -> Peaks:
+    """Find the largest force of every cycle.
+
+    Parameters
+    ----------
+    magnitude
+        N, frames evenly from 0 to 100 % of the cycle.
+    stretch
+        From and to where to look, %, both ends included.
+    """
+    percent = np.linspace(0.0, 100.0, magnitude.shape[1])
+    inside = np.flatnonzero((percent >= stretch[0] - 1e-9) & (percent <= stretch[1] + 1e-9))
+    place = inside[magnitude[:, inside].argmax(axis=1)]
+    return Peaks(magnitude[np.arange(len(magnitude)), place], percent[place])

@@ -1,0 +1,57 @@
+"""Figures of contact forces over the gait cycle."""
+
+from __future__ import annotations
+
+from wrapjax.contact.result import ContactResult, peaks, stretches
+from wrapjax.report.contact.numbers import magnitude_of
+from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
+from wrapjax.report.style import BLUE, LIGHT_GRAY, VERMILION, Figure, in_style, panel_grid
+
+#: Of the first run and of the second.
+RUN_COLORS = (BLUE, VERMILION)
+_AXES = (("x", "forward"), ("y", "up"), ("z", "to the right"))
+
+
+@in_style
+def magnitude_figure(result: ContactResult) -> Figure:
+    """Draw how large the force in each joint is, one color a run, with the peaks of every cycle."""
+    joints = list(result.joints)
+    figure, panels = panel_grid(
+        len(joints), min(4, len(joints)), width=PAGE_WIDTH, panel_height=2.6, sharex=True, sharey=True
+    )
+    for panel, joint in zip(panels, joints, strict=True):
+        for run, color in zip(result.runs, RUN_COLORS, strict=False):
+            curves = magnitude_of(result, run, joint) / result.bodyweight
+            draw_spread(panel, curves, color, run.label)
+            for stretch in stretches(joint).values():
+                found = peaks(curves, stretch)
+                panel.plot(found.phase, found.force, "o", color=color, markersize=3, zorder=3)
+        panel.set_title(f"{joint} ({result.joints[joint]})", loc="left", parse_math=False)
+        panel.set_xlabel("gait cycle (%)")
+        mark_gait_cycle(panel, step=20)
+    panels[0].set_ylim(bottom=0.0)
+    panels[0].set_ylabel("force (bodyweights)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+@in_style
+def component_figure(result: ContactResult) -> Figure:
+    """Draw the force on the proximal bone along its axes, one row a joint."""
+    joints = list(result.joints)
+    figure, panels = panel_grid(
+        3 * len(joints), 3, width=PAGE_WIDTH, panel_height=1.6, sharex=True, sharey="row"
+    )
+    for number, panel in enumerate(panels):
+        row, axis = divmod(number, 3)
+        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+        for run, color in zip(result.runs, RUN_COLORS, strict=False):
+            draw_spread(panel, run.force[:, row, axis] / result.bodyweight, color, run.label)
+        panel.set_title(f"{joints[row]}: {_AXES[axis][0]}, {_AXES[axis][1]}", loc="left", parse_math=False)
+        if axis == 0:
+            panel.set_ylabel("bodyweights")
+        if row == len(joints) - 1:
+            panel.set_xlabel("gait cycle (%)")
+        mark_gait_cycle(panel, step=20)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure

@@ -1,0 +1,241 @@
+"""The report of contact forces: one page that opens anywhere, offline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from wrapjax.contact.result import JOINT_REACTION, ContactResult, RunContact, peaks, stretches
+from wrapjax.contact.static_optimization import RESIDUAL_SCALE
+from wrapjax.evaluate.statistics import PairedTest, Spread, spread
+from wrapjax.report import markup
+from wrapjax.report.contact.figures import component_figure, magnitude_figure
+from wrapjax.report.contact.numbers import (
+    ONE_KNEE,
+    compared_peaks,
+    magnitude_of,
+    rms_by_coordinate,
+    tests_reason,
+)
+from wrapjax.report.provenance import package_versions
+from wrapjax.report.wording import counted, plain
+
+_DASH = "\N{EN DASH}"
+
+
+def render_contact(result: ContactResult) -> str:
+    """Write the report of contact forces as one HTML page with nothing outside it."""
+    title = f"{result.subject}: {_what(result)}"
+    side = {"l": "left", "r": "right"}[result.side]
+    under = (
+        f"{side.capitalize()} leg, {result.mass_kg:g} kg (one bodyweight is {result.bodyweight:.0f} N), "
+        f"{counted(len(result.trials), 'gait cycle')}, by {' and '.join(run.label for run in result.runs)}."
+    )
+    return markup.page(
+        title,
+        [
+            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            _verdict(result),
+            _forces_section(result),
+            _undriven_section(result),
+            _notes(result),
+        ],
+    )
+
+
+def sentences(result: ContactResult) -> list[str]:
+    """Say in plain sentences what the forces are and how large."""
+    if result.kind == JOINT_REACTION:
+        said = [
+            "These are whole contact forces: OpenSim's joint reactions with the calibrated muscle forces, "
+            "the recorded motion and the recorded ground forces."
+        ]
+    else:
+        said = [
+            "This is the muscles' share alone, not the whole contact force: what muscle forces press joints "
+            "together with along their lines of action. Weight, inertia and ground forces are left out, "
+            f"because {result.reason}."
+        ]
+    joint = next(iter(result.joints))
+    measure = list(stretches(joint))[-1]
+    for run in result.runs:
+        found = peaks(magnitude_of(result, run, joint), stretches(joint)[measure])
+        size, place = spread(found.force / result.bodyweight), spread(found.phase)
+        said.append(
+            f"{run.label}: the {plain(measure)} at the {joint} is {_with_deviation(size, 2)} bodyweights, at "
+            f"{_with_deviation(place, 0)} % of the gait cycle."
+        )
+    said += [
+        f"The calibration {run.label} had not converged, so its forces are not final."
+        for run in result.runs
+        if not run.converged
+    ]
+    return said
+
+
+def _what(result: ContactResult) -> str:
+    return (
+        "joint contact forces" if result.kind == JOINT_REACTION else "muscles' share of joint contact forces"
+    )
+
+
+def _verdict(result: ContactResult) -> str:
+    first, *others = sentences(result)
+    content = [f"<p><strong>{markup.text(first)}</strong></p>", *map(markup.paragraph, others)]
+    fine = result.kind == JOINT_REACTION and all(run.converged for run in result.runs)
+    return markup.box("\n".join(content), "verdict" if fine else "verdict failed")
+
+
+def _forces_section(result: ContactResult) -> str:
+    tested = list(compared_peaks(result))
+    parts = [
+        markup.picture(
+            magnitude_figure(result),
+            alternative="Size of the force in each joint over the gait cycle.",
+            caption=f"{_what(result).capitalize()} in bodyweights, mean over cycles and one standard "
+            "deviation to either side; dots: the peaks of every cycle.",
+        ),
+        markup.table(
+            ("peak", "run", "bodyweights", "N", "at % of cycle"),
+            list(_peak_rows(result)),
+            caption="Mean ± standard deviation over cycles. First peak: largest force of the cycle's first "
+            "30 %.",
+        ),
+    ]
+    if reason := tests_reason(result):
+        parts.append(markup.paragraph(f"Not tested: {reason}."))
+    else:
+        parts.append(
+            markup.table(
+                ("peak", "difference", "95 % interval", "t", "p", "d_z", "cycles"),
+                [_test_row(joint, measure, test) for joint, measure, test in tested if test is not None],
+                caption=f"{result.runs[1].label} less {result.runs[0].label}, bodyweights: paired t-tests "
+                "over gait cycles. Cycles of one person are no sample of persons: read p as a description.",
+            )
+        )
+    parts.append(
+        markup.picture(
+            component_figure(result),
+            alternative="Force on the proximal bone of each joint along three axes.",
+            caption="What the distal bone puts on the proximal one, in bodyweights, along the axes of the "
+            "proximal bone.",
+        )
+    )
+    return markup.section("Forces", *parts)
+
+
+def _peak_rows(result: ContactResult) -> Iterator[tuple[str, ...]]:
+    for joint in result.joints:
+        for measure, stretch in stretches(joint).items():
+            for run in result.runs:
+                found = peaks(magnitude_of(result, run, joint), stretch)
+                yield (
+                    f"{joint}, {plain(measure)}",
+                    run.label,
+                    _with_deviation(spread(found.force / result.bodyweight), 2),
+                    _with_deviation(spread(found.force), 0),
+                    _with_deviation(spread(found.phase), 0),
+                )
+
+
+def _with_deviation(own: Spread, digits: int) -> str:
+    return f"{own.mean:.{digits}f}" + ("" if math.isnan(own.sd) else f" ± {own.sd:.{digits}f}")
+
+
+def _test_row(joint: str, measure: str, test: PairedTest) -> tuple[str, ...]:
+    def shown(value: float, digits: int = 2) -> str:
+        return f"{value:.{digits}f}" if math.isfinite(value) else _DASH
+
+    return (
+        f"{joint}, {plain(measure)}",
+        shown(test.difference, 3),
+        f"{test.low:.3f} to {test.high:.3f}" if math.isfinite(test.low) else _DASH,
+        shown(test.t),
+        "< 0.001" if test.p < 0.001 else shown(test.p, 3),
+        shown(test.d_z),
+        str(test.n),
+    )
+
+
+def _undriven_section(result: ContactResult) -> str:
+    parts = [markup.paragraph(sentence) for sentence in undriven_sentences(result)]
+    rows = []
+    for coordinate in result.coordinates:
+        cells = [coordinate]
+        for run in result.runs:
+            for moments in (run.undriven.residual_before, run.undriven.residual):
+                cells.append(f"{rms_by_coordinate(result, moments)[coordinate]:.2f}")
+        rows.append(tuple(cells))
+    header = [f"{run.label}, {what}" for run in result.runs for what in ("driven muscles", "all muscles")]
+    parts.append(
+        markup.table(
+            ("coordinate", *header),
+            rows,
+            caption="Moments that muscles leave unexplained: root mean square over all frames in N m.",
+        )
+    )
+    for run in result.runs:
+        if run.undriven.muscles:
+            own = run.undriven
+            peaked = sorted(zip(own.activation.max(axis=(1, 2)), own.muscles, strict=True), reverse=True)
+            strongest = own.force.max(axis=(1, 2))
+            parts.append(
+                markup.folded(
+                    f"Muscles without EMG by {run.label}",
+                    markup.table(
+                        ("muscle", "peak activation", "peak force (N)"),
+                        [
+                            (name, f"{size:.2f}", f"{strongest[own.muscles.index(name)]:.0f}")
+                            for size, name in peaked
+                        ],
+                        caption="Largest over all cycles. An activation near 1 says that the muscle is asked "
+                        "for more than it can give.",
+                    ),
+                )
+            )
+    return markup.section("Muscles without EMG", *parts)
+
+
+def undriven_sentences(result: ContactResult) -> list[str]:
+    """Say what was made of muscles without an electrode, once for runs in which it was the same."""
+    said: dict[str, list[str]] = {}
+    for run in result.runs:
+        said.setdefault(_undriven_sentence(run), []).append(run.label)
+    return [f"{' and '.join(labels)}: {sentence}" for sentence, labels in said.items()]
+
+
+def _undriven_sentence(run: RunContact) -> str:
+    own = run.undriven
+    if not own.muscles and not own.left_out:
+        return "EMG drives every muscle of this leg."
+    said = []
+    if own.muscles:
+        said.append(
+            f"{counted(len(own.muscles), 'muscle')} without EMG got the activations whose squares sum to the "
+            "least while closing the joint moments that driven muscles leave, frame by frame (static "
+            f"optimization; {RESIDUAL_SCALE:g} N m left over weigh as one fully active muscle; the model's "
+            "own fiber and tendon lengths, active force alone)."
+        )
+    if own.left_out:
+        said.append(
+            f"Without force: {', '.join(own.left_out)}. Contact forces lack what these would press with."
+        )
+    return " ".join(said)
+
+
+def _notes(result: ContactResult) -> str:
+    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
+    where = "NGA: muscles run as in the subject's model; PGA: as in the run's model_personalized.osim."
+    lines = [
+        f"Runs: {', '.join(f'{run.label} in {run.folder}' for run in result.runs)}. {where}",
+        f"Medial and lateral knee are not told apart: {ONE_KNEE}.",
+        "contact.json holds peaks of every cycle; forces/ the curves in N as OpenSim tables.",
+        f"{versions}.",
+    ]
+    if result.kind == JOINT_REACTION:
+        lines.insert(
+            1,
+            "Bodies move as recorded; moments that muscles leave unexplained turn bodies at the coordinates "
+            "and press nothing. Muscles pull along OpenSim's own paths.",
+        )
+    return markup.section("Notes", markup.bullets(lines))
