@@ -199,16 +199,16 @@ def broken(folder, subject):
     """Ways in which a run cannot be used, and what is said."""
     other = write_run(folder / "sga", subject, "SGA")
     yield other, "was made by SGA, which adjusts polynomials"
-    yield folder / "nothing", "does not exist, where a run's folder was expected"
+    yield folder / "nothing", "does not exist; a RUN is what 'wrapjax calibrate' writes"
     empty = folder / "empty"
     empty.mkdir()
-    yield empty, "settings.json: is not there"
+    yield empty, "is no RUN folder: summary.json is missing"
     cut = write_run(folder / "cut", subject)
     (cut / "settings.json").write_text("{")
-    yield cut, "settings.json: is not JSON"
+    yield cut, "settings.json: is damaged"
     lean = write_run(folder / "lean", subject)
     (lean / "settings.json").write_text("{}")
-    yield lean, "expected what 'wrapjax calibrate' writes, and 'subject' is not there"
+    yield lean, "is damaged (no 'muscles')"
     without = write_run(folder / "without", subject)
     shutil.rmtree(without / "muscle_forces")
     yield without, "muscle_forces"

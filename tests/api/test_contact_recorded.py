@@ -5,7 +5,7 @@ import pytest
 
 import wrapjax
 from wrapjax.api.contact_force import _joints, _reactions, contact
-from wrapjax.api.finished_run import read_run
+from wrapjax.api.run_curves import read_curves
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION
 from wrapjax.geometry.engine import PARITY
@@ -35,14 +35,14 @@ def test_a_walkers_hip_bears_two_to_six_bodyweights(run):
 @pytest.mark.slow
 def test_muscles_press_in_opensim_as_the_engine_says(run):
     """Wrapped as OpenSim wraps, every muscle's line is OpenSim's."""
-    read = read_run(run)
+    read = read_curves(run)
     subject, model = read.subject, describe_model(read.subject.model_file)
     joints = tuple(_joints(subject.model_file, subject.trials.moment_coordinates).values())
     walk, _ = recorded_walk(subject)
-    question = (walk, subject.model_file, joints, read.muscles)
+    question = (walk, subject.model_file, joints, read.run.muscles)
     added = _reactions(*question, read.force) - _reactions(*question, 0.0 * read.force)
-    spanned = {name for muscle in read.muscles for name in model.spanned_by(muscle)}
+    spanned = {name for muscle in read.run.muscles for name in model.spanned_by(muscle)}
     coordinates = [name for name in subject.trials.coordinates if name in spanned]
     angles = subject.trials.angles[:, [subject.trials.coordinates.index(name) for name in coordinates]]
-    lines = lines_of_action(model, read.muscles, joints, coordinates, angles, PARITY)
+    lines = lines_of_action(model, read.run.muscles, joints, coordinates, angles, PARITY)
     np.testing.assert_allclose(muscle_share(lines, read.force), added, atol=1e-3)

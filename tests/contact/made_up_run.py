@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 
 from wrapjax.files import write_json
+from wrapjax.model import QUANTITIES
 from wrapjax.subject import Storage, write_storage
 
 MUSCLES = ("recfem_l", "semiten_l")
@@ -22,15 +23,20 @@ def write_run(folder, subject, method="NGA", *, factor=1.0, converged=True, musc
     trials = subject.trials
     stems = {name: {"file": name.replace("/", "_")} for name in trials.names}
     folder.mkdir(parents=True)
-    write_json(folder / "summary.json", {"converged": converged, "trials": stems})
+    summary = {"subject": subject.name, "method": method, "converged": converged, "trials": stems}
+    write_json(folder / "summary.json", summary)
     settings = {
         "subject": {"folder": os.path.relpath(subject.folder, folder)},
         "method": method,
         "curves": "paper",
         "muscles": muscles,
         "coordinates": trials.moment_coordinates,
+        "paths": {"source": "exact", "geometry": "engine"},
     }
     write_json(folder / "settings.json", settings)
+    rows = [f"{muscle},muscle,{name},1.0,,," for muscle in muscles for name in QUANTITIES]
+    table = "\n".join(["owner,kind,parameter,value,unit,lower,upper", *rows])
+    (folder / "parameters.csv").write_text(f"{table}\n", encoding="utf-8")
     labels = [f"{name}_moment" for name in trials.moment_coordinates]
     for trial, entry in enumerate(stems.values()):
         time = trials.time[trial]

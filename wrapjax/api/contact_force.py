@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.api.datasets import contact_dataset
-from wrapjax.api.finished_run import FinishedRun, read_run
+from wrapjax.api.run_curves import RunCurves, read_curves
+from wrapjax.api.stored_run import Run
 from wrapjax.api.undriven import other_muscles
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION, MUSCLE_SHARE, ContactResult, RunContact, Undriven
@@ -103,9 +104,9 @@ def contact(
     require_float64()
     if undriven not in TREATMENTS:
         raise ValueError(f"unknown treatment '{undriven}': expected one of {', '.join(TREATMENTS)}")
-    runs = [read_run(run, subject)]
+    runs = [read_curves(run, subject)]
     if other is not None:
-        runs.append(read_run(other, subject))
+        runs.append(read_curves(other, subject))
         _check_alike(*runs)
     models = [_model_of(own) for own in runs]
     own = runs[0].subject
@@ -116,14 +117,14 @@ def contact(
         tell(f"{label}: muscles without an electrode")
         others = _undriven(entry, model_file, undriven)
         tell(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
-        muscles = (*entry.muscles, *others.muscles)
+        muscles = (*entry.run.muscles, *others.muscles)
         force = np.concatenate([entry.force, others.force])
         pressed = (
             _share(own, model_file, tuple(joints.values()), muscles, force)
             if walk is None
             else _reactions(walk, model_file, tuple(joints.values()), muscles, force)
         )
-        found.append(RunContact(label, entry.method, entry.folder.name, entry.converged, others, pressed))
+        found.append(_run_contact(label, entry.run, others, pressed))
     trials = own.trials
     return Contact(
         own,
@@ -143,24 +144,33 @@ def contact(
     )
 
 
-def _check_alike(one: FinishedRun, other: FinishedRun) -> None:
+def _check_alike(one: RunCurves, other: RunCurves) -> None:
     if one.subject.folder.resolve() != other.subject.folder.resolve():
         message = f"was made from {other.subject.folder}, where {one.subject.folder} was expected"
-        raise InputError(Problem(str(other.folder), message, hint="compare runs of one subject"))
+        raise InputError(Problem(str(other.run.folder), message, hint="compare runs of one subject"))
 
 
-def _labels(runs: Sequence[FinishedRun]) -> list[str]:
+def _labels(runs: Sequence[RunCurves]) -> list[str]:
     """Call runs by their methods, and by their folders too where those are the same."""
-    methods = [run.method for run in runs]
+    methods = [entry.run.method for entry in runs]
     if len(set(methods)) == len(methods):
         return methods
-    return [f"{run.method} {number} ({run.folder.name})" for number, run in enumerate(runs, start=1)]
+    return [
+        f"{entry.run.method} {number} ({entry.run.folder.name})" for number, entry in enumerate(runs, start=1)
+    ]
 
 
-def _model_of(run: FinishedRun) -> Path:
+def _run_contact(
+    label: str, run: Run, undriven: Undriven, force: Float[np.ndarray, "trial joint 3 frame"]
+) -> RunContact:
+    return RunContact(label, run.method, run.folder.name, run.converged, undriven, force)
+
+
+def _model_of(entry: RunCurves) -> Path:
     """Find the model in which a run's muscles run."""
     from wrapjax.report.run_folder import PERSONALISED_MODEL
 
+    run = entry.run
     if run.method == "PGA":
         file = run.folder / PERSONALISED_MODEL
         if not file.is_file():
@@ -172,7 +182,7 @@ def _model_of(run: FinishedRun) -> Path:
             f"was made by {run.method}, which adjusts polynomials: they say how long muscles are, not where"
         )
         raise InputError(Problem(str(run.folder), f"{message} they pull", hint="use NGA or PGA"))
-    return run.subject.model_file
+    return entry.subject.model_file
 
 
 def _joints(model_file: Path, coordinates: Sequence[str]) -> dict[str, str]:
@@ -186,14 +196,14 @@ def _joints(model_file: Path, coordinates: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _undriven(run: FinishedRun, model_file: Path, treatment: str) -> Undriven:
+def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
     """Give muscles without an electrode the forces that close the moments best, or none."""
-    missing = run.measured - run.modelled
+    missing = entry.measured - entry.modelled
     trials, coordinates, frames = missing.shape
-    all_of_them = run.subject.undriven_muscles
+    all_of_them = entry.subject.undriven_muscles
     nothing = np.zeros((0, trials, frames))
     none = Undriven("none", (), all_of_them, nothing, nothing, missing, missing)
-    others = other_muscles(run.subject, run.curves, model_file)[0] if treatment != "none" else None
+    others = other_muscles(entry.subject, entry.run.curves, model_file)[0] if treatment != "none" else None
     if others is None:
         return none
     active = _strengths(others)

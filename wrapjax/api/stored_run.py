@@ -35,6 +35,10 @@ class Run:
         Where it was read from.
     subject, method, curves
         Whom it was calibrated to, what was adjusted, and the Hill curves.
+    subject_folder
+        Where the subject was, from the run's folder.
+    converged
+        Whether it ended well.
     muscles, coordinates
         Names, in the run's order.
     values
@@ -55,6 +59,8 @@ class Run:
     subject: str
     method: str
     curves: str
+    subject_folder: Path
+    converged: bool
     muscles: tuple[str, ...]
     coordinates: tuple[str, ...]
     values: dict[str, Float[np.ndarray, " muscle"]]
@@ -107,6 +113,8 @@ def load_run(folder: str | Path) -> Run:
             subject=str(summary["subject"]),
             method=str(summary["method"]),
             curves=str(settings["curves"]),
+            subject_folder=Path(settings["subject"]["folder"]),
+            converged=bool(summary["converged"]),
             muscles=muscles,
             coordinates=tuple(settings["coordinates"]),
             values=values,

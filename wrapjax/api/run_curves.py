@@ -1,15 +1,14 @@
-"""A finished calibration as its folder tells it."""
+"""What muscles did in a finished calibration, over the cycles that it was made from."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.api.stored_run import Run, load_run
 from wrapjax.errors import InputError, Problem
 from wrapjax.subject import Storage, Subject, read_storage, read_subject
 
@@ -18,35 +17,29 @@ _SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True)
-class FinishedRun:
-    """What `wrapjax calibrate` wrote of one leg.
+class RunCurves:
+    """Forces and moments that a run's folder holds, beside the subject that they are of.
 
     Parameters
     ----------
-    folder
-        The run's.
-    method, curves, converged
-        How it was made, and whether it ended well.
+    run
+        From `load_run`.
     subject
         Read again from its folder.
-    muscles, force
-        Driven ones, and their forces along the tendon, N.
+    force
+        Of driven muscles along the tendon, N.
     measured, modelled
         Joint moments, N m.
     """
 
-    folder: Path
-    method: str
-    curves: str
-    converged: bool
+    run: Run
     subject: Subject
-    muscles: tuple[str, ...]
     force: Float[np.ndarray, "muscle trial frame"]
     measured: Float[np.ndarray, "trial coordinate frame"]
     modelled: Float[np.ndarray, "trial coordinate frame"]
 
 
-def read_run(folder: Path | str, subject: Subject | Path | str | None = None) -> FinishedRun:
+def read_curves(folder: Path | str, subject: Subject | Path | str | None = None) -> RunCurves:
     """Read a run's folder and the subject that it was made from.
 
     Parameters
@@ -61,62 +54,23 @@ def read_run(folder: Path | str, subject: Subject | Path | str | None = None) ->
     InputError
         If it is no run's folder, lacks a file, its subject is not found, or that has other cycles.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        found = "is a file" if folder.exists() else "does not exist"
-        raise InputError(
-            Problem(
-                str(folder),
-                f"{found}, where a run's folder was expected",
-                hint="'wrapjax calibrate' writes it",
-            )
-        )
-    settings, summary = (_read_json(folder / name) for name in ("settings.json", "summary.json"))
-    try:
-        remembered = folder / settings["subject"]["folder"]
-        stems = {trial: entry["file"] for trial, entry in summary["trials"].items()}
-        method, curves, converged = settings["method"], settings["curves"], bool(summary["converged"])
-        muscles, coordinates = tuple(settings["muscles"]), tuple(settings["coordinates"])
-    except (KeyError, TypeError) as error:
-        message = f"expected what 'wrapjax calibrate' writes, and {error} is not there"
-        raise InputError(Problem(str(folder / "settings.json"), message)) from error
+    run = load_run(folder)
+    folder, muscles = run.folder, run.muscles
+    remembered = folder / run.subject_folder
     own = (
         subject if isinstance(subject, Subject) else _subject(folder, subject or remembered, subject is None)
     )
-    _check_same(folder, own, tuple(stems), coordinates)
+    stems = {trial: entry["file"] for trial, entry in run.summary["trials"].items()}
+    _check_same(folder, own, tuple(stems), run.coordinates)
+    labels = [f"{name}_moment" for name in run.coordinates]
     force, measured, modelled = [], [], []
     for number, stem in enumerate(stems.values()):
-        forces = _columns(folder / "muscle_forces" / f"{stem}.sto", muscles, own, number)
-        labels = [f"{name}_moment" for name in coordinates]
+        force.append(_columns(folder / "muscle_forces" / f"{stem}.sto", muscles, own, number))
         file = folder / "moments" / f"{stem}.sto"
         moments = _columns(file, (*labels, *(f"{label}_measured" for label in labels)), own, number)
-        force.append(forces)
         modelled.append(moments[: len(labels)])
         measured.append(moments[len(labels) :])
-    return FinishedRun(
-        folder=folder,
-        method=method,
-        curves=curves,
-        converged=converged,
-        subject=own,
-        muscles=muscles,
-        force=np.stack(force, axis=1),
-        measured=np.stack(measured),
-        modelled=np.stack(modelled),
-    )
-
-
-def _read_json(file: Path) -> dict[str, Any]:
-    if not file.is_file():
-        message = "is not there; a folder that 'wrapjax calibrate' wrote was expected"
-        raise InputError(Problem(str(file), message))
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(Problem(str(file), f"is not JSON ({error})")) from error
-    if not isinstance(content, dict):
-        raise InputError(Problem(str(file), f"expected a JSON object, found a {type(content).__name__}"))
-    return content
+    return RunCurves(run, own, np.stack(force, axis=1), np.stack(measured), np.stack(modelled))
 
 
 def _subject(folder: Path, place: Path | str, remembered: bool) -> Subject:
