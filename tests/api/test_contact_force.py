@@ -163,12 +163,38 @@ def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven)
 
 
 def test_peaks_are_looked_for_where_they_are_said_to_be():
+    def shape(phase):
+        return 2.0 * np.exp(-((phase - 20.0) ** 2) / 50.0) + 3.0 * np.exp(-((phase - 50.0) ** 2) / 50.0)
+
     percent = np.linspace(0.0, 100.0, 101)
-    curve = 2.0 * np.exp(-((percent - 20.0) ** 2) / 50.0) + 3.0 * np.exp(-((percent - 50.0) ** 2) / 50.0)
-    assert peaks(curve[None], (0.0, 100.0)).phase == [50.0]
-    first = peaks(curve[None], (0.0, 30.0))
-    assert first.phase == [20.0]
+    curve = shape(percent)
+    assert peaks(curve[None], percent[None], (0.0, 100.0)).phase == [50.0]
+    first = peaks(curve[None], percent[None], (10.0, 30.0))
+    assert (first.phase, first.frame) == ([20.0], [20])
     np.testing.assert_allclose(first.force, 2.0, rtol=1e-3)
+    # Of a cycle that begins in the middle, the same peaks are in other frames.
+    later = percent[None] + 40.0
+    first = peaks(shape(later % 100.0), later, (10.0, 30.0))
+    assert (first.phase, first.frame) == ([20.0], [80])
+    nowhere = peaks(curve[None, 50:], percent[None, 50:], (10.0, 30.0))
+    assert np.isnan(nowhere.force).all() and np.isnan(nowhere.phase).all()
+
+
+def test_phases_count_from_recorded_strikes(compared, subject):
+    """The foot meets the ground where the made-up force begins: each cycle, by the formula for it."""
+    result = compared.result
+    time = np.arange(0.0, 4.0, 1e-4)
+    on = force(time)[1] > 30.0
+    strikes = time[1:][on[1:] & ~on[:-1]]
+    for phase, frames in zip(result.phase, subject.trials.time, strict=True):
+        step = frames[1] - frames[0]
+        if strikes[0] <= frames[0] + step and frames[-1] <= strikes[-1]:
+            before = strikes[strikes <= frames[0] + step][-1]
+            expected = np.maximum(100.0 * (frames - before) / synthetic.PERIOD, 0.0)
+            np.testing.assert_allclose(phase, expected, atol=0.5)
+        else:
+            np.testing.assert_array_equal(phase, np.linspace(0.0, 100.0, len(frames)))
+    assert any(phase[0] > 5.0 for phase in result.phase)
 
 
 def test_what_is_saved_is_numbers_for_programs_and_curves_for_opensim(compared, tmp_path):

@@ -16,6 +16,7 @@ from wrapjax.api.datasets import contact_dataset
 from wrapjax.api.run_curves import RunCurves, read_curves
 from wrapjax.api.stored_run import Run
 from wrapjax.api.undriven import other_muscles
+from wrapjax.contact.gait_phase import evenly, phase_from_strikes
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION, MUSCLE_SHARE, ContactResult, RunContact, Undriven
 from wrapjax.contact.static_optimization import share_moments
@@ -30,7 +31,8 @@ from wrapjax.muscle import rigid_tendon_fiber
 from wrapjax.osim import describe_model
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.precision import require_float64
-from wrapjax.subject import Subject
+from wrapjax.raw.gait_events import find_contacts
+from wrapjax.subject import Subject, read_ground_loads
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -139,9 +141,26 @@ def contact(
             trials=trials.names,
             uses=trials.uses,
             time=trials.time,
+            phase=_phase(own, () if walk is None else walk.loaded),
             runs=tuple(found),
         ),
     )
+
+
+def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial frame"]:
+    """Count frames from strikes of this leg's foot; evenly over a cycle whose strikes are not recorded."""
+    trials = subject.trials
+    strikes = {trial.name: np.zeros(0) for trial in subject.recordings}
+    for trial in subject.recordings if loaded else ():
+        loads = read_ground_loads(trial)
+        rows = [row for row, body in enumerate(loads.bodies) if body in loaded]
+        strikes[trial.name] = find_contacts(loads.time, loads.wrench[rows, 4].sum(axis=0)).strikes
+    found = [
+        phase_from_strikes(time, strikes[name])
+        for time, name in zip(trials.time, trials.recordings, strict=True)
+    ]
+    even = evenly(trials.time.shape[1])
+    return np.array([even if phase is None else phase for phase in found])
 
 
 def _check_alike(one: RunCurves, other: RunCurves) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 #: m/s^2; OpenSim's.
 GRAVITY = 9.80665
@@ -86,6 +86,9 @@ class ContactResult:
         Whose moments were measured.
     trials, uses, time
         Cycles; s.
+    phase
+        Of every frame in the gait cycle, %: from the foot's strike where ground forces tell it, else from
+        the cycle's first frame. Beyond 100 after the next strike.
     runs
         In the order given.
     """
@@ -100,6 +103,7 @@ class ContactResult:
     trials: tuple[str, ...]
     uses: tuple[str, ...]
     time: Float[np.ndarray, "trial frame"]
+    phase: Float[np.ndarray, "trial frame"]
     runs: tuple[RunContact, ...]
 
     @property
@@ -113,28 +117,48 @@ def stretches(joint: str) -> dict[str, tuple[float, float]]:
 
     The hip's first one is what studies of walking report, near 20 % of the cycle.
     """
-    return {"peak": (0.0, 100.0)} | ({"first_peak": (0.0, 30.0)} if joint == "hip" else {})
+    return {"peak": (0.0, 100.0)} | ({"first_peak": (10.0, 30.0)} if joint == "hip" else {})
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest force of every cycle within a stretch of it, N, and where in the cycle it is, %."""
+    """Largest force of every cycle within a stretch of it.
+
+    Parameters
+    ----------
+    force
+        N, or the unit of the curves; NaN where a cycle has no frame in that stretch.
+    phase
+        Where in the gait cycle it is, %.
+    frame
+        Number of its frame.
+    """
 
     force: Float[np.ndarray, " trial"]
     phase: Float[np.ndarray, " trial"]
+    frame: Int[np.ndarray, " trial"]
 
 
-def peaks(magnitude: Float[np.ndarray, "trial frame"], stretch: tuple[float, float]) -> Peaks:
+def peaks(
+    magnitude: Float[np.ndarray, "trial frame"],
+    phase: Float[np.ndarray, "trial frame"],
+    stretch: tuple[float, float],
+) -> Peaks:
     """Find the largest force of every cycle.
 
     Parameters
     ----------
     magnitude
-        N, frames evenly from 0 to 100 % of the cycle.
+        Of every frame.
+    phase
+        As of `ContactResult`.
     stretch
-        From and to where to look, %, both ends included.
+        From and to where in the gait cycle to look, %, both ends included.
     """
-    percent = np.linspace(0.0, 100.0, magnitude.shape[1])
-    inside = np.flatnonzero((percent >= stretch[0] - 1e-9) & (percent <= stretch[1] + 1e-9))
-    place = inside[magnitude[:, inside].argmax(axis=1)]
-    return Peaks(magnitude[np.arange(len(magnitude)), place], percent[place])
+    # The last frame of a whole cycle is at 100 %, and not the next one's first.
+    within = np.where(phase > 100.0, phase % 100.0, phase)
+    inside = (within >= stretch[0] - 1e-9) & (within <= stretch[1] + 1e-9)
+    frame = np.where(inside, magnitude, -np.inf).argmax(axis=1)
+    rows, known = np.arange(len(magnitude)), inside.any(axis=1)
+    force, place = (np.where(known, values[rows, frame], np.nan) for values in (magnitude, within))
+    return Peaks(force, place, frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wrapjax.contact.gait_phase import evenly
 from wrapjax.contact.result import ContactResult, peaks, stretches
 from wrapjax.report.contact.numbers import magnitude_of
 from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
@@ -24,10 +25,11 @@ def magnitude_figure(result: ContactResult) -> Figure:
             curves = magnitude_of(result, run, joint) / result.bodyweight
             draw_spread(panel, curves, color, run.label)
             for stretch in stretches(joint).values():
-                found = peaks(curves, stretch)
-                panel.plot(found.phase, found.force, "o", color=color, markersize=3, zorder=3)
+                found = peaks(curves, result.phase, stretch)
+                place = evenly(curves.shape[1])[found.frame]
+                panel.plot(place, found.force, "o", color=color, markersize=3, zorder=3)
         panel.set_title(f"{joint} ({result.joints[joint]})", loc="left", parse_math=False)
-        panel.set_xlabel("gait cycle (%)")
+        panel.set_xlabel("recorded cycle (%)")
         mark_gait_cycle(panel, step=20)
     panels[0].set_ylim(bottom=0.0)
     panels[0].set_ylabel("force (bodyweights)")
@@ -51,7 +53,7 @@ def component_figure(result: ContactResult) -> Figure:
         if axis == 0:
             panel.set_ylabel("bodyweights")
         if row == len(joints) - 1:
-            panel.set_xlabel("gait cycle (%)")
+            panel.set_xlabel("recorded cycle (%)")
         mark_gait_cycle(panel, step=20)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure

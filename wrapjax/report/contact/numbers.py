@@ -41,6 +41,7 @@ def describe_contact(result: ContactResult) -> dict[str, Any]:
         "kind": result.kind,
         "reason": result.reason or None,
         "joints": result.joints,
+        "first_frame_phase_percent": dict(zip(result.trials, result.phase[:, 0].tolist(), strict=True)),
         "runs": [_run(result, run) for run in result.runs],
         "tests": [
             {"joint": joint, "measure": measure, "test": None if test is None else asdict(test)}
@@ -78,7 +79,7 @@ def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
 
 
 def _peak(result: ContactResult, run: RunContact, joint: str, measure: str) -> dict[str, Any]:
-    found = peaks(magnitude_of(result, run, joint), stretches(joint)[measure])
+    found = peaks(magnitude_of(result, run, joint), result.phase, stretches(joint)[measure])
     relative = found.force / result.bodyweight
     return {
         "mean_bodyweights": spread(relative).mean,
@@ -109,7 +110,7 @@ def compared_peaks(result: ContactResult) -> Iterator[tuple[str, str, PairedTest
     for joint in result.joints:
         for measure, stretch in stretches(joint).items():
             one, other = (
-                peaks(magnitude_of(result, run, joint), stretch).force / result.bodyweight
+                peaks(magnitude_of(result, run, joint), result.phase, stretch).force / result.bodyweight
                 for run in (first, second)
             )
             yield joint, measure, paired_test(other, one)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from wrapjax.contact.result import JOINT_REACTION, ContactResult, RunContact, peaks, stretches
 from wrapjax.contact.static_optimization import RESIDUAL_SCALE
 from wrapjax.evaluate.statistics import PairedTest, Spread, spread
@@ -59,7 +61,7 @@ def sentences(result: ContactResult) -> list[str]:
     joint = next(iter(result.joints))
     measure = list(stretches(joint))[-1]
     for run in result.runs:
-        found = peaks(magnitude_of(result, run, joint), stretches(joint)[measure])
+        found = peaks(magnitude_of(result, run, joint), result.phase, stretches(joint)[measure])
         size, place = spread(found.force / result.bodyweight), spread(found.phase)
         said.append(
             f"{run.label}: the {plain(measure)} at the {joint} is {_with_deviation(size, 2)} bodyweights, at "
@@ -98,8 +100,8 @@ def _forces_section(result: ContactResult) -> str:
         markup.table(
             ("peak", "run", "bodyweights", "N", "at % of cycle"),
             list(_peak_rows(result)),
-            caption="Mean ± standard deviation over cycles. First peak: largest force of the cycle's first "
-            "30 %.",
+            caption="Mean ± standard deviation over cycles. First peak: largest force between 10 and "
+            f"30 % of the cycle.{_beginning(result)}",
         ),
     ]
     if reason := tests_reason(result):
@@ -124,11 +126,20 @@ def _forces_section(result: ContactResult) -> str:
     return markup.section("Forces", *parts)
 
 
+def _beginning(result: ContactResult) -> str:
+    """Say where in the gait cycle the curves begin, if not at its start."""
+    first = result.phase[:, 0]
+    if first.max() < 1.0:
+        return ""
+    place = f"{first.min():.0f}" if np.ptp(first) < 1.0 else f"{first.min():.0f} to {first.max():.0f}"
+    return f" It counts from the strike of the foot; the recorded cycles begin {place} % after that."
+
+
 def _peak_rows(result: ContactResult) -> Iterator[tuple[str, ...]]:
     for joint in result.joints:
         for measure, stretch in stretches(joint).items():
             for run in result.runs:
-                found = peaks(magnitude_of(result, run, joint), stretch)
+                found = peaks(magnitude_of(result, run, joint), result.phase, stretch)
                 yield (
                     f"{joint}, {plain(measure)}",
                     run.label,
