@@ -12,7 +12,7 @@ def test_a_calibration_is_labelled(calibrated):
     row, trial = result.muscles.index("semiten_l"), result.trials.index("walk_b")
     np.testing.assert_array_equal(dataset["activation"].sel(at), result.states.activation[row, trial])
     np.testing.assert_array_equal(
-        dataset["moment_arm"].sel(at, coordinate="knee_angle_l"),
+        dataset["moment_arm"].sel(at | {"coordinate": "knee_angle_l"}),
         result.states.path.moment_arm[row, trial, result.coordinates.index("knee_angle_l")],
     )
     for name in QUANTITIES:
