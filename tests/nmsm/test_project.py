@@ -125,9 +125,15 @@ def lose_trials(folder, *_):
     shutil.rmtree(folder / "preprocessed" / "IKData")
 
 
+def spoil_mass(folder, *_):
+    file = folder / "models" / "model.osim"
+    file.write_text(file.read_text().replace("<mass>5</mass>", "<mass>heavy</mass>", 1))
+
+
 @pytest.mark.parametrize(
     ("harm", "changes", "said"),
     [
+        (spoil_mass, {}, "found 'heavy'"),
         (None, {"groups": "RecFem SemiTenn"}, "did you mean 'SemiTen'"),
         (None, {"groups": ""}, "collected_emg_channel_muscle_groups"),
         (None, {"coordinates": "hip_flexion_l knee_angle_r"}, "one leg"),

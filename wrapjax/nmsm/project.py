@@ -16,6 +16,7 @@ from wrapjax.nmsm.settings import ToolSettings, read_tool_settings
 from wrapjax.subject import FRAMES, ModelFile, MuscleParameters, read_model_file, read_storage
 from wrapjax.subject.model_file import read_xml
 from wrapjax.subject.settings import SETTINGS_FILE
+from wrapjax.subject.toml_text import quoted, quoted_list
 
 #: Folders of a project's data, by what is in them.
 FOLDERS = {"angles": "IKData", "moments": "IDData", "emg": "EMGData"}
@@ -97,9 +98,10 @@ def read_project(path: str | Path) -> Project:
                 f"{settings.osimx_file.name}: lengths and forces are taken over; delays, time constants and "
                 "EMG scales are calibrated anew"
             )
+    mass = _mass(settings.model_file, problems)
     if problems:
         raise InputError(problems)
-    return Project(settings, side, _mass(settings.model_file), channels, trials, muscles, tuple(notes))
+    return Project(settings, side, mass, channels, trials, muscles, tuple(notes))
 
 
 def fill_subject_folder(project: Project, folder: Path, name: str) -> None:
@@ -210,9 +212,16 @@ def _with_lengths(model: MuscleParameters, earlier: Sequence[OsimxMuscle]) -> Mu
     return MuscleParameters(names=model.names, pennation_angle=model.pennation_angle, **columns)
 
 
-def _mass(model_file: Path) -> float:
-    masses = [body.findtext("mass") for body in read_xml(model_file, "OpenSimDocument").iter("Body")]
-    return float(sum(float(mass) for mass in masses if mass))
+def _mass(model_file: Path, problems: list[Problem]) -> float:
+    total = 0.0
+    for body in read_xml(model_file, "OpenSimDocument").iter("Body"):
+        text = (body.findtext("mass") or "0").strip()
+        try:
+            total += float(text)
+        except ValueError:
+            place = f"body {body.get('name', '')}, <mass>"
+            problems.append(Problem(str(model_file), f"expected a number, found '{text[:40]}'", place))
+    return total
 
 
 def _place(trial: Recorded, kind: str) -> str:
@@ -227,30 +236,27 @@ def _parameter_table(muscles: MuscleParameters) -> str:
 
 
 def _settings_text(project: Project, name: str) -> str:
-    def quoted(names: Sequence[str]) -> str:
-        return "[" + ", ".join(f'"{entry}"' for entry in names) + "]"
-
     lines = [
         "# Taken over from a project of the NMSM Pipeline. All trials calibrate: say 'validation' of",
         "# some, and give their speeds (speed_m_s), to see how errors are on cycles that were not seen.",
         *(f"# {note}" for note in project.notes),
         "[subject]",
-        f'name = "{name}"',
+        f"name = {quoted(name)}",
         f"mass_kg = {project.mass_kg!r}",
         f'side = "{project.side}"',
         "",
         "[model]",
         'file = "model.osim"',
         *([] if project.muscles is None else ['muscle_parameters = "muscle_parameters.csv"']),
-        f"coordinates = {quoted(project.settings.coordinates)}",
+        f"coordinates = {quoted_list(project.settings.coordinates)}",
         "",
         "[emg]",
         'kind = "envelope"',
         "[emg.channels]",
-        *(f'"{channel}" = {quoted(muscles)}' for channel, muscles in project.channels.items()),
+        *(f"{quoted(channel)} = {quoted_list(muscles)}" for channel, muscles in project.channels.items()),
     ]
     for trial in project.trials:
-        lines += ["", "[[trial]]", f'name = "{trial.name}"', 'use = "calibration"']
-        lines += [f'{kind} = "{_place(trial, kind)}"' for kind in FOLDERS]
+        lines += ["", "[[trial]]", f"name = {quoted(trial.name)}", 'use = "calibration"']
+        lines += [f"{kind} = {quoted(_place(trial, kind))}" for kind in FOLDERS]
         lines.append(f"cycle = [{trial.cycle[0]!r}, {trial.cycle[1]!r}]")
     return "\n".join(lines) + "\n"

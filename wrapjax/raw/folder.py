@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from wrapjax.raw.forces import FootForces, write_forces
 from wrapjax.raw.settings import RawSettings, RawTrial
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.storage import Storage, write_storage
+from wrapjax.subject.toml_text import quoted, quoted_list
 
 MODEL_FILE = "model.osim"
 PARAMETERS_FILE = "muscle_parameters.csv"
@@ -96,37 +96,28 @@ def _settings_text(settings: RawSettings, trials: Sequence[PreparedTrial]) -> st
     lines = [
         "# Written by 'wrapjax prepare'; what was checked is in preparation.json.",
         "[subject]",
-        f"name = {_quoted(settings.name)}",
+        f"name = {quoted(settings.name)}",
         f"mass_kg = {settings.mass_kg!r}",
         f'side = "{settings.side}"',
         *([] if settings.paretic is None else [f"paretic = {str(settings.paretic).lower()}"]),
         "",
         "[model]",
         f'file = "{MODEL_FILE}"',
-        f"coordinates = {_list(settings.coordinates)}",
+        f"coordinates = {quoted_list(settings.coordinates)}",
         *([f'muscle_parameters = "{PARAMETERS_FILE}"'] if settings.muscle_parameters else []),
         "",
         "[emg]",
         'kind = "raw"',
         "[emg.channels]",
-        *(f"{_quoted(channel)} = {_list(muscles)}" for channel, muscles in settings.channels.items()),
+        *(f"{quoted(channel)} = {quoted_list(muscles)}" for channel, muscles in settings.channels.items()),
     ]
     for prepared in trials:
         trial = prepared.trial
         files = {kind: f"{kind}.sto" for kind in ("angles", "moments", "emg")}
         files |= {"ground_forces": "ground_forces.mot", "external_loads": "external_loads.xml"}
-        lines += ["", "[[trial]]", f"name = {_quoted(trial.name)}", f'use = "{trial.use}"']
+        lines += ["", "[[trial]]", f"name = {quoted(trial.name)}", f'use = "{trial.use}"']
         lines += [] if math.isnan(trial.speed) else [f"speed_m_s = {trial.speed!r}"]
-        lines += [f"{kind} = {_quoted(f'trials/{trial.name}/{file}')}" for kind, file in files.items()]
+        lines += [f"{kind} = {quoted(f'trials/{trial.name}/{file}')}" for kind, file in files.items()]
         cycles = ", ".join(f"[{start!r}, {end!r}]" for start, end in prepared.cycles)
         lines.append(f"cycles = [{cycles}]")
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    # TOML's basic strings are JSON's.
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _list(names: Sequence[str]) -> str:
-    return f"[{', '.join(map(_quoted, names))}]"
