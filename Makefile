@@ -51,9 +51,8 @@ blind blind-quick: setup
 	$(RUN)/python -m benchmarks.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
 		--cases $(word 3,$(BANK)) --workers $(JOBS)
 	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
-		--baselines $(word 1,$(BANK))/answers --starts $(word 4,$(BANK)) --workers $(JOBS)
-	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/withheld \
-		--withheld --starts $(word 4,$(BANK)) --workers $(JOBS)
+		--baselines $(word 1,$(BANK))/answers --withheld $(word 1,$(BANK))/answers/withheld \
+		--starts $(word 4,$(BANK)) --workers $(JOBS)
 	$(RUN)/python -m benchmarks.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
 		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \
 		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld

@@ -89,6 +89,20 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
         found.save(tmp_path / "gap")
 
 
+def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(found):
+    withheld = (*WITHOUT, "emg_drift")
+    afterwards = found.without(*withheld, twins=4).result
+    at_once = diagnose_calibrated(found.calibration, without=withheld, twins=4).result
+    assert afterwards.withheld == at_once.withheld == withheld
+    assert [one.id for one in afterwards.effects] == ["joint_damping"]
+    assert afterwards.effects == at_once.effects
+    for one, other in zip(afterwards.alternatives, at_once.alternatives, strict=True):
+        assert one.held_out_cycles == other.held_out_cycles
+        np.testing.assert_array_equal(one.predicted, other.predicted)
+    with pytest.raises(InputError, match="joint_damping"):
+        found.without("joint_dampin")
+
+
 def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
     """Starts that end apart show that not even the best of them need be the best there is."""
     calibration = found.calibration

@@ -10,16 +10,25 @@ from benchmarks import diagnosed
 
 @pytest.fixture
 def asked(monkeypatch):
-    """Names of the cases that were really asked; one called 'bad' fails."""
+    """Cases that were really asked, and what was withheld; one called 'bad' fails."""
     seen = []
 
-    def diagnose(subject, method, paths, *, without, starts):
-        seen.append((subject.name, without))
+    def diagnose(subject, method, paths, *, starts):
         if subject.name == "bad":
             raise ValueError("no such muscle")
+        return answered(subject)
+
+    def answered(subject, *withheld):
+        seen.append((subject.name, withheld))
         result = types.SimpleNamespace(outcome="named", named=("joint_damping",), ties=(), lines=None)
+
+        def without(*effects):
+            answer = subject.parent.parent / "answers" / subject.name / "question.json"
+            assert answer.exists(), "the truth is for after the answer"
+            return answered(subject, *effects)
+
         return types.SimpleNamespace(
-            result=result, save=lambda folder: (folder / "moments").mkdir(parents=True)
+            result=result, without=without, save=lambda folder: (folder / "moments").mkdir(parents=True)
         )
 
     monkeypatch.setattr(wrapjax, "load_subject", lambda case: case)
@@ -61,14 +70,26 @@ def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_
     assert not (folder / "answers" / "bad" / "question.json").exists()
 
 
-def test_withheld_asks_of_single_causes_alone(asked, monkeypatch, tmp_path):
+def test_withheld_asks_of_single_causes_alone_and_once_the_case_is_answered(asked, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one", "pair")
     (folder / "truth").mkdir()
     for name, causes in (("one", ["cop_offset"]), ("pair", ["cop_offset", "emg_drift"])):
         listed = ", ".join(f'{{"id": "{cause}"}}' for cause in causes)
         (folder / "truth" / f"{name}.json").write_text(f'{{"causes": [{listed}]}}')
-    assert answer(monkeypatch, folder, "--withheld") == 0
-    assert asked == [("one", ("cop_offset",))]
+    for _ in range(2):
+        assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
+        assert asked == [("one", ()), ("one", ("cop_offset",)), ("pair", ())]
+    assert [path.name for path in (folder / "withheld").iterdir()] == ["one"]
+
+
+def test_what_is_withheld_can_be_asked_for_later(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    (folder / "truth").mkdir()
+    (folder / "truth" / "one.json").write_text('{"causes": [{"id": "cop_offset"}]}')
+    assert answer(monkeypatch, folder) == 0
+    assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
+    assert asked[-1] == ("one", ("cop_offset",))
+    assert (folder / "withheld" / "one" / "question.json").exists()
 
 
 def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, monkeypatch, tmp_path):

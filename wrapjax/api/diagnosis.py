@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +21,7 @@ from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.investigation import investigate
 from wrapjax.gap.result import GapResult
-from wrapjax.gap.scene import Investigation
+from wrapjax.gap.scene import Investigation, Look
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import Recording, free_variables
 from wrapjax.subject import Subject
@@ -35,10 +35,21 @@ TWINS = 60
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What remains to be explained of a subject's moments, and what explains it best."""
+    """What remains to be explained of a subject's moments, and what explains it best.
+
+    Parameters
+    ----------
+    calibration, result
+        What was calibrated, and what is said of it.
+    case, look
+        What was looked at, and what the plain model leaves of it (None where that was not asked): all that
+        another catalogue needs.
+    """
 
     calibration: Calibration
     result: GapResult
+    case: Investigation = field(repr=False)
+    look: Look | None = field(repr=False)
 
     @property
     def subject(self) -> Subject:
@@ -49,6 +60,34 @@ class Diagnosis:
     def dataset(self) -> Dataset:
         """Moments measured and predicted, and evidence by effect, as an `xarray.Dataset` with units."""
         return gap_dataset(self.result)
+
+    def without(
+        self,
+        *effects: str,
+        seed: int = 0,
+        twins: int = TWINS,
+        tuning: Tuning | None = None,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> Diagnosis:
+        """Say what would be said if nobody knew of these effects; what does not depend on them is kept.
+
+        Parameters
+        ----------
+        effects
+            Ids of effects to leave out of the catalogue.
+        seed, twins, tuning, tell
+            As of `diagnose`.
+
+        Raises
+        ------
+        InputError
+            If one of them is no effect.
+        """
+        case = replace(self.case, entries=catalogue(self.case.context, effects), withheld=effects)
+        found, look = investigate(
+            case, tuning=tuning or Tuning.shipped(), twins=twins, seed=seed, seen=self.look, tell=tell
+        )
+        return Diagnosis(self.calibration, found, case, look)
 
     def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
         """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
@@ -134,7 +173,7 @@ def diagnose_calibrated(
     recording, context = gap_context(calibration)
     case = _investigation(calibration, recording, context, tuple(without))
     known = dict(seconds or {}, context=time.perf_counter() - began)
-    found = investigate(
+    found, look = investigate(
         case,
         tuning=tuning or Tuning.shipped(),
         twins=twins,
@@ -142,7 +181,7 @@ def diagnose_calibrated(
         tell=tell,
         seconds=known,
     )
-    return Diagnosis(calibration, found)
+    return Diagnosis(calibration, found, case, look)
 
 
 def _investigation(

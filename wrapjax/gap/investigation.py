@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,12 +20,35 @@ from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
 from wrapjax.gap.fits.held_out import cross_fit
 from wrapjax.gap.fits.refit import joint_problem
 from wrapjax.gap.result import GapResult
-from wrapjax.gap.scene import Investigation, Scene
+from wrapjax.gap.scene import Investigation, Look, Scene
 from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.where.place import amount_weight, certificate_of, where
 
 #: Fewest calibration cycles at any one speed.
 FEWEST_CYCLES = 3
+
+
+def look(case: Investigation, watch: Stopwatch) -> Look:
+    """Fit the plain model to parts of the cycles, and say where the error is: no effect is asked for.
+
+    Parameters
+    ----------
+    case
+        With enough cycles: see `FEWEST_CYCLES`.
+    watch
+        Says what is going on.
+    """
+    plan, problem = case.plan, case.problem
+    with watch.during("plain_model", "fitting the plain model to parts of the cycles"):
+        start = joint_problem(problem, Effects(()), case.variables, np.zeros(0), 0.0)
+        plain = cross_fit(start, case.variables, plan, case.speeds, case.predict(Effects(())))
+        residual = case.measured - plain.predicted
+        frames = phase_frames(residual.shape[-1])
+        spread = cycle_noise(residual[plan.calibration][..., frames], plan.speeds)
+        place = where(residual, case.speeds, case.context.speeds, case.inputs)
+        weight = amount_weight(spread, residual[plan.calibration].shape[:2])
+        certificate = certificate_of(case.outcomes, plain, place, problem, plan, weight)
+    return Look(plain, place, certificate, weight)
 
 
 def investigate(
@@ -33,9 +57,10 @@ def investigate(
     tuning: Tuning,
     twins: int,
     seed: int = 0,
+    seen: Look | None = None,
     tell: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
-) -> GapResult:
+) -> tuple[GapResult, Look | None]:
     """Say where the error is, which effect explains it best, and how far it shrinks.
 
     Parameters
@@ -46,10 +71,17 @@ def investigate(
         Constants of the verdict.
     twins, seed
         How many people with nothing amiss are made, and from what.
+    seen
+        What an earlier investigation of this case, with another catalogue, gave beside its result.
     tell
         Called with a line at each step.
     seconds
         Of what was done before.
+
+    Returns
+    -------
+    result, seen
+        The second is None where cycles are too few to look.
     """
     watch = Stopwatch(tell, dict(seconds or {}))
     plan, problem = case.plan, case.problem
@@ -58,36 +90,26 @@ def investigate(
         reason = (
             f"{fewest} calibration cycles at one speed; {FEWEST_CYCLES} are the fewest that show what repeats"
         )
-        return stopped(case, "insufficient_data", reason, watch.seconds)
-    nothing = Effects(())
-    with watch.during("plain_model", "fitting the plain model to parts of the cycles"):
-        start = joint_problem(problem, nothing, case.variables, np.zeros(0), 0.0)
-        plain = cross_fit(start, case.variables, plan, case.speeds, case.predict(nothing))
-    residual = case.measured - plain.predicted
-    frames = phase_frames(residual.shape[-1])
-    spread = cycle_noise(residual[plan.calibration][..., frames], plan.speeds)
-    place = where(residual, case.speeds, case.context.speeds, case.inputs)
-    weight = amount_weight(spread, residual[plan.calibration].shape[:2])
-    certificate = certificate_of(case.outcomes, plain, place, problem, plan, weight)
-    if not certificate.holds:
-        return stopped(
-            case, "not_converged", certificate.problems[0], watch.seconds, plain.predicted, place, certificate
-        )
+        return stopped(case, "insufficient_data", reason, watch.seconds), None
+    seen = seen or look(case, watch)
+    if not seen.certificate.holds:
+        return stopped(case, "not_converged", seen.certificate.problems[0], watch.seconds, seen), seen
     with watch.during("signatures", "drawing the signature of every effect"):
-        seen = case.context.select(plan.calibration.tolist())
+        known = case.context.select(plan.calibration.tolist())
         inputs = case.recording.of_trials(plan.calibration)
-        effects = effects_in(catalogue(seen, case.withheld))
-        ended = plain.full.calibrated
+        effects = effects_in(catalogue(known, case.withheld))
+        ended = seen.plain.full.calibrated
         gap = linear_gap(
             problem,
             jnp.asarray(ended),
             inputs,
             case.measured[plan.calibration],
-            seen,
+            known,
             effects,
             tuning.background,
         )
-    place = where(residual, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
+    left = case.measured - seen.plain.predicted
+    place = where(left, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
     sizes = case.measured[plan.calibration].std(axis=(0, 2))
     with watch.during("twins", f"making {twins} people with nothing amiss"):
         world = TwinWorld(problem, ended, inputs, gap, gap.noise)
@@ -100,14 +122,11 @@ def investigate(
         effects={effect.id: effect for effect in effects},
         gap=gap,
         sizes=sizes,
-        plain=plain,
-        place=place,
-        certificate=certificate,
-        amount_weight=weight,
+        look=replace(seen, place=place),
         scored=first,
         strongest_of_twins=np.array(
             [max((one.evidence for one in twin.scores), default=0.0) for twin in of_twins]
         ),
         tuning=tuning,
     )
-    return conclude(scene, watch)
+    return conclude(scene, watch), seen

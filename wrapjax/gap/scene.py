@@ -86,6 +86,28 @@ class Investigation:
 
 
 @dataclass(frozen=True)
+class Look:
+    """What the plain model leaves of the moments, before any effect is thought of.
+
+    Parameters
+    ----------
+    plain
+        Its fits to parts of the cycles.
+    place
+        Where the error is that they leave.
+    certificate
+        Whether they are good enough.
+    amount_weight
+        What a squared prior standard deviation of an effect's amount costs in a refit.
+    """
+
+    plain: CrossFit
+    place: Where
+    certificate: Certificate
+    amount_weight: float
+
+
+@dataclass(frozen=True)
 class Scene:
     """What is known once effects are scored.
 
@@ -97,10 +119,8 @@ class Scene:
         By id, over the calibration cycles.
     gap, sizes
         Straight lines, and standard deviations of measured moments (N m).
-    plain, place, certificate
-        The plain model: fits to parts of the cycles, what they leave, and whether they are good enough.
-    amount_weight
-        What a squared prior standard deviation costs in a refit.
+    look
+        What the plain model leaves.
     scored, strongest_of_twins
         Of the subject, and the strongest evidence in each person with nothing amiss.
     tuning
@@ -111,10 +131,7 @@ class Scene:
     effects: dict[str, Effect]
     gap: LinearGap
     sizes: Float[np.ndarray, " coordinate"]
-    plain: CrossFit
-    place: Where
-    certificate: Certificate
-    amount_weight: float
+    look: Look
     scored: Scored
     strongest_of_twins: Float[np.ndarray, " twin"]
     tuning: Tuning

@@ -30,16 +30,14 @@ from wrapjax.gap.result import (
     Advice,
     Alternative,
     Amount,
-    Certificate,
     EffectFinding,
     Estimate,
     GapResult,
     MuscleShare,
 )
-from wrapjax.gap.scene import Investigation, Scene
+from wrapjax.gap.scene import Investigation, Look, Scene
 from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.where.muscle_share import muscle_share
-from wrapjax.gap.where.place import Where
 
 #: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
 #: are fitted to parts of the cycles.
@@ -93,9 +91,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         verdict.outcome,
         verdict.reason,
         watch.seconds,
-        scene.plain.predicted,
-        scene.place,
-        scene.certificate,
+        scene.look,
     )
     return replace(
         silent,
@@ -138,13 +134,11 @@ def stopped(
     outcome: str,
     reason: str,
     seconds: dict[str, float],
-    plain: Float[np.ndarray, "cycle coordinate frame"] | None = None,
-    place: Where | None = None,
-    certificate: Certificate | None = None,
+    look: Look | None = None,
 ) -> GapResult:
     """Say why there is no diagnosis, and what is known all the same; effects are not spoken of."""
     nothing = Effects(())
-    modelled = case.predict(nothing)(case.variables, np.zeros(0)) if plain is None else plain
+    modelled = case.predict(nothing)(case.variables, np.zeros(0)) if look is None else look.plain.predicted
     return GapResult(
         outcome=outcome,
         reason=reason,
@@ -164,9 +158,9 @@ def stopped(
         time=case.time,
         measured=case.measured,
         plain=modelled,
-        budget=None if place is None else place.budget,
-        budget_speeds=np.zeros(0) if place is None else place.speeds,
-        explainable_share=Estimate.unknown(reason) if place is None else place.explainable,
+        budget=None if look is None else look.place.budget,
+        budget_speeds=np.zeros(0) if look is None else look.place.speeds,
+        explainable_share=Estimate.unknown(reason) if look is None else look.place.explainable,
         alternatives=(),
         shares={},
         likeness=((), np.zeros((0, 0))),
@@ -174,7 +168,7 @@ def stopped(
         alarm=np.nan,
         global_p=np.nan,
         advice=(),
-        certificate=certificate or unfinished(case.outcomes, reason),
+        certificate=unfinished(case.outcomes, reason) if look is None else look.certificate,
         seconds=seconds,
     )
 
@@ -212,7 +206,7 @@ def _finding(
         own = list(score.part)
         amounts, sd = np.zeros(len(score.amounts)), np.zeros(len(score.amounts))
         amounts[own] = refit.fit.amounts
-        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit, scene.amount_weight)))
+        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit, scene.look.amount_weight)))
     return EffectFinding(
         id=score.id,
         probability=probability,
@@ -247,7 +241,7 @@ def _amounts(
 def _muscles(scene: Scene) -> MuscleShare:
     case, gap = scene.case, scene.gap
     cycles, frames = case.plan.calibration, phase_frames(case.measured.shape[-1])
-    residual = scene.place.residual[cycles][..., frames]
+    residual = scene.look.place.residual[cycles][..., frames]
     force = np.asarray(case.context.parameters.max_isometric_force)
     within = np.concatenate(
         [

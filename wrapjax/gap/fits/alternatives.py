@@ -52,10 +52,10 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     )
     amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
     start = np.clip(amounts, seen.lower, seen.upper)
-    plain = scene.plain.full.calibrated
-    first = joint_problem(case.problem, seen, plain, start, scene.amount_weight)
+    plain = scene.look.plain.full.calibrated
+    first = joint_problem(case.problem, seen, plain, start, scene.look.amount_weight)
     near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST)
-    problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.amount_weight)
+    problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.look.amount_weight)
     return Refitted(ids, seen, whole, fit_jointly(problem, near.variables))
 
 
@@ -70,7 +70,7 @@ def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, fl
     gap, case = scene.gap, scene.case
     cycles, frames = case.plan.calibration, phase_frames(case.measured.shape[-1])
     columns = gap.slopes.reshape(len(gap.slopes), -1)
-    expected = scene.plain.full.calibrated - gap.away
+    expected = scene.look.plain.full.calibrated - gap.away
     residuals, chosen = [], []
     for id, refit in refits.items():
         full, candidate = refit.fit, scene.candidates[id]
@@ -106,10 +106,10 @@ def _moments_of(scene: Scene, refit: Refitted) -> Float[np.ndarray, "cycle coord
 
 def alternative(scene: Scene, refitted: Refitted) -> Alternative:
     """Say what an effect takes away on cycles that its fits have not seen, and what it released."""
-    case, plain = scene.case, scene.plain
+    case, plain = scene.case, scene.look.plain
     start, everywhere = refitted.fit, case.predict(refitted.everywhere)
     fit = cross_fit(start.problem, start.variables, case.plan, case.speeds, everywhere)
-    measured, speeds, floor = case.measured, case.speeds, scene.place.floor
+    measured, speeds, floor = case.measured, case.speeds, scene.look.place.floor
     before, after = (cycle_errors(measured - one.predicted) for one in (plain, fit))
     held = np.array([use != "calibration" for use in case.uses]) & ~case.plan.new_speed
     # Where few cycles were kept for validation, those left out one by one count as well.
@@ -122,7 +122,7 @@ def alternative(scene: Scene, refitted: Refitted) -> Alternative:
         held_out_cycles=shrinkage(before[counted], after[counted], floor[counted], speeds[counted]),
         held_out_speed=_at_other_speed(scene, fit),
         gains=_gains(scene, before - after),
-        speed_conflict=speed_conflict(fit, scene.amount_weight),
+        speed_conflict=speed_conflict(fit, scene.look.amount_weight),
         released=_released(scene, fit),
     )
 
@@ -130,25 +130,25 @@ def alternative(scene: Scene, refitted: Refitted) -> Alternative:
 def _gains(scene: Scene, fall: Float[np.ndarray, " cycle"]) -> tuple[float, ...]:
     """Turn falls of mean squared errors into nats, block by block: see `amount_weight`."""
     plan = scene.case.plan
-    by_cycle = 0.5 * fall / (MOMENT_ERROR**2 * scene.amount_weight * len(plan.calibration))
+    by_cycle = 0.5 * fall / (MOMENT_ERROR**2 * scene.look.amount_weight * len(plan.calibration))
     return tuple(float(np.sum(by_cycle[plan.calibration[block]])) for block in plan.blocks)
 
 
 def _at_other_speed(scene: Scene, fit: CrossFit) -> Estimate:
-    case, plain = scene.case, scene.plain
+    case, plain = scene.case, scene.look.plain
     if plain.at_other_speed is None or fit.at_other_speed is None:
         return Estimate.unknown("one speed was recorded")
     counted = case.plan.new_speed if case.plan.new_speed.any() else np.ones(len(case.uses), dtype=bool)
     before, after = (
         cycle_errors(case.measured - np.asarray(one.at_other_speed))[counted] for one in (plain, fit)
     )
-    return shrinkage(before, after, scene.place.floor[counted], case.speeds[counted])
+    return shrinkage(before, after, scene.look.place.floor[counted], case.speeds[counted])
 
 
 def _released(scene: Scene, fit: CrossFit) -> tuple[Released, ...]:
     """Compare what was calibrated without and with the effect."""
     problem = scene.case.problem
-    before, after = scene.plain.full.calibrated, fit.full.calibrated
+    before, after = scene.look.plain.full.calibrated, fit.full.calibrated
     sd = np.sqrt(np.sum(scene.gap.spread**2, axis=1))
     stuck = (before <= np.asarray(problem.lower)) | (before >= np.asarray(problem.upper))
     rows = zip(problem.variables.labels, before, after, sd, stuck, strict=True)
