@@ -115,6 +115,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     calibrate.add_argument(
+        "--tendon",
+        choices=["rigid", "compliant"],
+        default="rigid",
+        help="compliant: stretches with force, and takes several times as long",
+    )
+    calibrate.add_argument(
         "--starts", type=positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
     )
     calibrate.add_argument(
@@ -280,6 +286,7 @@ def _calibrate(options: argparse.Namespace) -> int:
         seed=options.seed,
         callback=iteration_printer(quiet=options.quiet),
         curves=options.curves,
+        tendon=options.tendon,
         journal=journal,
         resume=options.resume,
     )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.model.small import MODES, small_limited_objective, small_objective
-from wrapjax.model import muscle_states
+from wrapjax.model import muscle_states, tendon_alterations
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +66,31 @@ def test_expansion_with_paths_and_limits(shift):
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-9, atol=1e-8)
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
+
+
+def test_expansion_with_paths_and_a_tendon_that_remembers():
+    """The stretch of a tendon holds its past: force at a frame follows the path of earlier frames too."""
+    plain = small_limited_objective(seed=1)
+    muscles = len(plain.initial.emg_scale)
+    problem = dataclasses.replace(plain, alterations=tendon_alterations("compliant", muscles))
+    generator = np.random.default_rng(6)
+    point = problem.start(problem.initial) * jnp.asarray(
+        generator.uniform(0.93, 1.07, problem.variables.count)
+    )
+    moved = np.array(["path_changes" in label for label in problem.variables.labels])
+    point = point + jnp.asarray(moved * generator.normal(size=moved.size))
+    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(problem, point)
+    assert abs(found.cost - plain.value(point)) > 1e-3 * found.cost
+    residuals = jax.jit(lambda x: problem.residuals(x))
+    gradient = jax.jit(lambda x: jax.grad(problem.value)(x) / 2.0)
+    np.testing.assert_allclose(found.gradient, gradient(point), rtol=1e-9, atol=1e-9)
+    for direction in generator.normal(size=(3, point.size)):
+        ahead, behind = (point + sign * 1e-5 * jnp.asarray(direction) for sign in (1.0, -1.0))
+        along = (residuals(ahead) - residuals(behind)) / 2e-5
+        np.testing.assert_allclose(direction @ found.gauss_newton @ direction, along @ along, rtol=1e-7)
+        own = (found.gauss_newton + found.remainder) @ direction
+        difference = (gradient(ahead) - gradient(behind)) / 2e-5
+        np.testing.assert_allclose(own, difference, rtol=1e-4, atol=1e-5 * float(jnp.abs(own).max()))
 
 
 def test_gradient_equals_differences(problem, point):

@@ -169,6 +169,8 @@ def diagnose_calibrated(
     seconds: dict[str, float] | None = None,
 ) -> Diagnosis:
     """Say what a calibrated model of one leg still lacks; see `diagnose`."""
+    if calibration.result.tendon != "rigid":
+        raise ValueError("a diagnosis starts from rigid tendons: that they stretch is one of its effects")
     began = time.perf_counter()
     recording, context = gap_context(calibration)
     case = _investigation(calibration, recording, context, tuple(without))

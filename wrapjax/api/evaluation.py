@@ -19,7 +19,7 @@ from wrapjax.files import content_hash, new_folder
 from wrapjax.geometry import AbstractPath, PathSurrogate
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.model import ModelParameters, muscle_states
+from wrapjax.model import ModelParameters, muscle_states, tendon_alterations
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject, Trials
@@ -99,7 +99,10 @@ def evaluate(run: Run, subject: Subject) -> Evaluation:
         paths = surrogate_paths(run.paths, subject, trials)
         parameters = run.parameters(subject.muscles.names, paths.modes_count)
     states = eqx.filter_jit(muscle_states)(
-        HILL_CURVES[run.curves], parameters, recording(subject, trials, paths)
+        HILL_CURVES[run.curves],
+        parameters,
+        recording(subject, trials, paths),
+        tendon_alterations(run.tendon, len(subject.muscles.names)),
     )
     return Evaluation(run, subject, np.asarray(states.moment.sum(axis=0)), tuple(notes))
 

@@ -23,7 +23,7 @@ from wrapjax.calibrate import (
 )
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry import fixed_path
-from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states
+from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, tendon_alterations
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject
@@ -39,6 +39,7 @@ def prepare(
     freedom: Freedom | None = None,
     *,
     curves: str = "paper",
+    tendon: str = "rigid",
 ) -> Objective:
     """Build what `calibrate` minimises.
 
@@ -55,8 +56,10 @@ def prepare(
         What may move, with bounds and priors.
     curves
         Hill curves: ``paper`` or ``opensim``.
+    tendon
+        ``rigid`` or ``compliant`` (`wrapjax.model.TENDONS`).
     """
-    return stages(subject, method, fit, freedom, curves=curves)[-1]
+    return stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
 
 
 def stages(
@@ -66,6 +69,7 @@ def stages(
     freedom: Freedom | None = None,
     *,
     curves: str = "paper",
+    tendon: str = "rigid",
 ) -> tuple[Objective, ...]:
     """Build the problems that `calibrate` solves one after the other; the last is that of `prepare`.
 
@@ -84,7 +88,8 @@ def stages(
     inputs = recording(subject, trials, paths)
     base = model_parameters(subject, path_modes=paths.modes_count)
     names = subject.muscles.names
-    reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs)
+    alterations = tendon_alterations(tendon, len(names))
+    reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
     held = Objective(
         curves=HILL_CURVES[curves],
         recording=replace(inputs, path=fixed_path(paths.nominal)),
@@ -96,6 +101,7 @@ def stages(
             group_indices(subject.fiber_length_groups, names),
         ),
         limits=(),
+        alterations=alterations,
     )
     if freedom.paths is None and freedom.wraps is None:
         return (held,)

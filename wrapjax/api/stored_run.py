@@ -33,8 +33,8 @@ class Run:
     ----------
     folder
         Where it was read from.
-    subject, method, curves
-        Whom it was calibrated to, what was adjusted, and the Hill curves.
+    subject, method, curves, tendon
+        Whom it was calibrated to, what was adjusted, the Hill curves and the kind of tendon.
     subject_folder
         Where the subject was, from the run's folder.
     converged
@@ -59,6 +59,7 @@ class Run:
     subject: str
     method: str
     curves: str
+    tendon: str
     subject_folder: Path
     converged: bool
     muscles: tuple[str, ...]
@@ -113,6 +114,7 @@ def load_run(folder: str | Path) -> Run:
             subject=str(summary["subject"]),
             method=str(summary["method"]),
             curves=str(settings["curves"]),
+            tendon=str(settings.get("tendon", "rigid")),
             subject_folder=Path(settings["subject"]["folder"]),
             converged=bool(summary["converged"]),
             muscles=muscles,

@@ -1,9 +1,10 @@
 """Derivatives of one muscle's outputs by its own variables.
 
 A muscle has a few parameters that act through time (delay, activation) and, where its path may change,
-many modes that do not: of the path, what a muscle does at a frame depends on that frame alone. So the
-few are differentiated in forward mode, and the many by the chain rule through length, rate and moment
-arms, frame by frame: three directions instead of a hundred.
+many modes that do not: with a rigid tendon, what a muscle does at a frame depends on the path at that
+frame alone. So the few are differentiated in forward mode, and the many by the chain rule through length,
+rate and moment arms, frame by frame: three directions instead of a hundred. What remembers, as a tendon
+that stretches does, is differentiated along every mode.
 """
 
 from __future__ import annotations
@@ -43,12 +44,7 @@ def slopes(
         Outputs, and derivatives with one more axis at the front: parameters, then modes.
     """
 
-    def along(direction: Float[Array, " single"]) -> tuple[Any, Any]:
-        return jax.jvp(lambda at: outputs(at, path), (single,), (direction,))
-
-    # By hand and not by `jax.jacfwd`, whose last axis counts the directions: with it first, gathering
-    # the Jacobian copies whole rows, and that is a third of all the time.
-    values, by_single = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
+    values, by_single = _along_each(outputs, single, path)
     if not modes.length.shape[0]:
         return values, by_single
     units = _units(path)
@@ -101,6 +97,50 @@ def curvature(
         "mtf,ntf->mn", modes.velocity, beside_rate
     )
     return jnp.block([[by_single, cross], [cross.T, half + half.T]])
+
+
+def slopes_through_time(
+    outputs: Outputs, single: Float[Array, " single"], path: PathState, modes: PathState
+) -> tuple[Any, Any]:
+    """Compute what `slopes` does of outputs that depend, at a frame, on the path at any other one too."""
+    values, by_single = _along_each(outputs, single, path)
+    if not modes.length.shape[0]:
+        return values, by_single
+
+    def along(mode: PathState) -> Any:
+        return jax.jvp(lambda at: outputs(single, at), (path,), (mode,))[1]
+
+    by_modes = jax.vmap(along)(modes)
+    return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
+
+
+def curvature_through_time(
+    total: Callable[[Float[Array, " single"], PathState], Float[Array, ""]],
+    single: Float[Array, " single"],
+    path: PathState,
+    modes: PathState,
+) -> Float[Array, "local local"]:
+    """Compute what `curvature` does of outputs that depend, at a frame, on the path at any other one too."""
+    count = modes.length.shape[0]
+    if not count:
+        return jax.hessian(total)(single, path)
+
+    def of_all(local: Float[Array, " local"]) -> Float[Array, ""]:
+        changes = local[single.size :]
+        moved = jax.tree.map(lambda leaf, mode: leaf + jnp.tensordot(changes, mode, axes=1), path, modes)
+        return total(local[: single.size], moved)
+
+    return jax.hessian(of_all)(jnp.concatenate([single, jnp.zeros(count)]))
+
+
+def _along_each(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> tuple[Any, Any]:
+    def along(direction: Float[Array, " single"]) -> tuple[Any, Any]:
+        return jax.jvp(lambda at: outputs(at, path), (single,), (direction,))
+
+    # By hand and not by `jax.jacfwd`, whose last axis counts the directions: with it first, gathering
+    # the Jacobian copies whole rows, and that is a third of all the time.
+    values, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
+    return values, slopes
 
 
 def _units(path: PathState) -> dict[str, PathState]:

@@ -10,7 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibrate.muscle_blocks import curvature, slopes
+from wrapjax.calibrate.muscle_blocks import (
+    curvature,
+    curvature_through_time,
+    slopes,
+    slopes_through_time,
+)
 from wrapjax.calibrate.penalties import AbstractPenalty, Limit
 from wrapjax.calibrate.problem import AbstractCalibration, Linearization
 from wrapjax.geometry import PathState
@@ -50,13 +55,13 @@ class Objective(AbstractCalibration):
     moment_error: Float[Array | np.ndarray, ""] | Float[Array | np.ndarray, "#trial #coordinate #frame"] = (
         eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
     )
-    #: What else there is than the plain model, held at its amounts. Paths must then be held.
+    #: What else there is than the plain model, held at its amounts. What changes paths needs held ones.
     alterations: tuple[Alteration, ...] = ()
 
     def __check_init__(self):
         # An altered path may be a mix of several muscles' ones, and their modes then touch other forces.
-        if self.alterations and self.variables.modes:
-            raise ValueError("a model that is altered can be calibrated with held paths only")
+        if self.variables.modes and any(one.paths is not None for one in self.alterations):
+            raise ValueError("a model whose paths are altered can be calibrated with held paths only")
 
     @property
     def lower(self) -> Float[Array | np.ndarray, " variable"]:
@@ -195,9 +200,10 @@ class Objective(AbstractCalibration):
 
     def _muscle_slopes(self, inputs: tuple):
         """Values and derivatives by local variables, of every muscle."""
+        differentiate = slopes_through_time if self.alterations else slopes
 
         def of_one(single, path, modes, *inputs):
-            (moment, quantities), (moment_slope, quantity_slopes) = slopes(
+            (moment, quantities), (moment_slope, quantity_slopes) = differentiate(
                 lambda single, path: self._muscle_outputs(single, path, *inputs), single, path, modes
             )
             reductions = [restraint.reduce for restraint in self._restraints]
@@ -220,6 +226,7 @@ class Objective(AbstractCalibration):
         by the residual of its moment; and what is read off the arms alone has no second derivatives.
         """
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
+        differentiate = curvature_through_time if self.alterations else curvature
 
         def lever(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
@@ -234,7 +241,7 @@ class Objective(AbstractCalibration):
                         total += multiplier @ restraint.reduce(quantity)
                 return total
 
-            return curvature(weighted, single, lever(path), lever(modes))
+            return differentiate(weighted, single, lever(path), lever(modes))
 
         return jax.vmap(of_one)(multipliers, *inputs)
 

@@ -45,6 +45,8 @@ class CalibrationResult:
         The parts of the cost at the solution.
     curves
         Name of the Hill curves.
+    tendon
+        Kind of tendon.
     outcomes, chosen
         Where each start led, and the number of the one that was taken.
     solver
@@ -77,6 +79,7 @@ class CalibrationResult:
     initial_states: MuscleState
     cost_by_term: dict[str, float]
     curves: str
+    tendon: str
     solver: AugmentedLagrangian
     outcomes: tuple[Outcome, ...]
     chosen: int

@@ -23,5 +23,8 @@ from wrapjax.model.freedom import with_wraps as with_wraps
 from wrapjax.model.parameters import QUANTITIES as QUANTITIES
 from wrapjax.model.parameters import ModelParameters as ModelParameters
 from wrapjax.model.parameters import initial_parameters as initial_parameters
+from wrapjax.model.tendon import TENDONS as TENDONS
+from wrapjax.model.tendon import CompliantTendon as CompliantTendon
+from wrapjax.model.tendon import tendon_alterations as tendon_alterations
 from wrapjax.model.variables import Variables as Variables
 from wrapjax.model.variables import free_variables as free_variables

@@ -57,6 +57,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
         },
         "method": result.method,
         "curves": result.curves,
+        "tendon": result.tendon,
         "solver": _options(result.solver),
         "starts": [outcome.seed for outcome in result.outcomes],
         "coordinates": result.coordinates,

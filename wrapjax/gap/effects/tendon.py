@@ -12,33 +12,12 @@ from wrapjax.gap.anatomy import SPASTIC_GROUPS
 from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.geometry import PathState
-from wrapjax.model import Alteration, MuscleAlteration, MuscleInputs
-from wrapjax.muscle import FiberState, compliant_tendon_fiber
+from wrapjax.model import Alteration, CompliantTendon
 
 Amounts = Float[Array, " parameter"]
 
 #: How many times the strain of other tendons that of the plantar flexors is.
 _ACHILLES = {"all tendons alike": 1.0, "plantar flexors 2.5 times": 2.5}
-
-
-class CompliantTendon(MuscleAlteration):
-    """Put fibers in series with a tendon that stretches."""
-
-    strain_at_max_force: Float[Array, "*muscle"]
-
-    def tendon(
-        self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
-    ) -> FiberState:
-        """See `MuscleAlteration`."""
-        return compliant_tendon_fiber(
-            inputs.curves,
-            activation,
-            inputs.path.length,
-            inputs.path.velocity,
-            inputs.emg.step,
-            self.strain_at_max_force,
-            **inputs.law,
-        )
 
 
 def tendon_compliance(context: Context) -> Effect:
