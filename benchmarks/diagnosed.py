@@ -33,6 +33,7 @@ QUESTION = "question.json"
 def main() -> int:
     options = _parser().parse_args()
     cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
+    cases = cases[: options.first]
     jobs = [
         Job(case, options.out / case.name, options.starts, options.baselines, options.withheld)
         for case in cases
@@ -58,10 +59,10 @@ class Job:
 
     @property
     def cause(self) -> str | None:
-        """Its only cause, from the bank's truth; None where there is none or there are several."""
-        truth = self.case.parent.parent / "truth" / f"{self.case.name}.json"
-        causes = [cause["id"] for cause in json.loads(truth.read_text(encoding="utf-8"))["causes"]]
-        return causes[0] if len(causes) == 1 else None
+        """Its only cause, from the bank's truth, where that is one of the catalogue; else None."""
+        file = self.case.parent.parent / "truth" / f"{self.case.name}.json"
+        truth = json.loads(file.read_text(encoding="utf-8"))
+        return truth["causes"][0]["id"] if truth["tier"] == "single" else None
 
 
 def _answer_all(jobs: list[Job]) -> int:
@@ -161,6 +162,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--starts", type=int, default=4)
+    parser.add_argument(
+        "--first", type=int, metavar="N", help="only the first N cases by their ids, which are hashes"
+    )
     parser.add_argument("--baselines", type=Path, help="where to answer as textbooks would")
     parser.add_argument("--withheld", type=Path, help="where to answer with each single cause left out")
     return parser

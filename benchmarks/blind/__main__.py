@@ -22,6 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     score.add_argument("--manifest", type=Path, help="the committed one, if not the bank's own")
     score.add_argument("--answers", action="append", required=True, metavar="NAME=FOLDER")
     score.add_argument("--withheld", action="append", default=[], metavar="NAME=FOLDER")
+    score.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
     score.add_argument("--json", type=Path, help="write all figures here")
     sheet = commands.add_parser("sheet", help="draw a contact sheet of cases")
     sheet.add_argument("--bank", type=Path, required=True)
@@ -45,7 +46,9 @@ def _score(chosen: argparse.Namespace) -> int:
 
     pairs = lambda words: {name: Path(folder) for name, folder in (word.split("=", 1) for word in words)}  # noqa: E731
     try:
-        result = score(chosen.bank, pairs(chosen.answers), pairs(chosen.withheld), chosen.manifest)
+        result = score(
+            chosen.bank, pairs(chosen.answers), pairs(chosen.withheld), chosen.manifest, chosen.first
+        )
     except NotReady as reason:
         print(reason, file=sys.stderr)
         return 1

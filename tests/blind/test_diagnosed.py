@@ -1,5 +1,6 @@
 """Defends: a bank is answered once a question, one failing case costs no other, and a fault is told."""
 
+import json
 import types
 
 import pytest
@@ -71,21 +72,31 @@ def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_
 
 
 def test_withheld_asks_of_single_causes_alone_and_once_the_case_is_answered(asked, monkeypatch, tmp_path):
-    folder = bank(tmp_path, "one", "pair")
+    folder = bank(tmp_path, "one", "pair", "strange")
     (folder / "truth").mkdir()
-    for name, causes in (("one", ["cop_offset"]), ("pair", ["cop_offset", "emg_drift"])):
-        listed = ", ".join(f'{{"id": "{cause}"}}' for cause in causes)
-        (folder / "truth" / f"{name}.json").write_text(f'{{"causes": [{listed}]}}')
+    known = {
+        "one": ("single", ["cop_offset"]),
+        "pair": ("pair", ["cop_offset", "emg_drift"]),
+        "strange": ("outside", ["electrode_dropout"]),
+    }
+    for name, (tier, causes) in known.items():
+        truth = {"tier": tier, "causes": [{"id": cause} for cause in causes]}
+        (folder / "truth" / f"{name}.json").write_text(json.dumps(truth))
     for _ in range(2):
         assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
-        assert asked == [("one", ()), ("one", ("cop_offset",)), ("pair", ())]
+        assert asked == [("one", ()), ("one", ("cop_offset",)), ("pair", ()), ("strange", ())]
     assert [path.name for path in (folder / "withheld").iterdir()] == ["one"]
+
+
+def test_the_first_few_are_those_by_id(asked, monkeypatch, tmp_path):
+    assert answer(monkeypatch, bank(tmp_path, "c", "a", "b"), "--first", "2") == 0
+    assert [name for name, _ in asked] == ["a", "b"]
 
 
 def test_what_is_withheld_can_be_asked_for_later(asked, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
     (folder / "truth").mkdir()
-    (folder / "truth" / "one.json").write_text('{"causes": [{"id": "cop_offset"}]}')
+    (folder / "truth" / "one.json").write_text('{"tier": "single", "causes": [{"id": "cop_offset"}]}')
     assert answer(monkeypatch, folder) == 0
     assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
     assert asked[-1] == ("one", ("cop_offset",))

@@ -141,6 +141,18 @@ def test_nothing_is_printed_before_all_is_answered(bank, tmp_path):
         score(folder, {"it": tmp_path})
 
 
+def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
+    """By their ids, which are hashes: no choice is left to who asks."""
+    truths = sorted(write_bank(tmp_path / "bank", single=4, other=2), key=lambda truth: truth["id"])
+    for truth in truths[:5]:
+        answer(tmp_path / "it", truth, perfect(truth))
+    assert score(tmp_path / "bank", {"it": tmp_path / "it"}, first=5)["it"]["cases"] == 5
+    with pytest.raises(NotReady, match="without an answer"):
+        score(tmp_path / "bank", {"it": tmp_path / "it"}, first=6)
+    log = (tmp_path / "bank" / "score_log.jsonl").read_text().splitlines()
+    assert json.loads(log[0])["cases"] == 5
+
+
 @pytest.mark.parametrize("what", ["truth", "clean", "case", "extra"])
 def test_a_broken_seal_is_seen(tmp_path, what):
     truths = write_bank(tmp_path, single=2, other=1)

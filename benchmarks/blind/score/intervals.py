@@ -89,5 +89,9 @@ def statistic(
         of(values[np.concatenate([rows[i] for i in rng.integers(len(rows), size=len(rows))])])
         for _ in range(_DRAWS)
     ]
-    lower, upper = np.nanquantile(draws, [1 - LEVEL, LEVEL], method="inverted_cdf")
-    return Figure(float(of(values)), float(lower), float(upper), values.shape[0])
+    value = float(of(values))
+    known = np.array(draws)[np.isfinite(draws)]
+    if not known.size or not np.isfinite(value):
+        return Figure(value if np.isfinite(value) else None, n=values.shape[0])
+    lower, upper = np.quantile(known, [1 - LEVEL, LEVEL], method="inverted_cdf")
+    return Figure(value, float(lower), float(upper), values.shape[0])

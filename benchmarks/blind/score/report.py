@@ -25,8 +25,19 @@ def score(
     answerers: Mapping[str, Path],
     withheld: Mapping[str, Path] | None = None,
     manifest: Path | None = None,
+    first: int | None = None,
 ) -> dict[str, Any]:
     """Judge all answerers; every run is logged in ``score_log.jsonl`` of the bank.
+
+    Parameters
+    ----------
+    bank, manifest
+        What was asked, and how it was sealed.
+    answerers, withheld
+        Folders of answers by name, and of those given with each single cause left out of the catalogue.
+    first
+        Only so many cases, by their ids. These are hashes: to go by them is to draw by lot. The others stay
+        sealed.
 
     Raises
     ------
@@ -36,7 +47,7 @@ def score(
     faults = broken_seals(bank, manifest)
     if faults:
         raise NotReady(f"the seal is broken: {'; '.join(faults[:5])}" + (" ..." if len(faults) > 5 else ""))
-    truths = read_truth(bank)
+    truths = read_truth(bank)[:first]
     withheld = withheld or {}
     for name, folder in answerers.items():
         missing = unanswered(truths, folder, withheld.get(name))
@@ -46,7 +57,7 @@ def score(
         name: judged(bank, read_cases(truths, folder, withheld.get(name)))
         for name, folder in answerers.items()
     }
-    _log(bank, answerers, manifest)
+    _log(bank, answerers, manifest, len(truths))
     return result
 
 
@@ -64,10 +75,11 @@ def judged(bank: Path, cases: list[Case]) -> dict[str, Any]:
     }
 
 
-def _log(bank: Path, answerers: Mapping[str, Path], manifest: Path | None) -> None:
+def _log(bank: Path, answerers: Mapping[str, Path], manifest: Path | None, cases: int) -> None:
     line = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "manifest": digest(manifest or bank / "manifest.json"),
+        "cases": cases,
         "answers": {name: digest(folder) for name, folder in answerers.items()},
     }
     with (bank / "score_log.jsonl").open("a", encoding="utf-8") as file:
