@@ -73,6 +73,21 @@ def test_rate_is_that_of_the_length_while_joints_move(engine, motion, paths):
     np.testing.assert_allclose(paths.nominal.velocity, rate, atol=1e-8)
 
 
+def test_walls_stand_in_cycles_beside_too(s1_left, motion):
+    """What is laid is the second cycle's alone; the first one's closeness lies over its own."""
+    angles, velocities = motion
+    engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
+    both = wrapped_paths(engine, angles, velocities, MOMENTS, FREE[:1])[0].nominal
+    kept = wrapped_paths(engine, angles[1:], velocities[1:], MOMENTS, FREE[:1], beside=angles[:1])[0].nominal
+    np.testing.assert_allclose(kept.length, both.length[:, 1:], atol=1e-14)
+    np.testing.assert_allclose(kept.moment_arm, both.moment_arm[:, 1:], atol=1e-14)
+    squares = np.sum(np.asarray(both.closeness) ** 2, axis=1)
+    assert (squares > 1.1 * np.asarray(both.closeness)[:, 1] ** 2).any()
+    np.testing.assert_allclose(kept.closeness[:, 0] ** 2, squares, rtol=1e-12, atol=1e-20)
+    three = wrapped_paths(engine, angles[:1], velocities[:1], MOMENTS, FREE[:1], beside=angles[[1, 1]])[0]
+    assert three.nominal.closeness.shape == kept.closeness.shape
+
+
 def test_first_derivatives_equal_differences(paths, moved):
     at = jax.jit(lambda changes: paths.at(changes))
     here, slopes = jax.jit(lambda changes: paths.linearized(changes))(moved)

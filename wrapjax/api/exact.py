@@ -87,7 +87,10 @@ class ExactGeometry:
         return with_wraps(freedom, method, freed_wraps(wraps_of, self.translations))
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
-        """Lay the paths through cycles, with all that the freedom may change."""
+        """Lay the paths through cycles, with all that the freedom may change.
+
+        Where cylinders may move, paths get over no wall in the subject's other cycles either.
+        """
         free = () if freedom.wraps is None else freedom.wraps.names
         paths, _ = wrapped_paths(
             self.engine,
@@ -95,6 +98,7 @@ class ExactGeometry:
             trials.moment_coordinates,
             free,
             self.wrapping,
+            beside(subject, trials, self.engine.coordinates) if free else None,
         )
         return paths if free else fixed_path(paths.nominal)
 
@@ -144,6 +148,14 @@ def engine_of(subject: Subject) -> ExactPaths:
     spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
     coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
     return ExactPaths(model, subject.muscles.names, coordinates)
+
+
+def beside(
+    subject: Subject, trials: Trials, coordinates: tuple[str, ...]
+) -> Float[np.ndarray, "other_trial coordinate frame"]:
+    """Angles of the engine's coordinates in those of a subject's cycles that are not among these."""
+    others = np.flatnonzero([name not in trials.names for name in subject.trials.names])
+    return recorded(subject.trials.select(others), coordinates)[0]
 
 
 def recorded(

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.api.assembly import coefficient_paths, model_parameters, surrogate_paths
-from wrapjax.api.exact import engine_of, recorded
+from wrapjax.api.exact import beside, engine_of, recorded
 from wrapjax.api.wrap_fit import WrapFit
 from wrapjax.calibrate import PATH_CHANGE, path_modes
 from wrapjax.errors import InputError, Problem
@@ -93,6 +93,7 @@ def wrapped_polynomial_paths(
         velocities[:, :, ::_GUARDED_EVERY],
         trials.moment_coordinates,
         freed.names,
+        beside=beside(subject, trials, engine.coordinates)[:, :, ::_GUARDED_EVERY],
     )
     return guarded_paths(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
 

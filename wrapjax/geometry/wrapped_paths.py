@@ -20,11 +20,13 @@ _PER_WRAP = len(WRAP_PARAMETERS)
 # Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
 # the second figure in any frame, they are taken to cross anyway.
 _ROOM, _CROSSED = 1e-3, 1e-4
-# Walls stand so far (m) before a jump, or half as far as nominal paths are from it if that is less: cycles
-# that are not calibrated on come a little nearer.
+# Walls stand so far (m) before a jump, or half as far as nominal paths are from it if that is less: other
+# walking comes a little nearer.
 _KEPT = 1e-3
 # Longest stretch on a cylinder (m) that makes closeness one, where nominal paths have so much.
 _GRIP = 2e-3
+# Keeps the root's slope finite for paths that no wall is near to.
+_TINY = 1e-24
 _RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
 
@@ -185,16 +187,28 @@ def _over_cycles(
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
-    """Arrange a path's poses by cycle and frame, and add its rate."""
+    """Arrange a path's poses by cycle and frame, and add its rate; of cycles beside take the closeness."""
     trials, coordinates, frames = velocities.shape
-    arms = jnp.moveaxis(path.moment_arm.reshape(trials, frames, coordinates), -1, 1)
+    arms = jnp.moveaxis(path.moment_arm.reshape(-1, frames, coordinates)[:trials], -1, 1)
     nothing = jnp.zeros((trials, 1, frames))
+    closeness = walls.closeness(path.clearances, path.on_surface).reshape(-1, frames)
     return PathState(
-        length=path.length.reshape(trials, frames),
+        length=path.length.reshape(-1, frames)[:trials],
         velocity=-jnp.sum(arms * velocities, axis=1),
         moment_arm=jnp.concatenate([arms, nothing], axis=1)[:, columns],
-        closeness=walls.closeness(path.clearances, path.on_surface).reshape(trials, frames),
+        closeness=_folded(closeness, trials),
     )
+
+
+def _folded(closeness: Float[Array, "_ frame"], trials: int) -> Float[Array, "trial frame"]:
+    """Lay the closeness of cycles beside over that of the first so many: squares add up to the same sum."""
+    beside = closeness[trials:]
+    if not len(beside):
+        return closeness
+    layers = jnp.pad(beside, ((0, -len(beside) % trials), (0, 0))).reshape(-1, trials, closeness.shape[1])
+    squares = closeness[:trials] ** 2 + jnp.sum(layers**2, axis=0)
+    within = jnp.isfinite(squares)
+    return jnp.where(within, jnp.sqrt(jnp.where(within, squares, 0.0) + _TINY), jnp.inf)
 
 
 def wrapped_paths(
@@ -204,6 +218,7 @@ def wrapped_paths(
     moment_coordinates: Sequence[str],
     free: Sequence[str],
     wrapping: Wrapping = GEODESIC,
+    beside: Float[np.ndarray, "other_trial coordinate frame"] | None = None,
 ) -> tuple[WrappedPaths, Bool[np.ndarray, "muscle wrap"]]:
     """Lay the engine's paths through recorded cycles.
 
@@ -219,6 +234,8 @@ def wrapped_paths(
         Cylinders that may move. Paths that run by none of them stay as they are.
     wrapping
         `GEODESIC` or `PARITY`.
+    beside
+        Angles of other cycles, of as many frames, that paths must get over no wall in either.
 
     Returns
     -------
@@ -226,7 +243,8 @@ def wrapped_paths(
         The paths, and which of its cylinders each muscle lies on in at least one frame (False where it
         has fewer).
     """
-    poses = np.moveaxis(angles, 1, -1).reshape(-1, angles.shape[1])
+    every = angles if beside is None else np.concatenate([angles, beside])
+    poses = np.moveaxis(every, 1, -1).reshape(-1, angles.shape[1])
     posed = engine.posed(poses)
     columns = np.array(
         [
