@@ -1,6 +1,32 @@
-"""Commands that have a module each. `wrapjax.cli` has the others, and calls these."""
+"""The commands, one module each: `add` puts it on the parser, `run` does it."""
 
-from wrapjax.commands import cohort, contact, evaluate, fetch, report
+from wrapjax.commands import (
+    calibrate,
+    check,
+    cohort,
+    compare,
+    contact,
+    demo,
+    diagnose,
+    evaluate,
+    fetch,
+    fit,
+    prepare,
+    report,
+)
 
-#: Each adds its command to the parser.
-ADDED = (fetch.add, evaluate.add, report.add, contact.add, cohort.add)
+#: Each adds its command to the parser; in the order that ``wrapjax --help`` shows them.
+ADDED = (
+    check.add,
+    prepare.add,
+    fit.add,
+    calibrate.add,
+    compare.add,
+    diagnose.add,
+    demo.add,
+    fetch.add,
+    evaluate.add,
+    report.add,
+    contact.add,
+    cohort.add,
+)

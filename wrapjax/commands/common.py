@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from wrapjax.errors import InputError, Problem
+
 DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
 #: Adds a command by its name, what runs it, a sentence, and the options that it shares with others.
@@ -39,3 +41,17 @@ def show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> No
     else:
         print(table())
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
+
+
+def unfinished(options: argparse.Namespace) -> Path:
+    """Name the folder of unfinished work, which is not thrown away unasked."""
+    journal = options.out.with_name(f".{options.out.name}.unfinished")
+    if journal.exists() and not (options.resume or options.force):
+        raise InputError(
+            Problem(
+                str(options.out),
+                "was begun and interrupted",
+                hint="go on with --resume, or begin anew with --force",
+            )
+        )
+    return journal
