@@ -3,7 +3,8 @@
 ``prepare_subject`` makes a subject folder of a laboratory's raw files, ``load_subject`` reads one,
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
-``compare`` does so by several methods and tests which differ, ``contact`` says what joints bear,
+``compare`` does so by several methods and tests which differ, ``uncertainty`` says how well the recordings
+determine what was found, ``contact`` says what joints bear,
 ``evaluate`` predicts other cycles by a finished run (``load_run``), ``cohort`` calibrates many subjects side
 by side, ``fetch`` downloads public recordings, ``objective`` gives what is minimised as a pure function for
 `jax.grad`, and ``prepare`` all that is behind it.
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from wrapjax.api import Fit as Fit
     from wrapjax.api import Preparation as Preparation
     from wrapjax.api import Run as Run
+    from wrapjax.api import Uncertainty as Uncertainty
     from wrapjax.api import calibrate as calibrate
     from wrapjax.api import cohort as cohort
     from wrapjax.api import compare as compare
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
     from wrapjax.api import objective as objective
     from wrapjax.api import prepare as prepare
     from wrapjax.api import prepare_subject as prepare_subject
+    from wrapjax.api import uncertainty as uncertainty
     from wrapjax.errors import InputError as InputError
 
 __version__ = version("wrapjax")
@@ -63,6 +66,7 @@ _PLACES = {
     "InputError": "wrapjax.errors",
     "Preparation": "wrapjax.api",
     "Run": "wrapjax.api",
+    "Uncertainty": "wrapjax.api",
     "calibrate": "wrapjax.api",
     "cohort": "wrapjax.api",
     "compare": "wrapjax.api",
@@ -79,6 +83,7 @@ _PLACES = {
     "objective": "wrapjax.api",
     "prepare": "wrapjax.api",
     "prepare_subject": "wrapjax.api",
+    "uncertainty": "wrapjax.api",
 }
 
 

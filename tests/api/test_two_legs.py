@@ -78,6 +78,24 @@ def test_legs_share_what_is_the_persons(both):
     assert not np.allclose(left.parameters.emg_scale, right.parameters.emg_scale, rtol=1e-3)
 
 
+def test_uncertainty_of_what_legs_share_is_shared(both):
+    from wrapjax.api import uncertainty
+
+    judged = uncertainty(both, "laplace", draws=200)
+    assert len(judged.spreads) == 2
+    left, right = (spread.parameters for spread in judged.spreads)
+    for row, label in enumerate(left.labels):
+        name = label.rsplit(".", 1)[1]
+        other = right.labels.index(label.replace("_l.", "_r."))
+        # Lengths are shared as ratios to the model's.
+        sizes = (left.value[row], right.value[other]) if name.endswith("length") else (1.0, 1.0)
+        if name in SHARED:
+            assert left.deviation[row] / sizes[0] == pytest.approx(right.deviation[other] / sizes[1]), label
+    for leg, spread in zip(both.legs, judged.spreads, strict=True):
+        assert spread.low.shape == leg.result.modelled.shape
+        assert (spread.low <= leg.result.modelled).mean() > 0.9
+
+
 def test_one_run_holds_both_legs(folders, tmp_path):
     run = tmp_path / "run"
     words = ["calibrate", str(folders[0]), "--method", "NGA", "--out", str(run), "--starts", "2", "--quiet"]

@@ -24,6 +24,8 @@ from wrapjax.api.preparing import Preparation as Preparation
 from wrapjax.api.preparing import prepare_subject as prepare_subject
 from wrapjax.api.stored_run import Run as Run
 from wrapjax.api.stored_run import load_run as load_run
+from wrapjax.api.uncertainty import Uncertainty as Uncertainty
+from wrapjax.api.uncertainty import uncertainty as uncertainty
 from wrapjax.api.wrap_fitting import fit_wraps as fit_wraps
 from wrapjax.api.wrap_pictures import physiological_picture as physiological_picture
 from wrapjax.subject import read_subject as load_subject
@@ -38,6 +40,7 @@ __all__ = [
     "Fit",
     "Preparation",
     "Run",
+    "Uncertainty",
     "calibrate",
     "cohort",
     "compare",
@@ -54,4 +57,5 @@ __all__ = [
     "physiological_picture",
     "prepare",
     "prepare_subject",
+    "uncertainty",
 ]

@@ -52,6 +52,12 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     calibrate.add_argument(
         "--resume", action="store_true", help="go on with an interrupted calibration of the same RUN"
     )
+    calibrate.add_argument(
+        "--uncertainty",
+        choices=["laplace", "bootstrap"],
+        help="say how well the recordings determine parameters: quickly, or by a calibration a draw",
+    )
+    calibrate.add_argument("--draws", type=positive, metavar="N", help="of the bootstrap (default: 50)")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,13 +66,19 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
     from wrapjax.api.preparation import source_for
     from wrapjax.api.text import calibration_table, iteration_printer
+    from wrapjax.api.uncertainty import DRAWS, uncertainty
+    from wrapjax.api.uncertainty_text import uncertainty_table
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
-    from wrapjax.progress import say
+    from wrapjax.progress import progress_bar, say
     from wrapjax.subject import read_legs
 
     refuse_existing(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
+    if options.draws and options.uncertainty != "bootstrap":
+        raise InputError(Problem("--draws", "is for --uncertainty bootstrap: nothing else is drawn anew"))
+    if options.draws == 1:
+        raise InputError(Problem("--draws", "expected at least 2, found 1: one draw has no spread"))
     journal = unfinished(options)
     inner = {"lm": ProjectedLM, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
@@ -99,6 +111,19 @@ def run(options: argparse.Namespace) -> int:
     if done.status is Status.interrupted:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
-    done.save(options.out, force=options.force)
-    show(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
+    if options.uncertainty is None:
+        done.save(options.out, force=options.force)
+        show(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
+        return DONE if done.status.converged else NOT_CONVERGED
+    count = options.draws or DRAWS[options.uncertainty]
+    quiet = options.quiet or options.uncertainty == "laplace"
+    say("judging how well the recordings determine parameters", quiet=options.quiet)
+    try:
+        with progress_bar("calibrating made-up moments", count, quiet=quiet) as advance:
+            judged = uncertainty(done, options.uncertainty, draws=count, seed=options.seed, advance=advance)
+    except KeyboardInterrupt:
+        say("interrupted; go on where it stopped with --resume", quiet=False)
+        return NOT_CONVERGED
+    judged.save(options.out, force=options.force)
+    show(options, "summary.json", lambda: uncertainty_table(judged))
     return DONE if done.status.converged else NOT_CONVERGED

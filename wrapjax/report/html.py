@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import CalibrationResult, LegSpread
 from wrapjax.report import markup
 from wrapjax.report.curve_sections import (
     activations_section,
@@ -18,6 +18,7 @@ from wrapjax.report.moved_paths import MovedPath
 from wrapjax.report.parameter_section import parameters_section
 from wrapjax.report.path_section import path_section
 from wrapjax.report.solver_section import solver_section
+from wrapjax.report.spread_section import spread_section
 from wrapjax.report.starts_section import starts_section
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import counted, decimals
@@ -30,6 +31,7 @@ def render_report(
     summary: dict[str, Any],
     settings: dict[str, Any],
     moves: Sequence[MovedPath] = (),
+    spread: LegSpread | None = None,
 ) -> str:
     """Write the report of a calibration as one HTML page with nothing outside it.
 
@@ -43,6 +45,8 @@ def render_report(
         From `describe_settings`.
     moves
         From `moved_paths`.
+    spread
+        Of parameters and moments, where it was asked for.
     """
     title = f"{subject.name}: {result.method} calibration"
     side = {"l": "left", "r": "right"}[subject.side]
@@ -65,6 +69,7 @@ def render_report(
             fiber_lengths_section(result),
             path_section(result, moves),
             parameters_section(result),
+            *([] if spread is None else [spread_section(result, spread)]),
             starts_section(result),
             solver_section(result, summary),
             _notes(subject, result, settings),

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import CalibrationResult, LegSpread
 from wrapjax.files import new_folder, write_json, write_text, write_whole
 from wrapjax.report.html import render_report
 from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings
+from wrapjax.report.spread_summary import describe_spread, spread_content
 from wrapjax.report.starts import starts_csv
 from wrapjax.report.summary import file_stems, summarize
-from wrapjax.report.tables import curve_tables, osimx_of, parameters_csv
+from wrapjax.report.tables import band_table, curve_tables, osimx_of, parameters_csv
 from wrapjax.subject import Subject, write_storage
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ def write_run(
     force: bool = False,
     describe_model: DescribeModel | None = None,
     write_model: WriteModel | None = None,
+    spreads: Sequence[LegSpread] = (),
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -60,6 +63,8 @@ def write_run(
         What moved cylinders are shown by; without it they are not.
     write_model
         What writes the model with moved cylinders; without it none is written.
+    spreads
+        Of each leg's parameters and moments, where they were asked for.
 
     Raises
     ------
@@ -67,20 +72,29 @@ def write_run(
         If the folder exists and ``force`` is not set, or cannot be created.
     """
     with new_folder(folder, force=force) as run:
-        for place, (subject, result) in zip((run, run / OTHER_LEG), legs, strict=False):
-            _write_leg(subject, result, place, describe_model)
+        for place, (subject, result), spread in zip_longest(
+            (run, run / OTHER_LEG)[: len(legs)], legs, spreads
+        ):
+            _write_leg(subject, result, place, describe_model, spread)
             if write_model is not None and result.freedom.wraps is not None:
                 write_model(subject, result, place / PERSONALISED_MODEL)
 
 
 def _write_leg(
-    subject: Subject, result: CalibrationResult, run: Path, describe_model: DescribeModel | None
+    subject: Subject,
+    result: CalibrationResult,
+    run: Path,
+    describe_model: DescribeModel | None,
+    spread: LegSpread | None,
 ) -> None:
     summary = summarize(subject, result)
+    if spread is not None:
+        summary["uncertainty"] = describe_spread(spread)
+        write_json(run / "uncertainty.json", spread_content(result, spread))
     settings = describe_settings(subject, result, run)
     write_json(run / "summary.json", summary)
     write_json(run / "settings.json", settings)
-    write_text(run / "parameters.csv", parameters_csv(result))
+    write_text(run / "parameters.csv", parameters_csv(result, spread))
     model = subject.model_file.name if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
@@ -90,7 +104,9 @@ def _write_leg(
     for trial, stem in enumerate(file_stems(result.trials).values()):
         for kind, table in curve_tables(result, trial).items():
             write_storage(run / kind / f"{stem}.sto", table)
+        if spread is not None:
+            write_storage(run / "moment_bands" / f"{stem}.sto", band_table(result, spread, trial))
     moves: list[MovedPath] = []
     if describe_model is not None and result.freedom.wraps is not None:
         moves = moved_paths(subject, result, describe_model(subject.model_file))
-    write_text(run / "report.html", render_report(subject, result, summary, settings, moves))
+    write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread))

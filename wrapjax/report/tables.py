@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibrate import CalibrationResult, LegSpread
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import QUANTITIES
 from wrapjax.nmsm import OSIMX_QUANTITIES, OsimxMuscle, osimx_text
@@ -17,36 +17,56 @@ from wrapjax.report.cycles import MomentCurves
 from wrapjax.subject import Storage
 
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
+#: Where spreads were asked for.
+SPREAD_COLUMNS = ("sd", "low_90", "high_90")
 
 
-def parameters_csv(result: CalibrationResult) -> str:
+def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -> str:
     """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
 
     Of cylinders that were free every parameter follows; of paths that were free, every coefficient
     (``PathSurrogate.term_names``), which has no bounds: the length is the sum of
-    coefficients times terms, whose coordinates are scaled as settings.json says.
+    coefficients times terms, whose coordinates are scaled as settings.json says. Given the spread, standard
+    deviation and 90 % interval follow where a parameter was free; coefficients have none.
     """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(PARAMETER_COLUMNS)
+    writer.writerow(PARAMETER_COLUMNS + (SPREAD_COLUMNS if spread is not None else ()))
+    known = {} if spread is None else _spread_cells(spread)
+    nothing: list[float | str] = [""] * (0 if spread is None else len(SPREAD_COLUMNS))
     for row, muscle in enumerate(result.muscles):
         for name, quantity in QUANTITIES.items():
             value = float(getattr(result.parameters, name)[row])
             bounds: tuple[float | str, float | str] = ("", "")
             if name in freed:
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
-            writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds))
-    for owner, *entries in wrap_parameters(result):
-        writer.writerow((owner, "wrap", *entries))
+            cells = known.get(f"{muscle}.{name}", nothing)
+            writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds, *cells))
+    for owner, name, *entries in wrap_parameters(result):
+        writer.writerow((owner, "wrap", name, *entries, *known.get(f"{owner}.{name}", nothing)))
     if result.freedom.paths is not None and result.calibrated_paths is not None:
         paths = result.calibrated_paths
         names, used, coefficients = paths.term_names(), np.asarray(paths.used), np.asarray(paths.coefficients)
         for row in np.flatnonzero(result.freedom.paths.muscles).tolist():
             values = coefficients[row, used[row]].tolist()
             for term, value in zip(names[row], values, strict=True):
-                writer.writerow((result.muscles[row], "term", term, value, "m", "", ""))
+                writer.writerow((result.muscles[row], "term", term, value, "m", "", "", *nothing))
     return text.getvalue()
+
+
+def _spread_cells(spread: LegSpread) -> dict[str, list[float]]:
+    own = spread.parameters
+    rows = zip(own.labels, own.deviation.tolist(), own.low.tolist(), own.high.tolist(), strict=True)
+    return {label: cells for label, *cells in rows}
+
+
+def band_table(result: CalibrationResult, spread: LegSpread, trial: int) -> Storage:
+    """Give the band about one cycle's modelled moments that holds 90 % of the draws, in N m."""
+    columns = tuple(f"{name}_moment_{end}_90" for end in ("low", "high") for name in result.coordinates)
+    rows = np.concatenate([spread.low[trial], spread.high[trial]])
+    name = f"90 % bands of modelled joint moments (N m) of {result.trials[trial]}"
+    return Storage(name, columns, result.time[trial], rows.T)
 
 
 def osimx_of(result: CalibrationResult, model_file: str) -> str:

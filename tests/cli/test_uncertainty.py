@@ -1,0 +1,83 @@
+"""``wrapjax calibrate --uncertainty``: asked for, it is in the run's folder; otherwise there is no trace."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from tests.cli.folders import METHOD, content, stored
+from tests.cli.test_check import assert_only_errors
+from wrapjax.report.spread_summary import SCHEMA
+
+
+@pytest.fixture(scope="module")
+def judged(run, subject, fitted, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    words = ("--uncertainty", "bootstrap", "--draws", "4", "--fit", fitted[1], "--out", folder)
+    return run("calibrate", subject, *METHOD, *words), folder
+
+
+def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
+    outcome, folder = judged
+    assert outcome.status == 0 and "calibrating made-up moments: 4 done" in outcome.progress
+    assert "4 draws (bootstrap" in outcome.output
+    told = stored(folder / "uncertainty.json")
+    assert told["schema"] == SCHEMA and told["way"] == "bootstrap" and told["draws"] == 4
+    assert stored(folder / "summary.json")["uncertainty"]["converged_draws"] == 4
+    with (folder / "parameters.csv").open(newline="") as stream:
+        rows = {f"{row['owner']}.{row['parameter']}": row for row in csv.DictReader(stream)}
+    for label, own in told["by_parameter"].items():
+        assert float(rows[label]["sd"]) == own["sd"] and own["low_90"] <= own["high_90"]
+        assert float(rows[label]["value"]) == pytest.approx(own["value"], rel=1e-12)
+        assert float(rows[label]["lower"]) * (1 - 1e-9) <= own["low_90"]
+        assert own["high_90"] <= float(rows[label]["upper"]) * (1 + 1e-9)
+    # The calibration itself is the same.
+    plain = calibrated[1]
+    assert stored(folder / "summary.json")["cost"] == pytest.approx(
+        stored(plain / "summary.json")["cost"], rel=1e-9
+    )
+    assert not (plain / "uncertainty.json").exists() and not (plain / "moment_bands").exists()
+    assert not list(folder.parent.glob(".*"))
+
+
+def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monkeypatch):
+    """Draws that were done are kept; the rest come out as if nothing had happened."""
+    from wrapjax.calibrate import AugmentedLagrangian, Status
+
+    solve, solved = AugmentedLagrangian.solve, []
+
+    def stopped(self, problem, start, *arguments):
+        solution = solve(self, problem, start, *arguments)
+        solved.append(not arguments)  # the calibration itself is watched
+        if sum(solved) == 3:
+            object.__setattr__(solution, "status", Status.interrupted)
+        return solution
+
+    words = ("--uncertainty", "bootstrap", "--draws", "4", "--fit", fitted[1], "--out", tmp_path / "run")
+    monkeypatch.setattr(AugmentedLagrangian, "solve", stopped)
+    outcome = run("calibrate", subject, *METHOD, *words, "--quiet")
+    assert outcome.status == 1 and "--resume" in outcome.progress and not (tmp_path / "run").exists()
+    done = sum(solved)
+    solved[:] = [False] * len(solved)
+    monkeypatch.setattr(AugmentedLagrangian, "solve", solve)
+    outcome = run("calibrate", subject, *METHOD, *words, "--quiet", "--resume")
+    assert outcome.status == 0 and done == 3
+    again, before = (stored(folder / "uncertainty.json") for folder in (tmp_path / "run", judged[1]))
+    for label, own in before["by_parameter"].items():
+        np.testing.assert_allclose(again["by_parameter"][label]["sd"], own["sd"], rtol=1e-6, atol=1e-12)
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--draws", "5"), "is for --uncertainty bootstrap"),
+        (("--uncertainty", "laplace", "--draws", "5"), "is for --uncertainty bootstrap"),
+        (("--uncertainty", "bootstrap", "--draws", "1"), "expected at least 2"),
+    ],
+)
+def test_draws_that_make_no_sense_are_refused_before_the_work(run, subject, tmp_path, words, said):
+    outcome = run("calibrate", subject, *METHOD, "--out", tmp_path / "run", *words)
+    (line,) = assert_only_errors(outcome, "--draws")
+    assert said in line
+    assert content(tmp_path) == {}
