@@ -13,6 +13,7 @@ from typing import Any
 
 from wrapjax.commands import ADDED
 from wrapjax.commands.common import BAD_INPUT, NOT_CONVERGED, positive
+from wrapjax.commands.settings import add_settings, apply_settings, keep_settings
 from wrapjax.errors import InputError
 from wrapjax.jax_setup import set_threads
 
@@ -22,11 +23,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal that lacks a letter of somebody's name shows its code instead of failing.
         sys.stdout.reconfigure(errors="backslashreplace")
-    options = _parser().parse_args(arguments)
-    if options.threads is not None:
-        set_threads(options.threads)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    parser, commands = _parser()
     try:
-        return options.run(options)
+        name = words[0] if words else ""
+        if name in commands:
+            apply_settings(commands[name], name, words[1:])
+        options = parser.parse_args(words)
+        if options.threads is not None:
+            set_threads(options.threads)
+        status = options.run(options)
+        if "settings" in options and options.out is not None and options.out.is_dir():
+            keep_settings(commands[name], name, options, options.out)
+        return status
     except InputError as error:
         for problem in error.problems:
             print(f"error: {problem}", file=sys.stderr)
@@ -42,7 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return NOT_CONVERGED
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """Build the parser, and give those of the commands by name."""
     parser = argparse.ArgumentParser(
         prog="wrapjax", description="Calibrate EMG-driven musculoskeletal models with exact gradients."
     )
@@ -56,15 +66,18 @@ def _parser() -> argparse.ArgumentParser:
     writing = argparse.ArgumentParser(add_help=False)
     writing.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
     writing.add_argument("--force", action="store_true", help="replace the folder if it exists")
+    add_settings(writing)
+    parsers: dict[str, argparse.ArgumentParser] = {}
 
     def command(name: str, run: Any, help: str, *parents: argparse.ArgumentParser) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=help, description=help, parents=[common, *parents])
         added.set_defaults(run=run)
+        parsers[name] = added
         return added
 
     for add in ADDED:
         add(command, writing)
-    return parser
+    return parser, parsers
 
 
 def _version() -> str:

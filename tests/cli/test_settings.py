@@ -1,0 +1,71 @@
+"""Options in a file mean what they mean on the command line, and what a folder keeps can be asked again."""
+
+import pytest
+
+import wrapjax.commands.calibrate as command
+from tests.cli.test_check import assert_only_errors
+from wrapjax.commands.common import DONE
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Options that ``calibrate`` was asked with; it makes its folder and does nothing else."""
+    seen = []
+
+    def answer(options):
+        seen.append(options)
+        options.out.mkdir(parents=True)
+        return DONE
+
+    monkeypatch.setattr(command, "run", answer)
+    return seen
+
+
+def test_the_command_line_goes_before_the_file(run, asked, tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('method = "PGA"\nstarts = 7\nfit = "fits/one"\n')
+    out = tmp_path / "run"
+    assert run("calibrate", "anna", "--settings", file, "--starts", "2", "--out", out).status == DONE
+    (options,) = asked
+    assert (options.method, options.starts, options.curves) == ("PGA", 2, "paper")
+    assert options.fit == tmp_path / "fits" / "one", "paths are relative to the file"
+
+
+def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "elsewhere" / "second"
+    words = ("--method", "LSGA", "--fit", tmp_path / "fit", "--seed", "3", "--max-iterations", "9")
+    assert run("calibrate", "anna", *words, "--out", first).status == DONE
+    assert run("calibrate", "anna", "--settings", first / "settings.toml", "--out", second).status == DONE
+    one, other = (vars(options) | {"out": None, "settings": None} for options in asked)
+    other["fit"] = other["fit"].resolve()
+    assert one == other
+    kept = (second / "settings.toml").read_text()
+    assert 'fit = "../../fit"' in kept and "force" not in kept and "out" not in kept.replace("without", "")
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('methd = "PGA"', "did you mean 'method'"),
+        ('method = "PGB"', "expected one of NGA, SGA, LSGA, PGA"),
+        ("starts = 0", "above 0"),
+        ("starts = [1]", "expected one value"),
+        ("out = 'run'", "no such option"),
+        ('command = "fit"', "is of 'wrapjax fit'"),
+        ("starts = ", "is no TOML"),
+        (None, "does not exist"),
+        (b"\xff\xfe", "is no text"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(run, asked, tmp_path, content, said):
+    file = tmp_path / "settings.toml"
+    if content is not None:
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    outcome = run("calibrate", "anna", "--settings", file, "--out", tmp_path / "run")
+    assert_only_errors(outcome, tmp_path)
+    assert said in outcome.progress and not asked
+
+
+def test_without_a_file_nothing_changes(run, asked, tmp_path):
+    outcome = run("calibrate", "anna", "--out", tmp_path / "run")
+    assert outcome.status == 2 and "--method" in outcome.progress and not asked
