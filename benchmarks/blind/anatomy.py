@@ -187,7 +187,8 @@ def reference_leg(mass: float, height: float) -> Leg:
 def _bodies(mass: float, s: float) -> tuple[Body, ...]:
     def segment(name, share, length, center, radii):
         m = share * mass
-        return Body(name, m, center, tuple(float(m * (r * length) ** 2) for r in radii))
+        x, y, z = (float(m * (r * length) ** 2) for r in radii)
+        return Body(name, m, center, (x, y, z))
 
     thigh, shank, foot = s * THIGH, s * SHANK, 0.152 * s * REFERENCE_HEIGHT
     return (

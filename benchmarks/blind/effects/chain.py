@@ -9,6 +9,7 @@ Moments change by what OpenSim's inverse dynamics makes of wrong input, less wha
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -106,7 +107,8 @@ def _hip_center(world: World, amount: float, variant: Variant) -> World:
     axis = {"anterior": 0, "up": 1, "lateral": 2}[variant[0]]
     center = np.array(world.leg.hip_center)
     center[axis] += amount
-    real = replace(world.leg, hip_center=tuple(map(float, center)))
+    x, y, z = map(float, center)
+    real = replace(world.leg, hip_center=(x, y, z))
     return _with_leg(world, real, ("hip",))
 
 
@@ -120,7 +122,9 @@ def _axis(world: World, amount: float, variant: Variant) -> World:
     turn /= np.linalg.norm(turn)
     angle = np.radians(amount)
     turned = axis * np.cos(angle) + np.cross(turn, axis) * np.sin(angle)
-    real = replace(world.leg, **{field: tuple(map(float, turned))})
+    # By name, which types cannot follow.
+    changed: dict[str, Any] = {field: tuple(map(float, turned))}
+    real = replace(world.leg, **changed)
     return _with_leg(world, real, (name,))
 
 
@@ -135,8 +139,9 @@ def _inertia(world: World, amount: float, variant: Variant) -> World:
             # Mass that is missing in tables sits distally: the centre moves with it.
             x, y, z = body.center
             scale = 1.0 + amount
-            inertia = tuple(float(value * scale**1.2) for value in body.inertia)
-            body = replace(body, mass=body.mass * scale, center=(x, y * (1.0 + 0.15 * amount), z), inertia=inertia)  # fmt: skip
+            xx, yy, zz = (float(value * scale**1.2) for value in body.inertia)
+            center = (x, y * (1.0 + 0.15 * amount), z)
+            body = replace(body, mass=body.mass * scale, center=center, inertia=(xx, yy, zz))
         bodies.append(body)
     return _with_leg(world, replace(world.leg, bodies=tuple(bodies)), ())
 

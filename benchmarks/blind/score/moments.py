@@ -69,7 +69,8 @@ def oracle_shrinkage(bank: Path, case: Case, which: str) -> float | None:
     """The contract's formula with the generator's floor: held-out cycles, or the held-out speed."""
     last = len(case.truth.raw["cycles"]) - 1
     recordings = [last] if which == "held_out_speed" else list(range(last))
-    before, after = [], []
+    before: list[np.floating] = []
+    after: list[np.floating] = []
     for recording in recordings:
         found = predicted(case.answer, recording, "validation")
         if found is None or found.after is None:
@@ -110,7 +111,9 @@ def map_pairs(case: Case) -> np.ndarray:
         parts = []
         for use in ("calibration", "validation"):
             found = predicted(case.answer, recording, use)
-            for start, end in cycles_of(case.truth, recording, use) if found is not None else ():
+            if found is None:
+                continue
+            for start, end in cycles_of(case.truth, recording, use):
                 time = np.linspace(start, end, 101)
                 at = np.array([np.interp(time, found.time, row) for row in found.before])
                 parts.append(_clean_at(case.truth, recording, time) - at)
