@@ -34,16 +34,17 @@ def seal(folder: Path) -> dict[str, dict[str, str]]:
 
 
 def broken_seals(folder: Path, manifest: Path | None = None) -> list[str]:
-    """Say what is not as it was sealed: cases that changed, truths that changed, missing ones, extra ones."""
+    """Say what is not as it was sealed: other bytes, missing, never sealed. Of a case, its folder."""
     sealed = json.loads((manifest or folder / "manifest.json").read_text(encoding="utf-8"))["cases"]
+    hashes: dict[str, str] = {}
+    for name, own in sealed.items():
+        places = {"case": f"cases/{name}", "truth": f"truth/{name}.json", "clean": f"truth/{name}.npy"}
+        hashes |= {place: own[kind] for kind, place in places.items()}
     faults = []
-    for name, hashes in sealed.items():
-        places = {"case": folder / "cases" / name}
-        places |= {"truth": folder / "truth" / f"{name}.json", "clean": folder / "truth" / f"{name}.npy"}
-        for kind, place in places.items():
-            if not place.exists():
-                faults.append(f"{kind} {name} is missing")
-            elif digest(place) != hashes[kind]:
-                faults.append(f"{kind} {name} is not the one that was sealed")
-    extra = {path.stem for path in (folder / "truth").glob("*.json")} - set(sealed)
-    return faults + [f"truth {name} was never sealed" for name in sorted(extra)]
+    for place, expected in hashes.items():
+        if not (folder / place).exists():
+            faults.append(f"{place} is missing")
+        elif digest(folder / place) != expected:
+            faults.append(f"{place} is not the one that was sealed")
+    there = {f"{kind}/{path.name}" for kind in ("cases", "truth") for path in (folder / kind).glob("*")}
+    return faults + [f"{place} was never sealed" for place in sorted(there - set(hashes))]

@@ -1,6 +1,10 @@
 """A bank is made person by person, resumes where it stopped, and comes out the same."""
 
+import os
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +14,7 @@ from benchmarks.blind.make import make
 from benchmarks.blind.outside import OUTSIDE
 from benchmarks.blind.plan import Bank
 from benchmarks.blind.score.records import read_truth
-from benchmarks.blind.seal import broken_seals
+from benchmarks.blind.seal import broken_seals, digest
 
 
 @pytest.mark.slow
@@ -44,3 +48,34 @@ def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
     assert "without an answer" in capsys.readouterr().err
     assert main(["sheet", "--bank", str(tmp_path), "--out", str(tmp_path / "sheet.png"), "--count", "2"]) == 0
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+#: Makes two people and three cases in the folder that it is given.
+TINY = """
+import sys
+from pathlib import Path
+from benchmarks.blind import make, plan
+from benchmarks.blind.effects import EFFECTS
+from benchmarks.blind.outside import OUTSIDE
+for known, kept in ((EFFECTS, {"joint_damping", "ankle_foot_orthosis"}), (OUTSIDE, {"joint_friction"})):
+    for name in set(known) - kept:
+        del known[name]
+make.make(plan.Bank("development", 11, 2, 1, 1, 1, 0), Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_in_another_folder_makes_the_same_bytes(tmp_path, capsys):
+    """No folder's name, no process's order of sets, and no clock is in any file."""
+    found = []
+    for name, order in (("one", "1"), ("another_place", "2")):
+        folder = tmp_path / name
+        folder.mkdir()
+        environment = {**os.environ, "PYTHONHASHSEED": order, "PYTHONPATH": str(Path(__file__).parents[2])}
+        subprocess.run([sys.executable, "-c", TINY, str(folder)], cwd=folder, env=environment, check=True)
+        files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".log")
+        found.append({path.relative_to(folder).as_posix(): digest(path) for path in files})
+    assert found[0] == found[1] and len(found[0]) > 30
+    manifest = str(tmp_path / "one" / "manifest.json")
+    assert main(["check", "--bank", str(folder), "--manifest", manifest]) == 0
+    assert "byte for byte" in capsys.readouterr().out

@@ -1,0 +1,53 @@
+"""Defends: whether a bank is the sealed one is told byte for byte, by the names of what differs."""
+
+import pytest
+
+from benchmarks.blind.__main__ import main
+from tests.blind.banks import write_bank
+
+
+@pytest.fixture
+def banks(tmp_path):
+    """A sealed bank, and the same made again elsewhere."""
+    for name in ("sealed", "again"):
+        truths = write_bank(tmp_path / name, single=2, other=1)
+    return tmp_path, truths[0]["id"]
+
+
+def check(folder):
+    return main(
+        ["check", "--bank", str(folder / "again"), "--manifest", str(folder / "sealed/manifest.json")]
+    )
+
+
+def test_a_bank_made_again_is_the_sealed_one(banks, capsys):
+    assert check(banks[0]) == 0
+    assert "byte for byte" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("what", ["changed", "missing", "renamed", "more"])
+def test_what_differs_is_named(banks, what, capsys):
+    folder, name = banks[0] / "again", banks[1]
+    recording = folder / "cases" / name / "trials" / "walk_1"
+    if what == "changed":
+        (folder / "truth" / f"{name}.json").write_bytes(b"{}")
+        expected = [f"truth/{name}.json is not the one"]
+    elif what == "missing":
+        (folder / "truth" / f"{name}.npy").unlink()
+        expected = [f"truth/{name}.npy is missing"]
+    elif what == "renamed":
+        (recording / "extra.sto").write_text("")
+        expected = [f"cases/{name} is not the one"]
+    else:
+        (folder / "cases" / "ffff").mkdir()
+        expected = ["cases/ffff was never sealed"]
+    assert check(banks[0]) == 1
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(expected) and last == "1 differ"
+    assert all(line.startswith(start) for line, start in zip(lines, expected, strict=True))
+
+
+def test_without_a_manifest_nothing_is_said(banks, capsys):
+    (banks[0] / "sealed" / "manifest.json").unlink()
+    assert check(banks[0]) == 1
+    assert "no such manifest" in capsys.readouterr().err
