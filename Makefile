@@ -56,6 +56,7 @@ blind blind-quick: setup
 	$(RUN)/python -m benchmarks.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
 		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \
 		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld
+	$(RUN)/python -m benchmarks.blind publish --score $(word 1,$(BANK))/score.json --out $(word 1,$(BANK))/published
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache .mypy_cache

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.blind make|score|sheet|forms``."""
+"""``python -m benchmarks.blind make|check|score|publish|sheet|forms``."""
 
 from __future__ import annotations
 
@@ -24,13 +24,28 @@ def main(arguments: list[str] | None = None) -> int:
     score.add_argument("--withheld", action="append", default=[], metavar="NAME=FOLDER")
     score.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
     score.add_argument("--json", type=Path, help="write all figures here")
+    check = commands.add_parser("check", help="whether a bank is the sealed one, byte for byte")
+    check.add_argument("--bank", type=Path, required=True, help="folder of the bank")
+    check.add_argument("--manifest", type=Path, help="the committed one, if not the bank's own")
+    publish = commands.add_parser("publish", help="a table and pictures for a README, of what was scored")
+    publish.add_argument("--score", type=Path, required=True, metavar="FILE", help="of 'score --json'")
+    publish.add_argument("--of", metavar="NAME", help="who is published (default: the first)")
+    publish.add_argument("--out", type=Path, required=True, metavar="DIR")
     sheet = commands.add_parser("sheet", help="draw a contact sheet of cases")
     sheet.add_argument("--bank", type=Path, required=True)
     sheet.add_argument("--out", type=Path, required=True)
     sheet.add_argument("--count", type=int, default=8)
     commands.add_parser("forms", help="print the table of forms")
     chosen = parser.parse_args(arguments)
-    return {"make": _make, "score": _score, "sheet": _sheet, "forms": _forms}[chosen.command](chosen)
+    run = {
+        "make": _make,
+        "check": _check,
+        "score": _score,
+        "publish": _publish,
+        "sheet": _sheet,
+        "forms": _forms,
+    }
+    return run[chosen.command](chosen)
 
 
 def _make(chosen: argparse.Namespace) -> int:
@@ -55,6 +70,38 @@ def _score(chosen: argparse.Namespace) -> int:
     if chosen.json:
         chosen.json.write_text(as_json(result), encoding="utf-8")
     print(as_markdown(result), end="")
+    return 0
+
+
+def _check(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.seal import broken_seals
+
+    manifest = chosen.manifest or chosen.bank / "manifest.json"
+    if not manifest.is_file():
+        print(f"{manifest}: no such manifest", file=sys.stderr)
+        return 1
+    found = broken_seals(chosen.bank, manifest)
+    for line in found:
+        print(line)
+    print(f"{len(found)} differ" if found else f"{chosen.bank} is the sealed bank, byte for byte")
+    return 1 if found else 0
+
+
+def _publish(chosen: argparse.Namespace) -> int:
+    from benchmarks.blind.publish.pictures import draw_confusion, draw_right
+    from benchmarks.blind.publish.scores import Unreadable, read_scores
+    from benchmarks.blind.publish.table import as_table
+
+    try:
+        judged = read_scores(chosen.score, chosen.of)
+    except Unreadable as reason:
+        print(reason, file=sys.stderr)
+        return 1
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    (chosen.out / "table.md").write_text(as_table(judged), encoding="utf-8", newline="\n")
+    draw_right(judged, chosen.out / "right.png")
+    draw_confusion(judged[0], chosen.out / "families.png")
+    print(f"table.md, right.png and families.png are in {chosen.out}")
     return 0
 
 

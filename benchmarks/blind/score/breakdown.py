@@ -50,16 +50,16 @@ def curve(
     }
 
 
-def over_magnitude(cases: Sequence[Case]) -> dict[str, Figure]:
+def over_magnitude(cases: Sequence[Case], hit: Callable[[Case], bool] = first_right) -> dict[str, Figure]:
     def key(case: Case) -> str:
         index = int(np.searchsorted(EDGES, case.truth.d_star, side="right")) - 1
         return f"{index}: {EDGES[index]:g} to {EDGES[index + 1]:g}"
 
-    return curve(cases, key)
+    return curve(cases, key, hit)
 
 
-def over_noise(cases: Sequence[Case]) -> dict[str, Figure]:
-    return curve(cases, lambda case: f"{100 * case.truth.raw['emg_noise']:02.0f} %")
+def over_noise(cases: Sequence[Case], hit: Callable[[Case], bool] = first_right) -> dict[str, Figure]:
+    return curve(cases, lambda case: f"{100 * case.truth.raw['emg_noise']:02.0f} %", hit)
 
 
 def by_effect(cases: Sequence[Case]) -> dict[str, Figure]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.score import breakdown
-from benchmarks.blind.score.figures import CLEAR, Row, all_rows
+from benchmarks.blind.score.figures import CLEAR, Row, all_rows, rightly_named
 from benchmarks.blind.score.intervals import Figure
 from benchmarks.blind.score.records import Case, read_cases, read_truth, unanswered
 from benchmarks.blind.seal import broken_seals, digest
@@ -63,12 +63,15 @@ def score(
 
 def judged(bank: Path, cases: list[Case]) -> dict[str, Any]:
     single = [c for c in cases if c.truth.tier == "single"]
+    clear = [c for c in single if c.truth.d_star > CLEAR]
     effects = breakdown.by_effect(single)
     return {
         "rows": all_rows(bank, cases),
         "confusion": breakdown.confusion(cases),
         "magnitude": breakdown.over_magnitude(single),
-        "noise": breakdown.over_noise([c for c in single if c.truth.d_star > CLEAR]),
+        "magnitude_named": breakdown.over_magnitude(single, rightly_named),
+        "noise": breakdown.over_noise(clear),
+        "noise_named": breakdown.over_noise(clear, rightly_named),
         "effects": effects,
         "worst": breakdown.worst(effects),
         "cases": len(cases),
@@ -108,7 +111,9 @@ def as_markdown(result: dict[str, Any]) -> str:
         lines += ["", f"**{name}**, {part['cases']} cases. Cause (down) and what was named (across):", ""]
         lines += _confusion(part["confusion"])
         lines += ["", _curve("Right first by d*", part["magnitude"])]
+        lines += [_curve("Named and right by d*", part["magnitude_named"])]
         lines += [_curve("Right first by EMG noise, d* over 2", part["noise"])]
+        lines += [_curve("Named and right by EMG noise, d* over 2", part["noise_named"])]
         if part["worst"]:
             effect, figure = part["worst"]
             lines += [f"Worst effect: `{effect}`, right first in {_number(figure)} of {figure.n}."]
