@@ -1,10 +1,12 @@
 """Defends: what a diagnosis is compared with is done as textbooks say, and answers where the scorer looks."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks.ablations import ABLATIONS, ablated
 from benchmarks.baselines import BASELINES, modification_index, write_answer, write_silence
 from benchmarks.blind.score.records import read_answer
 from wrapjax.gap.evidence.covariance import MuscleErrors
@@ -33,7 +35,7 @@ def lines(generator, amount, at_work=3):
         slopes=slopes.reshape(3, *shape),
         spread=np.eye(3),
         away=np.zeros(3),
-        nuisances=np.zeros((0, *shape)),
+        nuisances=np.zeros((1, *shape)),
         candidates=candidates,
         input_errors=(),
         muscle_errors=MuscleErrors(
@@ -59,6 +61,46 @@ def test_the_modification_index_alarms_as_often_as_it_says_under_its_own_assumpt
         any(passes for _, passes in modification_index(lines(generator, 0.0)).values()) for _ in range(400)
     ]
     assert 0.02 < np.mean(alarms) < 0.09
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_a_term_that_is_left_out_takes_nothing_else_with_it(name):
+    """A plain case stays plain, and only the score test alone sees all terms."""
+    gap = lines(np.random.default_rng(0), 0.5)
+    found = ablated(ABLATIONS[name], gap, np.ones(COORDINATES), alarm=3.0)
+    assert max(found, key=lambda id: found[id][0]) == "effect_3"
+    assert {id for id, (_, named) in found.items() if named} == {
+        id for id, (evidence, _) in found.items() if evidence > 3.0
+    }
+
+
+def alike(name, generator):
+    """Lines of a residual that is noise and one thing, which the term explains, and an effect as well."""
+    whole = lines(generator, 0.0)
+    shape = whole.residual.shape
+    one = 6.0 * generator.normal(size=shape)
+    if name == "without_nuisances":
+        whole = replace(whole, nuisances=one[None])
+    elif name == "without_give":
+        whole = replace(whole, slopes=np.stack([one, *whole.slopes[1:]]))
+    elif name == "without_repeated":
+        one = 3.0 * np.tile(np.sin(2.0 * np.pi * np.arange(PHASES) / PHASES), (CYCLES, COORDINATES, 1))
+    else:
+        one = np.full(shape, 3.0)
+        arms = np.full((1, *shape), 200.0)
+        whole = replace(whole, muscle_errors=MuscleErrors(whole.muscle_errors.states, arms))
+    effect = Candidate("alike", (one.reshape(1, -1),), np.ones(1), np.zeros(1, dtype=bool))
+    residual = generator.normal(size=shape) + one
+    return replace(whole, residual=residual, fitted=residual, candidates=(effect,))
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in ABLATIONS if name not in ("score_alone", "without_input_errors")]
+)
+def test_what_a_term_explains_is_taken_for_an_effect_without_it(name):
+    gap, sizes = alike(name, np.random.default_rng(3)), np.full(COORDINATES, 60.0)
+    found = {own: ablated(ABLATIONS[own], gap, sizes, 0.0)["alike"][0] for own in ("score_alone", name)}
+    assert found[name] > found["score_alone"] + 3.0
 
 
 def test_without_lines_there_is_silence(tmp_path):

@@ -1,12 +1,16 @@
 """Defends: a bank is answered once a question, one failing case costs no other, and a fault is told."""
 
 import json
+import pickle
 import types
+from pathlib import Path
 
 import pytest
 
 import wrapjax
-from benchmarks import diagnosed
+from benchmarks import answering, diagnosed
+from wrapjax.errors import InputError, Problem
+from wrapjax.scheduling import Finished
 
 
 @pytest.fixture
@@ -35,7 +39,7 @@ def asked(monkeypatch):
     monkeypatch.setattr(wrapjax, "load_subject", lambda case: case)
     monkeypatch.setattr(wrapjax, "fit", lambda subject, geometry, processes: None)
     monkeypatch.setattr(wrapjax, "diagnose", diagnose)
-    monkeypatch.setattr(diagnosed, "set_up_jax", lambda: None)
+    monkeypatch.setattr(answering, "set_up_jax", lambda: None)
     return seen
 
 
@@ -113,10 +117,47 @@ def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, mo
     ]
 
 
-@pytest.mark.parametrize("crowded", [False, True])
-def test_a_process_makes_room_before_it_is_full(crowded, asked, monkeypatch, tmp_path):
-    cleared = []
-    monkeypatch.setattr(diagnosed, "_crowded", lambda: crowded)
-    monkeypatch.setattr("jax.clear_caches", lambda: cleared.append(True))
-    assert answer(monkeypatch, bank(tmp_path, "one", "two"), "--workers", "1") == 0
-    assert len(cleared) == 2 * crowded
+def test_ablations_answer_beside_it(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    assert answer(monkeypatch, folder, "--ablations", str(folder / "others")) == 0
+    found = {path.parent.parent.name for path in (folder / "others").rglob("gap.json")}
+    assert {"score_alone", "without_input_errors", "without_muscle_errors", "without_repeated"} < found
+
+
+def test_a_process_makes_room_after_every_case_also_one_that_fails(asked, monkeypatch, tmp_path):
+    looked = []
+    monkeypatch.setattr(answering, "forget_if_crowded", lambda: looked.append(True))
+    assert answer(monkeypatch, bank(tmp_path, "bad", "one"), "--workers", "1") == 1
+    assert len(looked) == 2
+
+
+@pytest.mark.parametrize("more", [("--workers", "3"), ("--scheduler", "tcp://host:8786")])
+def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys):
+    """Under the runner that users get: what its workers are given says all, wherever they are."""
+    called = []
+
+    def run_everywhere(work, jobs, *, scheduler, workers):
+        called.append((scheduler, workers))
+        for name, job in pickle.loads(pickle.dumps(jobs)).items():
+            yield (
+                Finished(name, None, "its worker process died")
+                if name == "bad"
+                else Finished(name, work(job))
+            )
+
+    monkeypatch.setattr(diagnosed, "run_everywhere", run_everywhere)
+    monkeypatch.chdir(bank(tmp_path, "bad", "one"))
+    assert answer(monkeypatch, Path("."), *more) == 1
+    assert called == [(more[1] if more[0] == "--scheduler" else None, 3 if more[0] == "--workers" else 1)]
+    assert "bad: FAILED: its worker process died" in capsys.readouterr().err
+    assert (tmp_path / "answers" / "one" / "question.json").exists()
+
+
+def test_a_scheduler_that_is_not_there_is_told_in_a_sentence(asked, monkeypatch, tmp_path, capsys):
+    def nobody(*given, **more):
+        raise InputError(Problem("tcp://host:8786", "no dask scheduler answers there"))
+        yield
+
+    monkeypatch.setattr(diagnosed, "run_everywhere", nobody)
+    assert answer(monkeypatch, bank(tmp_path, "one"), "--scheduler", "tcp://host:8786") == 2
+    assert "no dask scheduler answers there" in capsys.readouterr().err
