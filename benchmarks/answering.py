@@ -53,7 +53,7 @@ def _answer(job: Job) -> str:
     # Imported by a worker, after its threads are set.
     import wrapjax
 
-    question = _question(job.case)
+    question = question_of(job.case)
     folders = _others(job)
     answered = _kept(job.answer, question) and all((own / "gap.json").exists() for own in folders.values())
     # What is withheld is asked for after the answer is there, and only then.
@@ -73,7 +73,8 @@ def _answer(job: Job) -> str:
     return said
 
 
-def _question(case: Path) -> dict[str, object]:
+def question_of(case: Path) -> dict[str, object]:
+    """Name what an answer depends on: a subject's files and the package."""
     import wrapjax
     from wrapjax.files import content_hash
 

@@ -16,14 +16,14 @@ from wrapjax.api.exact import ExactGeometry
 from wrapjax.api.fitting import Fit
 from wrapjax.api.gap_context import gap_context
 from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
-from wrapjax.gap import Context, catalogue
+from wrapjax.gap import catalogue
 from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.investigation import investigate
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.scene import Investigation, Look
 from wrapjax.geometry import PathState, fixed_path
-from wrapjax.model import Recording, free_variables
+from wrapjax.model import free_variables
 from wrapjax.subject import Subject
 
 if TYPE_CHECKING:
@@ -172,8 +172,7 @@ def diagnose_calibrated(
     if calibration.result.tendon != "rigid":
         raise ValueError("a diagnosis starts from rigid tendons: that they stretch is one of its effects")
     began = time.perf_counter()
-    recording, context = gap_context(calibration)
-    case = _investigation(calibration, recording, context, tuple(without))
+    case = investigation(calibration, without)
     known = dict(seconds or {}, context=time.perf_counter() - began)
     found, look = investigate(
         case,
@@ -186,10 +185,9 @@ def diagnose_calibrated(
     return Diagnosis(calibration, found, case, look)
 
 
-def _investigation(
-    calibration: Calibration, recording: Recording, context: Context, without: tuple[str, ...]
-) -> Investigation:
+def investigation(calibration: Calibration, without: Sequence[str] = ()) -> Investigation:
     """Gather what is looked at; paths are held as calibration left them."""
+    recording, context = gap_context(calibration)
     subject, result = calibration.subject, calibration.result
     trials, solution = subject.trials, result.solution
     problem, variables = solution.problem, np.asarray(solution.variables)
@@ -213,7 +211,7 @@ def _investigation(
         recording=recording,
         context=context,
         entries=catalogue(context, without),
-        withheld=without,
+        withheld=tuple(without),
         recordings=trials.recordings,
         uses=trials.uses,
         time=trials.time,
