@@ -63,7 +63,7 @@ def _answer(job: Job) -> str:
     paths = wrapjax.fit(subject, "engine", processes=1)
     done = wrapjax.diagnose(subject, "NGA", paths, starts=job.starts)
     if not answered:
-        _write_others(done, folders)
+        write_others(done, folders)
         _keep(done, job.answer, question)
     said = _in_words(done)
     if job.withheld is not None and (cause := job.cause) is not None:
@@ -93,7 +93,8 @@ def _others(job: Job) -> dict[str, Path]:
     return {name: place / name / job.case.name for place, known in asked if place for name in known}
 
 
-def _write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
+def write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
+    """Let those who rank effects on the lines of a finished diagnosis answer, each into its folder."""
     from benchmarks.ablations import ABLATIONS, ablated
     from benchmarks.baselines import BASELINES, write_answer, write_silence
 

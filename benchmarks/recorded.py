@@ -64,10 +64,10 @@ def _run(options: argparse.Namespace) -> None:
             ask = partial(diagnosed, starts=starts, whole=source, hidden=variant.hidden)
         _once(variant, options, ask)
         forget_if_crowded()
-    kept = {one.name: _kept(one, options) for one in [*injected, *knocked]}
+    found = ((one.name, _kept(one, options)) for one in [*injected, *knocked])
     # What another version of the package answered is another question's.
     code = before["question"]["code"]
-    kept = {name: one for name, one in kept.items() if one is not None and one["question"]["code"] == code}
+    kept = {name: one for name, one in found if one is not None and one["question"]["code"] == code}
     summary = summarised(before, [*injected, *knocked], kept)
     write_json(options.out / "summary.json", summary)
     print(as_text(summary), end="")

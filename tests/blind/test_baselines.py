@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.ablations import ABLATIONS, ablated
+from benchmarks.answering import write_others
 from benchmarks.baselines import BASELINES, modification_index, write_answer, write_silence
 from benchmarks.blind.score.records import read_answer
 from wrapjax.gap.evidence.covariance import MuscleErrors
@@ -101,6 +103,21 @@ def test_what_a_term_explains_is_taken_for_an_effect_without_it(name):
     gap, sizes = alike(name, np.random.default_rng(3)), np.full(COORDINATES, 60.0)
     found = {own: ablated(ABLATIONS[own], gap, sizes, 0.0)["alike"][0] for own in ("score_alone", name)}
     assert found[name] > found["score_alone"] + 3.0
+
+
+def test_everybody_answers_on_the_lines_of_one_diagnosis(tmp_path):
+    """Moments of calibration cycles alone say how large what repeats may be."""
+    gap = lines(np.random.default_rng(0), 0.5)
+    done = SimpleNamespace(
+        result=SimpleNamespace(lines=gap, outcome="named", alarm=3.0),
+        case=SimpleNamespace(
+            measured=np.random.default_rng(1).normal(size=(CYCLES + 2, COORDINATES, 101)),
+            plan=SimpleNamespace(calibration=np.arange(CYCLES)),
+        ),
+    )
+    write_others(done, {name: tmp_path / name for name in (*BASELINES, *ABLATIONS)})
+    for name in (*BASELINES, *ABLATIONS):
+        assert read_answer(tmp_path / name).ranking[0] == "effect_3", name
 
 
 def test_without_lines_there_is_silence(tmp_path):

@@ -111,12 +111,15 @@ def test_files_of_the_recording_are_left_alone_and_a_hidden_channel_is_gone(s1_l
 
 def test_rises_are_against_the_untouched_recording_and_the_share_counts_twice_the_size():
     before = {"evidence": {"emg_drift": 5.0, "emg_crosstalk": 1.0, "cop_offset": 9.0}}
-    variants = [Variant(name, f"{name}!", list, "emg_drift") for name in ("drift_1", "drift_2", "other_2")]
+    variants = [
+        Variant(name, f"{name}!", list, "emg_drift") for name in ("drift_1", "drift_2", "other_2", "more_2")
+    ]
     variants.append(Variant("without_TibPost", "no electrode", list, "missing_drive", "TibPost"))
     kept = {
         "drift_1": {"evidence": {"emg_drift": 6.0, "emg_crosstalk": 4.0, "cop_offset": 9.0}},
         "drift_2": {"evidence": {"emg_drift": 25.0, "emg_crosstalk": 4.0, "cop_offset": 9.0}},
         "other_2": {"evidence": {"emg_drift": 5.0, "emg_crosstalk": 1.5, "cop_offset": 9.0}},
+        "more_2": {"evidence": {"emg_drift": 6.0, "emg_crosstalk": 1.5, "cop_offset": 9.0}},
         "without_TibPost": {
             "outcome": "tie",
             "named": [],
@@ -130,11 +133,11 @@ def test_rises_are_against_the_untouched_recording_and_the_share_counts_twice_th
         },
     }
     summary = recorded.summarised(before, variants, kept)
-    assert [row["place"] for row in summary["rows"][:3]] == [2, 1, 2]
-    assert summary["rows"][0]["first"] == "emg_crosstalk" and summary["rows"][3]["found"] is True
-    assert summary["rose_most_at_twice"] == 0.5
+    assert [row["place"] for row in summary["rows"][:4]] == [2, 1, 2, 1]
+    assert summary["rows"][0]["first"] == "emg_crosstalk" and summary["rows"][4]["found"] is True
+    assert summary["rose_most_at_twice"] == pytest.approx(2 / 3)
     text = recorded.as_text(summary)
-    assert "| drift_2! | +20.0 | 1 | `emg_drift` +20.0 |" in text and "in 50 % of 2 (target: 80 %)" in text
+    assert "| drift_2! | +20.0 | 1 | `emg_drift` +20.0 |" in text and "in 67 % of 3 (target: 80 %)" in text
     assert "| tie missing_drive, cop_offset | 0.70, 0.85 (tibpost, place 2 of 2 groups) |" in text
 
 

@@ -10,8 +10,8 @@ from tests.blind.banks import write_bank
 def banks(tmp_path):
     """A sealed bank, and the same made again elsewhere."""
     for name in ("sealed", "again"):
-        truths = write_bank(tmp_path / name, single=2, other=1)
-    return tmp_path, truths[0]["id"]
+        truths = write_bank(tmp_path / name, single=3, other=1)
+    return tmp_path, truths[2]["id"]
 
 
 def check(folder):
@@ -25,7 +25,7 @@ def test_a_bank_made_again_is_the_sealed_one(banks, capsys):
     assert "byte for byte" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("what", ["changed", "missing", "renamed", "more"])
+@pytest.mark.parametrize("what", ["changed", "missing", "a byte", "a file", "more"])
 def test_what_differs_is_named(banks, what, capsys):
     folder, name = banks[0] / "again", banks[1]
     recording = folder / "cases" / name / "trials" / "walk_1"
@@ -35,7 +35,11 @@ def test_what_differs_is_named(banks, what, capsys):
     elif what == "missing":
         (folder / "truth" / f"{name}.npy").unlink()
         expected = [f"truth/{name}.npy is missing"]
-    elif what == "renamed":
+    elif what == "a byte":
+        moments = recording / "moments.sto"
+        moments.write_bytes(b" " + moments.read_bytes()[1:])
+        expected = [f"cases/{name} is not the one"]
+    elif what == "a file":
         (recording / "extra.sto").write_text("")
         expected = [f"cases/{name} is not the one"]
     else:
