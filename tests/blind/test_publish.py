@@ -82,6 +82,7 @@ def test_others_stand_beside_it_only_where_they_say_something(published):
 def test_where_it_fails_is_told_beside_the_table(scored, tmp_path):
     assert main(["publish", "--score", str(scored), "--of", "confident", "--out", str(tmp_path)]) == 0
     text = (tmp_path / "table.md").read_text()
+    assert "\n168 cases. Bounds in brackets are one-sided" in text
     assert "Worst effects, right first: `" in text and "` 0 % [0, " in text
     assert "Named and right by d*: 1 to 2: " in text and "by EMG noise, d* over 2: 5 %: " in text
 

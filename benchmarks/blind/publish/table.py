@@ -52,7 +52,8 @@ def as_table(judged: Sequence[Judged]) -> str:
             f"**{row.verdict}**" if row.verdict else "",
         ]
         lines.append(_line([*own, *(_beside(row.key, one) for one in others)]))
-    return "\n".join([*lines, "", _EXPLAINED, "", *_failures(first)]) + "\n"
+    said = f"{first.cases} cases. {_EXPLAINED}"
+    return "\n".join([*lines, "", said, "", *_failures(first)]) + "\n"
 
 
 def _line(cells: Sequence[str]) -> str:
