@@ -54,16 +54,17 @@ def _answer(job: Job) -> str:
     import wrapjax
 
     question = question_of(job.case)
-    folders = _others(job)
-    answered = _kept(job.answer, question) and all((own / "gap.json").exists() for own in folders.values())
+    kept = _kept(job.answer, question)
+    # Beside an answer to another question they are of that one, too.
+    others = {name: own for name, own in _others(job).items() if not (kept and (own / "gap.json").exists())}
     # What is withheld is asked for after the answer is there, and only then.
-    if answered and (job.withheld is None or _kept_withheld(job, question)):
+    if kept and not others and (job.withheld is None or _kept_withheld(job, question)):
         return "as before"
     subject = wrapjax.load_subject(job.case)
     paths = wrapjax.fit(subject, "engine", processes=1)
     done = wrapjax.diagnose(subject, "NGA", paths, starts=job.starts)
-    if not answered:
-        write_others(done, folders)
+    write_others(done, others)
+    if not kept:
         _keep(done, job.answer, question)
     said = _in_words(done)
     if job.withheld is not None and (cause := job.cause) is not None:

@@ -110,7 +110,9 @@ def test_what_is_withheld_can_be_asked_for_later(asked, monkeypatch, tmp_path):
 def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
     assert answer(monkeypatch, folder) == 0
+    (folder / "answers" / "one" / "untouched").write_text("an answer that is there is not written again")
     assert answer(monkeypatch, folder, "--baselines", str(folder / "others")) == 0
+    assert (folder / "answers" / "one" / "untouched").exists()
     found = sorted(path.relative_to(folder / "others").as_posix() for path in folder.rglob("gap.json"))
     assert found == [
         f"{name}/one/gap.json" for name in ("held_out_drop", "modification_index", "raw_correlation")

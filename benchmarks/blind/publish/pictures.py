@@ -48,7 +48,7 @@ def draw_right(judged: Sequence[Judged], file: Path) -> None:
 
 def _draw_curves(axis: Any, judged: Sequence[Judged], key: str) -> None:
     names = list(judged[0].curves[key])
-    apart = 0.13
+    apart = min(0.13, 0.8 / len(judged))
     for number, one in enumerate(judged):
         curve = one.curves[key]
         known = [(place, curve[name]) for place, name in enumerate(names) if _drawable(curve.get(name))]
