@@ -123,9 +123,13 @@ def _drive(
         if own == channel
     }
     emg = heard(whole, channel)
+    # Each group for itself, as if it were the only one.
+    each = tuple(
+        replace(candidate, id=group, variants=(shape,))
+        for (group, _), shape in zip(groups, candidate.variants, strict=True)
+    )
     found = []
-    for (group, members), shape in zip(groups, candidate.variants, strict=True):
-        (score,) = _scores(replace(gap, candidates=(replace(candidate, variants=(shape,)),)), sizes)
+    for (group, members), score in zip(groups, _scores(replace(gap, candidates=each), sizes), strict=True):
         drive = np.asarray(drive_over_cycle(jnp.asarray(score.amounts), PHASES))
         found.append(
             {

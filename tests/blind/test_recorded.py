@@ -146,3 +146,16 @@ def test_what_is_not_known_is_told_in_a_sentence(s1_left, monkeypatch, tmp_path,
     monkeypatch.setattr("sys.argv", arguments)
     assert recorded.main() == 2
     assert "there is no variant 'nobody'" in capsys.readouterr().err
+
+
+def test_drives_are_compared_with_emg_before_them():
+    """Activation comes later than EMG, never before it; what is not driven is like nothing."""
+    from benchmarks.recorded_case import PHASES, likeness
+
+    emg = np.exp(-(((np.linspace(0.0, 1.0, PHASES) - 0.4) / 0.05) ** 2))
+    later, earlier = (np.append(np.roll(emg[:-1], shift), emg[0]) for shift in (5, -5))
+    assert likeness(emg, emg)["correlation"] == pytest.approx(1.0)
+    assert likeness(later, emg)["correlation"] < 0.7
+    assert likeness(later, emg)["correlation_delayed"] == pytest.approx(1.0)
+    assert likeness(earlier, emg)["correlation_delayed"] < 0.7
+    assert likeness(0.0 * emg, emg) == {"correlation": None, "correlation_delayed": None}
