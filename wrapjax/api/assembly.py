@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.geometry import AbstractPath, AdjustablePath, PathState, PathSurrogate, fixed_path
 from wrapjax.model import ModelParameters, Recording, initial_parameters
-from wrapjax.muscle import fit_emg_spline
+from wrapjax.muscle import CommandSplines, EmgSpline, fit_emg_spline
 from wrapjax.subject import Subject, Trials
 
 
@@ -29,6 +29,7 @@ def model_parameters(subject: Subject, *, path_modes: int = 0) -> ModelParameter
         muscles.tendon_slack_length,
         muscles.pennation_angle,
         path_modes=path_modes,
+        commands=None if subject.synergies is None else subject.synergies.basis.count,
     )
 
 
@@ -87,11 +88,32 @@ def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> 
 
 
 def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording:
-    """Join the EMG of each muscle's channel with its path."""
+    """Join the EMG of each muscle's channel, or the commands that it takes instead, with its path."""
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     channels = np.array(subject.muscle_channels)
-    return Recording(
-        emg=jax.tree.map(lambda leaf: leaf[channels], splines), path=path, padding=trials.padding
+    emg = jax.tree.map(lambda leaf: leaf[channels], splines)
+    if subject.synergies is not None:
+        emg = _with_commands(emg, subject, trials)
+    return Recording(emg=emg, path=path, padding=trials.padding)
+
+
+def _with_commands(emg: EmgSpline, subject: Subject, trials: Trials) -> EmgSpline:
+    """Append the muscles without a channel, whose own EMG is zero, and give all of them the commands."""
+    assert subject.synergies is not None
+    added = len(subject.synergies.muscles)
+    driven, *shape = emg.coefficients.shape
+    silent = jnp.zeros((added, *shape))
+    step = jnp.broadcast_to(emg.step[:1], (added, len(trials)))
+    read = subject.synergies.basis.commands(trials.emg, trials.channels)
+    commands = fit_emg_spline(trials.emg_time, read).coefficients
+    everyone = jnp.broadcast_to(
+        jnp.moveaxis(commands, 0, 1), (driven + added, len(trials), len(commands), *commands.shape[2:])
+    )
+    share = jnp.repeat(jnp.array([0.0, 1.0]), np.array([driven, added]), total_repeat_length=driven + added)
+    return EmgSpline(
+        coefficients=jnp.concatenate([emg.coefficients, silent]),
+        step=jnp.concatenate([emg.step, step]),
+        commands=CommandSplines(everyone, jnp.broadcast_to(share[:, None], (driven + added, len(trials)))),
     )
 
 

@@ -15,10 +15,12 @@ import numpy as np
 
 from wrapjax.api.assembly import recording
 from wrapjax.api.datasets import calibration_dataset
-from wrapjax.api.exact import ExactGeometry, exact_geometry
+from wrapjax.api.exact import ExactGeometry
+from wrapjax.api.extrapolation import STRATEGIES
 from wrapjax.api.fitting import Fit
+from wrapjax.api.gathered_legs import Law, Leg, gather_legs, question_of
 from wrapjax.api.personalised import write_model
-from wrapjax.api.preparation import method_freedom, source_for, stages
+from wrapjax.api.preparation import source_for, stages
 from wrapjax.calibrate import (
     AbstractCalibration,
     AugmentedLagrangian,
@@ -34,10 +36,11 @@ from wrapjax.calibrate import (
     solve_from_starts,
     starting_points,
 )
-from wrapjax.files import cache_folder, content_hash
+from wrapjax.files import cache_folder
 from wrapjax.model import Freedom, muscle_states
 from wrapjax.osim import describe_model
-from wrapjax.subject import Subject, read_legs
+from wrapjax.subject import Subject
+from wrapjax.subject.synergies import COMMANDS
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -95,6 +98,8 @@ def calibrate(
     callback: Watch | None = None,
     curves: str = "paper",
     tendon: str = "rigid",
+    undriven: str = STRATEGIES[0],
+    synergies: int = COMMANDS,
     journal: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
@@ -132,6 +137,9 @@ def calibrate(
     tendon
         ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers at every frame, 4 %
         longer at maximum isometric force. That takes several times as long.
+    undriven, synergies
+        What drives muscles without an electrode, and how many synergies where they do; see
+        `wrapjax.api.extrapolation.drive`.
     journal
         Folder in which to keep where the work stands, so that it can be resumed; removed when the
         result is saved.
@@ -144,9 +152,9 @@ def calibrate(
         Whether it converged is in ``status``; a fit that did not is returned, not raised.
     """
     solver = solver or AugmentedLagrangian()
-    legs = _legs(subject, fit, method, freedom)
-    law = _Law(curves, tendon)
-    question = _question_of(legs, solver, law, starts, seed)
+    legs = gather_legs(subject, fit, method, freedom, undriven, synergies)
+    law = Law(curves, tendon)
+    question = question_of(legs, solver, law, starts, seed)
     by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
@@ -181,52 +189,13 @@ def kept_calibration(
 ) -> Calibration:
     """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
     fitted = source_for(method, subject) if fit is None else fit
-    legs = _legs(subject, fitted, method, None)
-    question = _question_of(legs, AugmentedLagrangian(), _Law(), starts, seed)
+    legs = gather_legs(subject, fitted, method, None)
+    question = question_of(legs, AugmentedLagrangian(), Law(), starts, seed)
     journal = cache_folder("calibrations") / question
     begun = (journal / "question.json").exists()
     return calibrate(
         subject, method, fitted, starts=starts, seed=seed, callback=callback, journal=journal, resume=begun
     )
-
-
-def _question_of(legs: list[_Leg], solver: AugmentedLagrangian, law: _Law, starts: int, seed: int) -> str:
-    """Name a calibration by all that decides where it goes."""
-    return content_hash(*map(_question, legs), repr((solver, law, starts, seed)))
-
-
-@dataclass(frozen=True)
-class _Law:
-    """Of muscles: the names of their Hill curves and tendons."""
-
-    curves: str = "paper"
-    tendon: str = "rigid"
-
-
-@dataclass(frozen=True)
-class _Leg:
-    subject: Subject
-    fit: Fit | ExactGeometry
-    freedom: Freedom
-
-
-def _legs(
-    subject: Subject, fit: Fit | ExactGeometry | None, method: str, freedom: Freedom | None
-) -> list[_Leg]:
-    """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
-    subjects = read_legs(subject)
-    if len(subjects) == 2 and freedom is not None:
-        raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
-    legs = []
-    for leg in subjects:
-        fitted = fit if fit is not None and leg is subject else _source_like(fit, method, leg)
-        legs.append(_Leg(leg, fitted, freedom or method_freedom(method, leg, fitted)))
-    return legs
-
-
-def _source_like(fit: Fit | ExactGeometry | None, method: str, leg: Subject) -> Fit | ExactGeometry:
-    """Take a leg's paths from where the other leg's come from."""
-    return exact_geometry(leg, fit.name) if isinstance(fit, ExactGeometry) else source_for(method, leg)
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:
@@ -235,11 +204,11 @@ def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, 
 
 
 def _result(
-    leg: _Leg,
+    leg: Leg,
     outcomes: tuple[Outcome, ...],
     chosen: int,
     solver: AugmentedLagrangian,
-    law: _Law,
+    law: Law,
     compile_seconds: float,
 ) -> CalibrationResult:
     subject, fit, freedom = leg.subject, leg.fit, leg.freedom
@@ -282,20 +251,4 @@ def _result(
         solver=solver,
         n_residuals=problem.measured.size,
         compile_seconds=compile_seconds,
-    )
-
-
-def _question(leg: _Leg) -> str:
-    """Name a leg's part in a calibration by all that decides where it goes."""
-    subject, trials = leg.subject, leg.subject.trials
-    return content_hash(
-        subject.model_file,
-        leg.fit.key,
-        repr(subject.muscles),
-        trials.moments,
-        trials.emg,
-        trials.angles,
-        repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
-        repr((subject.activation_groups, subject.fiber_length_groups)),
-        repr(leg.freedom),
     )

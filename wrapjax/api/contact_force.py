@@ -219,10 +219,12 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
     """Give muscles without an electrode the forces that close the moments best, or none."""
     missing = entry.measured - entry.modelled
     trials, coordinates, frames = missing.shape
-    all_of_them = entry.subject.undriven_muscles
+    # Muscles that synergies drove have their calibrated forces.
+    all_of_them = tuple(name for name in entry.subject.undriven_muscles if name not in entry.run.muscles)
+    subject = replace(entry.subject, undriven_muscles=all_of_them)
     nothing = np.zeros((0, trials, frames))
     none = Undriven("none", (), all_of_them, nothing, nothing, missing, missing)
-    others = other_muscles(entry.subject, entry.run.curves, model_file)[0] if treatment != "none" else None
+    others = other_muscles(subject, entry.run.curves, model_file)[0] if treatment != "none" else None
     if others is None:
         return none
     active = _strengths(others)

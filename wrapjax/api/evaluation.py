@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from wrapjax.api.assembly import recording, surrogate_paths
 from wrapjax.api.exact import WRAPPINGS, engine_of, recorded
+from wrapjax.api.extrapolation import driven_by
 from wrapjax.api.stored_run import Run
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import content_hash, new_folder
@@ -84,6 +85,7 @@ def evaluate(run: Run, subject: Subject) -> Evaluation:
         If the subject has other muscles or coordinates than the run.
     """
     require_float64()
+    subject = _driven_alike(run, subject)
     _refuse_others(run, subject)
     trials, notes = subject.trials, []
     if run.model_hash != content_hash(subject.model_file):
@@ -105,6 +107,29 @@ def evaluate(run: Run, subject: Subject) -> Evaluation:
         tendon_alterations(run.tendon, len(subject.muscles.names)),
     )
     return Evaluation(run, subject, np.asarray(states.moment.sum(axis=0)), tuple(notes))
+
+
+def _driven_alike(run: Run, subject: Subject) -> Subject:
+    """Drive the muscles that have no channel by the run's synergies, whose weights are of its commands."""
+    if run.synergies is None:
+        return subject
+    problems = [
+        Problem(
+            str(subject.folder),
+            f"lacks EMG channel '{name}', which synergies of run {run.folder} are of",
+            hint=nearest_name(name, subject.trials.channels),
+        )
+        for name in run.synergies.basis.channels
+        if name not in subject.trials.channels
+    ]
+    for muscle in run.synergies.muscles:
+        if muscle not in subject.undriven_muscles:
+            found = "a channel that drives it" if muscle in subject.channel_of else "no such muscle"
+            message = f"expected muscle '{muscle}' without a channel, as in run {run.folder}, found {found}"
+            problems.append(Problem(str(subject.folder), message))
+    if problems:
+        raise InputError(problems)
+    return driven_by(subject, run.synergies.basis, run.synergies.groups)
 
 
 def _exact(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParameters]:

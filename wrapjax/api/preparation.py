@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.api.assembly import group_indices, model_parameters, recording
 from wrapjax.api.exact import ExactGeometry
+from wrapjax.api.extrapolation import with_weights
 from wrapjax.api.fitting import Fit
 from wrapjax.api.fitting import fit as fit_paths
 from wrapjax.api.wrap_fitting import fit_wraps
@@ -83,7 +84,7 @@ def stages(
             Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
         )
     fitted = source_for(method, subject) if fit is None else fit
-    freedom = freedom or method_freedom(method, subject, fitted)
+    freedom = with_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
     paths = fitted.paths(subject, trials, freedom)
     inputs = recording(subject, trials, paths)
     base = model_parameters(subject, path_modes=paths.modes_count)
@@ -99,6 +100,7 @@ def stages(
             reference,
             group_indices(subject.activation_groups, names),
             group_indices(subject.fiber_length_groups, names),
+            range(len(subject.muscle_channels), len(names)),
         ),
         limits=(),
         alterations=alterations,
@@ -156,4 +158,4 @@ def method_freedom(method: str, subject: Subject, fit: Fit | ExactGeometry) -> F
     """Say what a method frees for a subject, of the paths from this source."""
     if method not in METHODS:
         raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
-    return fit.freedom(method, subject)
+    return with_weights(fit.freedom(method, subject), subject)

@@ -8,18 +8,19 @@ import json
 import math
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry import PathSurrogate, surrogate_from
 from wrapjax.geometry.surfaces import WRAP_PARAMETERS
-from wrapjax.model import QUANTITIES, ModelParameters
+from wrapjax.model import QUANTITIES, ModelParameters, synergy_labels
+from wrapjax.subject.synergies import Synergies, SynergyBasis
 
 _ANEW = "calibrate again with 'wrapjax calibrate'"
 _FILES = ("summary.json", "settings.json", "parameters.csv")
@@ -53,6 +54,10 @@ class Run:
         Of the model's file; None where that is not known.
     summary
         The content of ``summary.json``.
+    synergies
+        What drove muscles without an electrode; None where nothing did.
+    weights
+        By excitation, its weights of the synergies' commands.
     """
 
     folder: Path
@@ -70,6 +75,8 @@ class Run:
     geometry: str
     model_hash: str | None
     summary: dict[str, Any]
+    synergies: Synergies | None = None
+    weights: dict[str, Float[np.ndarray, " command"]] = field(default_factory=dict)
 
     def parameters(self, muscles: tuple[str, ...], path_modes: int = 0) -> ModelParameters:
         """Arrange the parameters as the model takes them.
@@ -83,7 +90,19 @@ class Run:
         """
         rows = np.array([self.muscles.index(name) for name in muscles])
         leaves = {name: jnp.asarray(values[rows]) for name, values in self.values.items()}
-        return ModelParameters(**leaves, path_changes=jnp.zeros((len(muscles), path_modes)))
+        return ModelParameters(
+            **leaves,
+            path_changes=jnp.zeros((len(muscles), path_modes)),
+            synergy_weights=self._synergy_weights(muscles),
+        )
+
+    def _synergy_weights(self, muscles: tuple[str, ...]) -> Float[Array, "muscle command"] | None:
+        if self.synergies is None:
+            return None
+        weights = np.zeros((len(muscles), self.synergies.basis.count))
+        for name, members in self.synergies.groups.items():
+            weights[[muscles.index(muscle) for muscle in members]] = self.weights[name]
+        return jnp.asarray(weights)
 
 
 def load_run(folder: str | Path) -> Run:
@@ -108,7 +127,8 @@ def load_run(folder: str | Path) -> Run:
         if source is None:
             message = "does not say where the run's paths came from: it is from an earlier version"
             raise InputError(Problem(str(folder / "settings.json"), message, hint=_ANEW))
-        values, wraps = _read_parameters(folder / "parameters.csv", muscles)
+        synergies = _synergies(settings.get("synergies"))
+        values, wraps, weights = _read_parameters(folder / "parameters.csv", muscles, synergies)
         return Run(
             folder=folder,
             subject=str(summary["subject"]),
@@ -125,9 +145,28 @@ def load_run(folder: str | Path) -> Run:
             geometry=str(source["geometry"]),
             model_hash=settings["subject"].get("model_hash"),
             summary=summary,
+            synergies=synergies,
+            weights=weights,
         )
-    except (KeyError, TypeError, AttributeError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_ANEW)) from error
+
+
+def _synergies(found: dict[str, Any] | None) -> Synergies | None:
+    """Take what drove muscles without an electrode; runs of earlier versions say nothing of it."""
+    if found is None:
+        return None
+    basis = SynergyBasis(
+        channels=tuple(found["channels"]),
+        largest=np.array(found["largest"], dtype=float),
+        mean=np.array(found["mean"], dtype=float),
+        components=np.array(found["components"], dtype=float),
+        explained=np.array(found["explained"], dtype=float),
+    )
+    groups = {name: tuple(members) for name, members in found["groups"].items()}
+    return Synergies(basis, groups)
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -141,9 +180,13 @@ def _read_json(file: Path) -> dict[str, Any]:
 
 
 def _read_parameters(
-    file: Path, muscles: tuple[str, ...]
-) -> tuple[dict[str, Float[np.ndarray, " muscle"]], dict[str, Float[np.ndarray, " wrap_parameter"]]]:
-    """Read values of muscles and of cylinders; those of path terms are in ``paths.npz`` as well."""
+    file: Path, muscles: tuple[str, ...], synergies: Synergies | None
+) -> tuple[
+    dict[str, Float[np.ndarray, " muscle"]],
+    dict[str, Float[np.ndarray, " wrap_parameter"]],
+    dict[str, Float[np.ndarray, " command"]],
+]:
+    """Read values of muscles, cylinders and synergies; those of path terms are in ``paths.npz`` as well."""
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -174,7 +217,13 @@ def _read_parameters(
     wraps = {
         owner: np.array([value_of(owner, "wrap", name) for name in WRAP_PARAMETERS]) for owner in cylinders
     }
-    return values, wraps
+    excitations = {} if synergies is None else synergies.groups
+    count = 0 if synergies is None else synergies.basis.count
+    weights = {
+        owner: np.array([value_of(owner, "synergy", name) for name in synergy_labels(count)])
+        for owner in excitations
+    }
+    return values, wraps, weights
 
 
 def _read_paths(file: Path, muscles: tuple[str, ...]) -> PathSurrogate:

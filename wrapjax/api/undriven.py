@@ -11,6 +11,7 @@ from wrapjax.api.exact import recorded
 from wrapjax.errors import InputError
 from wrapjax.gap import OtherMuscles
 from wrapjax.gap.anatomy import groups_of
+from wrapjax.geometry import PathState
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_slopes import laid_paths
 from wrapjax.model import initial_parameters
@@ -39,9 +40,43 @@ def other_muscles(
     muscles, reason
         Those that can be laid and have a moment arm about a matched coordinate.
     """
-    file = model_file or subject.model_file
     if not subject.undriven_muscles:
         return None, "every muscle of this leg has an EMG channel"
+    names, path = acting_muscles(subject, model_file)
+    if path is None:
+        return None, "the paths of the muscles without an EMG channel are not known about these joints"
+    own = read_model_file(model_file or subject.model_file).muscles.select(names)
+    muscles = OtherMuscles(
+        names=names,
+        groups=groups_of(names),
+        curves=HILL_CURVES[curves],
+        parameters=initial_parameters(
+            own.max_isometric_force,
+            own.optimal_fiber_length,
+            own.tendon_slack_length,
+            own.pennation_angle,
+        ),
+        path=path,
+    )
+    return muscles, ""
+
+
+def acting_muscles(
+    subject: Subject, model_file: Path | None = None
+) -> tuple[tuple[str, ...], PathState | None]:
+    """Lay those muscles without a channel that can be laid and have an arm about a matched coordinate.
+
+    Parameters
+    ----------
+    subject, model_file
+        As of `other_muscles`.
+
+    Returns
+    -------
+    names, path
+        In the model's order; no path where there is no such muscle.
+    """
+    file = model_file or subject.model_file
     model = describe_model(file)
     table = read_model_file(file).muscles
 
@@ -53,26 +88,13 @@ def other_muscles(
         return muscle in table.names
 
     known = tuple(filter(can_be_laid, subject.undriven_muscles))
+    if not known:
+        return (), None
     spanned = {name for muscle in known for name in model.spanned_by(muscle)}
     engine = ExactPaths(model, known, tuple(name for name in subject.trials.coordinates if name in spanned))
     trials = subject.trials
-    cycles = (*recorded(trials, engine.coordinates), trials.moment_coordinates)
-    every = laid_paths(engine, *cycles) if known else None
-    moving = () if every is None else np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
-    names = tuple(known[row] for row in moving)
-    if every is None or not names:
-        return None, "the paths of the muscles without an EMG channel are not known about these joints"
-    own = table.select(names)
-    muscles = OtherMuscles(
-        names=names,
-        groups=groups_of(names),
-        curves=HILL_CURVES[curves],
-        parameters=initial_parameters(
-            own.max_isometric_force,
-            own.optimal_fiber_length,
-            own.tendon_slack_length,
-            own.pennation_angle,
-        ),
-        path=jax.tree.map(lambda leaf: leaf[moving], every),
-    )
-    return muscles, ""
+    every = laid_paths(engine, *recorded(trials, engine.coordinates), trials.moment_coordinates)
+    moving = np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
+    if not moving.size:
+        return (), None
+    return tuple(known[row] for row in moving), jax.tree.map(lambda leaf: leaf[moving], every)

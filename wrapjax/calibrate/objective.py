@@ -180,7 +180,7 @@ class Objective(AbstractCalibration):
 
     def _muscle_inputs(self, variables: Float[Array, " variable"]):
         """What the functions of one muscle take, with a leading axis ``muscle``."""
-        count, modes = len(self.variables.names), self.variables.modes
+        count, modes = self.variables.singles, self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
         path, by_change = self.recording.path.linearized(changes)
@@ -254,7 +254,7 @@ class Objective(AbstractCalibration):
     ) -> Float[Array, "muscle local local"]:
         """What curved paths add to the same sum: slopes of everything by the path times its Hessians."""
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
-        count = len(self.variables.names)
+        count = self.variables.singles
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(path):

@@ -73,6 +73,32 @@ class MusclePenalty(AbstractPenalty):
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
 
 
+class ChosenPenalty(AbstractPenalty):
+    """Some muscles, each on its own, about zero; the others do not count."""
+
+    name: str = eqx.field(static=True)
+    read: Reader = eqx.field(static=True)
+    reduce: Reduction = eqx.field(static=True)
+    allowable_error: float = eqx.field(static=True)
+    muscles: tuple[int, ...] = eqx.field(static=True)
+
+    def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
+        """Divide by the allowable error and the root of the number of values that count."""
+        return self._weight(values) * values
+
+    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+        """Muscles do not mix."""
+        weight = self._weight(values)[:, :, None] ** 2
+        return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
+
+    def _weight(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle 1"]:
+        weight = np.zeros((values.shape[0], 1))
+        weight[list(self.muscles)] = 1.0 / (
+            self.allowable_error * np.sqrt(len(self.muscles) * values.shape[1])
+        )
+        return jnp.asarray(weight)
+
+
 class GroupPenalty(AbstractPenalty):
     """Each muscle against the mean of its group; muscles in no group do not count."""
 
@@ -169,6 +195,10 @@ def _passive_force(parameters: ModelParameters, state: MuscleState) -> Float[Arr
     return state.fiber.passive_force
 
 
+def _activation(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    return state.activation
+
+
 def _emg_scale(parameters: ModelParameters, state: MuscleState) -> Float[Array, ""]:
     return parameters.emg_scale
 
@@ -181,12 +211,13 @@ def pipeline_penalties(
     reference: MuscleState,
     activation_groups: Sequence[Sequence[int]],
     fiber_length_groups: Sequence[Sequence[int]],
+    extrapolated: Sequence[int] = (),
 ) -> tuple[AbstractPenalty, ...]:
     """Build the NMSM Pipeline's penalties that are not priors on single parameters.
 
     Normalised fiber lengths stay near the reference in mean (0.1) and in shape (0.1) and alike within
     groups (0.05, in mean and in shape); passive forces stay small (50 N); EMG scales (0.1) and delays
-    (20 ms) are alike within groups.
+    (20 ms) are alike within groups; activations that no EMG vouches for stay small (0.3).
 
     Parameters
     ----------
@@ -194,6 +225,8 @@ def pipeline_penalties(
         States of all muscles before calibration.
     activation_groups, fiber_length_groups
         Lists of muscle indices.
+    extrapolated
+        Muscles without a channel.
     """
     length = reference.fiber.normalized_length  # (muscle, trial, frame)
     muscles = length.shape[0]
@@ -222,4 +255,7 @@ def pipeline_penalties(
             GroupPenalty("grouped_emg_scale", _emg_scale, whole, nothing, 0.1, together),
             GroupPenalty("grouped_delay", _delay, whole, nothing, 0.02, together),
         ]
+    if extrapolated:
+        chosen = tuple(extrapolated)
+        penalties.append(ChosenPenalty("extrapolated_activation", _activation, whole, 0.3, chosen))
     return tuple(penalties)

@@ -7,7 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, positive, show, unfinished
+from wrapjax.commands.common import (
+    DONE,
+    NOT_CONVERGED,
+    AddCommand,
+    add_drive,
+    positive,
+    show,
+    unfinished,
+)
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import refuse_existing
 from wrapjax.jax_setup import set_up_jax
@@ -58,12 +66,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="say how well the recordings determine parameters: quickly, or by a calibration a draw",
     )
     calibrate.add_argument("--draws", type=positive, metavar="N", help="of the bootstrap (default: 50)")
+    add_drive(calibrate)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
+    from wrapjax.api.extrapolation import drive
     from wrapjax.api.preparation import source_for
     from wrapjax.api.text import calibration_table, iteration_printer
     from wrapjax.api.uncertainty import DRAWS, uncertainty
@@ -85,6 +95,7 @@ def run(options: argparse.Namespace) -> int:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
     read_legs(subject)  # whatever is wrong with the other leg is said before the long work
+    subject = drive(subject, options.undriven, options.synergies)
     paths: Fit | ExactGeometry
     if options.geometry == "engine":
         paths = exact_geometry(subject)
@@ -105,6 +116,8 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
         curves=options.curves,
         tendon=options.tendon,
+        undriven=options.undriven,
+        synergies=options.synergies,
         journal=journal,
         resume=options.resume,
     )

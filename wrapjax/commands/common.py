@@ -34,6 +34,20 @@ def print_json(content: Any) -> None:
     print(json.dumps(content, indent=1))
 
 
+def add_drive(parser: argparse.ArgumentParser) -> None:
+    """Add what drives muscles without an electrode."""
+    parser.add_argument(
+        "--undriven",
+        choices=["left", "synergies"],
+        default="left",
+        help="muscles without an electrode: left without force (default), or driven by synergies of the "
+        "measured EMG whose weights are calibrated",
+    )
+    parser.add_argument(
+        "--synergies", type=positive, default=5, metavar="K", help="how many, with --undriven synergies"
+    )
+
+
 def show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
     """Print what was written: the file of numbers, or a table and where the report is."""
     if options.json:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.commands.common import DONE, AddCommand, show
+from wrapjax.commands.common import DONE, AddCommand, add_drive, show
 from wrapjax.files import refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
@@ -21,17 +21,19 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="opensim",
         help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
     )
+    add_drive(fit)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import fit, fit_wraps, load_subject
+    from wrapjax.api.extrapolation import drive
     from wrapjax.api.text import fit_table, wrap_table
     from wrapjax.progress import say
 
     refuse_existing(options.out, options.force)
-    subject = load_subject(options.subject)
+    subject = drive(load_subject(options.subject), options.undriven, options.synergies)
     how = {"processes": options.threads, "quiet": options.quiet}
     result = fit_wraps(subject, fit(subject, options.geometry, seed=options.seed, **how), **how)
     say("drawing the report", quiet=options.quiet)

@@ -16,9 +16,12 @@ from wrapjax.model.forward import muscle_states as muscle_states
 from wrapjax.model.freedom import Freedom as Freedom
 from wrapjax.model.freedom import FreedParameter as FreedParameter
 from wrapjax.model.freedom import FreedPaths as FreedPaths
+from wrapjax.model.freedom import FreedSynergies as FreedSynergies
 from wrapjax.model.freedom import FreedWraps as FreedWraps
 from wrapjax.model.freedom import nga as nga
+from wrapjax.model.freedom import synergy_labels as synergy_labels
 from wrapjax.model.freedom import with_paths as with_paths
+from wrapjax.model.freedom import with_synergies as with_synergies
 from wrapjax.model.freedom import with_wraps as with_wraps
 from wrapjax.model.parameters import QUANTITIES as QUANTITIES
 from wrapjax.model.parameters import ModelParameters as ModelParameters

@@ -89,7 +89,8 @@ def muscle_state_along(
     for alteration in alterations:
         inputs = alteration.inputs(inputs)
     own = inputs.parameters
-    excitation = own.emg_scale * inputs.emg.at_delay(own.electromechanical_delay)
+    envelope = inputs.emg.at_delay(own.electromechanical_delay, own.synergy_weights)
+    excitation = own.emg_scale * envelope
     for alteration in alterations:
         excitation = alteration.excitation(excitation, inputs)
     neural = neural_activation(

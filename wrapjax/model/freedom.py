@@ -104,13 +104,55 @@ class FreedWraps:
 
 
 @dataclass(frozen=True)
+class FreedSynergies:
+    """Excitations of muscles without a channel, each a weighted sum of commands.
+
+    Weights are one set for all cycles of a person. Sets of a cycle's own, which the NMSM Pipeline has by
+    default, predict no cycle that was not calibrated on.
+
+    Parameters
+    ----------
+    names
+        Of the excitations.
+    places
+        Which excitation drives each muscle: a number in ``names``, -1 for one that has a channel.
+    commands
+        How many weights an excitation has; the last is of the constant.
+    bound
+        Largest size of a weight.
+    prior_sd
+        How far a weight may be from zero at the cost of one allowable error.
+    """
+
+    names: tuple[str, ...]
+    places: Int[np.ndarray, " muscle"]
+    commands: int
+    bound: float
+    prior_sd: float
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Name the weights of one excitation."""
+        return synergy_labels(self.commands)
+
+
+def synergy_labels(commands: int) -> tuple[str, ...]:
+    """Name the weights of one excitation, the last of the constant."""
+    return (*(f"synergy_weight_{number}" for number in range(1, commands)), "synergy_offset")
+
+
+@dataclass(frozen=True)
 class Freedom:
-    """A named set of freed parameters, and of what may change of the paths: their modes, or cylinders."""
+    """A named set of freed parameters, and of what may change of the paths: their modes, or cylinders.
+
+    Where muscles have no channel, also what drives them.
+    """
 
     name: str
     parameters: tuple[FreedParameter, ...]
     paths: FreedPaths | None = None
     wraps: FreedWraps | None = None
+    synergies: FreedSynergies | None = None
 
     def __post_init__(self):
         if self.paths is not None and self.wraps is not None:
@@ -184,9 +226,25 @@ def with_paths(
     free, prior_sd
         See `FreedPaths`.
     """
-    return Freedom(name, freedom.parameters, FreedPaths(free, prior_sd))
+    return replace(freedom, name=name, paths=FreedPaths(free, prior_sd), wraps=None)
 
 
 def with_wraps(freedom: Freedom, name: str, wraps: FreedWraps) -> Freedom:
     """Free cylinders as well (PGA)."""
-    return Freedom(name, freedom.parameters, wraps=wraps)
+    return replace(freedom, name=name, paths=None, wraps=wraps)
+
+
+#: Largest size of a synergy's weight. The Pipeline has 100; EMG that is held within 0 and 1 needs no more
+#: than this, and random starts, which go a part of the way to the bounds, stay where it is not level.
+SYNERGY_WEIGHT = 5.0
+#: Spread of the prior on a synergy's weight about zero. Ours: commands are in units of normalised EMG, so
+#: that components of little variance, which are mostly noise, add little.
+SYNERGY_PRIOR_SD = 1.0
+
+
+def with_synergies(
+    freedom: Freedom, names: tuple[str, ...], places: Int[np.ndarray, " muscle"], commands: int
+) -> Freedom:
+    """Free the weights of synergies as well; see `FreedSynergies`."""
+    freed = FreedSynergies(names, places, commands, SYNERGY_WEIGHT, SYNERGY_PRIOR_SD)
+    return replace(freedom, synergies=freed)

@@ -24,6 +24,9 @@ class ModelParameters(eqx.Module):
     max_fiber_velocity: Float[Array, "*muscle"]
     #: Amount of each mode of the path (`AdjustablePath`), no unit. As many as the paths have, often none.
     path_changes: Float[Array, "*muscle mode"]
+    #: Weights of synergies' commands in the EMG of muscles without a channel, no unit; zero for the others.
+    #: None where every muscle has a channel.
+    synergy_weights: Float[Array, "*muscle command"] | None = None
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ def initial_parameters(
     pennation_angle: Float[Array | np.ndarray, " muscle"],
     *,
     path_modes: int = 0,
+    commands: int | None = None,
 ) -> ModelParameters:
     """Build the tree that calibration starts from.
 
@@ -76,6 +80,9 @@ def initial_parameters(
         In rad.
     path_modes
         How many modes the paths have; none of them is in use at the start.
+    commands
+        How many commands drive muscles without a channel, all with weight zero at the start; None where
+        every muscle has one.
     """
     ones = jnp.ones(jnp.shape(max_isometric_force))
     return ModelParameters(
@@ -89,4 +96,5 @@ def initial_parameters(
         pennation_angle=jnp.asarray(pennation_angle),
         max_fiber_velocity=MAX_FIBER_VELOCITY * ones,
         path_changes=jnp.zeros((*ones.shape, path_modes)),
+        synergy_weights=None if commands is None else jnp.zeros((*ones.shape, commands)),
     )

@@ -25,7 +25,9 @@ class Variables(eqx.Module):
     base: ModelParameters
     #: The free leaves of one number a muscle, at the first local places.
     names: tuple[str, ...] = eqx.field(static=True)
-    #: How many modes of its path follow them; 0 where paths are held.
+    #: How many synergy weights follow them; 0 where every muscle has a channel.
+    weights: int = eqx.field(static=True)
+    #: How many modes of its path follow these; 0 where paths are held.
     modes: int = eqx.field(static=True)
     scale: Float[np.ndarray, "muscle local"]
     #: Past the last variable where an entry is held.
@@ -45,6 +47,11 @@ class Variables(eqx.Module):
         """Number of variables."""
         return len(self.labels)
 
+    @property
+    def singles(self) -> int:
+        """Number of a muscle's local places before the modes of its path: all that acts through time."""
+        return len(self.names) + self.weights
+
     def start(self) -> Float[Array, " variable"]:
         """Give the variables of the base parameters, moved inside the bounds."""
         return jnp.clip(self.pack(self.base), self.lower, self.upper)
@@ -57,10 +64,10 @@ class Variables(eqx.Module):
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:
         """Put the variables into the tree."""
         values = self.localize(variables) * self.scale
-        tree = self.insert(self.base, values[:, : len(self.names)])
+        tree = self.insert(self.base, values[:, : self.singles])
         if not self.modes:
             return tree
-        return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, len(self.names) :])
+        return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, self.singles :])
 
     def localize(self, variables: Float[Array, " variable"]) -> Float[Array, "muscle local"]:
         """Hand every muscle its own variables; what is held has its base value."""
@@ -69,14 +76,18 @@ class Variables(eqx.Module):
 
     def _local(self, parameters: ModelParameters) -> Float[Array, "muscle local"]:
         single = jnp.stack([getattr(parameters, name) for name in self.names], axis=-1)
-        return jnp.concatenate([single, parameters.path_changes[:, : self.modes]], axis=-1) / self.scale
+        parts = [single, parameters.path_changes[:, : self.modes]]
+        if parameters.synergy_weights is not None:
+            parts.insert(1, parameters.synergy_weights[:, : self.weights])
+        return jnp.concatenate(parts, axis=-1) / self.scale
 
     def insert(self, parameters: ModelParameters, values: Float[Array, "*muscle single"]) -> ModelParameters:
         """Put values of the single parameters, in their units, into the tree of one muscle or of all."""
         leaves = [values[..., place] for place in range(len(self.names))]
-        return eqx.tree_at(
-            lambda tree: [getattr(tree, name) for name in self.names], parameters, replace=leaves
-        )
+        if self.weights:
+            leaves.append(values[..., len(self.names) :])
+        names = (*self.names, *(["synergy_weights"] if self.weights else []))
+        return eqx.tree_at(lambda tree: [getattr(tree, name) for name in names], parameters, replace=leaves)
 
     def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
         """Turn derivatives by local entries into derivatives by variables (chain rule)."""
@@ -140,32 +151,53 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     if wraps is not None:
         modes = wraps.places.size // len(muscles) * len(wraps.quantities)
     count = len(muscles)
+    synergies = freedom.synergies
+    weights = 0 if synergies is None else synergies.commands
     # Modes are parts of one change: it is the length of their vector that is expected to be short.
     mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
 
     def column(name: str, of_modes: float) -> Float[np.ndarray, "muscle local"]:
         single = [getattr(parameter, name) for parameter in freed]
-        return np.stack([*single, *[np.full(count, of_modes)] * modes], axis=-1)
+        # Weights are no muscle's own: what is said here of them and of held modes is not asked for.
+        return np.stack([*single, *[np.full(count, of_modes)] * (weights + modes)], axis=-1)
 
     scale = column("scale", 1.0)
     free = np.ones(scale.shape, dtype=bool)
-    free[:, len(freed) :] = False if paths is None else paths.free
+    shared = len(freed) + weights
+    free[:, len(freed) : shared] = False
+    free[:, shared:] = False if paths is None else paths.free
     own = int(free.sum())
     index = np.full(free.shape, own)
     index[free] = np.arange(own)
-    names = [parameter.name for parameter in freed] + [f"path_changes_{mode:03d}" for mode in range(modes)]
+    names = [parameter.name for parameter in freed] + [""] * weights
+    names += [f"path_changes_{mode:03d}" for mode in range(modes)]
     labels = [f"{muscles[muscle]}.{names[place]}" for muscle, place in np.argwhere(free)]
     bounds = {
         name: (column(name, sign * np.inf) / scale)[free] for name, sign in (("lower", -1), ("upper", 1))
     }
     prior_mean = (column("prior_mean", 0.0) / scale)[free]
     prior_precision = (scale / column("prior_sd", mode_sd))[free]
+    total = own + (0 if synergies is None else len(synergies.names) * weights)
     if wraps is not None:
-        # After all muscles: a cylinder is nobody's own.
+        total += wraps.lower.size
+    index[index == own] = total
+    if synergies is not None:
+        # After all muscles: muscles may have an excitation in common.
+        number = own + synergies.places[:, None] * weights + np.arange(weights)
+        index[:, len(freed) : shared] = np.where(synergies.places[:, None] < 0, total, number)
+        labels += [f"{name}.{weight}" for name in synergies.names for weight in synergies.labels]
+        size = len(synergies.names) * weights
+        for name, sign in (("lower", -1.0), ("upper", 1.0)):
+            bounds[name] = np.append(bounds[name], np.full(size, sign * synergies.bound))
+        prior_mean = np.append(prior_mean, np.zeros(size))
+        prior_precision = np.append(prior_precision, np.full(size, 1.0 / synergies.prior_sd))
+        own += size
+    if wraps is not None:
+        # Last: a cylinder is nobody's own.
         held = wraps.places[:, :, None] < 0
         number = own + wraps.places[:, :, None] * len(wraps.quantities) + np.arange(len(wraps.quantities))
-        index[:, len(freed) :] = np.where(held, own + wraps.lower.size, number).reshape(count, -1)
-        scale[:, len(freed) :] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
+        index[:, shared:] = np.where(held, total, number).reshape(count, -1)
+        scale[:, shared:] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
         labels += [f"{name}.{quantity}" for name in wraps.names for quantity in wraps.quantities]
         for name in bounds:
             bounds[name] = np.append(bounds[name], getattr(wraps, name) / wraps.scale)
@@ -174,6 +206,7 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     return Variables(
         base=base,
         names=tuple(parameter.name for parameter in freed),
+        weights=weights,
         modes=modes,
         scale=scale,
         index=index,

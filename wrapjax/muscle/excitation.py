@@ -1,12 +1,35 @@
-"""From EMG envelopes to muscle excitations: scale and electromechanical delay."""
+"""From EMG envelopes to muscle excitations: scale and electromechanical delay, and EMG nobody measured."""
 
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
+
+#: How sharply EMG that nobody measured turns where it is held within 0 and 1: over about one over this.
+_SHARPNESS = 20.0
+
+
+def within_unit(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Hold a value within 0 and 1: the value itself between them, smoothly level beyond.
+
+    A difference of two softplus functions. Bounds at frames would hold in cycles that are calibrated on;
+    this holds in all, and leaves the problem smooth.
+    """
+    above = jax.nn.softplus(_SHARPNESS * value) - jax.nn.softplus(_SHARPNESS * (value - 1.0))
+    return above / _SHARPNESS
+
+
+class CommandSplines(eqx.Module):
+    """Commands that muscles without a channel take a weighted sum of, knots as in `EmgSpline`."""
+
+    #: The same for every muscle; highest power first, in units of one knot step.
+    coefficients: Float[Array, "*channel trial command 4 interval"]
+    #: 1 for a muscle without a channel, else 0.
+    share: Float[Array, "*channel trial"]
 
 
 class EmgSpline(eqx.Module):
@@ -22,8 +45,12 @@ class EmgSpline(eqx.Module):
     step: Float[Array, "*channel trial"]
     #: By how much more each cycle's EMG is delayed, s; None for none.
     lag: Float[Array, "*channel trial"] | None = None
+    #: Where some muscles have no channel; their own splines are zero then.
+    commands: CommandSplines | None = None
 
-    def at_delay(self, delay: Float[Array, ""]) -> Float[Array, "trial knot"]:
+    def at_delay(
+        self, delay: Float[Array, ""], weights: Float[Array, " command"] | None = None
+    ) -> Float[Array, "trial knot"]:
         """Evaluate the envelopes at every knot's time less the delay.
 
         Before the first knot the envelope holds its first value: extrapolating a cubic through the
@@ -33,6 +60,8 @@ class EmgSpline(eqx.Module):
         ----------
         delay
             Electromechanical delay in s, not negative; one number for all cycles.
+        weights
+            Of the commands, for a muscle without a channel: its envelope is their sum, held within 0 and 1.
         """
         intervals = self.coefficients.shape[-1]
         delays = delay if self.lag is None else delay + self.lag
@@ -40,10 +69,18 @@ class EmgSpline(eqx.Module):
         position = jnp.clip(position, 0.0, float(intervals))
         interval = jnp.clip(jnp.floor(position).astype(int), 0, intervals - 1)
         fraction = position - interval
-        c3, c2, c1, c0 = jnp.moveaxis(
-            jnp.take_along_axis(self.coefficients, interval[:, None, :], axis=-1), 1, 0
-        )
-        return ((c3 * fraction + c2) * fraction + c1) * fraction + c0
+
+        def look_up(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial knot"]:
+            c3, c2, c1, c0 = jnp.moveaxis(
+                jnp.take_along_axis(coefficients, interval[:, None, :], axis=-1), 1, 0
+            )
+            return ((c3 * fraction + c2) * fraction + c1) * fraction + c0
+
+        measured = look_up(self.coefficients)
+        if self.commands is None or weights is None:
+            return measured
+        together = jnp.einsum("c,tcpi->tpi", weights, self.commands.coefficients)
+        return measured + self.commands.share[:, None] * within_unit(look_up(together))
 
 
 def fit_emg_spline(

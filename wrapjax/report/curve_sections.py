@@ -76,11 +76,7 @@ def moments_section(result: MomentCurves, summary: dict[str, Any]) -> str:
 
 def activations_section(subject: Subject, result: CalibrationResult) -> str:
     """Write the part of the report on muscle activations."""
-    channels = subject.trials.channels
-    channel_of = {
-        muscle: channels[place]
-        for muscle, place in zip(subject.muscles.names, subject.muscle_channels, strict=True)
-    }
+    channel_of = dict.fromkeys(result.muscles, "synergies") | subject.channel_of
     peaks = np.asarray(result.states.activation).mean(axis=1).max(axis=-1)
     strongest = result.muscles[int(np.argmax(peaks))]
     return markup.section(
@@ -90,7 +86,8 @@ def activations_section(subject: Subject, result: CalibrationResult) -> str:
             alternative=f"Activation of {len(result.muscles)} muscles over the gait cycle. The mean "
             f"activation of {strongest} peaks highest, at {decimals(float(peaks.max()))}.",
             caption="Muscle activation (0 to 1, no unit) over the gait cycle, all cycles: mean and one "
-            "standard deviation to either side. Small print: the EMG channel that drives the muscle. "
+            "standard deviation to either side. Small print: the EMG channel that drives the muscle"
+            f"{', or synergies' if subject.synergies else ''}. "
             "All panels have one scale.",
         ),
     )

@@ -80,30 +80,54 @@ def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> 
     channel_of
         EMG channel that drives each muscle.
     """
+    return _muscle_figure(result, np.asarray(result.states.activation), channel_of, "activation")
+
+
+@in_style
+def excitation_figure(result: CalibrationResult, signal_of: dict[str, str]) -> Figure:
+    """Draw excitations of some muscles, one panel a muscle, one color a walking speed.
+
+    Parameters
+    ----------
+    result
+        All cycles.
+    signal_of
+        By muscle, the name of what excites it.
+    """
+    return _muscle_figure(result, np.asarray(result.states.excitation), signal_of, "excitation")
+
+
+def _muscle_figure(
+    result: CalibrationResult,
+    values: Float[np.ndarray, "muscle trial frame"],
+    signal_of: dict[str, str],
+    label: str,
+) -> Figure:
+    """Draw one quantity of those muscles that a signal is named of."""
     groups = groups_by_speed(result, most=len(GROUP_COLORS))
-    columns = 6 if len(result.muscles) > 12 else 4
+    muscles = [muscle for muscle in result.muscles if muscle in signal_of]
+    columns = 6 if len(muscles) > 12 else 4
     figure, panels = panel_grid(
-        len(result.muscles), columns, width=PAGE_WIDTH, panel_height=1.2, sharex=True, sharey=True
+        len(muscles), columns, width=PAGE_WIDTH, panel_height=1.2, sharex=True, sharey=True
     )
     highest = 0.0
-    for row, panel in enumerate(panels):
+    for row, (panel, muscle) in enumerate(zip(panels, muscles, strict=True)):
         for group, color in zip(groups, GROUP_COLORS, strict=False):
-            curves = np.asarray(result.states.activation[row, group.keep])
+            curves = values[result.muscles.index(muscle), group.keep]
             draw_spread(panel, curves, color, group.label)
             highest = max(highest, float(np.nanmax(spread(curves).high, initial=0.0)))
-        muscle = result.muscles[row]
         panel.set_title(muscle, loc="left", pad=10, parse_math=False)
         panel.text(
             0,
             1.03,
-            channel_of[muscle],
+            signal_of[muscle],
             transform=panel.transAxes,
             fontsize=6.5,
             color="#555555",
             parse_math=False,
         )
         if row % columns == 0:
-            panel.set_ylabel("activation")
+            panel.set_ylabel(label)
         if row >= len(panels) - columns:
             panel.set_xlabel("gait cycle (%)")
         mark_gait_cycle(panel, step=50)

@@ -14,6 +14,7 @@ from wrapjax.report.curve_sections import (
     fiber_lengths_section,
     moments_section,
 )
+from wrapjax.report.drive import drive_section
 from wrapjax.report.moved_paths import MovedPath
 from wrapjax.report.parameter_section import parameters_section
 from wrapjax.report.path_section import path_section
@@ -52,8 +53,9 @@ def render_report(
     side = {"l": "left", "r": "right"}[subject.side]
     counts = {use: result.uses.count(use) for use in USES}
     under = (
-        f"{side.capitalize()} leg, {subject.mass_kg:g} kg, {len(result.muscles)} muscles driven by "
+        f"{side.capitalize()} leg, {subject.mass_kg:g} kg, {len(subject.muscle_channels)} muscles driven by "
         f"{counted(len(subject.trials.channels), 'EMG channel')}, "
+        f"{_by_synergies(subject)}"
         f"{counted(len(result.coordinates), 'coordinate')}, "
         f"{counted(counts['calibration'], 'gait cycle')} for calibration and {counts['validation']} for "
         f"validation. {settings['date'][:10]}."
@@ -65,6 +67,7 @@ def render_report(
             _verdict(result, summary),
             errors_section(result, summary),
             moments_section(result, summary),
+            drive_section(subject, result),
             activations_section(subject, result),
             fiber_lengths_section(result),
             path_section(result, moves),
@@ -75,6 +78,14 @@ def render_report(
             _notes(subject, result, settings),
         ],
     )
+
+
+def _by_synergies(subject: Subject) -> str:
+    """Count the muscles without an electrode that are driven all the same."""
+    if subject.synergies is None:
+        return ""
+    count = subject.synergies.basis.count - 1
+    return f"{len(subject.synergies.muscles)} by {count} synerg{'y' if count == 1 else 'ies'} of these, "
 
 
 def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
@@ -124,7 +135,7 @@ def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]
         f"{counted(len(subject.undriven_muscles), 'muscle')} of this leg's model without EMG and without "
         f"force here: {', '.join(subject.undriven_muscles)}."
         if subject.undriven_muscles
-        else "EMG drives every muscle of this leg's model."
+        else f"EMG{' or its synergies' if subject.synergies else ''} drives every muscle of this leg's model."
     )
     versions = ", ".join(f"{name} {number}" for name, number in settings["versions"].items() if number)
     speeds = sorted({float(speed) for speed in result.speeds if math.isfinite(speed)})

@@ -40,7 +40,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
         muscle and what scales the coordinates in their terms, versions and platform.
     """
     trials = subject.trials
-    driven = list(zip(subject.muscles.names, subject.muscle_channels, strict=True))
+    driven = subject.channel_of
     return {
         "schema": 1,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -62,10 +62,14 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
         "starts": [outcome.seed for outcome in result.outcomes],
         "coordinates": result.coordinates,
         "channels": {
-            channel: [name for name, driver in driven if driver == place]
-            for place, channel in enumerate(trials.channels)
+            channel: [name for name, driver in driven.items() if driver == channel]
+            for channel in trials.channels
         },
         "undriven_muscles": subject.undriven_muscles,
+        # Commands are components @ (EMG / largest - mean), then 1; weights are in parameters.csv.
+        "synergies": None
+        if subject.synergies is None
+        else {**vars(subject.synergies.basis), "groups": subject.synergies.groups},
         "activation_groups": subject.activation_groups,
         "fiber_length_groups": subject.fiber_length_groups,
         "notes": subject.notes,
@@ -124,6 +128,14 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
                 result.freedom.wraps.prior_sd,
                 strict=True,
             )
+        },
+        "freed_synergies": None
+        if result.freedom.synergies is None
+        else {
+            "lower": -result.freedom.synergies.bound,
+            "upper": result.freedom.synergies.bound,
+            "prior_mean": 0.0,
+            "prior_sd": result.freedom.synergies.prior_sd,
         },
         "versions": package_versions(),
         "platform": platform.platform(),

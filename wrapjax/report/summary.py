@@ -11,6 +11,7 @@ from jaxtyping import Float
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.evaluate import MomentErrors, moment_errors, pooled_mae
 from wrapjax.report.cycles import MomentCurves
+from wrapjax.report.drive import describe_drive
 from wrapjax.report.limits import describe_limits
 from wrapjax.report.starts import describe_starts
 from wrapjax.subject import Subject
@@ -27,8 +28,8 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
     -------
     dict
         The contract's keys, moment errors in N m over all frames of the cycles. Beyond the contract:
-        the errors before calibration, root-mean-square errors by use, the hard limits, where each start
-        ended, the cost and its parts, and of each trial the name of its files.
+        the errors before calibration, root-mean-square errors by use, what drove each muscle, the hard
+        limits, where each start ended, the cost and its parts, and of each trial the name of its files.
     """
     errors = errors_of(result.measured, result.modelled)
     before = errors_of(result.measured, result.initial_modelled)
@@ -52,6 +53,7 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
             "rmse_Nm": by_use(pooled_rmse, before, result),
         },
         "trials": by_trial(errors, result),
+        "drive": describe_drive(subject),
         "geometry_change": geometry_change(result),
         "at_bounds": list(result.at_bounds),
         "limits": describe_limits(result),

@@ -24,10 +24,10 @@ SPREAD_COLUMNS = ("sd", "low_90", "high_90")
 def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -> str:
     """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
 
-    Of cylinders that were free every parameter follows; of paths that were free, every coefficient
-    (``PathSurrogate.term_names``), which has no bounds: the length is the sum of
-    coefficients times terms, whose coordinates are scaled as settings.json says. Given the spread, standard
-    deviation and 90 % interval follow where a parameter was free; coefficients have none.
+    Of excitations that synergies made the weights follow; of cylinders that were free every parameter; of
+    paths that were free, every coefficient (``PathSurrogate.term_names``), which has no bounds: the length is
+    the sum of coefficients times terms, whose coordinates are scaled as settings.json says. Given the spread,
+    standard deviation and 90 % interval follow where a parameter was free; coefficients have none.
     """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
@@ -43,6 +43,9 @@ def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
             cells = known.get(f"{muscle}.{name}", nothing)
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds, *cells))
+    for owner, name, value, bound in _synergy_weights(result):
+        cells = known.get(f"{owner}.{name}", nothing)
+        writer.writerow((owner, "synergy", name, value, "1", -bound, bound, *cells))
     for owner, name, *entries in wrap_parameters(result):
         writer.writerow((owner, "wrap", name, *entries, *known.get(f"{owner}.{name}", nothing)))
     if result.freedom.paths is not None and result.calibrated_paths is not None:
@@ -85,6 +88,18 @@ def osimx_of(result: CalibrationResult, model_file: str) -> str:
         for row, muscle in enumerate(result.muscles)
     ]
     return osimx_text(model_file.removesuffix(".osim"), model_file, muscles)
+
+
+def _synergy_weights(result: CalibrationResult) -> Iterator[tuple[str, str, float, float]]:
+    """Give the weights of each excitation that synergies made: its name, the weight's, value and bound."""
+    freed = result.freedom.synergies
+    if freed is None:
+        return
+    weights = np.asarray(result.parameters.synergy_weights)
+    for number, owner in enumerate(freed.names):
+        row = weights[freed.places == number][0]
+        for name, value in zip(freed.labels, row.tolist(), strict=True):
+            yield owner, name, value, freed.bound
 
 
 def wrap_parameters(

@@ -71,8 +71,7 @@ def _channels(subject: Subject) -> Table:
     """Muscles, peak and mean of each channel over all cycles, padding included."""
     rows = []
     for index, channel in enumerate(subject.trials.channels):
-        driven = zip(subject.muscles.names, subject.muscle_channels, strict=True)
-        muscles = ", ".join(name for name, place in driven if place == index)
+        muscles = ", ".join(name for name, driver in subject.channel_of.items() if driver == channel)
         emg = subject.trials.emg[:, index]
         rows.append((channel, float(emg.max()), float(emg.mean()), muscles))
     return Table("EMG channels", ("channel", "peak", "mean", "muscles"), tuple(rows))

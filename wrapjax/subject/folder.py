@@ -16,6 +16,7 @@ from wrapjax.subject.recordings import read_signals
 from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
 from wrapjax.subject.storage import read_storage
+from wrapjax.subject.synergies import Synergies
 from wrapjax.subject.trials import Trials
 
 
@@ -36,13 +37,14 @@ class Subject:
     other_leg
         Folder of the other leg's subject, None if there is none.
     muscles
-        Muscles that an EMG channel drives: channel by channel, in the order of each list.
+        Muscles that an EMG channel drives: channel by channel, in the order of each list. Then those that
+        synergies drive.
     muscle_channels
-        Position in ``trials.channels`` of the channel that drives each muscle.
+        Position in ``trials.channels`` of the channel that drives each muscle that one drives.
     activation_groups, fiber_length_groups
         Groups of two or more driven muscles.
     undriven_muscles
-        Muscles of this leg's model that no channel drives.
+        Muscles of this leg's model that nothing drives.
     trials
         The gait cycles.
     recordings
@@ -51,6 +53,13 @@ class Subject:
         Rate of each recording's EMG in Hz.
     notes
         What was repaired, or is worth knowing.
+    undriven_parameters
+        Of `undriven_muscles`: from the table of muscle parameters where that has them, else the model's.
+    extrapolated
+        Muscles without a channel that the settings give an excitation in common, by its name; None where
+        they say nothing of that.
+    synergies
+        What drives muscles without a channel; None where nothing does.
     """
 
     name: str
@@ -69,6 +78,15 @@ class Subject:
     recordings: tuple[TrialSettings, ...]
     emg_rates: tuple[float, ...]
     notes: tuple[str, ...]
+    undriven_parameters: MuscleParameters | None = None
+    extrapolated: dict[str, tuple[str, ...]] | None = None
+    synergies: Synergies | None = None
+
+    @property
+    def channel_of(self) -> dict[str, str]:
+        """By muscle, the EMG channel that drives it; without those that none drives."""
+        channels = [self.trials.channels[place] for place in self.muscle_channels]
+        return dict(zip(self.muscles.names, channels, strict=False))
 
 
 def read_subject(path: str | Path) -> Subject:
@@ -95,7 +113,7 @@ def read_subject(path: str | Path) -> Subject:
     notes: list[str] = []
     settings = read_settings(folder, problems)
     model = _read_model(settings, folder, problems)
-    muscles = _read_muscles(settings, model, folder, problems) if model is not None else None
+    muscles, others = (None, None) if model is None else _read_muscles(settings, model, folder, problems)
 
     read = functools.cache(read_storage)
     infos = () if model is None else model.coordinates
@@ -120,13 +138,13 @@ def read_subject(path: str | Path) -> Subject:
         muscle_channels=tuple(channel_of[name] for name in muscles.names),
         activation_groups=activation_groups(model.groups, muscles.names, settings.side),
         fiber_length_groups=fiber_length_groups(model.groups, muscles.names, settings.side),
-        undriven_muscles=tuple(
-            name for name in model.muscles.names if name not in channel_of and of_side(name, settings.side)
-        ),
+        undriven_muscles=() if others is None else others.names,
         trials=trials,
         recordings=settings.trials,
         emg_rates=tuple(sampling_rate(entry.emg_time) for entry in read_all),
         notes=tuple(dict.fromkeys(notes)),
+        undriven_parameters=others,
+        extrapolated=settings.extrapolated,
     )
 
 
@@ -156,12 +174,23 @@ def _read_model(settings: Settings, folder: Path, problems: list[Problem]) -> Mo
 
 def _read_muscles(
     settings: Settings, model: ModelFile, folder: Path, problems: list[Problem]
-) -> MuscleParameters | None:
-    """Read the parameters of the driven muscles, from the table where there is one, else from the model."""
-    driven = check_channels(settings.channels, model.muscles, settings.side, folder / SETTINGS_FILE, problems)
+) -> tuple[MuscleParameters | None, MuscleParameters]:
+    """Read the parameters of driven muscles and of the leg's others.
+
+    They are from the table where there is one, else from the model; those of others from the model too
+    where the table lacks them.
+    """
+    file = folder / SETTINGS_FILE
+    driven = check_channels(settings.channels, model.muscles, settings.side, file, problems)
+    if settings.extrapolated:
+        named = settings.extrapolated
+        check_channels(named, model.muscles, settings.side, file, problems, "[emg.extrapolated]")
+    others = model.muscles.select(
+        tuple(name for name in model.muscles.names if name not in driven and of_side(name, settings.side))
+    )
     if settings.muscle_parameters is None:
         assert settings.model_file is not None
-        return check_muscle_parameters(model.muscles, driven, settings.model_file, problems)
+        return check_muscle_parameters(model.muscles, driven, settings.model_file, problems), others
     with collecting(problems):
         table = read_muscle_parameters(settings.muscle_parameters)
         for name in table.names:
@@ -169,5 +198,7 @@ def _read_muscles(
                 message = f"muscle '{name}' is not in the model"
                 hint = nearest_name(name, model.muscles.names)
                 problems.append(Problem(str(settings.muscle_parameters), message, hint=hint))
-        return check_muscle_parameters(table, driven, settings.muscle_parameters, problems)
-    return None
+        return check_muscle_parameters(table, driven, settings.muscle_parameters, problems), (
+            table.followed_by(others).select(others.names)
+        )
+    return None, others

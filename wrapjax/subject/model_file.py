@@ -69,6 +69,11 @@ class MuscleParameters:
             pennation_angle=self.pennation_angle[rows],
         )
 
+    def followed_by(self, others: MuscleParameters) -> MuscleParameters:
+        """Append other muscles; of one that is in both, `select` gives the first."""
+        own, added = (list(vars(one).values())[1:] for one in (self, others))
+        return MuscleParameters(self.names + others.names, *map(np.append, own, added))
+
 
 @dataclass(frozen=True)
 class CoordinateInfo:

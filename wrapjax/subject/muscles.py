@@ -88,8 +88,11 @@ def check_channels(
     side: str,
     file: Path,
     problems: list[Problem],
+    table: str = "[emg.channels]",
 ) -> tuple[str, ...]:
     """Report muscles that the model does not have or that are the other leg's; return the others.
+
+    The last argument is the name of the table of settings that they are from.
 
     Returns
     -------
@@ -99,7 +102,7 @@ def check_channels(
     driven = []
     for channel, muscles in channels.items():
         for muscle in muscles:
-            place = f"[emg.channels] {channel}"
+            place = f"{table} {channel}"
             if muscle not in model.names:
                 message = f"muscle '{muscle}' is not in the model"
                 problems.append(Problem(str(file), message, place, nearest_name(muscle, model.names)))

@@ -67,6 +67,9 @@ class Settings:
         ``envelope`` or ``raw``.
     channels
         The muscles that each EMG channel drives.
+    extrapolated
+        Muscles without a channel that have an excitation in common, by a name for it; None where that is
+        not said.
     trials
         In the order of the file.
     """
@@ -81,6 +84,7 @@ class Settings:
     muscle_parameters: Path | None
     emg_kind: str
     channels: dict[str, tuple[str, ...]]
+    extrapolated: dict[str, tuple[str, ...]] | None
     trials: tuple[TrialSettings, ...]
 
 
@@ -112,6 +116,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     emg_kind = emg.text("kind", choices=("envelope", "raw")) or ""
     channels = read_channels(emg.table("channels"), file, problems)
+    extrapolated = read_extrapolated(emg.raw("extrapolated"), channels, file, problems)
     emg.finish()
 
     tables = top.tables("trial")
@@ -129,6 +134,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         muscle_parameters=muscle_parameters,
         emg_kind=emg_kind,
         channels=channels,
+        extrapolated=extrapolated,
         trials=tuple(trial for trial in trials if trial is not None),
     )
 
@@ -180,6 +186,29 @@ def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[st
     if not table and not reader.silent:
         reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
     return channels
+
+
+def read_extrapolated(
+    table: object, channels: dict[str, tuple[str, ...]], file: Path, problems: list[Problem]
+) -> dict[str, tuple[str, ...]] | None:
+    """Take the muscles of each excitation that nobody measured; a muscle has one, or a channel."""
+    if table is None:
+        return None
+    reader = TableReader(table, file, "[emg.extrapolated]", problems)
+    found = {}
+    taken = {muscle: f"channel '{channel}'" for channel, own in channels.items() for muscle in own}
+    for name in table if isinstance(table, dict) else ():
+        muscles = reader.names(name)
+        if muscles is None:
+            continue
+        found[name] = muscles
+        for muscle in muscles:
+            if muscle in taken:
+                reader.problem(
+                    name, f"expected muscles without excitation, found '{muscle}', which has {taken[muscle]}"
+                )
+            taken.setdefault(muscle, f"'{name}'")
+    return found
 
 
 def _trial(
