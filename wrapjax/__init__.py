@@ -2,12 +2,12 @@
 
 ``prepare_subject`` makes a subject folder of a laboratory's raw files, ``load_subject`` reads one,
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
-cylinders that muscles wrap round, ``calibrate`` fits the model to the person,
-``compare`` does so by several methods and tests which differ, ``uncertainty`` says how well the recordings
-determine what was found, ``contact`` says what joints bear,
-``evaluate`` predicts other cycles by a finished run (``load_run``), ``cohort`` calibrates many subjects side
-by side, ``fetch`` downloads public recordings, ``objective`` gives what is minimised as a pure function for
-`jax.grad`, and ``prepare`` all that is behind it.
+cylinders that muscles wrap round, ``initialise`` finds lengths to start from, ``calibrate`` fits the model
+to the person, ``compare`` does so by several methods and tests which differ, ``uncertainty`` says how well
+the recordings determine what was found, ``contact`` says what joints bear, ``evaluate`` predicts other cycles
+by a finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch`` downloads public
+recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that
+is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from wrapjax.api import Evaluation as Evaluation
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
+    from wrapjax.api import Initialisation as Initialisation
     from wrapjax.api import Preparation as Preparation
     from wrapjax.api import Run as Run
     from wrapjax.api import Uncertainty as Uncertainty
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from wrapjax.api import fetch as fetch
     from wrapjax.api import fit as fit
     from wrapjax.api import fit_wraps as fit_wraps
+    from wrapjax.api import initialise as initialise
     from wrapjax.api import load_fit as load_fit
     from wrapjax.api import load_run as load_run
     from wrapjax.api import load_subject as load_subject
@@ -63,6 +65,7 @@ _PLACES = {
     "Evaluation": "wrapjax.api",
     "ExactGeometry": "wrapjax.api",
     "Fit": "wrapjax.api",
+    "Initialisation": "wrapjax.api",
     "InputError": "wrapjax.errors",
     "Preparation": "wrapjax.api",
     "Run": "wrapjax.api",
@@ -77,6 +80,7 @@ _PLACES = {
     "fetch": "wrapjax.api",
     "fit": "wrapjax.api",
     "fit_wraps": "wrapjax.api",
+    "initialise": "wrapjax.api",
     "load_fit": "wrapjax.api",
     "load_run": "wrapjax.api",
     "load_subject": "wrapjax.api",

@@ -18,6 +18,8 @@ from wrapjax.api.fetching import fetch as fetch
 from wrapjax.api.fitting import Fit as Fit
 from wrapjax.api.fitting import fit as fit
 from wrapjax.api.fitting import load_fit as load_fit
+from wrapjax.api.initialisation import Initialisation as Initialisation
+from wrapjax.api.initialisation import initialise as initialise
 from wrapjax.api.preparation import objective as objective
 from wrapjax.api.preparation import prepare as prepare
 from wrapjax.api.preparing import Preparation as Preparation
@@ -38,6 +40,7 @@ __all__ = [
     "Evaluation",
     "ExactGeometry",
     "Fit",
+    "Initialisation",
     "Preparation",
     "Run",
     "Uncertainty",
@@ -50,6 +53,7 @@ __all__ = [
     "fetch",
     "fit",
     "fit_wraps",
+    "initialise",
     "load_fit",
     "load_run",
     "load_subject",

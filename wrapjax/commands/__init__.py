@@ -11,6 +11,7 @@ from wrapjax.commands import (
     evaluate,
     fetch,
     fit,
+    initialise,
     prepare,
     report,
 )
@@ -20,6 +21,7 @@ ADDED = (
     check.add,
     prepare.add,
     fit.add,
+    initialise.add,
     calibrate.add,
     compare.add,
     diagnose.add,

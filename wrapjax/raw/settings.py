@@ -9,9 +9,10 @@ from pathlib import Path
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.raw.forces import SIDES, ForceColumns
+from wrapjax.subject.channels import read_channels
 from wrapjax.subject.content import read_content
 from wrapjax.subject.schema import TableReader, describe_value
-from wrapjax.subject.settings import TrialSettings, read_channels, read_cycles
+from wrapjax.subject.settings import TrialSettings, read_cycles
 
 #: Volts in each unit of EMG.
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}

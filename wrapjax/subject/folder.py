@@ -12,6 +12,7 @@ from wrapjax.subject.emg import sampling_rate
 from wrapjax.subject.groups import activation_groups, fiber_length_groups
 from wrapjax.subject.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.subject.muscles import check_channels, check_muscle_parameters, of_side, read_muscle_parameters
+from wrapjax.subject.passive import PassiveTrial, read_passive
 from wrapjax.subject.recordings import read_signals
 from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
@@ -60,6 +61,8 @@ class Subject:
         they say nothing of that.
     synergies
         What drives muscles without a channel; None where nothing does.
+    passive
+        Recordings of the leg at rest.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Subject:
     undriven_parameters: MuscleParameters | None = None
     extrapolated: dict[str, tuple[str, ...]] | None = None
     synergies: Synergies | None = None
+    passive: tuple[PassiveTrial, ...] = ()
 
     @property
     def channel_of(self) -> dict[str, str]:
@@ -119,6 +123,7 @@ def read_subject(path: str | Path) -> Subject:
     infos = () if model is None else model.coordinates
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
     read_all = [entry for entry in signals if entry is not None]
+    at_rest = [read_passive(trial, settings, infos, read, problems) for trial in settings.passive]
     if not problems:
         trials = cut_trials(settings, read_all, problems, notes)
     if problems:
@@ -145,6 +150,7 @@ def read_subject(path: str | Path) -> Subject:
         notes=tuple(dict.fromkeys(notes)),
         undriven_parameters=others,
         extrapolated=settings.extrapolated,
+        passive=tuple(trial for trial in at_rest if trial is not None),
     )
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.subject.channels import read_channels, read_extrapolated
+from wrapjax.subject.passive_settings import PassiveSettings, read_passive_settings
 from wrapjax.subject.schema import TableReader, describe_value
 
 SETTINGS_FILE = "subject.toml"
@@ -72,6 +74,8 @@ class Settings:
         not said.
     trials
         In the order of the file.
+    passive
+        Recordings of the leg at rest, in the order of the file.
     """
 
     name: str
@@ -86,6 +90,7 @@ class Settings:
     channels: dict[str, tuple[str, ...]]
     extrapolated: dict[str, tuple[str, ...]] | None
     trials: tuple[TrialSettings, ...]
+    passive: tuple[PassiveSettings, ...] = ()
 
 
 def read_settings(folder: Path, problems: list[Problem]) -> Settings:
@@ -122,6 +127,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     tables = top.tables("trial")
     trials = [_trial(table, number, file, folder, problems) for number, table in enumerate(tables, start=1)]
     _check_trials(trials, tables, file, problems)
+    passive = read_passive_settings(top.raw("passive"), file, folder, problems)
     top.finish()
     return Settings(
         name=name,
@@ -136,6 +142,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         channels=channels,
         extrapolated=extrapolated,
         trials=tuple(trial for trial in trials if trial is not None),
+        passive=passive,
     )
 
 
@@ -164,51 +171,6 @@ def _other_leg(subject: TableReader, folder: Path) -> Path | None:
         subject.problem("other_leg", f"expected the folder of a subject, found no {settings}")
         return None
     return settings.parent
-
-
-def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
-    """Take the muscles of each channel; a muscle can be driven by one channel only."""
-    reader = TableReader(table, file, "[emg.channels]", problems)
-    channels = {}
-    driven_by: dict[str, str] = {}
-    for channel in table if isinstance(table, dict) else ():
-        muscles = reader.names(channel)
-        if muscles is None:
-            continue
-        channels[channel] = muscles
-        for muscle in muscles:
-            if muscle in driven_by:
-                message = (
-                    f"expected one channel a muscle, found '{muscle}' driven by '{driven_by[muscle]}' already"
-                )
-                reader.problem(channel, message)
-            driven_by.setdefault(muscle, channel)
-    if not table and not reader.silent:
-        reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
-    return channels
-
-
-def read_extrapolated(
-    table: object, channels: dict[str, tuple[str, ...]], file: Path, problems: list[Problem]
-) -> dict[str, tuple[str, ...]] | None:
-    """Take the muscles of each excitation that nobody measured; a muscle has one, or a channel."""
-    if table is None:
-        return None
-    reader = TableReader(table, file, "[emg.extrapolated]", problems)
-    found = {}
-    taken = {muscle: f"channel '{channel}'" for channel, own in channels.items() for muscle in own}
-    for name in table if isinstance(table, dict) else ():
-        muscles = reader.names(name)
-        if muscles is None:
-            continue
-        found[name] = muscles
-        for muscle in muscles:
-            if muscle in taken:
-                reader.problem(
-                    name, f"expected muscles without excitation, found '{muscle}', which has {taken[muscle]}"
-                )
-            taken.setdefault(muscle, f"'{name}'")
-    return found
 
 
 def _trial(

@@ -1,0 +1,43 @@
+"""``wrapjax initialise``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, print_json
+from wrapjax.files import plain_values, refuse_existing
+from wrapjax.jax_setup import set_up_jax
+
+
+def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
+    """Add the command to the parser."""
+    initialise = command(
+        "initialise", run, "Find fiber and slack lengths to start from, by passive moments and walking."
+    )
+    initialise.add_argument(
+        "subject", type=Path, metavar="SUBJECT", help="with [[passive]] trials, if it has any"
+    )
+    initialise.add_argument("--out", type=Path, required=True, metavar="FOLDER")
+    initialise.add_argument("--force", action="store_true", help="replace the folder if it exists")
+    initialise.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    set_up_jax()
+    from wrapjax.api import initialise, load_subject
+    from wrapjax.api.initialisation import PARAMETERS_FILE, initialisation_table
+
+    refuse_existing(options.out, options.force)
+    done = initialise(load_subject(options.subject), curves=options.curves)
+    done.save(options.out, force=options.force)
+    if options.json:
+        print_json(plain_values(done.content()))
+    else:
+        print(initialisation_table(done.content()))
+        print(
+            f"\nwritten to {options.out}; copy {PARAMETERS_FILE} beside subject.toml and name it there under"
+        )
+        print(f'[model]: muscle_parameters = "{PARAMETERS_FILE}"')
+    return DONE if done.status.converged else NOT_CONVERGED
