@@ -10,11 +10,9 @@ import pytest
 
 from tests.model.small import PADDING, small_objective
 from tests.model.small_extrapolated import COMMANDS, small_extrapolated_objective
-from wrapjax.api import calibrate, exact_geometry, load_subject
 from wrapjax.calibrate import ProjectedLM
 from wrapjax.model import muscle_states
 from wrapjax.muscle import within_unit
-from wrapjax.virtual import Series, write_virtual_subject
 
 EXCITATIONS = {
     "each its own": {"gasmed_l": ("gasmed_l",), "tibant_l": ("tibant_l",)},
@@ -141,26 +139,3 @@ def test_a_hidden_excitation_is_found_again():
         excitations.append(np.asarray(found.excitation[1]))
     assert errors[0] < 0.2 * errors[1]
     assert np.corrcoef(excitations[0].ravel(), np.asarray(true.excitation[1]).ravel())[0, 1] > 0.95
-
-
-@pytest.mark.slow
-def test_hidden_hip_flexors_of_a_virtual_person(tmp_path):
-    """Neither noise nor recordings: how an excitation follows the channel that was hidden."""
-    series = (Series(0.8, 1, 0), Series(1.2, 1, 1))
-    options = {"seed": 1, "emg_noise": 0.0, "moment_noise": 0.0, "series": series}
-    write_virtual_subject(tmp_path / "heard", **options)
-    write_virtual_subject(tmp_path / "unheard", **options, hidden_effect="missing_drive")
-    heard, unheard = (load_subject(tmp_path / name) for name in ("heard", "unheard"))
-    paths = exact_geometry(unheard)
-    runs = {
-        how: calibrate(unheard, "NGA", paths, starts=1, undriven=how).result for how in ("left", "synergies")
-    }
-    calibrated = np.array(heard.trials.uses) == "calibration"
-    for rows in (calibrated, ~calibrated):
-        left, driven = (np.abs(run.modelled - run.measured)[rows, 0].mean() for run in runs.values())
-        assert driven < 0.5 * left
-    channel = heard.trials.emg[:, heard.trials.channels.index("Iliopsoas")]
-    padding = heard.trials.padding
-    row = runs["synergies"].muscles.index("psoas_r")
-    excitation = runs["synergies"].states.excitation[row]
-    assert np.corrcoef(excitation.ravel(), channel[:, padding:-padding].ravel())[0, 1] > 0.6
