@@ -109,6 +109,10 @@ BROKEN = {
     "settings binary": (write("subject.toml", b"\xff\xfe\x00\x01" * 20), ["subject.toml", "UTF-8"]),
     "settings empty": (
         write("subject.toml", ""),
+        ["subject.toml: is empty, where a TOML file of settings was expected"],
+    ),
+    "settings without tables": (
+        write("subject.toml", "# nothing"),
         ["subject: expected", "model: expected", "emg: expected", "[[trial]]", "found nothing"],
     ),
     "unknown key": (settings("mass_kg", "mass_gk"), ["mass_gk", "not a known key", "did you mean 'mass_kg'"]),

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
-import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.geometry import PathSurrogate, surrogate_from
 from wrapjax.geometry.surfaces import WRAP_PARAMETERS
 from wrapjax.model import QUANTITIES, ModelParameters, synergy_labels
+from wrapjax.stored import load_arrays, load_json
 from wrapjax.subject.synergies import Synergies, SynergyBasis
 
 _ANEW = "calibrate again with 'wrapjax calibrate'"
@@ -171,7 +169,7 @@ def _synergies(found: dict[str, Any] | None) -> Synergies | None:
 
 def _read_json(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = load_json(file)
     except ValueError as error:
         raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error
     if not isinstance(content, dict):
@@ -230,8 +228,6 @@ def _read_paths(file: Path, muscles: tuple[str, ...]) -> PathSurrogate:
     if not file.is_file():
         raise InputError(Problem(str(file), "is missing: the run's muscle paths are in it", hint=_ANEW))
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            paths = surrogate_from(dict(stored))
-        return paths.of_muscles(muscles)
-    except (ValueError, KeyError, TypeError, EOFError, OSError, zipfile.BadZipFile, zlib.error) as error:
+        return surrogate_from(load_arrays(file)).of_muscles(muscles)
+    except (ValueError, KeyError, TypeError, OSError) as error:
         raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error

@@ -94,6 +94,10 @@ def _named(
         problems.append(Problem(str(settings), f"expected the name of a {kind}, found none", f"<{tag}>"))
         return None
     place = settings.parent / text.replace("\\", "/")
-    if not (place.is_dir() if directory else place.is_file()):
+    try:
+        there = place.is_dir() if directory else place.is_file()
+    except OSError:  # a name that no file can have
+        there = False
+    if not there:
         problems.append(Problem(str(settings), f"names the {kind} '{text}', which there is not", f"<{tag}>"))
     return place

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.safe_xml import read_xml_file
 
 #: What OpenSim and Simbody wrap round the sentence that matters.
 _WRAPPING = re.compile(
@@ -74,13 +74,7 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
 
 def _check_outermost_element(path: Path) -> None:
     """Say in plain words what OpenSim says of a file that is not even its kind of XML."""
-    try:
-        with path.open("rb") as stream:
-            _, root = next(ElementTree.iterparse(stream, events=("start",)))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(
-            Problem(str(path), f"is not XML ({error}); an OpenSim model was expected")
-        ) from error
+    root = read_xml_file(path)
     if root.tag != "OpenSimDocument":
         message = f"has <{root.tag}> as its outermost element, where <OpenSimDocument> was expected"
         raise InputError(Problem(str(path), message))

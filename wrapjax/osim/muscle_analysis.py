@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.workers import analyse_chunks
 from wrapjax.progress import progress_bar
 from wrapjax.skeleton.description import ModelDescription
+from wrapjax.stored import load_arrays
 
 #: Poses analysed, and remembered, at a time: about half a second of work for 34 muscles.
 CHUNK = 512
@@ -242,9 +241,9 @@ def _recall(
 ) -> bool:
     """Fill in what the cache remembers; say whether it does. A damaged file counts as absent."""
     try:
-        with file.open("rb") as stream, np.load(stream) as remembered:
-            length[:], moment_arm[:] = remembered["length"], remembered["moment_arm"]
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
+        remembered = load_arrays(file)
+        length[:], moment_arm[:] = remembered["length"], remembered["moment_arm"]
+    except (OSError, KeyError, ValueError):
         return False
     return True
 

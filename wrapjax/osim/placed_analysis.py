@@ -49,7 +49,10 @@ class PlacedAnalysis:
         """Read one muscle's lengths (m) and moment arms (m, zero where not spanned)."""
         columns = [place for place, (name, _) in enumerate(_columns(self.spans)) if name == muscle]
         # Only what is read of the files is ever in memory.
-        parts = [np.load(file, mmap_mode="r")[:, :, columns].astype(np.float64) for file in self.files]
+        parts = [
+            np.load(file, mmap_mode="r", allow_pickle=False)[:, :, columns].astype(np.float64)
+            for file in self.files
+        ]
         values = np.concatenate(parts)
         moment_arm = np.zeros((*values.shape[:2], len(self.coordinates)))
         for place, name in enumerate(self.spans[muscle], start=1):

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.raw.c3d_layout import check_layout
 from wrapjax.raw.forces import FootForces, ForceColumns
 from wrapjax.raw.markers import METERS, Markers, checked
 from wrapjax.subject.content import read_content
@@ -108,13 +109,12 @@ def _wrench(platform: Any, axes: Float[np.ndarray, "3 3"], path: Path) -> Float[
 
 
 def _open(path: Path, plates: bool = False) -> Any:
-    # Says in plain words what is wrong with a file that is missing or empty.
-    read_content(path, "a .c3d file", 1)
+    check_layout(read_content(path, "a .c3d file"), path)
     import ezc3d
 
     try:
         return ezc3d.c3d(str(path), extract_forceplat_data=plates)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError, KeyError, IndexError, TypeError) as error:
         message = f"cannot be read as a C3D file ({' '.join(str(error).split())})"
         raise InputError(Problem(str(path), message)) from None
 

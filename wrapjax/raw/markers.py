@@ -113,9 +113,10 @@ def read_trc(path: Path) -> Markers:
         found = f"'{twice[0]}' twice" if twice else "none" if not names else "one that is empty"
         raise InputError(Problem(str(path), f"expected a label for each marker, found {found}", "line 4"))
     rows = [(number, line) for number, line in enumerate(lines[5:], start=6) if line.strip()]
-    table = np.array([_row(line, 2 + 3 * len(names), number, path) for number, line in rows])
+    width = 2 + 3 * len(names)
+    table = np.array([_row(line, width, number, path) for number, line in rows]).reshape(-1, width)
     promised = keys.get("NumFrames", "").strip()
-    if promised.isdecimal() and int(promised) != len(rows):
+    if promised.isdecimal() and (promised.lstrip("0") or "0") != str(len(rows)):
         message = f"the header promises {promised} frames, found {len(rows)}"
         raise InputError(Problem(str(path), message, hint="the file seems cut off"))
     return checked(
@@ -170,6 +171,10 @@ def checked(markers: Markers, path: Path) -> Markers:
             f"expected even frames {np.median(step):.4g} s apart, found {step.max():.4g} s after {at:g} s"
         )
         problems.append(Problem(str(path), message, "Time"))
+    lost = np.isinf(markers.positions).any(axis=(1, 2))
+    if lost.any():
+        label = markers.names[int(np.argmax(lost))]
+        problems.append(Problem(str(path), "expected finite positions, found infinity", f"marker {label}"))
     seen = markers.positions[:, np.isfinite(markers.positions).all(axis=(0, 2))]
     if seen.size:
         spread = float(np.median(np.ptp(seen, axis=0).max(axis=-1)))

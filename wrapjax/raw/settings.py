@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.raw.forces import SIDES, ForceColumns
 from wrapjax.subject.channels import read_channels
-from wrapjax.subject.content import read_content
 from wrapjax.subject.schema import TableReader, describe_value
 from wrapjax.subject.settings import TrialSettings, read_cycles
+from wrapjax.subject.toml_file import read_toml
 
 #: Volts in each unit of EMG.
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
@@ -112,7 +111,7 @@ def read_raw_settings(file: Path) -> RawSettings:
     """
     file = Path(file)
     problems: list[Problem] = []
-    top = TableReader(_load(file), file, "", problems)
+    top = TableReader(read_toml(file), file, "", problems)
 
     subject = TableReader(top.table("subject"), file, "[subject]", problems)
     name = subject.text("name") or ""
@@ -177,22 +176,17 @@ def read_raw_settings(file: Path) -> RawSettings:
     )
 
 
-def _load(file: Path) -> dict:
-    try:
-        return tomllib.loads(read_content(file, "a TOML file of settings").decode("utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(Problem(str(file), "is not text in UTF-8, where TOML was expected")) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(Problem(str(file), f"is not valid TOML ({error})")) from None
-
-
 def _file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
     """Take a file, which may lie anywhere, and check that it is there."""
     value = reader.text(key, required=required)
     if value is None:
         return None
     path = reader.file.parent / value
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError:  # a name that no file can have
+        there = False
+    if not there:
         reader.problem(key, f"expected a file, found no {path}")
         return None
     return path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 from wrapjax.errors import InputError, Problem
 from wrapjax.report import markup
 from wrapjax.report.wording import counted, decimals, plain
+from wrapjax.stored import load_json
 
 Content = dict[str, Any]
 
@@ -154,7 +154,7 @@ def find_results(folder: Path) -> list[Result]:
 def _read(folder: Path, kind: str) -> Result:
     file = folder / KINDS[kind].file
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = load_json(file)
         return Result(folder, kind, KINDS[kind].about(content), KINDS[kind].figures(content))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return Result(folder, kind, "", f"{file.name} cannot be read")

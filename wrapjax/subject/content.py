@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 from wrapjax.errors import InputError, Problem, nearest_name
 
+#: Larger files are refused unless a reader says otherwise. An hour of 20 channels at 1 kHz has 0.8 GB.
+MOST_BYTES = 2 << 30
 
-def read_content(path: Path, expected: str, line_limit: int | None = None) -> bytes:
+
+def read_content(
+    path: Path, expected: str, line_limit: int | None = None, most_bytes: int = MOST_BYTES
+) -> bytes:
     """Read a file, or its first lines.
 
     Parameters
@@ -18,13 +24,22 @@ def read_content(path: Path, expected: str, line_limit: int | None = None) -> by
         What it should be, such as ``XML``, for the message.
     line_limit
         Lines to read; all by default.
+    most_bytes
+        A larger file is refused.
 
     Raises
     ------
     InputError
-        If there is no such file, it cannot be read, or it is empty.
+        If there is no such file, it cannot be read, is empty or too large, or is a device or a pipe, which
+        might have no end.
     """
     try:
+        found = path.stat()
+        if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+            raise InputError(Problem(str(path), f"is a device or a pipe, where {expected} was expected"))
+        if line_limit is None and found.st_size > most_bytes:
+            message = f"has {found.st_size >> 20} MiB, where {expected} of at most {most_bytes >> 20} MiB"
+            raise InputError(Problem(str(path), f"{message} was expected"))
         if line_limit is None:
             content = path.read_bytes()
         else:
@@ -36,7 +51,10 @@ def read_content(path: Path, expected: str, line_limit: int | None = None) -> by
     except IsADirectoryError:
         raise InputError(Problem(str(path), f"is a folder, where {expected} was expected")) from None
     except (OSError, ValueError) as error:
-        raise InputError(Problem(str(path), f"cannot be read ({error})")) from None
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(Problem(str(path), f"cannot be read ({reason})")) from None
     if not content.strip():
         raise InputError(Problem(str(path), f"is empty, where {expected} was expected"))
     return content

@@ -7,7 +7,6 @@ that every muscle class counts.
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.safe_xml import MOST_BYTES, parse_xml
 from wrapjax.subject.content import read_content
 
 #: Motion types of the coordinates of joints that say nothing themselves (OpenSim 4), in order.
@@ -147,19 +147,9 @@ def read_xml(path: Path, root_tag: str) -> Element:
     Raises
     ------
     InputError
-        If it is missing, is not well formed, has another root, or declares a document type: entities
-        can make a small file expand without bound, and no OpenSim file needs them.
+        If it is missing, is nothing that `parse_xml` takes, or has another root.
     """
-    content = read_content(path, "XML")
-    # A zero byte means binary content, or an encoding in which the next check would not see the declaration.
-    if b"\0" in content:
-        raise InputError(Problem(str(path), "is binary, where XML in UTF-8 was expected"))
-    if re.search(rb"<!\s*(DOCTYPE|ENTITY)", content, re.IGNORECASE):
-        raise InputError(Problem(str(path), "declares a document type or entities, which are refused"))
-    try:
-        root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(Problem(str(path), f"is not well-formed XML ({error})")) from None
+    root = parse_xml(read_content(path, "XML", most_bytes=MOST_BYTES), path)
     if root.tag != root_tag:
         raise InputError(Problem(str(path), f"expected the root element <{root_tag}>, found <{root.tag}>"))
     return root

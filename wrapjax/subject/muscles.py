@@ -40,7 +40,7 @@ def read_muscle_parameters(path: Path) -> MuscleParameters:
         lines = list(csv.reader(text.splitlines()))
     except csv.Error as error:
         raise InputError(Problem(str(path), f"is not a comma-separated table ({error})")) from None
-    labels = [label.strip() for label in lines[0]]
+    labels = [label.strip() for label in lines[0]] if lines else []
     missing = [label for label in ("muscle", *CSV_COLUMNS) if label not in labels]
     if missing:
         raise InputError(

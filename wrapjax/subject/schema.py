@@ -30,7 +30,10 @@ def collecting(problems: list[Problem]) -> Iterator[None]:
 
 def describe_value(value: Any) -> str:
     """Say what was found: the value if it is short, else its kind."""
-    shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    try:
+        shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
+    except ValueError:  # a whole number of thousands of digits, which Python does not write out
+        return "a number without end"
     return shown if len(shown) <= 40 else _TYPE_NAMES.get(type(value), type(value).__name__)
 
 
@@ -134,7 +137,10 @@ class TableReader:
         return None if twice else tuple(value)
 
     def path(self, key: str, folder: Path, *, required: bool = True) -> Path | None:
-        """Take a path inside the folder; absolute ones and those that climb out are refused."""
+        """Take a path inside the folder; absolute ones, and those that lead out, by links too, are refused.
+
+        A folder from somebody else could otherwise have any file of this machine read, and parts of it told.
+        """
         value = self.text(key, required=required)
         if value is None:
             return None
@@ -143,7 +149,19 @@ class TableReader:
         if PurePosixPath(value).is_absolute() or windows.drive or windows.root or ".." in parts:
             self.problem(key, f"expected a path inside the subject's folder, found '{value}'")
             return None
-        return folder / value
+        path = folder / value
+        try:
+            outside = not path.resolve().is_relative_to(folder.resolve())
+        except (OSError, RuntimeError, ValueError):  # a loop of links, a zero byte
+            self.problem(key, f"expected a path inside the subject's folder, found '{value}'")
+            return None
+        if outside:
+            message = (
+                f"expected a path inside the subject's folder, found the link '{value}' to {path.resolve()}"
+            )
+            self.problem(key, message, "copy the file into the folder")
+            return None
+        return path
 
     def table(self, key: str) -> Any:
         """Take what should be a table, for a reader of its own; None where it is absent."""

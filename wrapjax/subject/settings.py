@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.subject.channels import read_channels, read_extrapolated
 from wrapjax.subject.passive_settings import PassiveSettings, read_passive_settings
 from wrapjax.subject.schema import TableReader, describe_value
+from wrapjax.subject.toml_file import read_toml
 
 SETTINGS_FILE = "subject.toml"
 #: Trials name the files of results, so their names must be fit for that.
@@ -102,7 +102,10 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         If there is no such file or it is not TOML, so that nothing can be read at all.
     """
     file = folder / SETTINGS_FILE
-    top = TableReader(_load(file), file, "", problems)
+    if not file.exists():
+        hint = f"a subject is a folder that holds a {SETTINGS_FILE}"
+        raise InputError(Problem(str(file), "does not exist", hint=hint))
+    top = TableReader(read_toml(file), file, "", problems)
 
     subject = TableReader(top.table("subject"), file, "[subject]", problems)
     name = subject.text("name") or ""
@@ -146,20 +149,6 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     )
 
 
-def _load(file: Path) -> dict:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        hint = "a subject is a folder that holds a subject.toml"
-        raise InputError(Problem(str(file), "does not exist", hint=hint)) from None
-    except OSError as error:
-        raise InputError(Problem(str(file), f"cannot be read ({error.strerror})")) from error
-    except UnicodeDecodeError:
-        raise InputError(Problem(str(file), "is not text in UTF-8, where TOML was expected")) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(Problem(str(file), f"is not valid TOML ({error})")) from None
-
-
 def _other_leg(subject: TableReader, folder: Path) -> Path | None:
     """Take the folder of the other leg, the only path that may lie outside the subject's folder."""
     value = subject.text("other_leg", required=False)
@@ -167,7 +156,11 @@ def _other_leg(subject: TableReader, folder: Path) -> Path | None:
         return None
     path = folder / value
     settings = path if path.name == SETTINGS_FILE else path / SETTINGS_FILE
-    if not settings.is_file():
+    try:
+        there = settings.is_file()
+    except OSError:  # a name that no file can have
+        there = False
+    if not there:
         subject.problem("other_leg", f"expected the folder of a subject, found no {settings}")
         return None
     return settings.parent
@@ -236,7 +229,12 @@ def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
 
 
 def _is_time(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # whole numbers may be of any size
+        return False
 
 
 def _check_trials(

@@ -243,7 +243,8 @@ def _kind(lines: list[str]) -> str:
 def _count(keys: dict[str, str], names: tuple[str, ...], path: Path, problems: list[Problem]) -> int | None:
     for name in names:
         if name in keys:
-            if keys[name].isdecimal():
+            # Longer than any number of rows, and at some length more than Python turns into a number.
+            if keys[name].isdecimal() and len(keys[name]) < 20:
                 return int(keys[name])
             message = f"expected a whole number for {name}, found '{keys[name]}'"
             problems.append(Problem(str(path), message, "header"))
@@ -295,7 +296,8 @@ def _numbers(
     rows: list[list[str]], line_numbers: list[int], header: StorageHeader, path: Path
 ) -> Float[np.ndarray, "frame all_columns"]:
     try:
-        return np.array(rows, dtype=np.float64)
+        # Not by NumPy: it gives every text the room of the longest.
+        return np.array([list(map(float, cells)) for cells in rows])
     except ValueError:
         pass
     labels = ("time", *header.columns)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from jaxtyping import Float
 
 from wrapjax.files import write_json
 from wrapjax.geometry.surfaces import WRAP_PARAMETERS
+from wrapjax.stored import load_json
 from wrapjax.virtual.gait import CHANNELS
 from wrapjax.virtual.mirror import on_side
 from wrapjax.virtual.muscles import FIBER_LENGTH_CENTER, MUSCLES
@@ -82,7 +82,7 @@ def parameter_names() -> tuple[str, ...]:
 
 def read_truth(folder: Path) -> VirtualTruth:
     """Read the truth of a virtual subject from its folder."""
-    content = json.loads((Path(folder) / TRUTH_FILE).read_text(encoding="utf-8"))
+    content = load_json(Path(folder) / TRUTH_FILE)
     per_muscle = content["muscles"]
     columns = {name: np.array([entry[name] for entry in per_muscle.values()]) for name in parameter_names()}
     wraps = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from wrapjax.files import write_json, write_text
 from wrapjax.report.evaluation.content import PredictedCycles, predicted_cycles
 from wrapjax.report.evaluation.page import render_evaluation
 from wrapjax.report.tables import moment_labels, moment_table
+from wrapjax.stored import load_json
 from wrapjax.subject import Trials, read_storage, write_storage
 
 
@@ -42,7 +42,7 @@ def redraw_evaluation(folder: Path) -> None:
     """
     file = folder / "evaluation.json"
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = load_json(file)
         cycles = _read_cycles(content, folder / "moments")
         page = render_evaluation(content, cycles)
     except (ValueError, KeyError, TypeError) as error:

@@ -1,0 +1,293 @@
+"""Whatever bytes a file holds, it is read or refused in sentences fit for a terminal.
+
+Files at which readers stumbled (``python -m benchmarks.fuzz`` makes such), cut down to what mattered, and any
+bytes at all.
+"""
+
+import io
+import json
+import os
+import struct
+import zipfile
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from tests.subject.synthetic import SETTINGS, write_subject
+from wrapjax.errors import MOST_LETTERS, InputError, Problem, nearest_name
+from wrapjax.nmsm import read_osimx, read_tool_settings
+from wrapjax.raw.c3d import read_c3d_markers
+from wrapjax.raw.markers import read_trc
+from wrapjax.raw.settings import read_raw_settings
+from wrapjax.safe_xml import MOST_BYTES, MOST_LEVELS
+from wrapjax.stored import load_arrays, load_json
+from wrapjax.subject import read_model_file, read_storage, read_subject
+from wrapjax.subject.external_loads import read_external_loads
+from wrapjax.subject.muscles import read_muscle_parameters
+
+HEAD = "a\nversion=1\nnRows={rows}\nendheader\ntime\tb\n0\t1\n1\t2\n"
+TRC = "PathFileType\t4\nRate\tNumFrames\tUnits\n100\t{rows}\tmm\nFrame#\tTime\tHEEL\n\tX1\tY1\tZ1\n\n"
+FRAMES = "".join(f"{n}\t{n / 100}\t{n}\t{n}\t1\n" for n in range(1, 12))
+
+READERS = {
+    "sto": read_storage,
+    "csv": read_muscle_parameters,
+    "osim": read_model_file,
+    "xml": read_external_loads,
+    "osimx": read_osimx,
+    "settings.xml": read_tool_settings,
+    "toml": read_raw_settings,
+    "trc": read_trc,
+    "c3d": read_c3d_markers,
+}
+
+
+def said(error: InputError) -> str:
+    """Check the sentences, and join them."""
+    assert error.problems
+    for sentence in map(str, error.problems):
+        assert sentence.isprintable() and len(sentence) < 4 * MOST_LETTERS
+    return "\n".join(map(str, error.problems))
+
+
+def refusal(read, path) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path)
+    return said(caught.value)
+
+
+# ---- What was found
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("sto", HEAD.format(rows="9" * 5000), "whole number"),
+        ("sto", HEAD.format(rows=2).replace("\tb\n", "\t\x1b[31mb\tc\n"), "binary"),
+        ("sto", HEAD.format(rows=2).replace("\tb\n", "\t\u202eb\t\u202eb\n"), "\\u202e"),
+        ("csv", "\ufeff", "column muscle"),
+        ("trc", TRC.format(rows=0), "10 frames"),
+        ("trc", TRC.format(rows="9" * 5000) + FRAMES, "promises"),
+        ("trc", TRC.format(rows=11) + FRAMES.replace("\t5\t5\t", "\t1e999\t5\t"), "infinity"),
+        ("toml", "a = " + "[" * 3000, "without end"),
+        ("toml", "a = " + "9" * 5000, "not valid TOML"),
+        ("toml", "[subject]\nmass_kg = 0x" + "f" * 5000, "a number without end"),
+        ("toml", f'[model]\nfile = "{"x" * 3000}"', "expected a file"),
+        ("toml", "[[trial]]\ncycle = [0, 1" + "0" * 400 + "]", "expected [t0, t1]"),
+        ("osim", "<a>" * 100_000, "levels"),
+        ("osimx", "<a/>" + "<" * 10, "well-formed"),
+    ],
+    ids=range(14),
+)
+def test_found_by_changing_files(tmp_path, name, content, words):
+    file = tmp_path / f"input.{name}"
+    file.write_bytes(content.encode())
+    assert words in refusal(READERS[name], file)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("name = ", "name = " + "[" * 3000, "without end"),
+        ("[0.6, 1.8]", f"[0, 1{'0' * 400}]", "expected [t0, t1]"),
+        ("mass_kg = 70.0", "mass_kg = 0x" + "f" * 5000, "a number without end"),
+        ('side = "l"', f'side = "l"\nother_leg = "{"x" * 3000}"', "expected the folder"),
+    ],
+)
+def test_found_by_changing_settings(tmp_path, old, new, words):
+    folder = write_subject(tmp_path / "subject")
+    assert old in SETTINGS
+    (folder / "subject.toml").write_text(SETTINGS.replace(old, new))
+    assert words in refusal(read_subject, folder)
+
+
+def test_one_long_cell_does_not_make_all_cells_long(tmp_path):
+    """NumPy gives every text the room of the longest: here 40 GB."""
+    (tmp_path / "a.sto").write_text(HEAD.format(rows=10_002) + "".join(f"{n}\t1\n" for n in range(2, 10_002)))
+    text = (tmp_path / "a.sto").read_text().replace("\n1\t2\n", f"\n1\t{'x' * 1_000_000}\n")
+    (tmp_path / "a.sto").write_text(text)
+    assert "expected a number" in refusal(read_storage, tmp_path / "a.sto")
+
+
+def test_a_c3d_file_whose_parameters_lead_nowhere_is_not_followed(tmp_path):
+    """A wrong byte as the length of a description: ezc3d then asks for gigabytes."""
+    header = bytes([2, 80]) + struct.pack("<5Hf2Hf", 1, 0, 1, 10, 0, -1.0, 3, 0, 100.0)
+    group = b"\x05\xffPOINT" + struct.pack("<HB", 3, 0)
+    wrong = b"\x04\x01UNIT" + struct.pack("<HbBH", 7, 2, 0, 0) + b"\xa5"
+    section = bytes([1, 80, 1, 84]) + group + wrong
+    content = header.ljust(512, b"\0") + section.ljust(512, b"\0") + bytes(2048)
+    (tmp_path / "a.c3d").write_bytes(content)
+    assert "UNIT is larger than its place" in refusal(read_c3d_markers, tmp_path / "a.c3d")
+    mended = content.replace(b"\xa5", b"\x00")
+    (tmp_path / "a.c3d").write_bytes(mended[:1100])
+    assert "frames or more, found 76" in refusal(read_c3d_markers, tmp_path / "a.c3d")
+
+
+# ---- XML
+
+
+@pytest.mark.parametrize("name", ["osim", "xml", "osimx", "settings.xml"])
+@pytest.mark.parametrize(
+    "declared",
+    [
+        '<!DOCTYPE a [<!ENTITY b "bbbb"><!ENTITY c "&b;&b;&b;&b;">]>',
+        '<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/hostname">]>',
+        '<!DOCTYPE a SYSTEM "http://localhost/a.dtd">',
+    ],
+    ids=["bomb", "file", "network"],
+)
+def test_entities_are_refused_by_every_reader_of_xml(tmp_path, name, declared):
+    file = tmp_path / f"input.{name}"
+    file.write_text(f'<?xml version="1.0"?>{declared}<OpenSimDocument>&b;</OpenSimDocument>')
+    assert "declares a document type" in refusal(READERS[name], file)
+    # In an encoding in which the declaration has other bytes.
+    file.write_bytes(file.read_text().replace('"1.0"', '"1.0" encoding="UTF-16"').encode("utf-16"))
+    assert "UTF-8 was expected" in refusal(READERS[name], file)
+
+
+def test_files_without_end_are_refused(tmp_path):
+    huge = tmp_path / "huge.osim"
+    with huge.open("wb") as stream:
+        stream.truncate(MOST_BYTES + 1)  # takes no room on the disk
+    assert "256 MiB" in refusal(read_model_file, huge)
+    pipe = tmp_path / "pipe.sto"
+    os.mkfifo(pipe)
+    assert "device or a pipe" in refusal(read_storage, pipe)
+
+
+def test_models_may_be_as_deep_as_models_are(tmp_path):
+    depth = MOST_LEVELS - 5
+    (tmp_path / "a.osim").write_text(f"<OpenSimDocument>{'<a>' * depth}{'</a>' * depth}</OpenSimDocument>")
+    assert "<Model>" in refusal(read_model_file, tmp_path / "a.osim")
+
+
+# ---- Paths
+
+
+def test_a_link_that_leads_out_of_the_folder_is_not_followed(tmp_path):
+    """Of a folder from somebody else, it could have any file of this machine read."""
+    folder = write_subject(tmp_path / "subject")
+    own = folder / "trials" / "walk_a" / "emg.sto"
+    own.rename(tmp_path / "secret.sto")
+    own.symlink_to(tmp_path / "secret.sto")
+    found = refusal(read_subject, folder)
+    assert "emg" in found and "link" in found and "copy the file into the folder" in found
+    # Within the folder, and to the folder itself, links are nobody's concern.
+    own.unlink()
+    (tmp_path / "secret.sto").rename(folder / "recorded.sto")
+    own.symlink_to(folder / "recorded.sto")
+    (tmp_path / "link").symlink_to(folder)
+    assert len(read_subject(tmp_path / "link").trials) == 3
+    own.unlink()
+    own.symlink_to(own)
+    assert "expected a path inside" in refusal(read_subject, folder)
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "../../etc/passwd", "C:\\x", "a/../../b", "a\\u0000b"])
+def test_paths_that_lead_out_of_the_folder_are_refused(tmp_path, path):
+    folder = write_subject(tmp_path / "subject")
+    written = path if "u0000" in path else path.replace("\\", "\\\\")
+    text = SETTINGS.replace("trials/walk_b/emg.sto", written)
+    (folder / "subject.toml").write_text(text)
+    assert "expected a path inside the subject's folder" in refusal(read_subject, folder)
+
+
+# ---- Results read back
+
+
+def archive(**members: bytes) -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as stored:
+        for name, content in members.items():
+            stored.writestr(f"{name}.npy", content)
+    return made.getvalue()
+
+
+def array(header: str, content: bytes = b"") -> bytes:
+    text = header.encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + content
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        archive(a=array("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,)}")),
+        archive(a=array("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}", b"cos\nsystem\n")),
+        archive(a=array("{'descr': '<f8', ", b"12345678")),
+        archive(a=array("(((((", b"")),
+        archive(a=b"rubbish"),
+        archive(a=b""),
+        b"rubbish",
+        b"",
+        archive(a=array("{'descr': '<f8', 'fortran_order': False, 'shape': (1,)}", bytes(8)))[:-30],
+    ],
+    ids=[
+        "too large",
+        "objects",
+        "header",
+        "deep header",
+        "no array",
+        "empty",
+        "no archive",
+        "nothing",
+        "cut",
+    ],
+)
+def test_arrays_are_numbers_of_the_size_that_they_say_or_an_error(tmp_path, content):
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(ValueError):
+        load_arrays(tmp_path / "a.npz")
+
+
+def test_arrays_come_back(tmp_path):
+    arrays = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.array(["recfem_l"]),
+        "c": np.array(3),
+        "d": np.zeros(0),
+    }
+    np.savez(tmp_path / "a.npz", **arrays)
+    found = load_arrays(tmp_path / "a.npz")
+    assert all(np.array_equal(found[name], value) for name, value in arrays.items())
+
+
+def test_json_without_end_is_an_error(tmp_path):
+    (tmp_path / "a.json").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="without end"):
+        load_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(json.dumps({"a": [1]}))
+    assert load_json(tmp_path / "a.json") == {"a": [1]}
+
+
+# ---- Sentences
+
+
+def test_sentences_do_not_steer_a_terminal_and_end():
+    sentence = str(Problem("a\nb.sto", "found \x1b[2J" + "x" * 100_000, "column \t", "\u202e"))
+    assert sentence.isprintable() and len(sentence) < 4 * MOST_LETTERS
+    assert "a\\nb.sto: column \\t: found \\x1b[2J" in sentence
+
+
+def test_names_without_end_are_near_no_other():
+    """Comparing two texts takes time by the square of their lengths."""
+    assert nearest_name("a" * 1_000_000, ["soleus_l"]) == "known: soleus_l"
+    assert nearest_name("soleus", ["soleus_l", "b" * 1_000_000]) == "did you mean 'soleus_l'?"
+
+
+# ---- Any bytes
+
+
+@pytest.mark.parametrize("name", READERS)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(content=st.binary(max_size=300) | st.text(max_size=300).map(str.encode))
+@example(content=b"\xef\xbb\xbf")
+@example(content=b"\x02\x50" + bytes(1022))
+def test_any_bytes_are_read_or_refused(tmp_path, name, content):
+    file = tmp_path / f"input.{name}"
+    file.write_bytes(content)
+    try:
+        READERS[name](file)
+    except InputError as error:
+        said(error)
