@@ -1,0 +1,1 @@
+"""Rubbish for everything that reads a file: what is neither read nor refused in a sentence is a finding."""
