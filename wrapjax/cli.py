@@ -9,13 +9,15 @@ import argparse
 import io
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from wrapjax.commands import ADDED
 from wrapjax.commands.common import BAD_INPUT, NOT_CONVERGED, positive
 from wrapjax.commands.settings import add_settings, apply_settings, keep_settings
-from wrapjax.errors import InputError
+from wrapjax.errors import InputError, WorkError
 from wrapjax.jax_setup import set_threads
+from wrapjax.locks import working_alone
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,9 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parser.parse_args(words)
         if options.threads is not None:
             set_threads(options.threads)
-        status = options.run(options)
-        if "settings" in options and options.out is not None and options.out.is_dir():
-            keep_settings(commands[name], name, options, options.out)
+        out = getattr(options, "out", None)
+        with nullcontext() if out is None else working_alone(out):
+            status = options.run(options)
+            keep_settings(commands[name], name, options)
         return status
     except InputError as error:
         for problem in error.problems:
@@ -42,6 +45,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if len(error.problems) > 1:
             print(f"{len(error.problems)} problems found; nothing was written.", file=sys.stderr)
         return BAD_INPUT
+    except WorkError as error:
+        print(f"error: {error}; nothing was written.", file=sys.stderr)
+        return NOT_CONVERGED
+    except MemoryError:
+        print("error: there is not enough memory for this; nothing was written.", file=sys.stderr)
+        return NOT_CONVERGED
     except OSError as error:
         place = error.filename or "file"
         print(f"error: {place}: {error.strerror or error}; nothing was written.", file=sys.stderr)

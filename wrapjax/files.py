@@ -5,25 +5,40 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.locks import working_alone
+
+#: What the names of temporary files and folders end with (files: before the ending of their kind).
+UNFINISHED = ".part"
+_REPLACED = ".old"
+#: A temporary file as old as this, in s, is nobody's any more.
+_ABANDONED_S = 86_400.0
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Let ``write`` fill a temporary file beside ``path``, then move it into place.
 
-    A reader sees the old file or the new one, never a part of either.
+    A reader sees the old file or the new one, never a part of either. What processes left unfinished that
+    were killed goes a day later.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    ending = f"{UNFINISHED}{path.suffix}"
+    for left in _temporaries(path.parent, path.stem, ending):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > _ABANDONED_S:
+                left.unlink()
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=ending, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -70,9 +85,17 @@ def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
     """Fill a folder under a temporary name; it appears at ``path`` only when complete.
 
     A folder that exists is refused unless ``force``, and even then it is replaced only after the
-    new one has been written whole.
+    new one has been written whole. What killed processes left of the same folder is cleared away.
     """
     path = Path(path)
+    with working_alone(path):
+        _clear_away(path)
+        with _new_folder(path, force) as folder:
+            yield folder
+
+
+@contextmanager
+def _new_folder(path: Path, force: bool) -> Iterator[Path]:
     if path.exists() and not force:
         raise InputError(
             Problem(str(path), "exists already and is not overwritten", hint="use --force to replace it")
@@ -81,14 +104,14 @@ def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
         raise InputError(Problem(str(path), "is a file, where a folder was expected"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=UNFINISHED, dir=path.parent))
     except OSError as error:
         raise InputError(Problem(str(path), f"cannot be created ({error.strerror})")) from error
     try:
         yield temporary
         os.chmod(temporary, 0o755)
         if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=_REPLACED, dir=path.parent))
             os.replace(path, old / path.name)
             os.replace(temporary, path)
             shutil.rmtree(old, ignore_errors=True)
@@ -96,6 +119,26 @@ def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
             os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _clear_away(path: Path) -> None:
+    """Remove what was left of a folder by processes that were killed; nobody else may be at work there."""
+    for old in _temporaries(path.parent, path.name, _REPLACED):
+        # Killed between the two steps of a replacement: there is no new one, so the old one stays.
+        if not path.exists() and (old / path.name).exists():
+            os.replace(old / path.name, path)
+        shutil.rmtree(old, ignore_errors=True)
+    for left in _temporaries(path.parent, path.name, UNFINISHED):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _temporaries(folder: Path, name: str, ending: str) -> list[Path]:
+    """Find what `tempfile` named for a file or folder of this name."""
+    fits = re.compile(rf"\.{re.escape(name)}-[a-z0-9_]{{8}}{re.escape(ending)}")
+    try:
+        return [Path(entry.path) for entry in os.scandir(folder) if fits.fullmatch(entry.name)]
+    except OSError:
+        return []
 
 
 def refuse_existing(folder: Path, force: bool) -> None:

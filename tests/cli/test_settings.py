@@ -52,9 +52,9 @@ def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
         ("starts = [1]", "expected one value"),
         ("out = 'run'", "no such option"),
         ('command = "fit"', "is of 'wrapjax fit'"),
-        ("starts = ", "is no TOML"),
+        ("starts = ", "is not valid TOML"),
         (None, "does not exist"),
-        (b"\xff\xfe", "is no text"),
+        (b"\xff\xfe", "is not text"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_said(run, asked, tmp_path, content, said):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -12,6 +11,7 @@ from typing import Any
 from wrapjax.errors import InputError
 from wrapjax.files import content_hash, new_folder, write_json
 from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+from wrapjax.stored import load_json
 from wrapjax.subject import Subject, read_legs, read_subject
 
 #: Says what a member's folder answers.
@@ -48,6 +48,14 @@ class Job:
     resume: bool
 
 
+def kept_answer(job: Job) -> dict[str, Any] | None:
+    """Recall what was answered to the same question of the same files; None if that is not there."""
+    try:
+        return _kept(Path(job.place), _question(job, read_subject(job.folder))) if job.resume else None
+    except (InputError, OSError):
+        return None  # whoever is to answer says why
+
+
 def answer(job: Job) -> dict[str, Any]:
     """Calibrate a subject (and diagnose it), and write its folder whole or not at all.
 
@@ -78,9 +86,6 @@ def _answer(job: Job) -> dict[str, Any]:
     subject = read_subject(job.folder)
     question = _question(job, subject)
     place = Path(job.place)
-    kept = _kept(place, question) if job.resume else None
-    if kept is not None:
-        return kept
     paths = source_for(job.method, subject, seed=job.seed, processes=1)
     calibration = kept_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
     if calibration.status is Status.interrupted:
@@ -115,7 +120,7 @@ def _gap(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stored(file: Path) -> dict[str, Any]:
-    return json.loads(file.read_text(encoding="utf-8"))
+    return load_json(file)
 
 
 def _kept(place: Path, question: str) -> dict[str, Any] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Sequence
@@ -10,12 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wrapjax.api.cohort_member import CALIBRATION, DIAGNOSIS, Job, answer
+from wrapjax.api.cohort_member import CALIBRATION, DIAGNOSIS, Job, answer, kept_answer
 from wrapjax.api.persons import file_name
 from wrapjax.api.preparation import METHODS
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.progress import progress_bar, say
 from wrapjax.scheduling import Finished, run_everywhere
+from wrapjax.stored import load_json
 
 #: Starts of each calibration.
 STARTS = 4
@@ -121,11 +121,18 @@ def cohort(
         for label, own in labels.items()
     }
     states: dict[str, dict[str, Any]] = dict.fromkeys(labels, _WAITING)
+    # Before there are workers, which may not be needed.
+    for label in list(jobs):
+        kept = kept_answer(jobs[label])
+        if kept is not None:
+            del jobs[label]
+            states[label] = _state(Finished(label, kept))
     found = Cohort(place, _write(place, labels, states, method, diagnose))
+    if len(jobs) < len(labels):
+        say(f"{len(labels) - len(jobs)} of {len(labels)} subjects are done already", quiet=quiet)
+    running = run_everywhere(answer, jobs, scheduler=scheduler, workers=workers or os.cpu_count() or 1)
     with progress_bar("subjects", len(jobs), quiet=quiet) as advance:
-        for number, one in enumerate(
-            run_everywhere(answer, jobs, scheduler=scheduler, workers=workers or os.cpu_count() or 1), 1
-        ):
+        for number, one in enumerate(running if jobs else (), 1):
             states[one.name] = _state(one)
             found = Cohort(place, _write(place, labels, states, method, diagnose))
             say(f"{one.name}: {_line(states[one.name])}", quiet=quiet)
@@ -144,7 +151,7 @@ def redraw_cohort(folder: Path) -> None:
     """
     file = folder / _FILE
     try:
-        _draw(Cohort(folder, json.loads(file.read_text(encoding="utf-8"))))
+        _draw(Cohort(folder, load_json(file)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         hint = "make it anew with 'wrapjax cohort --resume', which keeps what is done"
         raise InputError(Problem(str(file), f"is damaged ({error})", hint=hint)) from error
@@ -184,7 +191,10 @@ def _open(place: Path, *, resume: bool, force: bool) -> None:
         hint = "keep what is done with --resume, or replace all of it with --force"
         raise InputError(Problem(str(place), "exists already and is not overwritten", hint=hint))
     for torn in place.glob(".*"):  # what workers that were killed left half-written
-        shutil.rmtree(torn, ignore_errors=True)
+        if torn.is_dir() and not torn.is_symlink():
+            shutil.rmtree(torn, ignore_errors=True)
+        else:
+            torn.unlink(missing_ok=True)
 
 
 def _state(one: Finished) -> dict[str, Any]:

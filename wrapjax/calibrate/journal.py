@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -17,7 +14,8 @@ import numpy as np
 from wrapjax.calibrate.augmented_lagrangian import LagrangianState
 from wrapjax.calibrate.solution import Iteration, Pace, Status
 from wrapjax.errors import InputError, Problem
-from wrapjax.files import write_json, write_whole
+from wrapjax.files import new_folder, write_json, write_whole
+from wrapjax.stored import load_arrays, load_json
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Journal:
         file = folder / "question.json"
         if resume:
             try:
-                found = json.loads(file.read_text(encoding="utf-8"))["question"]
+                found = load_json(file)["question"]
             except (OSError, ValueError, KeyError, TypeError):
                 raise InputError(
                     Problem(str(folder), "holds no interrupted work to resume", hint="leave out --resume")
@@ -75,9 +73,8 @@ class Journal:
                     )
                 )
         else:
-            shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
-            write_json(file, {"question": question})
+            with new_folder(folder, force=True) as made:
+                write_json(made / file.name, {"question": question})
         return cls(folder)
 
     def close(self) -> None:
@@ -107,12 +104,7 @@ class Journal:
     def read(self, name: str) -> Entry | None:
         """Find where a stage stands; None if it was never begun, or what is there cannot be read."""
         try:
-            # Opened by hand: what is no whole archive is otherwise left open.
-            with (
-                (self.folder / f"{name}.npz").open("rb") as stream,
-                np.load(stream, allow_pickle=False) as stored,
-            ):
-                kept = dict(stored)
+            kept = load_arrays(self.folder / f"{name}.npz")
             limits = sum(key.startswith("shift_") for key in kept)
             state = LagrangianState(
                 variables=jnp.asarray(kept["variables"]),
@@ -125,7 +117,7 @@ class Journal:
             history = tuple(_iteration(row) for row in kept["history"])
             name_of_status = str(kept["status"])
             return Entry(state, history, Status[name_of_status] if name_of_status else None)
-        except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error):
+        except (OSError, KeyError, ValueError, TypeError, IndexError):
             return None
 
 

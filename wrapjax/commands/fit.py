@@ -21,6 +21,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="opensim",
         help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
     )
+    fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit (done in any case)")
     add_drive(fit)
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import write_text
+from wrapjax.subject.toml_file import read_toml
 from wrapjax.subject.toml_text import quoted
 
 #: In the folder that a command writes.
@@ -47,13 +47,15 @@ def apply_settings(parser: argparse.ArgumentParser, command: str, arguments: Seq
     InputError
         If the file cannot be read, or says something that is no option or no value of one.
     """
+    if not _takes_settings(parser):
+        return
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     add_settings(finder)
     file = finder.parse_known_args(arguments)[0].settings
     if file is None:
         return
     known = {action.dest: action for action in _options(parser)}
-    for key, value in _read(file).items():
+    for key, value in read_toml(file).items():
         if key == "command":
             if value != command:
                 raise InputError(Problem(str(file), f"is of 'wrapjax {value}', not of 'wrapjax {command}'"))
@@ -65,10 +67,8 @@ def apply_settings(parser: argparse.ArgumentParser, command: str, arguments: Seq
         action.default, action.required = _value(file, key, value, action), False
 
 
-def keep_settings(
-    parser: argparse.ArgumentParser, command: str, options: argparse.Namespace, folder: Path
-) -> None:
-    """Write what a command was asked for into the folder that it wrote.
+def keep_settings(parser: argparse.ArgumentParser, command: str, options: argparse.Namespace) -> None:
+    """Write what a command was asked for into the folder that it wrote, if it wrote one.
 
     Parameters
     ----------
@@ -76,9 +76,10 @@ def keep_settings(
         As of `apply_settings`.
     options
         As they were parsed.
-    folder
-        Where ``settings.toml`` goes.
     """
+    folder: Path | None = getattr(options, "out", None)
+    if not _takes_settings(parser) or folder is None or not folder.is_dir():
+        return
     lines = [
         f"# What 'wrapjax {command}' was asked for: begin anew with --settings {FILE}",
         f"command = {quoted(command)}",
@@ -90,21 +91,14 @@ def keep_settings(
     write_text(folder / FILE, "\n".join(lines) + "\n")
 
 
+def _takes_settings(parser: argparse.ArgumentParser) -> bool:
+    return "--settings" in parser._option_string_actions
+
+
 def _options(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     for action in parser._actions:
         if action.option_strings and action.dest not in _NOT_KEPT:
             yield action
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(Problem(str(file), "does not exist")) from None
-    except UnicodeDecodeError:
-        raise InputError(Problem(str(file), "is no text in UTF-8")) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(Problem(str(file), f"is no TOML: {error}")) from None
 
 
 def _value(file: Path, key: str, value: Any, action: argparse.Action) -> Any:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.errors import WorkError
 from wrapjax.osim.cylinders import WrapParameters
 from wrapjax.osim.path_engine import PathEngine
 
@@ -104,9 +105,9 @@ def _analyse_in_workers(
             yield key, length, moment_arm
     except BrokenProcessPool as error:
         broken = True
-        raise RuntimeError(
+        raise WorkError(
             "a worker process of the muscle analysis died: killed, or out of memory. "
-            "What was finished is kept; run it again, or with processes=1"
+            "What was finished is kept; run it again, or in one process (--threads 1)"
         ) from error
     finally:
         # After Ctrl-C too: what is being analysed ends within a second or two, what is waiting is dropped.
