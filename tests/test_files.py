@@ -2,6 +2,7 @@
 
 import json
 import os
+import resource
 import stat
 from pathlib import Path
 
@@ -38,6 +39,29 @@ def test_failing_writer_leaves_nothing_where_nothing_was(tmp_path):
     with pytest.raises(Failure):
         write_whole(tmp_path / "result.json", write_and_fail)
     assert names(tmp_path) == []
+
+
+@pytest.fixture
+def full_disk():
+    """No file may grow beyond 1,000 bytes: writing fails half-way, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_the_old_file_and_no_part_of_the_new_one(tmp_path, full_disk):
+    file = tmp_path / "result.json"
+    write_json(file, {"kept": 1})
+    with pytest.raises(OSError):
+        write_json(file, list(range(1000)))
+    with pytest.raises(OSError):
+        write_whole(tmp_path / "arrays.npz", lambda path: np.savez(path, a=np.zeros(1000)))
+    with pytest.raises(OSError), new_folder(tmp_path / "run") as folder:
+        write_text(folder / "small", "small")
+        write_json(folder / "large", list(range(1000)))
+    assert json.loads(file.read_text()) == {"kept": 1}
+    assert names(tmp_path) == ["result.json"]
 
 
 def test_writing_replaces_and_makes_parents(tmp_path):

@@ -94,7 +94,7 @@ def _words(case_command: str, subjects: Sequence[Path], out: Path) -> list[str]:
     without = sorted(set(CATALOGUE) - {"joint_damping", "curve_family"})
     words = {
         "fit": ["fit", first],
-        "calibrate": ["calibrate", first, "--method", "SGA", "--starts", "3"],
+        "calibrate": ["calibrate", first, "--method", "NGA", "--starts", "3"],
         "diagnose": ["diagnose", first, "--starts", "2", "--without", *without],
         "cohort": ["cohort", *map(str, subjects), "--starts", "2", "--workers", "1"],
     }[case_command]

@@ -138,6 +138,20 @@ def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp
     assert calculated == ["anna", "ben"]
 
 
+def test_resuming_what_is_done_starts_no_workers(done, subjects, tmp_path, monkeypatch):
+    def started(*arguments, **options):
+        raise AssertionError("workers were started")
+        yield
+
+    monkeypatch.setattr("wrapjax.api.cohorts.run_everywhere", started)
+    place = shutil.copytree(done.folder, tmp_path / "out")
+    again = cohort(subjects[::2], place, diagnose=True, starts=1, resume=True)
+    for name in ("anna", "ben"):
+        kept, own = again.content["subjects"][name], done.content["subjects"][name]
+        assert kept | {"folder": ""} == own | {"folder": ""}
+    assert again.complete is False and again.failed == {}  # too few cycles, as before
+
+
 def test_folders_that_are_there_are_not_touched(here, done, subjects, tmp_path):
     with pytest.raises(InputError, match="--resume, or replace all of it with --force"):
         cohort(subjects, done.folder)

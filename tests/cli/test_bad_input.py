@@ -11,6 +11,7 @@ from tests.cli.folders import METHOD, content
 from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import MODEL, write_subject
 from tests.subject.test_broken_folders import BROKEN
+from wrapjax.errors import WorkError
 
 
 @pytest.fixture
@@ -108,6 +109,25 @@ def test_full_disk_is_a_sentence(run, subject, fitted, tmp_path, monkeypatch):
     assert outcome.status == 2 and outcome.output == ""
     assert outcome.progress.startswith("error: ") and "No space left on device" in outcome.progress
     assert content(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError(), "there is not enough memory for this"),
+        (WorkError("a worker process died: killed, or out of memory"), "a worker process died: killed"),
+    ],
+)
+def test_what_is_no_fault_of_the_input_is_a_sentence_and_another_status(
+    run, subject, monkeypatch, error, words
+):
+    def fail(folder):
+        raise error
+
+    monkeypatch.setattr("wrapjax.subject.read_subject", fail)
+    outcome = run("check", subject)
+    assert (outcome.status, outcome.output) == (1, "")
+    assert outcome.progress.startswith(f"error: {words}") and outcome.progress.count("\n") == 1
 
 
 def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
