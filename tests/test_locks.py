@@ -108,6 +108,15 @@ def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
+def test_the_same_folder_by_a_link_is_the_same_folder(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    with working_alone(tmp_path / "real" / "run"), working_alone(tmp_path / "link" / "run"):
+        pass
+    with working_alone(Path("/")):
+        pass
+
+
 def test_where_no_lock_can_be_made_the_work_says_why(tmp_path):
     (tmp_path / "file").write_text("")
     with working_alone(tmp_path / "file" / "run"):

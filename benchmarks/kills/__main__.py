@@ -68,7 +68,7 @@ def main() -> int:
             tallies[command] = Tally()
             share = options.times / len(options.command or COMMANDS)
             while tallies[command].kills < share:
-                _disturb(case, place / "disturbed", dice, tallies[command])
+                _disturb(case, place / "work", dice, tallies[command])
                 print(f"  {tallies[command].kills} kills", flush=True)
     print(f"\n{'command':12s}{'kills':>8s}{'results':>9s}{'largest difference':>20s}  amiss")
     for command, tally in tallies.items():
@@ -105,8 +105,9 @@ def _undisturbed(command: str, subjects: tuple[Path, ...], place: Path) -> Case:
     """Run twice: once to compile, once to see how long it takes and what comes of it."""
     compiled = place / "compiled"
     compiled.mkdir(parents=True, exist_ok=True)
-    for name in ("first", "undisturbed"):
-        here = _fresh(place / name / command, compiled)
+    # Always in the same place: JAX knows compiled programs by the folder that they are kept in, too.
+    for _ in range(2):
+        here = _fresh(place / "work", compiled)
         began = time.monotonic()
         ended = subprocess.run(
             _words(command, subjects, here / "out"), env=_environment(here), capture_output=True, text=True
@@ -114,7 +115,10 @@ def _undisturbed(command: str, subjects: tuple[Path, ...], place: Path) -> Case:
         seconds = time.monotonic() - began
         if ended.returncode not in (0, 1) or not (here / "out").is_dir():
             raise RuntimeError(f"{command} fails undisturbed: {ended.stderr}")
-    return Case(command, subjects, compiled, here / "out", seconds, ended.returncode)
+    kept = place / "undisturbed" / command
+    shutil.rmtree(kept, ignore_errors=True)
+    shutil.copytree(here / "out", kept)
+    return Case(command, subjects, compiled, kept, seconds, ended.returncode)
 
 
 def _fresh(place: Path, compiled: Path) -> Path:
