@@ -63,9 +63,11 @@ def working_alone(folder: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _folders(parent: Path) -> Iterator[None]:
     """Make a folder, and those above it; take away again what of them stays empty."""
-    missing = [place for place in (parent, *parent.parents) if not place.exists()]
-    with contextlib.suppress(OSError):
-        parent.mkdir(parents=True, exist_ok=True)
+    above = (parent, *parent.parents)
+    missing = [place for place in above if not place.exists()]
+    if os.access(above[len(missing)], os.W_OK):
+        with contextlib.suppress(OSError):
+            parent.mkdir(parents=True, exist_ok=True)
     try:
         yield
     finally:
