@@ -2,9 +2,10 @@
 
 ``python -m benchmarks.fuzz`` changes valid files, byte by byte and by what they are made of, keeps those that
 reach new lines of the readers (atheris), and gives 100,000 of them to wrapjax. Each is read, or refused in
-sentences that can be printed. Whatever else happens is a finding: any other error, more than 5 s, more than
-512 MiB beside what was there, a process that dies. Findings are kept under ``--out`` with what was said;
-``--replay FILE`` reads one again. The exit status is 1 if there are any. Needs ``pip install --group fuzz``.
+sentences that can be printed. Whatever else happens is a finding: any other error, more than 5 s of the
+processor, more than 512 MiB beside what was there, a process that dies. Findings are kept under ``--out``
+with what was said; ``--replay FILE`` reads one again. The exit status is 1 if there are any. Needs
+``pip install --group fuzz``.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from pathlib import Path
 from wrapjax.errors import InputError
 
 ACCEPTED, REFUSED = "accepted", "refused"
-#: Longest that a small input may take, in s.
+#: Longest that a small input may take, in s of the processor: others may be at work beside.
 LONGEST_S = 5.0
 #: Room in bytes that reading a small input may take beside what the process holds already.
 ROOM = 512 << 20
@@ -76,7 +76,7 @@ def judge_apart(read: Callable[[], object]) -> Judgement:
     began = time.monotonic()
     while os.waitid(os.P_PID, process, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
         # Code that is not Python's does not notice that its time is up.
-        if time.monotonic() - began > 2.0 * LONGEST_S:
+        if time.monotonic() - began > 4.0 * LONGEST_S:
             os.kill(process, signal.SIGKILL)
         time.sleep(0.001)
     _, status = os.waitpid(process, 0)
@@ -119,10 +119,10 @@ def _time_limit(seconds: float) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise _TooLong
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
