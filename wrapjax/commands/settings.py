@@ -14,8 +14,6 @@ from typing import Any
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import write_text
-from wrapjax.subject.toml_file import read_toml
-from wrapjax.subject.toml_text import quoted
 
 #: In the folder that a command writes.
 FILE = "settings.toml"
@@ -54,6 +52,8 @@ def apply_settings(parser: argparse.ArgumentParser, command: str, arguments: Seq
     file = finder.parse_known_args(arguments)[0].settings
     if file is None:
         return
+    from wrapjax.subject.toml_file import read_toml
+
     known = {action.dest: action for action in _options(parser)}
     for key, value in read_toml(file).items():
         if key == "command":
@@ -80,6 +80,8 @@ def keep_settings(parser: argparse.ArgumentParser, command: str, options: argpar
     folder: Path | None = getattr(options, "out", None)
     if not _takes_settings(parser) or folder is None or not folder.is_dir():
         return
+    from wrapjax.subject.toml_text import quoted
+
     lines = [
         f"# What 'wrapjax {command}' was asked for: begin anew with --settings {FILE}",
         f"command = {quoted(command)}",
@@ -130,6 +132,8 @@ def _single(file: Path, key: str, value: Any, action: argparse.Action) -> Any:
 
 
 def _written(value: Any, folder: Path) -> str:
+    from wrapjax.subject.toml_text import quoted
+
     if isinstance(value, bool):
         return "true"
     if isinstance(value, (list, tuple)):
