@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from wrapjax.jax_setup import forget_if_crowded, set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.api.diagnosis import Diagnosis
+    from wrapjax.api.diagnosing.diagnosis import Diagnosis
 
 #: Beside an answer: what it is an answer to.
 QUESTION = "question.json"

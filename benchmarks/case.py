@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 import wrapjax
 from wrapjax.api import Fit
-from wrapjax.api.assembly import recording, surrogate_paths
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.assembly import recording, surrogate_paths
+from wrapjax.api.calibrating.problem import prepare
 from wrapjax.calibrate import Objective
 from wrapjax.model import joint_moments
 from wrapjax.subject import Subject

@@ -72,7 +72,7 @@ def _pass(
     subjects: Sequence[Path], place: Path, workers: int, options: argparse.Namespace, *, compiled: Path | None
 ) -> float:
     """Time a cohort (s) that starts from nothing but compiled programs."""
-    from wrapjax.api.cohorts import cohort
+    from wrapjax.api.cohorts.running import cohort
 
     shutil.rmtree(place, ignore_errors=True)
     cache = place / "cache"

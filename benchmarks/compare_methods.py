@@ -27,7 +27,7 @@ def main() -> int:
     pin_threads()
     set_up_jax()
     import wrapjax
-    from wrapjax.api.text import iteration_printer
+    from wrapjax.api.tables.calibration import iteration_printer
     from wrapjax.files import write_json
 
     with default_subject(options.subject) as folder:

@@ -10,7 +10,7 @@ import sys
 import time
 
 import wrapjax
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.problem import prepare
 from wrapjax.calibrate import ProjectedLM
 
 

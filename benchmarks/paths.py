@@ -12,7 +12,7 @@ import wrapjax
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
 from wrapjax.api import Fit
-from wrapjax.api.preparation import stages
+from wrapjax.api.calibrating.problem import stages
 from wrapjax.calibrate import CalibrationResult, Pace
 from wrapjax.calibrate.projected_lm import propose_step
 from wrapjax.calibrate.solution import SolverState

@@ -59,8 +59,8 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
     """Give figures (m) in the order of the columns, and failed criteria, muscle by muscle."""
     import jax
 
-    from wrapjax.api.exact import engine_of, recorded
-    from wrapjax.api.personalised import write_model
+    from wrapjax.api.calibrating.personalised import write_model
+    from wrapjax.api.paths.exact import engine_of, recorded
     from wrapjax.geometry.engine import nominal_parameters, wrap_at_samples
     from wrapjax.geometry.physiological import measure_paths
     from wrapjax.osim import analyse_muscles

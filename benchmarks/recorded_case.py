@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 import wrapjax
-from wrapjax.api.calibration import Calibration, kept_calibration
-from wrapjax.api.diagnosis import diagnose_calibrated, investigation
+from wrapjax.api.calibrating.calibration import Calibration, kept_calibration
+from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated, investigation
 from wrapjax.gap.catalogue import catalogue, effects_in
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.effect import Effects

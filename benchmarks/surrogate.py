@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.metric import Metric
 from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
-from wrapjax.api.fitting import TRAINING_POSES, path_errors
+from wrapjax.api.paths.fitting import TRAINING_POSES, path_errors
 from wrapjax.geometry import fit_surrogate, random_poses, smooth_poses
 from wrapjax.geometry.poses import walking_belt
 from wrapjax.osim import analyse_muscles, describe_model, spanned_coordinates

@@ -20,7 +20,7 @@ jax.config.update("jax_enable_x64", True)
 import numpy as np
 
 import wrapjax
-from wrapjax.api.gap_text import gap_table
+from wrapjax.api.tables.gap import gap_table
 from wrapjax.gap import CATALOGUE
 from wrapjax.virtual import write_virtual_subject
 

@@ -16,8 +16,8 @@ from wrapjax.errors import InputError, Problem
 #: Modules whose coverage guides the search.
 READING = (
     *("wrapjax.errors", "wrapjax.files", "wrapjax.safe_xml", "wrapjax.stored", "wrapjax.subject"),
-    *("wrapjax.nmsm", "wrapjax.raw", "wrapjax.api.stored_run", "wrapjax.api.fit_result"),
-    *("wrapjax.api.wrap_fit", "wrapjax.calibrate.journal", "wrapjax.report.overview"),
+    *("wrapjax.nmsm", "wrapjax.raw", "wrapjax.api.runs.stored_run", "wrapjax.api.paths.fit_result"),
+    *("wrapjax.api.paths.wrap_fit", "wrapjax.calibrate.journal", "wrapjax.report.overview"),
     *("wrapjax.report.evaluation", "wrapjax.report.cohort.content"),
 )
 
@@ -242,7 +242,7 @@ def _question(finished: Path, place: Path) -> Prepared:
 
 def _redrawn(kind: str, file: str) -> Callable[[Path, Path], Prepared]:
     def prepare(finished: Path, place: Path) -> Prepared:
-        from wrapjax.api.reporting import redraw
+        from wrapjax.api.runs.reporting import redraw
 
         folder = Path(shutil.copytree(finished / kind, place / kind))
         return Prepared(folder / file, ((folder / file).read_bytes(),), lambda: redraw(folder))

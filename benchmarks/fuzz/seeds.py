@@ -162,7 +162,7 @@ def laboratory(place: Path) -> Path:
 def finished_results(place: Path) -> Path:
     """Fit, calibrate, evaluate and gather the small subject; what a journal holds is kept, too."""
     from wrapjax.api import calibrate, evaluate, fit, load_run, load_subject
-    from wrapjax.api.cohorts import cohort
+    from wrapjax.api.cohorts.running import cohort
     from wrapjax.jax_setup import set_up_jax
 
     set_up_jax()

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.api.wrap_recovery import TOLD_APART
+from wrapjax.api.demonstration.wrap_recovery import TOLD_APART
 from wrapjax.calibrate import ProjectedLM, moment_arm_deviation
 from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import joint_moments

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from wrapjax.api import calibrate, fit, objective
-from wrapjax.api.assembly import group_indices, model_parameters, recording, surrogate_paths
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.assembly import group_indices, model_parameters, recording, surrogate_paths
+from wrapjax.api.calibrating.problem import prepare
 from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
 from wrapjax.errors import InputError
 from wrapjax.model import nga

@@ -11,9 +11,9 @@ from tests.api.test_two_legs import scale_moments
 from tests.cli.conftest import run
 from tests.cli.folders import content, stored
 from tests.subject.synthetic import write_subject
-from wrapjax.api import cohort_member
-from wrapjax.api.cohorts import cohort
-from wrapjax.api.reporting import redraw
+from wrapjax.api.cohorts import member
+from wrapjax.api.cohorts.running import cohort
+from wrapjax.api.runs.reporting import redraw
 from wrapjax.errors import InputError, Problem
 from wrapjax.scheduling import Finished
 
@@ -31,8 +31,8 @@ def here(monkeypatch):
 
 
 def stay(patch):
-    patch.setattr("wrapjax.api.cohorts.run_everywhere", one_after_the_other)
-    patch.setattr(cohort_member, "set_up_jax", lambda: None)
+    patch.setattr("wrapjax.api.cohorts.running.run_everywhere", one_after_the_other)
+    patch.setattr(member, "set_up_jax", lambda: None)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp
         calculated.append(subject.folder.name)
         raise InputError(Problem(subject.name, "stopped by the test"))
 
-    monkeypatch.setattr("wrapjax.api.calibration.kept_calibration", calculate)
+    monkeypatch.setattr("wrapjax.api.calibrating.calibration.kept_calibration", calculate)
     again = cohort(moved, place, diagnose=True, starts=1, resume=True)
     assert not (place / ".anna-torn").exists()
     assert calculated == [] and list(again.failed) == ["broken"]
@@ -143,7 +143,7 @@ def test_resuming_what_is_done_starts_no_workers(done, subjects, tmp_path, monke
         raise AssertionError("workers were started")
         yield
 
-    monkeypatch.setattr("wrapjax.api.cohorts.run_everywhere", started)
+    monkeypatch.setattr("wrapjax.api.cohorts.running.run_everywhere", started)
     place = shutil.copytree(done.folder, tmp_path / "out")
     again = cohort(subjects[::2], place, diagnose=True, starts=1, resume=True)
     for name in ("anna", "ben"):

@@ -11,7 +11,7 @@ import wrapjax
 from tests.api.test_two_legs import name_other_leg, write_right_leg
 from tests.subject.synthetic import write_subject, write_wrapped_subject
 from wrapjax.api import ExactGeometry, Fit, calibrate, compare, load_subject
-from wrapjax.api.preparation import METHODS
+from wrapjax.api.calibrating.problem import METHODS
 from wrapjax.errors import InputError
 
 #: Where a leg touches no wrapping surface, LSGA has nothing to free.
@@ -43,7 +43,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("it started to work")
 
-    monkeypatch.setattr("wrapjax.api.comparison.calibrate", started)
+    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", started)
 
 
 def test_it_is_what_calibrate_gives(done, wrapped):
@@ -180,7 +180,7 @@ class TestNames:
             found.append((subject.name, subject.side, method))
             return replace(calibrated, subject=subject)
 
-        monkeypatch.setattr("wrapjax.api.comparison.calibrate", note)
+        monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", note)
         return found
 
     @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_what_feeds_what(wrapped, calibrated, monkeypatch):
         fed[method] = fit
         return replace(calibrated, fit=fit)
 
-    monkeypatch.setattr("wrapjax.api.comparison.calibrate", note)
+    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", note)
     compared = compare([wrapped], METHODS, geometry="engine")
     assert {method: type(fit) for method, fit in fed.items()} == {
         "NGA": ExactGeometry,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import wrapjax
-from wrapjax.api.contact_force import _joints, _reactions, contact
-from wrapjax.api.run_curves import read_curves
+from wrapjax.api.runs.contact_force import _joints, _reactions, contact
+from wrapjax.api.runs.run_curves import read_curves
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION
 from wrapjax.geometry.engine import PARITY

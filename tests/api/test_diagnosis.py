@@ -8,8 +8,8 @@ import pytest
 
 from wrapjax import InputError
 from wrapjax.api import diagnose
-from wrapjax.api.diagnosis import diagnose_calibrated
-from wrapjax.api.gap_demo import demonstrate_gap
+from wrapjax.api.demonstration.gap_demo import demonstrate_gap
+from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated
 from wrapjax.gap import CATALOGUE
 from wrapjax.virtual import HIDDEN_EFFECTS
 

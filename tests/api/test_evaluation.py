@@ -9,7 +9,7 @@ import pytest
 from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject
 from wrapjax.api import evaluate, load_run, load_subject
-from wrapjax.api.reporting import redraw
+from wrapjax.api.runs.reporting import redraw
 from wrapjax.errors import InputError
 from wrapjax.model import QUANTITIES
 from wrapjax.subject import read_storage

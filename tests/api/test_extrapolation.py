@@ -8,7 +8,7 @@ import pytest
 
 from tests.subject.synthetic import write_subject
 from wrapjax.api import calibrate, contact, evaluate, load_run, load_subject
-from wrapjax.api.extrapolation import drive
+from wrapjax.api.calibrating.extrapolation import drive
 from wrapjax.errors import InputError
 
 CHANNEL = 'SemiTen = ["semiten_l"]\n'

@@ -58,7 +58,7 @@ def test_any_subject_if_none_is_named(paths, tmp_path):
 @pytest.mark.parametrize("changed", ["angles", "time"])
 def test_other_cycles_are_another_question(person, paths, changed):
     """The cache must not answer with the poses of others."""
-    from wrapjax.api.fitting import _key
+    from wrapjax.api.paths.fitting import _key
 
     trials = dataclasses.replace(person.trials, **{changed: getattr(person.trials, changed) + 1e-9})
     assert _key(dataclasses.replace(person, trials=trials), "opensim", 0) != paths.key
@@ -67,7 +67,7 @@ def test_other_cycles_are_another_question(person, paths, changed):
 
 
 def test_moments_and_emg_are_no_part_of_the_question(person, paths):
-    from wrapjax.api.fitting import _key
+    from wrapjax.api.paths.fitting import _key
 
     trials = dataclasses.replace(person.trials, moments=0.5 * person.trials.moments)
     assert _key(dataclasses.replace(person, trials=trials), "opensim", 0) == paths.key

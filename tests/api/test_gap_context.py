@@ -9,8 +9,8 @@ import pytest
 from tests.subject.synthetic import COORDINATES, write_wrapped_subject
 from tests.subject.synthetic_forces import with_forces
 from wrapjax.api import load_subject
-from wrapjax.api.exact import exact_geometry
-from wrapjax.api.gap_context import _wrap_changes, gap_context
+from wrapjax.api.diagnosing.gap_context import _wrap_changes, gap_context
+from wrapjax.api.paths.exact import exact_geometry
 from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, predicted_moments
 from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.muscle import HILL_CURVES

@@ -211,7 +211,7 @@ def test_a_broken_other_leg_is_named(tmp_path, capsys):
 
 
 def test_a_freedom_of_ones_own_is_for_one_leg(folders):
-    from wrapjax.api.assembly import model_parameters
+    from wrapjax.api.calibrating.assembly import model_parameters
     from wrapjax.model import nga
 
     subject = load_subject(folders[0])

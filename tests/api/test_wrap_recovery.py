@@ -3,8 +3,8 @@
 import pytest
 
 from tests.api.hidden_cylinders import errors_of_told_arms, hidden
-from wrapjax.api.exact import exact_geometry
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.problem import prepare
+from wrapjax.api.paths.exact import exact_geometry
 from wrapjax.subject import read_subject
 from wrapjax.virtual import Series, write_virtual_subject
 from wrapjax.virtual.truth import parameter_names

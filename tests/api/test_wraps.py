@@ -12,8 +12,9 @@ import pytest
 
 from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import MODEL, write_subject
-from wrapjax.api import calibrate, fit, fit_wraps, load_fit, load_subject, wrap_fitting
-from wrapjax.api.fitting import fit_poses
+from wrapjax.api import calibrate, fit, fit_wraps, load_fit, load_subject
+from wrapjax.api.paths import wrap_fitting
+from wrapjax.api.paths.fitting import fit_poses
 from wrapjax.errors import InputError
 from wrapjax.geometry import wrap_samples
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples

@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import OptimizeResult, least_squares
 
 from wrapjax.api import calibrate, fit, load_subject
-from wrapjax.api.assembly import model_parameters
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.assembly import model_parameters
+from wrapjax.api.calibrating.problem import prepare
 from wrapjax.calibrate import ProjectedLM
 from wrapjax.model import nga
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import wrapjax
-from wrapjax.api.preparation import prepare
+from wrapjax.api.calibrating.problem import prepare
 from wrapjax.calibrate import ProjectedLM, laplace_deviation
 from wrapjax.model import joint_moments
 from wrapjax.virtual import write_virtual_subject

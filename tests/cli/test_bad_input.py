@@ -140,7 +140,7 @@ def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wrapjax.api.fitting.analyse_muscles", interrupt)
+    monkeypatch.setattr("wrapjax.api.paths.fitting.analyse_muscles", interrupt)
     outcome = run("fit", folder, "--out", tmp_path / "out")
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.progress.splitlines()[-1] == "interrupted; nothing was written."

@@ -25,7 +25,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.api.comparison.calibrate", started)
+    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", started)
 
 
 def test_table_and_place(compared):
@@ -66,7 +66,7 @@ def test_interrupted_then_resumed(run, subject, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("wrapjax.api.comparison.calibrate", interrupt)
+        patched.setattr("wrapjax.api.comparing.comparison.calibrate", interrupt)
         outcome = run("compare", subject, *METHODS, "--out", tmp_path / "out")
         assert outcome.status == 1 and "--resume" in outcome.progress
     assert not (tmp_path / "out").exists()

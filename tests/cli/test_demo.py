@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
-import wrapjax.api.demo
+import wrapjax.api.demonstration.demo
 from tests.report.made_up_gap import named
-from wrapjax.api.gap_demo import GapDemonstration, drawn_effect
+from wrapjax.api.demonstration.gap_demo import GapDemonstration, drawn_effect
 from wrapjax.cli import main
 from wrapjax.virtual import HIDDEN_EFFECTS
 
@@ -29,8 +29,8 @@ def shown(tmp_path_factory):
     """Exit status and folder of a demo by NGA and PGA."""
     folder = tmp_path_factory.mktemp("demo") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wrapjax.api.demo, "_STARTS", {"NGA": 1, "PGA": 1})
-        patch.setattr(wrapjax.api.demo, "demonstrate_gap", made_up_answer)
+        patch.setattr(wrapjax.api.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        patch.setattr(wrapjax.api.demonstration.demo, "demonstrate_gap", made_up_answer)
         return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
 
 

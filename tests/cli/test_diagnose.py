@@ -17,8 +17,8 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.api.diagnosis.kept_calibration", started)
-    monkeypatch.setattr("wrapjax.api.preparation.fit_paths", started)
+    monkeypatch.setattr("wrapjax.api.diagnosing.diagnosis.kept_calibration", started)
+    monkeypatch.setattr("wrapjax.api.calibrating.problem.fit_paths", started)
 
 
 def test_three_cycles_are_too_few_and_that_is_said(run, subject, fitted, tmp_path):

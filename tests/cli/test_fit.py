@@ -35,7 +35,7 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
     def analyse(*arguments, **options):
         raise AssertionError("the cache was not used")
 
-    monkeypatch.setattr("wrapjax.api.fitting.analyse_muscles", analyse)
+    monkeypatch.setattr("wrapjax.api.paths.fitting.analyse_muscles", analyse)
     outcome = run("fit", subject, "--out", tmp_path / "fit", "--json", "--quiet")
     assert (outcome.status, outcome.progress) == (0, "")
     assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")

@@ -13,7 +13,7 @@ import pytest
 from tests.report.made_up_gap import CENTER, COORDINATES, ENDINGS, ORTHOSIS, SPEEDS, finding, named
 from tests.report.test_html import Page
 from wrapjax import InputError
-from wrapjax.api.gap_text import gap_table
+from wrapjax.api.tables.gap import gap_table
 from wrapjax.gap.effect import NotTestable
 from wrapjax.gap.result import OUTCOMES, Amount, Estimate, Released
 from wrapjax.gap.where.budget import BINS, Budget

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from wrapjax.api.reporting import redraw
+from wrapjax.api.runs.reporting import redraw
 from wrapjax.errors import InputError
 from wrapjax.report.overview import KINDS, find_results
 from wrapjax.report.run_folder import write_run

@@ -12,7 +12,7 @@ import pytest
 from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject
 from wrapjax.api import calibrate, fit, load_subject
-from wrapjax.api.text import calibration_table
+from wrapjax.api.tables.calibration import calibration_table
 from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
 from wrapjax.model import FreedPaths
 from wrapjax.report.path_section import largest_changes, moment_arm_figure, path_section

@@ -73,11 +73,11 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import calibrate, exact_geometry, load_fit, load_subject
-    from wrapjax.api.extrapolation import drive
-    from wrapjax.api.preparation import source_for
-    from wrapjax.api.text import calibration_table, iteration_printer
-    from wrapjax.api.uncertainty import DRAWS, uncertainty
-    from wrapjax.api.uncertainty_text import uncertainty_table
+    from wrapjax.api.calibrating.extrapolation import drive
+    from wrapjax.api.calibrating.problem import source_for
+    from wrapjax.api.calibrating.uncertainty import DRAWS, uncertainty
+    from wrapjax.api.tables.calibration import calibration_table, iteration_printer
+    from wrapjax.api.tables.uncertainty import uncertainty_table
     from wrapjax.calibrate import AugmentedLagrangian, BoundedLBFGS, ProjectedLM, Status
     from wrapjax.progress import progress_bar, say
     from wrapjax.subject import read_legs

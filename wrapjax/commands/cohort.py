@@ -34,7 +34,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from wrapjax.api.cohorts import cohort
+    from wrapjax.api.cohorts.running import cohort
     from wrapjax.progress import say
 
     try:

@@ -47,8 +47,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import compare, load_subject
-    from wrapjax.api.preparation import METHODS
-    from wrapjax.api.text import comparison_table, iteration_printer
+    from wrapjax.api.calibrating.problem import METHODS
+    from wrapjax.api.tables.calibration import comparison_table, iteration_printer
     from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
     from wrapjax.progress import say
 

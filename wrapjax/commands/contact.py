@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import contact
-    from wrapjax.api.contact_text import contact_table
+    from wrapjax.api.tables.contact import contact_table
     from wrapjax.progress import say
 
     options.out = options.out or options.first / "contact"

@@ -19,14 +19,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.api.demo import demo
-    from wrapjax.api.gap_text import gap_table
-    from wrapjax.api.text import (
+    from wrapjax.api.demonstration.demo import demo
+    from wrapjax.api.tables.calibration import (
         calibration_table,
         iteration_printer,
         recovery_table,
         wrap_recovery_table,
     )
+    from wrapjax.api.tables.gap import gap_table
 
     refuse_existing(options.out, options.force)
     shown = demo(

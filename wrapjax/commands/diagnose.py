@@ -46,10 +46,10 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import diagnose, load_fit, load_subject
-    from wrapjax.api.diagnosis import refuse_unknown
-    from wrapjax.api.gap_text import gap_table
-    from wrapjax.api.preparation import source_for
-    from wrapjax.api.text import iteration_printer
+    from wrapjax.api.calibrating.problem import source_for
+    from wrapjax.api.diagnosing.diagnosis import refuse_unknown
+    from wrapjax.api.tables.calibration import iteration_printer
+    from wrapjax.api.tables.gap import gap_table
     from wrapjax.progress import say
 
     refuse_existing(options.out, options.force)

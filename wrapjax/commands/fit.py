@@ -29,8 +29,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import fit, fit_wraps, load_subject
-    from wrapjax.api.extrapolation import drive
-    from wrapjax.api.text import fit_table, wrap_table
+    from wrapjax.api.calibrating.extrapolation import drive
+    from wrapjax.api.tables.calibration import fit_table, wrap_table
     from wrapjax.progress import say
 
     refuse_existing(options.out, options.force)

@@ -16,7 +16,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from wrapjax.api.reporting import redraw
+    from wrapjax.api.runs.reporting import redraw
 
     page = redraw(options.folder)
     if options.json:

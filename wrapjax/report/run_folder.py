@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 #: Reads what decides muscle paths from a model's file: `wrapjax.osim.describe_model`.
 DescribeModel = Callable[[Path], "ModelDescription"]
 
-#: Writes a subject's model with what a calibration found, to a file: `wrapjax.api.personalised.write_model`.
+#: Writes a subject's model with what a calibration found, to a file:
+#: `wrapjax.api.calibrating.personalised.write_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
 #: Of a leg whose cylinders were moved: opens in OpenSim.

@@ -1,0 +1,282 @@
+"""``initialise``: fiber and slack lengths to start a calibration from."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.api.calibrating.undriven import acting_muscles
+from wrapjax.api.paths.exact import recorded
+from wrapjax.calibrate import ProjectedLM, Status
+from wrapjax.calibrate.initial_lengths import InitialLengths, LengthErrors
+from wrapjax.files import new_folder, write_json, write_text
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.path_slopes import laid_paths
+from wrapjax.model import initial_parameters
+from wrapjax.muscle import HILL_CURVES
+from wrapjax.osim import describe_model
+from wrapjax.precision import require_float64
+from wrapjax.subject import Subject
+from wrapjax.subject.groups import fiber_length_groups
+from wrapjax.subject.model_file import MuscleParameters, read_model_file
+from wrapjax.subject.muscles import CSV_COLUMNS
+from wrapjax.subject.passive import PassiveTrial
+
+#: The file that ``subject.toml`` can name as ``[model] muscle_parameters``.
+PARAMETERS_FILE = "muscle_parameters.csv"
+#: Said where there is none.
+NO_PASSIVE_TRIALS = "No [[passive]] trial: only the ranges that fibers work in acted on lengths."
+
+
+@dataclass(frozen=True)
+class Initialisation:
+    """Lengths found from passive moments and operating ranges.
+
+    Parameters
+    ----------
+    subject
+        Whose.
+    before, after
+        Parameters of all muscles, those without an electrode too.
+    at_bounds
+        Ratios to the model's lengths that ended on a bound, as ``soleus_l.optimal_fiber_length``.
+    ranges
+        Shortest and longest normalised fiber length in walking, before and after.
+    passive_mae
+        Mean absolute error of passive moments by coordinate, N m, before and after; empty without any.
+    cost_by_term
+        The parts of the cost at the solution.
+    status
+        Why the solver stopped.
+    """
+
+    subject: Subject
+    before: MuscleParameters
+    after: MuscleParameters
+    at_bounds: tuple[str, ...]
+    ranges: Float[np.ndarray, "2 muscle 2"]
+    passive_mae: dict[str, tuple[float, float]]
+    cost_by_term: dict[str, float]
+    status: Status
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, in sentences."""
+        notes = [] if self.subject.passive else [NO_PASSIVE_TRIALS]
+        if self.at_bounds:
+            notes.append(
+                f"{len(self.at_bounds)} lengths ended at half or twice the model's, set by the bound rather "
+                f"than by data: {', '.join(self.at_bounds)}."
+            )
+        return tuple(notes)
+
+    def content(self) -> dict[str, Any]:
+        """Describe it in plain values: what ``initialisation.json`` holds."""
+        lengths = ("optimal_fiber_length", "tendon_slack_length")
+        return {
+            "schema": 1,
+            "subject": self.subject.name,
+            "converged": self.status.converged,
+            "message": self.status.value,
+            "passive_trials": [trial.name for trial in self.subject.passive],
+            "passive_mae_Nm": {
+                name: {"before": before, "after": after} for name, (before, after) in self.passive_mae.items()
+            },
+            "muscles": {
+                muscle: {
+                    **{
+                        f"{name}_m": {
+                            "before": float(getattr(self.before, name)[row]),
+                            "after": float(getattr(self.after, name)[row]),
+                        }
+                        for name in lengths
+                    },
+                    "normalized_fiber_length": {
+                        "before": self.ranges[0, row].tolist(),
+                        "after": self.ranges[1, row].tolist(),
+                    },
+                }
+                for row, muscle in enumerate(self.after.names)
+            },
+            "at_bounds": list(self.at_bounds),
+            "cost_by_term": self.cost_by_term,
+            "notes": list(self.notes),
+        }
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``muscle_parameters.csv``, which ``subject.toml`` can name, and ``initialisation.json``."""
+        with new_folder(Path(folder), force=force) as place:
+            write_text(place / PARAMETERS_FILE, _table(self.after))
+            write_json(place / "initialisation.json", self.content())
+
+
+def initialise(
+    subject: Subject, *, curves: str = "paper", errors: LengthErrors | None = None
+) -> Initialisation:
+    """Find fiber and slack lengths from passive joint moments and from where fibers work in walking.
+
+    Muscles are those with a channel and the others of the leg that act on the coordinates: passive moments
+    are made by all of them. Paths are the exact engine's. Strengths and pennation stay what they are. The
+    walking cycles are those marked ``calibration``.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`. Without ``[[passive]]`` trials only operating ranges act.
+    curves
+        Hill curves: ``paper`` or ``opensim``.
+    errors
+        Allowable error of each term.
+
+    Raises
+    ------
+    InputError
+        If a muscle's path has something that the engine does not know.
+    """
+    require_float64()
+    before = subject.muscles
+    if subject.undriven_parameters is not None and subject.undriven_muscles:
+        acting, _ = acting_muscles(subject)
+        before = before.followed_by(subject.undriven_parameters.select(acting))
+    problem = _problem(subject, before, curves, errors or LengthErrors())
+    solution = ProjectedLM(ftol=1e-10).solve(problem, problem.start())
+    variables = jnp.asarray(solution.variables)
+    found = problem.lengths(variables)
+    after = replace(
+        before,
+        optimal_fiber_length=np.asarray(found.optimal_fiber_length),
+        tendon_slack_length=np.asarray(found.tendon_slack_length),
+    )
+    ends = [problem.parameters, found]
+    walking = [np.asarray(problem.normalized_lengths(one)) for one in ends]
+    ratios = solution.variables[: 2 * problem.muscles].reshape(2, -1)
+    stuck = (ratios <= problem.lower[0]) | (ratios >= problem.upper[0])
+    return Initialisation(
+        subject=subject,
+        before=before,
+        after=after,
+        at_bounds=tuple(
+            f"{before.names[row]}.{('optimal_fiber_length', 'tendon_slack_length')[kind]}"
+            for kind, row in np.argwhere(stuck)
+        ),
+        ranges=np.array([[one.min(axis=1), one.max(axis=1)] for one in walking]).transpose(0, 2, 1),
+        passive_mae=_passive_errors(problem, subject.trials.moment_coordinates, variables),
+        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in problem.terms(variables).items()},
+        status=solution.status,
+    )
+
+
+def _problem(
+    subject: Subject, muscles: MuscleParameters, curves: str, errors: LengthErrors
+) -> InitialLengths:
+    model, trials = describe_model(subject.model_file), subject.trials.used_for("calibration")
+    spanned = {name for muscle in muscles.names for name in model.spanned_by(muscle)}
+    engine = ExactPaths(model, muscles.names, tuple(name for name in trials.coordinates if name in spanned))
+    wanted = trials.moment_coordinates
+    walking = laid_paths(engine, *recorded(trials, engine.coordinates), wanted).length
+    count = len(muscles.names)
+    length, arm = jnp.zeros((count, 0)), jnp.zeros((count, len(wanted), 0))
+    moment = np.zeros((len(wanted), 0))
+    if subject.passive:
+        file = read_model_file(subject.model_file)
+        moment = np.concatenate([_moments(trial, wanted) for trial in subject.passive], axis=1)
+        defaults = {info.name: info.default_value for info in file.coordinates}
+        poses = np.concatenate([_poses(trial, engine, defaults) for trial in subject.passive], axis=1)[None]
+        path = laid_paths(engine, poses, np.zeros_like(poses), wanted)
+        length, arm = path.length[:, 0], path.moment_arm[:, 0]
+    groups = fiber_length_groups(read_model_file(subject.model_file).groups, muscles.names, subject.side)
+    grouped = tuple(tuple(muscles.names.index(name) for name in group) for group in groups)
+    alone = tuple((row,) for row in range(count) if not any(row in group for group in grouped))
+    return InitialLengths(
+        curves=HILL_CURVES[curves],
+        parameters=initial_parameters(
+            muscles.max_isometric_force,
+            muscles.optimal_fiber_length,
+            muscles.tendon_slack_length,
+            muscles.pennation_angle,
+        ),
+        walking=walking.reshape(count, -1),
+        length=length,
+        moment_arm=arm,
+        moment=jnp.asarray(np.nan_to_num(moment)),
+        recorded=np.isfinite(moment),
+        groups=(*grouped, *alone),
+        errors=errors,
+    )
+
+
+def _poses(
+    trial: PassiveTrial, engine: ExactPaths, defaults: dict[str, float]
+) -> Float[np.ndarray, "coordinate sample"]:
+    samples = trial.angles.shape[1]
+    given = dict(zip(trial.coordinates, trial.angles, strict=True))
+    return np.array(
+        [given[name] if name in given else np.full(samples, defaults[name]) for name in engine.coordinates]
+    )
+
+
+def _moments(trial: PassiveTrial, wanted: tuple[str, ...]) -> Float[np.ndarray, "coordinate sample"]:
+    """Moments about all coordinates; NaN where none was recorded."""
+    given = dict(zip(trial.moment_coordinates, trial.moments, strict=True))
+    nothing = np.full(trial.moments.shape[1], np.nan)
+    return np.array([given.get(name, nothing) for name in wanted])
+
+
+def _passive_errors(
+    problem: InitialLengths, coordinates: tuple[str, ...], variables: jax.Array
+) -> dict[str, tuple[float, float]]:
+    ends = [
+        np.abs(np.asarray(problem.passive_moments(problem.lengths(at)) - problem.moment))
+        for at in (problem.start(), variables)
+    ]
+    return {
+        name: (float(ends[0][row, own].mean()), float(ends[1][row, own].mean()))
+        for row, (name, own) in enumerate(zip(coordinates, problem.recorded, strict=True))
+        if own.any()
+    }
+
+
+def _table(muscles: MuscleParameters) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("muscle", *CSV_COLUMNS))
+    columns = list(vars(muscles).values())
+    for muscle, *values in zip(*columns, strict=True):
+        writer.writerow((muscle, *(float(value) for value in values)))
+    return text.getvalue()
+
+
+def initialisation_table(content: dict[str, Any]) -> str:
+    """Show lengths before and after, and what passive moments say, for a terminal."""
+    width = max(map(len, (*content["muscles"], "coordinate")))
+    lines = [f"{content['subject']}: {content['message']}", ""]
+    if content["passive_mae_Nm"]:
+        lines += [
+            "Mean absolute error of passive moments, N m",
+            f"{'coordinate':{width}s}{'before':>12s}{'after':>12s}",
+        ]
+        lines += [
+            f"{name:{width}s}{own['before']:12.2f}{own['after']:12.2f}"
+            for name, own in content["passive_mae_Nm"].items()
+        ]
+        lines.append("")
+    lines += [
+        "Lengths in mm (before, after), and normalised fiber lengths in walking after",
+        f"{'muscle':{width}s}{'fiber':>16s}{'slack':>18s}{'range':>16s}",
+    ]
+    for muscle, own in content["muscles"].items():
+        pairs = [
+            f"{1e3 * own[name]['before']:8.1f}{1e3 * own[name]['after']:8.1f}"
+            for name in ("optimal_fiber_length_m", "tendon_slack_length_m")
+        ]
+        low, high = own["normalized_fiber_length"]["after"]
+        lines.append(f"{muscle:{width}s}{pairs[0]}  {pairs[1]}{low:9.2f} to {high:.2f}")
+    return "\n".join([*lines, *(f"note: {note}" for note in content["notes"])])

@@ -1,0 +1,161 @@
+"""From a subject to what a calibration minimises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from wrapjax.api.calibrating.assembly import group_indices, model_parameters, recording
+from wrapjax.api.calibrating.extrapolation import with_weights
+from wrapjax.api.paths.exact import ExactGeometry
+from wrapjax.api.paths.fitting import Fit
+from wrapjax.api.paths.fitting import fit as fit_paths
+from wrapjax.api.paths.wrap_fitting import fit_wraps
+from wrapjax.calibrate import (
+    Objective,
+    closeness_penalty,
+    feasibility_limits,
+    path_limits,
+    pipeline_penalties,
+)
+from wrapjax.errors import InputError, Problem
+from wrapjax.geometry import fixed_path
+from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, tendon_alterations
+from wrapjax.muscle import HILL_CURVES
+from wrapjax.precision import require_float64
+from wrapjax.subject import Subject
+
+#: Ways of adjusting a model, by the names of Ao, Fregly et al.
+METHODS = ("NGA", "SGA", "LSGA", "PGA")
+
+
+def prepare(
+    subject: Subject,
+    method: str = "NGA",
+    fit: Fit | ExactGeometry | None = None,
+    freedom: Freedom | None = None,
+    *,
+    curves: str = "paper",
+    tendon: str = "rigid",
+) -> Objective:
+    """Build what `calibrate` minimises.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`.
+    method
+        One of `METHODS`; ignored where ``freedom`` is given.
+    fit
+        Source of the muscle paths: from `wrapjax.fit` (polynomials), made or found in the cache if not
+        given; or from `wrapjax.exact_geometry`.
+    freedom
+        What may move, with bounds and priors.
+    curves
+        Hill curves: ``paper`` or ``opensim``.
+    tendon
+        ``rigid`` or ``compliant`` (`wrapjax.model.TENDONS`).
+    """
+    return stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
+
+
+def stages(
+    subject: Subject,
+    method: str = "NGA",
+    fit: Fit | ExactGeometry | None = None,
+    freedom: Freedom | None = None,
+    *,
+    curves: str = "paper",
+    tendon: str = "rigid",
+) -> tuple[Objective, ...]:
+    """Build the problems that `calibrate` solves one after the other; the last is that of `prepare`.
+
+    Where paths may change, a first problem holds them: the many coefficients then start near an
+    optimum of the few parameters that every method frees.
+    """
+    require_float64()
+    trials = subject.trials.used_for("calibration")
+    if not trials.names:
+        raise InputError(
+            Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
+        )
+    fitted = source_for(method, subject) if fit is None else fit
+    freedom = with_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
+    paths = fitted.paths(subject, trials, freedom)
+    inputs = recording(subject, trials, paths)
+    base = model_parameters(subject, path_modes=paths.modes_count)
+    names = subject.muscles.names
+    alterations = tendon_alterations(tendon, len(names))
+    reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
+    held = Objective(
+        curves=HILL_CURVES[curves],
+        recording=replace(inputs, path=fixed_path(paths.nominal)),
+        measured=jnp.asarray(trials.moments),
+        variables=free_variables(base, freedom.with_held_paths(), names),
+        penalties=pipeline_penalties(
+            reference,
+            group_indices(subject.activation_groups, names),
+            group_indices(subject.fiber_length_groups, names),
+            range(len(subject.muscle_channels), len(names)),
+        ),
+        limits=(),
+        alterations=alterations,
+    )
+    if freedom.paths is None and freedom.wraps is None:
+        return (held,)
+    moving = replace(held, recording=inputs, variables=free_variables(base, freedom, names))
+    if freedom.wraps is None:
+        return held, replace(moving, limits=path_limits(paths.nominal))
+    kept = () if paths.nominal.closeness is None else (closeness_penalty(len(names)),)
+    moving = replace(moving, penalties=(*held.penalties, *kept), limits=feasibility_limits(paths.nominal))
+    return held, moving
+
+
+def source_for(
+    method: str, subject: Subject, *, seed: int = 0, processes: int | None = None, quiet: bool = True
+) -> Fit:
+    """Make the polynomials that a method needs, or find them in the cache.
+
+    Those of PGA know how they follow cylinders. They are made from the exact engine's paths: half a
+    million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
+
+    Parameters
+    ----------
+    method
+        One of `METHODS`.
+    subject
+        From `load_subject`.
+    seed, processes, quiet
+        As of `wrapjax.fit`.
+    """
+    if method != "PGA":
+        return fit_paths(subject, seed=seed, processes=processes, quiet=quiet)
+    fitted = fit_paths(subject, "engine", seed=seed, processes=processes, quiet=quiet)
+    return fit_wraps(subject, fitted, processes=processes, quiet=quiet)
+
+
+def objective(
+    subject: Subject, method: str = "NGA", fit: Fit | ExactGeometry | None = None
+) -> Callable[[ModelParameters], Float[Array, ""]]:
+    """Give the calibration's cost as a pure jitted function of the parameter tree.
+
+    Use it with `jax.grad`, `jax.jit` and `jax.vmap`; the tree to start from is
+    ``prepare(subject, method).variables.base``.
+
+    Examples
+    --------
+    >>> problem = prepare(subject, "SGA")  # doctest: +SKIP
+    >>> slopes = jax.grad(objective(subject, "SGA"))(problem.variables.base)  # doctest: +SKIP
+    """
+    return eqx.filter_jit(prepare(subject, method, fit).cost)
+
+
+def method_freedom(method: str, subject: Subject, fit: Fit | ExactGeometry) -> Freedom:
+    """Say what a method frees for a subject, of the paths from this source."""
+    if method not in METHODS:
+        raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
+    return with_weights(fit.freedom(method, subject), subject)

@@ -1,0 +1,1 @@
+"""Several methods and persons, side by side."""

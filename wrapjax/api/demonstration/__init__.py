@@ -1,0 +1,1 @@
+"""The virtual person, whose truth is known."""

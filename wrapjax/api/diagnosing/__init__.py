@@ -1,0 +1,1 @@
+"""What a calibrated model still lacks."""

@@ -1,0 +1,223 @@
+"""From a laboratory's raw files to a subject folder."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from wrapjax.api.laboratory.raw_trial import RawModel, prepare_trial
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.files import new_folder, write_json
+from wrapjax.nmsm import Project, fill_subject_folder, read_project
+from wrapjax.osim.inverse_kinematics import marker_names
+from wrapjax.osim.model import describe_model
+from wrapjax.osim.scaling import scale_model
+from wrapjax.raw.angles import couplers_of
+from wrapjax.raw.folder import PreparedTrial, write_folder
+from wrapjax.raw.settings import RawSettings, read_raw_settings
+from wrapjax.subject import Table, read_model_file, read_subject
+from wrapjax.subject.schema import collecting
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """A laboratory's files, made ready.
+
+    Parameters
+    ----------
+    settings
+        What was asked for.
+    model
+        The scaled model, as an ``.osim`` document.
+    trials
+        In the order of the settings.
+    """
+
+    settings: RawSettings
+    model: bytes
+    trials: tuple[PreparedTrial, ...]
+
+    def save(self, folder: Path | str, *, force: bool = False) -> None:
+        """Write the subject folder, whole or not at all, and only if it can be read as one.
+
+        Raises
+        ------
+        InputError
+            If the folder exists, or what would be written is no fit subject.
+        """
+        folder = Path(folder)
+        with new_folder(folder, force=force) as temporary, _called(temporary, folder):
+            with tempfile.TemporaryDirectory(prefix="wrapjax-") as beside:
+                file = Path(beside) / "model.osim"
+                file.write_bytes(self.model)
+                write_folder(temporary, self.settings, file, self.trials)
+            write_json(temporary / "preparation.json", self.summary())
+            read_subject(temporary)
+
+    def summary(self) -> dict:
+        """Give what ``preparation.json`` holds: filters, cycles, checks with numbers, notes of each trial."""
+        return {
+            "schema": 1,
+            "subject": self.settings.name,
+            "trials": {
+                prepared.trial.name: {
+                    "motion_and_force_low_pass_hz": prepared.cutoff_hz,
+                    "cycles": prepared.cycles,
+                    "checks": [asdict(check) for check in prepared.checks],
+                    "notes": prepared.notes,
+                }
+                for prepared in self.trials
+            },
+        }
+
+    def tables(self) -> tuple[Table, ...]:
+        """Give what the command prints: trials, then every check."""
+        trials = tuple(
+            (each.trial.name, each.trial.use, len(each.cycles), each.cutoff_hz) for each in self.trials
+        )
+        rows = tuple((each.trial.name, check.found) for each in self.trials for check in each.checks)
+        notes = tuple((each.trial.name, note) for each in self.trials for note in each.notes)
+        return (
+            Table("Trials", ("trial", "use", "cycles", "low-pass (Hz)"), trials),
+            Table("Checks", ("trial", "found"), rows),
+            Table("Notes", ("trial", "note"), notes),
+        )
+
+
+@dataclass(frozen=True)
+class ProjectPreparation:
+    """A project of the NMSM Pipeline, whose files are taken over as they are."""
+
+    project: Project
+
+    def save(self, folder: Path | str, *, force: bool = False) -> None:
+        """Write the subject folder, whole or not at all, and only if it can be read as one.
+
+        Raises
+        ------
+        InputError
+            If the folder exists, or what would be written is no fit subject.
+        """
+        folder = Path(folder)
+        with new_folder(folder, force=force) as temporary, _called(temporary, folder):
+            fill_subject_folder(self.project, temporary, folder.name)
+            write_json(temporary / "preparation.json", self.summary())
+            read_subject(temporary)
+
+    def summary(self) -> dict:
+        """Give what ``preparation.json`` holds: where it is from, cycles, notes."""
+        return {
+            "schema": 1,
+            "project": str(self.project.settings.file),
+            "trials": {trial.name: {"cycles": [trial.cycle]} for trial in self.project.trials},
+            "notes": self.project.notes,
+        }
+
+    def tables(self) -> tuple[Table, ...]:
+        """Give what the command prints."""
+        trials = tuple((trial.name, *trial.cycle) for trial in self.project.trials)
+        channels = tuple((name, ", ".join(own)) for name, own in self.project.channels.items())
+        notes = tuple((note,) for note in self.project.notes)
+        return (
+            Table("Trials", ("trial", "from (s)", "to (s)"), trials),
+            Table("Channels", ("channel", "muscles"), channels),
+            Table("Notes", ("note",), notes),
+        )
+
+
+def prepare_subject(
+    settings_file: Path | str, *, tell: Callable[[str], None] = lambda line: None
+) -> Preparation | ProjectPreparation:
+    """Read a laboratory's raw files, check that they belong together, and solve motion and moments.
+
+    Or, by the settings (``.xml``) of the NMSM Pipeline's muscle-tendon personalisation, take over what that
+    project holds already.
+
+    Markers and forces are filtered low-pass at 7 over the gait period, forwards and backwards; OpenSim's own
+    tools solve angles and moments. EMG stays raw: `load_subject` filters it.
+
+    Parameters
+    ----------
+    settings_file
+        TOML: who, which model, which files, whose forces, which electrodes. Or a project's XML.
+    tell
+        Called with a line of progress.
+
+    Returns
+    -------
+    Preparation or ProjectPreparation
+        With ``save``.
+
+    Raises
+    ------
+    InputError
+        With everything wrong in the files, and every check that failed, with its numbers.
+
+    Examples
+    --------
+    >>> wrapjax.prepare_subject("lab/prepare.toml").save("P07_left")  # doctest: +SKIP
+    """
+    if Path(settings_file).suffix.lower() == ".xml":
+        return ProjectPreparation(read_project(settings_file))
+    settings = read_raw_settings(Path(settings_file))
+    with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
+        path = settings.model_file
+        if settings.scaling is not None:
+            tell("scaling the model")
+            path = Path(folder) / "scaled.osim"
+            scale_model(settings.model_file, settings.scaling, settings.mass_kg, path)
+        model = _model(path, settings)
+        problems: list[Problem] = []
+        trials = []
+        for trial in settings.trials:
+            with collecting(problems):
+                trials.append(prepare_trial(trial, settings, model, tell))
+        if problems:
+            raise InputError(dict.fromkeys(problems))
+        return Preparation(settings, path.read_bytes(), tuple(trials))
+
+
+def _model(path: Path, settings: RawSettings) -> RawModel:
+    """Read the model, and check what the settings name in it."""
+    file = read_model_file(path)
+    description = describe_model(path)
+    known = tuple(info.name for info in file.coordinates)
+    problems = [
+        Problem(
+            str(settings.file),
+            f"coordinate '{name}' is not in the model",
+            "[model]",
+            nearest_name(name, known),
+        )
+        for name in settings.coordinates
+        if name not in known
+    ]
+    bodies = tuple(joint.child_body for joint in description.joints)
+    problems += [
+        Problem(
+            str(settings.file),
+            f"body '{foot.body}' is not in the model",
+            f"[forces.{side}] body",
+            nearest_name(foot.body, bodies),
+        )
+        for side, foot in settings.feet.items()
+        if foot.body not in bodies
+    ]
+    if problems:
+        raise InputError(problems)
+    return RawModel(path, file, couplers_of(description.coordinates), marker_names(path))
+
+
+@contextmanager
+def _called(temporary: Path, folder: Path) -> Iterator[None]:
+    """Name files by where they would have been."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(
+            replace(problem, file=problem.file.replace(str(temporary), str(folder)))
+            for problem in error.problems
+        ) from error

@@ -1,0 +1,1 @@
+"""Where muscle paths come from: polynomials, or the exact engine."""

@@ -1,0 +1,166 @@
+"""The exact engine as a source of paths: no training, and cylinders that can be moved (PGA)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.api.calibrating.assembly import model_parameters
+from wrapjax.api.paths.cylinders import freed_wraps
+from wrapjax.errors import InputError, Problem
+from wrapjax.files import content_hash
+from wrapjax.geometry import AbstractPath, fixed_path
+from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.wrap_boxes import translation_bounds
+from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.model import Freedom, nga, with_wraps
+from wrapjax.osim import describe_model
+from wrapjax.precision import require_float64
+from wrapjax.subject import Subject, Trials
+
+#: Ways in which the engine can wrap, by the names that commands know.
+WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
+# Poses that bounds of translation are found in: every so many recorded frames.
+_EVERY = 4
+
+
+@dataclass(frozen=True)
+class ExactGeometry:
+    """A subject's muscle paths from the exact engine.
+
+    Parameters
+    ----------
+    name
+        ``engine`` or ``engine-parity``.
+    key
+        Hash of what decides the paths.
+    engine
+        Of the subject's muscles and recorded coordinates.
+    on_surface
+        Which of its cylinders each muscle lies on in at least one recorded frame.
+    translations
+        How far each touched cylinder may move along each axis, to either side (m).
+    """
+
+    name: str
+    key: str
+    engine: ExactPaths
+    on_surface: Bool[np.ndarray, "muscle wrap"]
+    translations: dict[str, float]
+
+    @property
+    def wrapping(self) -> Wrapping:
+        """The shortest way, or OpenSim's."""
+        return WRAPPINGS[self.name]
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """The muscles that lie on a wrapping surface in at least one recorded frame."""
+        return tuple(
+            name for name, touched in zip(self.engine.muscles, self.on_surface, strict=True) if touched.any()
+        )
+
+    def freedom(self, method: str, subject: Subject) -> Freedom:
+        """Say what a method frees: nothing of the paths (NGA), or the touched cylinders (PGA)."""
+        freedom = nga(model_parameters(subject))
+        if method == "NGA":
+            return freedom
+        if method != "PGA":
+            raise InputError(
+                Problem(
+                    str(subject.folder),
+                    f"{method} changes polynomials, and the exact engine has none",
+                    hint="use --geometry surrogate, or PGA",
+                )
+            )
+        if not self.translations:
+            raise InputError(
+                Problem(
+                    str(subject.model_file),
+                    "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+                    hint="use NGA or SGA",
+                )
+            )
+        wraps_of = [self.engine.wraps_of(name) for name in self.engine.muscles]
+        return with_wraps(freedom, method, freed_wraps(wraps_of, self.translations))
+
+    def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
+        """Lay the paths through cycles, with all that the freedom may change.
+
+        Where cylinders may move, paths get over no wall in the subject's other cycles either.
+        """
+        free = () if freedom.wraps is None else freedom.wraps.names
+        paths, _ = wrapped_paths(
+            self.engine,
+            *recorded(trials, self.engine.coordinates),
+            trials.moment_coordinates,
+            free,
+            self.wrapping,
+            beside(subject, trials, self.engine.coordinates) if free else None,
+        )
+        return paths if free else fixed_path(paths.nominal)
+
+
+def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
+    """Take a subject's muscle paths from the exact engine.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`.
+    geometry
+        ``engine`` lays paths the shortest way; ``engine-parity`` as OpenSim 4.6 does.
+
+    Raises
+    ------
+    InputError
+        If a muscle's path has something that the engine does not know.
+    """
+    require_float64()
+    if geometry not in WRAPPINGS:
+        raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
+    engine = engine_of(subject)
+    angles, velocities = recorded(subject.trials, engine.coordinates)
+    _, touching = wrapped_paths(engine, angles, velocities, subject.trials.moment_coordinates, (), GEODESIC)
+    touched = sorted(
+        {
+            wrap
+            for row, muscle in enumerate(engine.muscles)
+            for place, wrap in enumerate(engine.wraps_of(muscle))
+            if touching[row, place]
+        }
+    )
+    poses = np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
+    return ExactGeometry(
+        name=geometry,
+        key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
+        engine=engine,
+        on_surface=touching,
+        translations=translation_bounds(engine, engine.posed(poses), touched),
+    )
+
+
+def engine_of(subject: Subject) -> ExactPaths:
+    """Build the exact engine of a subject's muscles, over the recorded coordinates that they span."""
+    model = describe_model(subject.model_file)
+    spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
+    coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
+    return ExactPaths(model, subject.muscles.names, coordinates)
+
+
+def beside(
+    subject: Subject, trials: Trials, coordinates: tuple[str, ...]
+) -> Float[np.ndarray, "other_trial coordinate frame"]:
+    """Angles of the engine's coordinates in those of a subject's cycles that are not among these."""
+    others = np.flatnonzero([name not in trials.names for name in subject.trials.names])
+    return recorded(subject.trials.select(others), coordinates)[0]
+
+
+def recorded(
+    trials: Trials, coordinates: tuple[str, ...]
+) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
+    """Angles and angular velocities of the engine's coordinates."""
+    columns = [trials.coordinates.index(name) for name in coordinates]
+    return trials.angles[:, columns], trials.angular_velocities[:, columns]

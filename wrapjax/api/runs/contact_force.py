@@ -1,0 +1,296 @@
+"""``contact``: what joints bear, by OpenSim's joint reaction or by the muscles' lines of action."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from wrapjax.api.calibrating.undriven import other_muscles
+from wrapjax.api.runs.datasets import contact_dataset
+from wrapjax.api.runs.run_curves import RunCurves, read_curves
+from wrapjax.api.runs.stored_run import Run
+from wrapjax.contact.gait_phase import evenly, phase_from_strikes
+from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact.result import JOINT_REACTION, MUSCLE_SHARE, ContactResult, RunContact, Undriven
+from wrapjax.contact.static_optimization import share_moments
+from wrapjax.errors import InputError, Problem
+from wrapjax.gap import OtherMuscles
+from wrapjax.geometry import PathState
+from wrapjax.measurement.changes import recorded_walk
+from wrapjax.measurement.walk import Walk
+from wrapjax.model import ModelParameters
+from wrapjax.model.alteration import fiber_parameters
+from wrapjax.muscle import rigid_tendon_fiber
+from wrapjax.osim import describe_model
+from wrapjax.osim.joint_reaction import analyse_joint_reactions
+from wrapjax.precision import require_float64
+from wrapjax.raw.gait_events import find_contacts
+from wrapjax.subject import Subject, read_ground_loads
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+#: What may be made of muscles without an electrode.
+TREATMENTS = ("static-optimization", "none")
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact forces of one leg's joints, by one or two runs."""
+
+    subject: Subject
+    result: ContactResult
+
+    @property
+    def converged(self) -> bool:
+        """Whether the calibrations had, so that forces are final."""
+        return all(run.converged for run in self.result.runs)
+
+    @property
+    def dataset(self) -> Dataset:
+        """All curves as an `xarray.Dataset`, every variable with its unit."""
+        return contact_dataset(self.result)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``contact.json``, curves and ``report.html``."""
+        from wrapjax.report.contact.folder import write_contact
+
+        write_contact(self.result, Path(folder), force=force)
+
+
+def contact(
+    run: str | Path,
+    other: str | Path | None = None,
+    *,
+    subject: Subject | str | Path | None = None,
+    undriven: str = TREATMENTS[0],
+    tell: Callable[[str], None] = lambda line: None,
+) -> Contact:
+    """Say what the joints of a leg bear with the muscle forces of a finished calibration.
+
+    Where ground forces, external loads and the motion of all bodies below the joints were recorded, that is
+    OpenSim's joint reaction: on the nominal model for NGA, on the personalised one for PGA. Elsewhere it is
+    the muscles' share alone, by their lines of action, which is not the whole force and is labelled so.
+
+    Parameters
+    ----------
+    run, other
+        Folders that `Calibration.save` wrote, of the same subject: NGA and PGA as a rule. Two are tested
+        against each other, cycle by cycle.
+    subject
+        The subject, or its folder, where that is no longer where it was.
+    undriven
+        What is made of muscles without an electrode: ``static-optimization``, they close the joint moments
+        with least effort (`wrapjax.contact.static_optimization.share_moments`), or ``none``, no force.
+    tell
+        Called with a line at each step.
+
+    Returns
+    -------
+    Contact
+        In N, per cycle.
+
+    Raises
+    ------
+    InputError
+        If a folder is no run's, lacks a file, its subject is not found, or its method says nothing of
+        where muscles run (SGA and LSGA adjust polynomials).
+    """
+    require_float64()
+    if undriven not in TREATMENTS:
+        raise ValueError(f"unknown treatment '{undriven}': expected one of {', '.join(TREATMENTS)}")
+    runs = [read_curves(run, subject)]
+    if other is not None:
+        runs.append(read_curves(other, subject))
+        _check_alike(*runs)
+    models = [_model_of(own) for own in runs]
+    own = runs[0].subject
+    joints = _joints(models[0], own.trials.moment_coordinates)
+    walk, reason = recorded_walk(own)
+    found = []
+    for entry, model_file, label in zip(runs, models, _labels(runs), strict=True):
+        tell(f"{label}: muscles without an electrode")
+        others = _undriven(entry, model_file, undriven)
+        tell(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
+        muscles = (*entry.run.muscles, *others.muscles)
+        force = np.concatenate([entry.force, others.force])
+        pressed = (
+            _share(own, model_file, tuple(joints.values()), muscles, force)
+            if walk is None
+            else _reactions(walk, model_file, tuple(joints.values()), muscles, force)
+        )
+        found.append(_run_contact(label, entry.run, others, pressed))
+    trials = own.trials
+    return Contact(
+        own,
+        ContactResult(
+            subject=own.name,
+            side=own.side,
+            mass_kg=own.mass_kg,
+            kind=MUSCLE_SHARE if walk is None else JOINT_REACTION,
+            reason=reason,
+            joints=joints,
+            coordinates=trials.moment_coordinates,
+            trials=trials.names,
+            uses=trials.uses,
+            time=trials.time,
+            phase=_phase(own, () if walk is None else walk.loaded),
+            runs=tuple(found),
+        ),
+    )
+
+
+def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial frame"]:
+    """Count frames from strikes of this leg's foot; evenly over a cycle whose strikes are not recorded."""
+    trials = subject.trials
+    strikes = {trial.name: np.zeros(0) for trial in subject.recordings}
+    for trial in subject.recordings if loaded else ():
+        loads = read_ground_loads(trial)
+        rows = [row for row, body in enumerate(loads.bodies) if body in loaded]
+        strikes[trial.name] = find_contacts(loads.time, loads.wrench[rows, 4].sum(axis=0)).strikes
+    found = [
+        phase_from_strikes(time, strikes[name])
+        for time, name in zip(trials.time, trials.recordings, strict=True)
+    ]
+    even = evenly(trials.time.shape[1])
+    return np.array([even if phase is None else phase for phase in found])
+
+
+def _check_alike(one: RunCurves, other: RunCurves) -> None:
+    if one.subject.folder.resolve() != other.subject.folder.resolve():
+        message = f"was made from {other.subject.folder}, where {one.subject.folder} was expected"
+        raise InputError(Problem(str(other.run.folder), message, hint="compare runs of one subject"))
+
+
+def _labels(runs: Sequence[RunCurves]) -> list[str]:
+    """Call runs by their methods, and by their folders too where those are the same."""
+    methods = [entry.run.method for entry in runs]
+    if len(set(methods)) == len(methods):
+        return methods
+    return [
+        f"{entry.run.method} {number} ({entry.run.folder.name})" for number, entry in enumerate(runs, start=1)
+    ]
+
+
+def _run_contact(
+    label: str, run: Run, undriven: Undriven, force: Float[np.ndarray, "trial joint 3 frame"]
+) -> RunContact:
+    return RunContact(label, run.method, run.folder.name, run.converged, undriven, force)
+
+
+def _model_of(entry: RunCurves) -> Path:
+    """Find the model in which a run's muscles run."""
+    from wrapjax.report.run_folder import PERSONALISED_MODEL
+
+    run = entry.run
+    if run.method == "PGA":
+        file = run.folder / PERSONALISED_MODEL
+        if not file.is_file():
+            message = "is not there; where muscles run after PGA is said by the model that it wrote"
+            raise InputError(Problem(str(file), message))
+        return file
+    if run.method in ("SGA", "LSGA"):
+        message = (
+            f"was made by {run.method}, which adjusts polynomials: they say how long muscles are, not where"
+        )
+        raise InputError(Problem(str(run.folder), f"{message} they pull", hint="use NGA or PGA"))
+    return entry.subject.model_file
+
+
+def _joints(model_file: Path, coordinates: Sequence[str]) -> dict[str, str]:
+    """Name the joints that moments were measured about, plainly (``hip``), proximal ones first as a rule."""
+    owners = {name: joint.name for joint in describe_model(model_file).joints for name in joint.coordinates}
+    found: dict[str, str] = {}
+    for coordinate in coordinates:
+        joint, plain = owners[coordinate], coordinate.split("_")[0]
+        if joint not in found.values():
+            found[plain if plain not in found else joint] = joint
+    return found
+
+
+def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
+    """Give muscles without an electrode the forces that close the moments best, or none."""
+    missing = entry.measured - entry.modelled
+    trials, coordinates, frames = missing.shape
+    # Muscles that synergies drove have their calibrated forces.
+    all_of_them = tuple(name for name in entry.subject.undriven_muscles if name not in entry.run.muscles)
+    subject = replace(entry.subject, undriven_muscles=all_of_them)
+    nothing = np.zeros((0, trials, frames))
+    none = Undriven("none", (), all_of_them, nothing, nothing, missing, missing)
+    others = other_muscles(subject, entry.run.curves, model_file)[0] if treatment != "none" else None
+    if others is None:
+        return none
+    active = _strengths(others)
+    arm = np.asarray(others.path.moment_arm)
+    count = len(others.names)
+    # One row of frames: every frame is a question of its own.
+    shared = share_moments(
+        np.moveaxis(missing, 1, 0).reshape(coordinates, -1),
+        np.moveaxis(arm, 2, 1).reshape(count, coordinates, -1),
+        active.reshape(count, -1),
+    )
+    activation = shared.activation.reshape(count, trials, frames)
+    return replace(
+        none,
+        treatment=treatment,
+        muscles=others.names,
+        left_out=tuple(name for name in all_of_them if name not in others.names),
+        activation=activation,
+        force=activation * active,
+        residual=np.moveaxis(shared.residual.reshape(coordinates, trials, frames), 0, 1),
+    )
+
+
+def _strengths(others: OtherMuscles) -> Float[np.ndarray, "muscle trial frame"]:
+    """Forces along the tendon at full activation, N, by the model's own parameters.
+
+    Passive forces are left out: nobody fitted these muscles' slack lengths, and with tendons that do not
+    stretch a few millimetres too little make hundreds of newtons.
+    """
+
+    def of_one(path: PathState, parameters: ModelParameters) -> Array:
+        fiber = rigid_tendon_fiber(
+            others.curves,
+            jnp.ones_like(path.length),
+            path.length,
+            path.velocity,
+            **fiber_parameters(parameters),
+        )
+        return fiber.active_force
+
+    return np.maximum(np.asarray(jax.vmap(of_one)(others.path, others.parameters)), 0.0)
+
+
+def _reactions(
+    walk: Walk,
+    model_file: Path,
+    joints: Sequence[str],
+    muscles: Sequence[str],
+    force: Float[np.ndarray, "muscle trial frame"],
+) -> Float[np.ndarray, "trial joint 3 frame"]:
+    found = analyse_joint_reactions(
+        model_file, joints, walk.motion, walk.loaded, walk.wrench, muscles, force.reshape(len(muscles), -1)
+    )
+    return np.moveaxis(found.reshape(len(joints), 3, *walk.time.shape), 2, 0)
+
+
+def _share(
+    subject: Subject,
+    model_file: Path,
+    joints: Sequence[str],
+    muscles: Sequence[str],
+    force: Float[np.ndarray, "muscle trial frame"],
+) -> Float[np.ndarray, "trial joint 3 frame"]:
+    model, trials = describe_model(model_file), subject.trials
+    spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
+    coordinates = [name for name in trials.coordinates if name in spanned]
+    rows = [trials.coordinates.index(name) for name in coordinates]
+    lines = lines_of_action(model, muscles, joints, coordinates, trials.angles[:, rows])
+    return muscle_share(lines, force)
