@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+#: By how much of itself a number may get worse before that counts, by its unit. Others use the machine, too:
+#: times and rates say something from twice on. What is calculated is the same but for its last digits.
+TOLERANCES = {
+    **dict.fromkeys(("s", "ms", "us", "core s", "GFLOP/s", "GB/s"), 1.0),
+    "x": 0.3,
+    "%": 0.3,
+    "GB": 0.2,
+    "slope": 0.25,
+    "flop/byte": 0.1,
+    **dict.fromkeys(("N m", "mm"), 0.01),
+    **dict.fromkeys(("evaluations", "iterations"), 0.1),
+    "programs": 0.0,
+    "1": 0.001,
+}
+
+#: Tolerance of what is measured for information: a peer that gets worse is no regression of ours.
+INFORMATION = math.inf
+
+#: What only says how fast this machine was, and nothing on another.
+MACHINE_UNITS = ("s", "ms", "us", "core s", "GFLOP/s", "GB/s")
 
 
 @dataclass(frozen=True)
@@ -23,6 +45,11 @@ class Metric:
         Whether ``lower`` or ``higher`` is better.
     note
         What it is compared with, or under which conditions it holds.
+    tolerance
+        Relative change for the worse beyond which a later run is a regression; by its unit
+        (`TOLERANCES`) where it is not given.
+    negligible
+        Change, in its unit, that never counts: rounding, or what is too short to be timed.
     """
 
     name: str
@@ -30,6 +57,17 @@ class Metric:
     unit: str
     better: Literal["lower", "higher"]
     note: str = ""
+    tolerance: float | None = None
+    negligible: float = 0.0
+
+    @property
+    def allowed(self) -> float:
+        """The tolerance that holds."""
+        return TOLERANCES[self.unit] if self.tolerance is None else self.tolerance
+
+    def as_json(self) -> dict[str, Any]:
+        """Give all of it, with the tolerance that holds."""
+        return vars(self) | {"tolerance": self.allowed}
 
 
 def text_table(metrics: Sequence[Metric]) -> str:

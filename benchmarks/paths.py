@@ -44,7 +44,14 @@ def path_methods(subject: Subject, fit: Fit, *, quick: bool = False) -> list[Met
             Metric(f"{prefix}/compile", result.compile_seconds, "s", "lower", f"{whole:.1f} s with all else"),
             Metric(f"{prefix}/variables", len(result.labels), "1", "higher", solution.status.value),
             Metric(f"{prefix}/cost", solution.cost, "1", "lower", ""),
-            Metric(f"{prefix}/violation", solution.max_violation, "1", "lower", "target at most 1e-6"),
+            Metric(
+                f"{prefix}/violation",
+                solution.max_violation,
+                "1",
+                "lower",
+                "target at most 1e-6",
+                negligible=1e-6,
+            ),
         ]
         for use, error in errors.items():
             metrics.append(Metric(f"{prefix}/mae_{use}", error, "N m", "lower", ""))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.metric import Metric
+from benchmarks.metric import INFORMATION, Metric
 from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
 from wrapjax.api.paths.fitting import TRAINING_POSES, path_errors
 from wrapjax.geometry import fit_surrogate, random_poses, smooth_poses
@@ -95,6 +95,7 @@ def surrogates(
             "s",
             "lower",
             f"{count}; PolynomialPathFitter, {samples_per_frame} samples a frame",
+            INFORMATION,
         ),
         Metric(
             "surrogate/opensim_slower",
