@@ -1,4 +1,4 @@
-"""Time and quality of a calibration: its kernels, its compilation and whole solves, peers beside."""
+"""Time of a calibration's kernels and of their compilation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import jax
@@ -17,17 +16,11 @@ import numpy as np
 from benchmarks.case import Case, moment_residuals, total_cost
 from benchmarks.machine import THREAD_VARIABLES
 from benchmarks.metric import Metric
-from benchmarks.peers import PEERS
-from benchmarks.race import Run
 from benchmarks.timing import median_seconds
-from wrapjax.calibrate import Pace, ProjectedLM
+from wrapjax.calibrate import Pace
 from wrapjax.calibrate.projected_lm import propose_step
 from wrapjax.calibrate.solution import SolverState
 from wrapjax.model import joint_moments
-
-#: A peer has arrived when its cost is this close to ours, relatively. The problem has several minima
-#: less than one percent apart, and which of them an optimizer meets is luck.
-ARRIVED = 1e-2
 
 
 def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
@@ -81,6 +74,7 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
             "1",
             "lower",
             f"largest entry {np.abs(expected).max():.3g}",
+            negligible=1e-9,
         ),
     ]
 
@@ -126,61 +120,3 @@ def compilation(case: Case) -> list[Metric]:
             ),
         ]
     return metrics
-
-
-def solves(case: Case, *, quick: bool = False, limit: float = 120.0) -> list[Metric]:
-    """Solve NGA with our solver and with peers, from one start; quality beside time.
-
-    No peer runs longer than ``limit`` seconds.
-    """
-    ours = _our_run(case, repeats=2 if quick else 5)
-    metrics = _metrics(case, ours)
-    for name, solve in PEERS.items():
-        try:
-            run = solve(case, limit)
-        except ImportError as error:
-            metrics.append(Metric(f"solve/{name}", np.nan, "s", "lower", f"not installed: {error.name}"))
-            continue
-        metrics += _metrics(case, run) + [_speedup(ours, run)]
-    return metrics
-
-
-def _our_run(case: Case, repeats: int) -> Run:
-    solver = ProjectedLM()
-    solver.compile(case.problem, case.start)
-    # The first solve may still compile what only the second step needs; it is not timed.
-    solver.solve(case.problem, case.start)
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        solution = solver.solve(case.problem, case.start)
-        seconds.append(time.perf_counter() - began)
-    trace = tuple((one.seconds, one.cost) for one in solution.history)
-    return Run(
-        name="wrapjax",
-        seconds=float(np.median(seconds)),
-        cost=solution.cost,
-        variables=solution.variables,
-        trace=trace,
-        message=f"{solution.iterations} iterations; {solution.status.value}",
-    )
-
-
-def _metrics(case: Case, run: Run) -> list[Metric]:
-    prefix = f"solve/{run.name}"
-    errors = case.moment_mae(run.variables)
-    return [
-        Metric(prefix, run.seconds, "s", "lower", run.message),
-        Metric(f"{prefix}/cost", run.cost, "1", "lower", ""),
-        *(Metric(f"{prefix}/mae_{use}", error, "N m", "lower", "") for use, error in errors.items()),
-    ]
-
-
-def _speedup(ours: Run, peer: Run) -> Metric:
-    """Peer's time to come near our cost, over the time of our whole solve."""
-    arrival = peer.arrival(ours.cost * (1.0 + ARRIVED))
-    seconds = peer.seconds if arrival is None else arrival
-    note = "its time to within 1 % of our cost, over our time to the end"
-    if arrival is None:
-        note = f"at least: it never came within 1 % of our cost (best {peer.cost:.5g} to {ours.cost:.5g})"
-    return Metric(f"solve/{peer.name}/slower", seconds / ours.seconds, "x", "higher", note)

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import Bounds, least_squares, minimize
 
 from benchmarks.case import Case, total_cost
+from benchmarks.jacobian import residual_jacobian
 from benchmarks.race import Run, Watch, race
 
 _MANY = 1_000_000
@@ -26,6 +27,13 @@ def trf_exact(case: Case, limit: float) -> Run:
     jacobian = case.compiled(jax.jacfwd(lambda problem, x: problem.residuals(x), argnums=1))
     jax.block_until_ready(jacobian(case.start))
     return _trf("scipy_trf_exact", case, limit, lambda x: np.asarray(jacobian(x)))
+
+
+def trf_by_muscle(case: Case, limit: float) -> Run:
+    """SciPy's least_squares with our Jacobian: the same matrix, muscle by muscle."""
+    jacobian = case.compiled(residual_jacobian)
+    jax.block_until_ready(jacobian(case.start))
+    return _trf("scipy_trf_by_muscle", case, limit, lambda x: np.asarray(jacobian(x)))
 
 
 def trf_differences(case: Case, limit: float) -> Run:
@@ -191,6 +199,7 @@ def optimistix_lm(case: Case, limit: float) -> Run:
 #: In the order in which they run.
 PEERS: dict[str, Callable[[Case, float], Run]] = {
     "scipy_trf_exact": trf_exact,
+    "scipy_trf_by_muscle": trf_by_muscle,
     "scipy_trf_differences": trf_differences,
     "scipy_lbfgsb_gradient": lbfgsb_gradient,
     "scipy_lbfgsb_differences": lbfgsb_differences,

@@ -18,22 +18,30 @@ class Run:
     ----------
     name
         Of the optimizer.
-    seconds
-        From its start to its end, or to the limit on its time; compiling is left out.
+    seconds, core_seconds
+        From its start to its end, or to the limit on its time, by the clock and of all processors;
+        compiling is left out.
     cost, variables
         The best point that it saw.
     trace
         Seconds and cost whenever it saw a better one.
     message
         How it ended.
+    evaluations
+        How often it asked for the cost or the residuals, those it only differenced at among them.
+    iterations
+        Of its own; 0 where it does not say.
     """
 
     name: str
     seconds: float
+    core_seconds: float
     cost: float
     variables: Float[np.ndarray, " variable"]
     trace: tuple[tuple[float, float], ...]
     message: str
+    evaluations: int
+    iterations: int = 0
 
     def arrival(self, cost: float) -> float | None:
         """When it first saw a cost as low as this, in s; None if never."""
@@ -49,7 +57,7 @@ class Watch:
 
     def __init__(self, limit: float):
         self._limit = limit
-        self._began = time.perf_counter()
+        self._began, self._began_core = time.perf_counter(), time.process_time()
         self._variables = np.array([])
         self._trace: list[tuple[float, float]] = []
         self.evaluations = 0
@@ -69,10 +77,12 @@ class Watch:
         return Run(
             name=name,
             seconds=time.perf_counter() - self._began,
+            core_seconds=time.process_time() - self._began_core,
             cost=self._trace[-1][1],
             variables=self._variables,
             trace=tuple(self._trace),
             message=message,
+            evaluations=self.evaluations,
         )
 
 
