@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-from benchmarks.machine import commit, describe_machine, pin_threads, versions
+from benchmarks.machine import pin_threads
 from benchmarks.subjects import default_subject, set_up_jax
 
-GROUPS = ("kernels", "compile", "solve", "paths", "surrogate", "engine")
+if TYPE_CHECKING:
+    from benchmarks.case import Case
+    from benchmarks.metric import Metric
+    from wrapjax.subject import Subject
+
+GROUPS = (
+    *("kernels", "compile", "solve", "recompilation", "growth", "roofline"),
+    *("paths", "surrogate", "engine"),
+)
+#: Groups that need no calibration problem.
+_WITHOUT_CASE = {"paths", "surrogate", "engine"}
 
 
 def main() -> int:
@@ -25,19 +34,10 @@ def main() -> int:
 
     print(text_table(metrics))
     if options.out:
-        from wrapjax.files import write_json
+        from benchmarks.run_file import write_run
 
-        content = {
-            "schema": 1,
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
-            "subject": folder.name,
-            "quick": options.quick,
-            "commit": commit(),
-            "machine": describe_machine(),
-            "versions": versions(),
-            "metrics": [vars(metric) for metric in metrics],
-        }
-        write_json(options.out, content)
+        asked = " ".join(("quick" if options.quick else "whole", *sorted(options.only)))
+        write_run(options.out, asked, folder.name, metrics)
     return 0
 
 
@@ -64,12 +64,15 @@ def _parser() -> argparse.ArgumentParser:
         "--threads", type=int, default=1, metavar="N", help="of the numerical libraries (default: 1)"
     )
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="where to draw growth and roofline, as PNG and SVG"
+    )
     return parser
 
 
-def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
+def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
     import wrapjax
-    from benchmarks import calibration, engine, surrogate
+    from benchmarks import calibration, engine, recompilation, solving, surrogate
     from benchmarks.case import nga_case
     from benchmarks.paths import path_methods
     from wrapjax.progress import say
@@ -78,11 +81,14 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
     limit = min(options.limit, 15.0) if options.quick else options.limit
     muscles = options.muscles or surrogate.default_muscles(subject)
     metrics = []
-    case = nga_case(subject) if set(options.only) - {"paths", "surrogate", "engine"} else None
+    case = nga_case(subject) if set(options.only) - _WITHOUT_CASE else None
     runs = {
         "kernels": lambda: calibration.kernels(case, quick=options.quick),
         "compile": lambda: calibration.compilation(case),
-        "solve": lambda: calibration.solves(case, quick=options.quick, limit=limit),
+        "solve": lambda: solving.solves(case, quick=options.quick, limit=limit),
+        "recompilation": lambda: recompilation.recompilations(case.problem),
+        "growth": lambda: _growth(case, options.figures),
+        "roofline": lambda: _roofline(subject, case, options.figures),
         "paths": lambda: path_methods(subject, wrapjax.fit(subject), quick=options.quick),
         "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
         "engine": lambda: engine.engine_speed(subject, quick=options.quick, full=options.full),
@@ -91,6 +97,24 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Any]:
         if name in options.only:
             say(f"measuring: {name}")
             metrics += runs[name]()
+    return metrics
+
+
+def _growth(case: Case, figures: Path | None) -> list[Metric]:
+    from benchmarks import charts, growth
+
+    grown, metrics = growth.growth(case.problem)
+    if figures:
+        charts.draw_growth(grown, figures)
+    return metrics
+
+
+def _roofline(subject: Subject, case: Case, figures: Path | None) -> list[Metric]:
+    from benchmarks import charts, roofline
+
+    roof, works, metrics = roofline.roofline(subject, case)
+    if figures:
+        charts.draw_roofline(roof, works, figures)
     return metrics
 
 

@@ -27,7 +27,7 @@ def pin_threads(count: int = 1) -> None:
 def describe_machine() -> dict[str, Any]:
     """Name processor, cores and the threads in use."""
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": {variable: os.environ.get(variable) for variable in THREAD_VARIABLES},
         "load_average": os.getloadavg()[0],
@@ -63,7 +63,8 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Name the processor as the machine does."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
