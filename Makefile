@@ -10,7 +10,7 @@ PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-lo
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all lint bench blind blind-quick setup clean
+.PHONY: demo test test-all lint bench bench-gate blind blind-quick setup clean
 .DEFAULT_GOAL := test
 
 setup: $(VENV)/.ready
@@ -39,7 +39,12 @@ lint: setup
 	$(RUN)/mypy
 
 bench: setup
-	$(RUN)/python -m benchmarks
+	$(RUN)/python -m benchmarks $(BENCH)
+
+# Whether a change made anything worse; AGAINST=FILE.json, which `make bench-gate BENCH='--out FILE.json'` wrote
+# before it, compares with what it was then.
+bench-gate: setup
+	$(RUN)/python -m benchmarks.gate $(if $(AGAINST),--against $(AGAINST)) $(BENCH)
 
 # Cases from a simulator that shares nothing with the model, diagnosed and scored; both go on where they were
 # stopped. Their folder, the bank, how many of its cases, and starts of each calibration:
