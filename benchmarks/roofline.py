@@ -146,6 +146,8 @@ def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...])
     program = eqx.filter_jit(function).lower(*arguments).compile()
     counted, text = program.compiled.cost_analysis(), program.compiled.as_text()
     loops, calls = len(re.findall(r" while\(", text)), len(re.findall(r" custom-call\(", text))
+    turns = ", ".join(dict.fromkeys(re.findall(r'known_trip_count":{"n":"(\d+)"', text)))
+    of_turns = f" of {turns} turns" if turns else ""
     seconds = median_seconds({name: lambda: program(*arguments)}, _REPEATS)[name]
     return Work(
         name=name,
@@ -153,7 +155,7 @@ def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...])
         transcendentals=counted.get("transcendentals", 0.0),
         bytes_moved=counted["bytes accessed"],
         seconds=seconds,
-        missed=f"{loops} loops counted as one turn, {calls} library calls not counted",
+        missed=f"{loops} loops{of_turns} counted as one turn each, {calls} library calls not counted",
     )
 
 
