@@ -63,7 +63,7 @@ def beside_published(ours: Run, cost_seconds: float, size: str, theirs: Publishe
     ours
         Counted and timed now.
     cost_seconds
-        What one evaluation of our cost takes: linearizations are dear, and this says how dear in all.
+        Processor time of one evaluation of our cost: linearizations are dear, and this says how dear in all.
     size
         Of our problem, in words.
     theirs
