@@ -27,14 +27,16 @@ def someone(bank: Bank, index: int) -> Person:
     return person(f"{bank.name}_{index:02d}", (bank.seed, 0, index), family_of(bank, index), paretic(index))
 
 
-def make(bank: Bank, folder: Path, workers: int = 1) -> list[Planned]:
-    """Make all cases of a bank and seal them."""
+def make(bank: Bank, folder: Path, workers: int = 1, first: int | None = None) -> list[Planned]:
+    """Make all cases of a bank, or the first few by their ids, and seal them."""
     (folder / "library").mkdir(parents=True, exist_ok=True)
     people = range(bank.people)
     missing = [index for index in people if not _library_file(folder, index).exists()]
     _spread(workers, _make_library, [(bank, folder, index) for index in missing], "people")
     libraries = {index: Library.load(_library_file(folder, index)) for index in people}
     planned = with_targets(bank, draft(bank, VARIANTS), libraries)
+    wanted = set(sorted(case.id for case in planned)[:first])
+    planned = [case for case in planned if case.id in wanted]
     todo = [[case for case in planned if case.person == i and not _made(folder, case)] for i in people]
     jobs = [(bank, folder, index, some) for index, some in zip(people, todo, strict=True) if some]
     _spread(workers, _make_cases, jobs, "people's cases")

@@ -146,7 +146,10 @@ def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
     truths = sorted(write_bank(tmp_path / "bank", single=4, other=2), key=lambda truth: truth["id"])
     for truth in truths[:5]:
         answer(tmp_path / "it", truth, perfect(truth))
+    (tmp_path / "bank" / "truth" / f"{truths[6]['id']}.npy").unlink()  # not made yet
     assert score(tmp_path / "bank", {"it": tmp_path / "it"}, first=5)["it"]["cases"] == 5
+    with pytest.raises(NotReady, match="is missing"):
+        score(tmp_path / "bank", {"it": tmp_path / "it"})
     with pytest.raises(NotReady, match="without an answer"):
         score(tmp_path / "bank", {"it": tmp_path / "it"}, first=6)
     log = (tmp_path / "bank" / "score_log.jsonl").read_text().splitlines()

@@ -44,7 +44,7 @@ def score(
     NotReady
         Where a seal is broken or an answer is missing.
     """
-    faults = broken_seals(bank, manifest)
+    faults = broken_seals(bank, manifest, first)
     if faults:
         raise NotReady(f"the seal is broken: {'; '.join(faults[:5])}" + (" ..." if len(faults) > 5 else ""))
     truths = read_truth(bank)[:first]
