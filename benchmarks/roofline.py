@@ -155,7 +155,7 @@ def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...])
         transcendentals=counted.get("transcendentals", 0.0),
         bytes_moved=counted["bytes accessed"],
         seconds=seconds,
-        missed=f"{loops} loops{of_turns} counted as one turn each, {calls} library calls not counted",
+        missed=f"loops{of_turns} counted as one turn: {loops}; library calls not counted: {calls}",
     )
 
 
