@@ -16,7 +16,7 @@ def test_fit_prints_a_table_and_says_where_it_is(fitted):
 
 def test_fit_folder_keeps_its_contract(fitted):
     _, folder = fitted
-    assert names(folder) == ["fit.json", "fit.npz", "report.html"]
+    assert names(folder) == ["fit.json", "fit.npz", "report.html", "settings.toml"]
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
     content = stored(folder / "fit.json")
     assert content["schema"] == 1
