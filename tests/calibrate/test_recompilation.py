@@ -1,5 +1,7 @@
 """Compiled programs serve the next person of the same shape, too: nobody waits for them twice."""
 
+import dataclasses
+
 import pytest
 
 from benchmarks.counting import counted_programs
@@ -7,10 +9,18 @@ from tests.model.small import small_limited_objective, small_objective
 from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
 
 
+def moments_alone(seed: int):
+    """Without penalties: quicker to compile, and with the same recordings, variables and names."""
+    return dataclasses.replace(small_objective(seed), penalties=())
+
+
 @pytest.mark.parametrize(
     ("make", "solver"),
     [
-        pytest.param(small_objective, ProjectedLM(max_iterations=5), id="few parameters"),
+        pytest.param(moments_alone, ProjectedLM(max_iterations=3), id="moments alone"),
+        pytest.param(
+            small_objective, ProjectedLM(max_iterations=5), id="all penalties", marks=pytest.mark.slow
+        ),
         pytest.param(
             small_limited_objective, AugmentedLagrangian(), id="paths and limits", marks=pytest.mark.slow
         ),
