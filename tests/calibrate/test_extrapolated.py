@@ -20,7 +20,13 @@ EXCITATIONS = {
 }
 
 
-@pytest.fixture(scope="module", params=EXCITATIONS.values(), ids=EXCITATIONS)
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(EXCITATIONS["each its own"], id="each its own", marks=pytest.mark.slow),
+        pytest.param(EXCITATIONS["one in common"], id="one in common"),
+    ],
+)
 def problem(request):
     return small_extrapolated_objective(request.param)
 

@@ -58,7 +58,7 @@ class InitialLengths(AbstractLeastSquares):
     moment_arm: Float[Array, "muscle coordinate sample"]
     moment: Float[Array, "coordinate sample"]
     #: Which of these moments were recorded.
-    recorded: Bool[np.ndarray, "coordinate sample"]
+    recorded: Bool[Array | np.ndarray, "coordinate sample"]
     groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     errors: LengthErrors = eqx.field(default_factory=LengthErrors)
 
@@ -113,6 +113,10 @@ class InitialLengths(AbstractLeastSquares):
         mean = length.mean(axis=1)
         unlike = mean - (jnp.zeros(len(self.groups)).at[group_of].add(mean) / count)[group_of]
         excess = length.max(axis=1) - largest[group_of]
+        known = jnp.asarray(self.recorded)
+        missed = self.passive_moments(parameters) - jnp.where(known, self.moment, 0.0)
+        # A share of each: which were recorded is data, as everything of a person is.
+        share = known / jnp.sqrt(jnp.maximum(known.sum(), 1))
         terms = {
             "fiber_ratio": _rows(fiber - 1.0, errors.fiber_ratio),
             "slack_ratio": _rows(slack - 1.0, errors.slack_ratio),
@@ -121,9 +125,8 @@ class InitialLengths(AbstractLeastSquares):
             "group_longest": _rows(largest - 1.0, errors.group_longest),
             "likeness": _rows(unlike, errors.likeness),
         }
-        if self.recorded.any():
-            missed = self.passive_moments(parameters) - self.moment
-            terms["passive_moment"] = _rows(missed[self.recorded], errors.passive_moment)
+        if missed.size:
+            terms["passive_moment"] = (share * missed).ravel() / errors.passive_moment
         return terms
 
     def residuals(self, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
