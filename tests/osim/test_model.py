@@ -179,11 +179,11 @@ def test_unknown_muscles_are_all_named_at_once(odd_model):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"", "is not XML (no element found"),
-        (np.random.default_rng(0).bytes(4000), "is not XML ("),
+        (b"", "is not well-formed XML (no element found"),
+        (np.random.default_rng(0).bytes(4000), "is binary, where XML in UTF-8 was expected"),
         (b"<html><body/></html>", "has <html> as its outermost element"),
         (b"<OpenSimDocument Version='40000'><AnalyzeTool name='x'/></OpenSimDocument>", "holds no bodies"),
-        (b"<OpenSimDocument Version='40000'><Model name='x'><BodySet><obj", "Failed to read Element name"),
+        (b"<OpenSimDocument Version='40000'><Model name='x'><BodySet><obj", "is not well-formed XML (unclosed token"),
     ],
     ids=["empty", "rubbish", "other-xml", "no-model", "truncated"],
 )
