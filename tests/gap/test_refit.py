@@ -67,7 +67,7 @@ def test_blocks_of_muscles_give_gradient_and_hessian():
 
 def test_paths_that_may_change_cannot_be_altered():
     """Force sharing makes one muscle's force depend on another's path: blocks would be wrong."""
-    problem = with_effects("slow_fibers")
+    problem = with_effects("force_sharing")
     moving = dataclasses.replace(problem.variables, modes=1)
     with pytest.raises(ValueError, match="held paths"):
         dataclasses.replace(problem, variables=moving)
