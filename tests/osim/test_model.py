@@ -183,7 +183,10 @@ def test_unknown_muscles_are_all_named_at_once(odd_model):
         (np.random.default_rng(0).bytes(4000), "is binary, where XML in UTF-8 was expected"),
         (b"<html><body/></html>", "has <html> as its outermost element"),
         (b"<OpenSimDocument Version='40000'><AnalyzeTool name='x'/></OpenSimDocument>", "holds no bodies"),
-        (b"<OpenSimDocument Version='40000'><Model name='x'><BodySet><obj", "is not well-formed XML (unclosed token"),
+        (
+            b"<OpenSimDocument Version='40000'><Model name='x'><BodySet><obj",
+            "is not well-formed XML (unclosed",
+        ),
     ],
     ids=["empty", "rubbish", "other-xml", "no-model", "truncated"],
 )

@@ -63,6 +63,7 @@ def test_the_page_is_balanced_and_in_order(subject, result):
     assert headings == [
         "Moment errors",
         "Joint moments",
+        "What drove the muscles",
         "Muscle activations",
         "Fiber lengths",
         "Muscle parameters",
