@@ -1,4 +1,4 @@
-"""Groups of gait cycles that are drawn together, and their mean and spread."""
+"""Groups of gait cycles that are drawn together, their mean and spread, and how a panel shows them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
+
+from wrapjax.report.style import BAND_ALPHA, Axes
 
 
 @runtime_checkable
@@ -105,3 +107,21 @@ def spread(curves: Float[np.ndarray, "trial frame"]) -> Spread:
     mean = curves.mean(axis=0)
     deviation = curves.std(axis=0, ddof=1) if len(curves) > 1 else np.zeros_like(mean)
     return Spread(mean, mean - deviation, mean + deviation)
+
+
+def mark_gait_cycle(panel: Axes, step: int) -> None:
+    """Mark 0 to 100 %; the outer labels stay inside, or those of neighbors meet."""
+    panel.set_xlim(0, 100)
+    panel.set_xticks(range(0, 101, step))
+    ticks = panel.xaxis.get_major_ticks()
+    ticks[0].label1.set_horizontalalignment("left")
+    ticks[-1].label1.set_horizontalalignment("right")
+
+
+def draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
+    """Draw the mean over cycles and a band of one standard deviation."""
+    shape = spread(curves)
+    percent = np.linspace(0.0, 100.0, len(shape.mean))
+    if len(curves) > 1:
+        panel.fill_between(percent, shape.low, shape.high, color=color, alpha=BAND_ALPHA, linewidth=0)
+    panel.plot(percent, shape.mean, color=color, label=label)

@@ -6,25 +6,28 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibrate import FIBER_LENGTH_RANGE, CalibrationResult
-from wrapjax.report.cycles import MomentCurves, groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.cycles import (
+    MomentCurves,
+    draw_spread,
+    groups_by_speed,
+    groups_by_speed_and_use,
+    mark_gait_cycle,
+    spread,
+)
 from wrapjax.report.limits import FIBER_LIMITS, pushing_muscles
 from wrapjax.report.style import (
-    BAND_ALPHA,
     BLACK,
     BLUE,
     GRAY,
     GROUP_COLORS,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     VERMILION,
-    Axes,
     Figure,
     in_style,
     new_figure,
     panel_grid,
 )
-
-#: Inches; fills the page at 96 pixels an inch.
-PAGE_WIDTH = 11.0
 
 
 @in_style
@@ -177,21 +180,3 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
     one_each = dict(zip(*panel.get_legend_handles_labels()[::-1], strict=True))
     figure.legend(one_each.values(), one_each.keys(), loc="outside upper left", ncols=len(one_each))
     return figure
-
-
-def mark_gait_cycle(panel: Axes, step: int) -> None:
-    """Mark 0 to 100 %; the outer labels stay inside, or those of neighbors meet."""
-    panel.set_xlim(0, 100)
-    panel.set_xticks(range(0, 101, step))
-    ticks = panel.xaxis.get_major_ticks()
-    ticks[0].label1.set_horizontalalignment("left")
-    ticks[-1].label1.set_horizontalalignment("right")
-
-
-def draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
-    """Draw the mean over cycles and a band of one standard deviation."""
-    shape = spread(curves)
-    percent = np.linspace(0.0, 100.0, len(shape.mean))
-    if len(curves) > 1:
-        panel.fill_between(percent, shape.low, shape.high, color=color, alpha=BAND_ALPHA, linewidth=0)
-    panel.plot(percent, shape.mean, color=color, label=label)

@@ -7,8 +7,7 @@ from jaxtyping import Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.model import QUANTITIES, FreedParameter
-from wrapjax.report.figures import PAGE_WIDTH
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Figure, in_style, new_figure
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, new_figure
 
 
 @in_style

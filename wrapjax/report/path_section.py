@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
+from wrapjax.report.cycles import draw_spread, mark_gait_cycle
 from wrapjax.report.moved_paths import MovedPath
 from wrapjax.report.path_views import path_views
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, Figure, in_style, panel_grid
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, Figure, in_style, panel_grid
 from wrapjax.report.wording import counted
 
 #: As many moment arms are drawn, those that changed most.

@@ -14,9 +14,8 @@ from scipy.spatial import ConvexHull
 
 from wrapjax.geometry.path_points import PlacedCylinder, RoutedPath
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
 from wrapjax.report.moved_paths import MovedPath, describe_move
-from wrapjax.report.style import BLACK, BLUE, GRAY, Axes, Figure, in_style, new_figure
+from wrapjax.report.style import BLACK, BLUE, GRAY, PAGE_WIDTH, Axes, Figure, in_style, new_figure
 
 _FACETS = 36
 _PANEL = PAGE_WIDTH / 4

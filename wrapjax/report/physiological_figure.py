@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.style import (
     BLACK,
     BLUE,
     GREEN,
+    PAGE_WIDTH,
     PURPLE,
     VERMILION,
     Figure,

@@ -6,12 +6,12 @@ import numpy as np
 
 from wrapjax.calibrate import CalibrationResult, LegSpread
 from wrapjax.geometry.surfaces import NOMINAL
-from wrapjax.report.cycles import groups_by_speed_and_use
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.cycles import groups_by_speed_and_use, mark_gait_cycle
 from wrapjax.report.style import (
     BLACK,
     BLUE,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     Figure,
     in_style,
     new_figure,

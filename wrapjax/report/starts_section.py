@@ -8,7 +8,6 @@ import numpy as np
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
 from wrapjax.report.starts import (
     APART,
     EQUALLY_GOOD,
@@ -18,7 +17,7 @@ from wrapjax.report.starts import (
     moment_arm_spread,
     undetermined_parameters,
 )
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Figure, in_style, new_figure
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, new_figure
 from wrapjax.report.wording import counted
 
 # How the ends of starts are told apart. Rings go round the dot of the one taken, not under it.

@@ -24,6 +24,8 @@ LIGHT_GRAY = "#E4E4E4"
 #: For lines of different groups, in this order.
 GROUP_COLORS = (BLUE, VERMILION, GREEN, PURPLE)
 BAND_ALPHA = 0.2
+#: Inches; fills the page at 96 pixels an inch.
+PAGE_WIDTH = 11.0
 
 _PATH = re.compile(r' d="[^"]*"')
 _DECIMALS = re.compile(r"(\.\d\d)\d+")

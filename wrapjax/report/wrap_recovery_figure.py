@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.files import write_whole
-from wrapjax.report.figures import PAGE_WIDTH
-from wrapjax.report.style import BAND_ALPHA, BLACK, BLUE, GRAY, Figure, in_style, panel_grid
+from wrapjax.report.style import BAND_ALPHA, BLACK, BLUE, GRAY, PAGE_WIDTH, Figure, in_style, panel_grid
 
 _COLUMNS = 4
 

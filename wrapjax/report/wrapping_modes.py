@@ -21,8 +21,18 @@ from wrapjax.geometry.engine import (
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Axes, Figure, in_style, new_figure
+from wrapjax.report.cycles import mark_gait_cycle
+from wrapjax.report.style import (
+    BLUE,
+    GRAY,
+    LIGHT_GRAY,
+    PAGE_WIDTH,
+    VERMILION,
+    Axes,
+    Figure,
+    in_style,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     from wrapjax.skeleton import ModelDescription

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.report.cohort.content import errors_by_coordinate
-from wrapjax.report.figures import PAGE_WIDTH
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Figure, in_style, new_figure
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, new_figure
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import plain
 

@@ -9,11 +9,12 @@ from jaxtyping import Bool, Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.report.comparison.samples import ComparedLeg, CycleKind, every_cycle, kinds_by_speed
-from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
+from wrapjax.report.cycles import draw_spread, mark_gait_cycle
 from wrapjax.report.style import (
     BLACK,
     GROUP_COLORS,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     Axes,
     Figure,
     in_style,

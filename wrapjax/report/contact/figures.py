@@ -5,8 +5,8 @@ from __future__ import annotations
 from wrapjax.contact.gait_phase import evenly
 from wrapjax.contact.result import ContactResult, peaks, stretches
 from wrapjax.report.contact.numbers import magnitude_of
-from wrapjax.report.figures import PAGE_WIDTH, draw_spread, mark_gait_cycle
-from wrapjax.report.style import BLUE, LIGHT_GRAY, VERMILION, Figure, in_style, panel_grid
+from wrapjax.report.cycles import draw_spread, mark_gait_cycle
+from wrapjax.report.style import BLUE, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, panel_grid
 
 #: Of the first run and of the second.
 RUN_COLORS = (BLUE, VERMILION)

@@ -10,9 +10,8 @@ import numpy as np
 from wrapjax.geometry import RAREST_SHARE
 from wrapjax.geometry.wrap_boxes import LEAST_USABLE, MOST_USABLE, NARROWER, WIDER
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
 from wrapjax.report.physiological_figure import SampledPath, physiological_figure
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, Figure, in_style, new_figure
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, Figure, in_style, new_figure
 from wrapjax.report.wording import counted, plain
 
 #: As many samples of a kind are drawn: all muscles' pictures together stay a few megabytes.

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
-from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, VERMILION, Figure, in_style, new_figure
+from wrapjax.report.style import BLUE, GRAY, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, new_figure
 from wrapjax.report.wording import counted
 
 #: Root mean square errors of length and moment arm (mm) that polynomials of a leg's paths hardly exceed,

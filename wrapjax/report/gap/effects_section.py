@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from wrapjax.gap.result import EffectFinding, GapResult
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.gap.errors import at_speed, speed_label
 from wrapjax.report.gap.words import amounts_in_words, loud_controls, words
 from wrapjax.report.style import (
@@ -18,6 +18,7 @@ from wrapjax.report.style import (
     BLUE,
     GREEN,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     VERMILION,
     Figure,
     in_style,

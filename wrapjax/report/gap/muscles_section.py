@@ -7,9 +7,9 @@ from jaxtyping import Bool, Float, Int
 
 from wrapjax.gap.result import GapResult, MuscleShare
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.gap.errors import speed_label
-from wrapjax.report.style import BLACK, GRAY, Figure, in_style, panel_grid
+from wrapjax.report.style import BLACK, GRAY, PAGE_WIDTH, Figure, in_style, panel_grid
 from wrapjax.report.wording import counted
 
 #: Where moment arms tell less of a muscle's part than this, its forces are not to be believed.

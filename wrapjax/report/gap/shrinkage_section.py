@@ -6,7 +6,6 @@ import numpy as np
 
 from wrapjax.gap.result import Alternative, GapResult, Released
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH
 from wrapjax.report.gap.effects_section import DRAWN_COLORS
 from wrapjax.report.gap.errors import HELD_OUT, leading
 from wrapjax.report.gap.words import percent, words
@@ -16,6 +15,7 @@ from wrapjax.report.style import (
     GRAY,
     GREEN,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     VERMILION,
     Axes,
     Figure,

@@ -9,7 +9,7 @@ import numpy as np
 from wrapjax.gap.result import GapResult
 from wrapjax.gap.where.budget import BIN_PERCENT, BINS, Budget
 from wrapjax.report import markup
-from wrapjax.report.figures import PAGE_WIDTH, mark_gait_cycle
+from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.gap.errors import mean_absolute_errors, speed_label
 from wrapjax.report.gap.numbers import root, where
 from wrapjax.report.style import (
@@ -18,6 +18,7 @@ from wrapjax.report.style import (
     GRAY,
     GREEN,
     LIGHT_GRAY,
+    PAGE_WIDTH,
     PURPLE,
     VERMILION,
     Axes,
