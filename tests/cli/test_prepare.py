@@ -14,6 +14,7 @@ from tests.osim.test_scaling import SETUP
 from tests.raw import walker, walker_c3d
 from wrapjax.api import load_subject
 from wrapjax.osim import describe_model
+from wrapjax.report import markup
 from wrapjax.subject import read_storage, write_storage
 from wrapjax.subject.storage import Storage
 
@@ -55,6 +56,16 @@ def test_cycles_begin_when_the_left_foot_bears_weight(prepared):
     starts = load_subject(prepared[1]).trials.time[:, 0]
     # The made-up foot bears 30 N only 16 ms after its strike.
     np.testing.assert_allclose(starts, walker.STRIKES[:3], atol=0.02)
+
+
+def test_a_page_shows_forces_and_every_cycle(prepared):
+    page = (prepared[1] / "report.html").read_text()
+    content = json.loads((prepared[1] / "preparation.json").read_text())
+    # Forces beside what motion needs, angles, moments and EMG; nothing from elsewhere.
+    assert page.count('<img alt="') == 4 and "http" not in page.split("base64,")[0]
+    assert "3 gait cycles can be calibrated with." in page
+    for check in content["trials"]["walk"]["checks"]:
+        assert markup.text(check["found"]) in page
 
 
 def test_angles_are_those_walked(prepared):

@@ -29,19 +29,19 @@ def test_spread_is_one_sample_standard_deviation_about_the_mean():
 
 
 def test_cycles_are_grouped_by_speed_unless_there_are_too_many(result):
-    assert [(group.label, group.count) for group in groups_by_speed(result, most=2)] == [
+    assert [(group.label, group.count) for group in groups_by_speed(result.speeds, most=2)] == [
         ("0.5 m/s", "2 cycles"),
         ("0.8 m/s", "1 cycle"),
     ]
-    assert [group.label for group in groups_by_speed(result, most=1)] == [""]
+    assert [group.label for group in groups_by_speed(result.speeds, most=1)] == [""]
     unknown = replace(result, speeds=np.full(3, np.nan))
     assert [group.label for group in groups_by_speed_and_use(unknown, most_speeds=2)] == [
         "calibration",
         "validation",
     ]
     partly = replace(result, speeds=np.array([0.5, np.nan, 0.8]))
-    assert [group.label for group in groups_by_speed(partly, most=3)][-1] == "speed not given"
-    assert sum(group.keep for group in groups_by_speed(partly, most=3)).tolist() == [1, 1, 1]
+    assert [group.label for group in groups_by_speed(partly.speeds, most=3)][-1] == "speed not given"
+    assert sum(group.keep for group in groups_by_speed(partly.speeds, most=3)).tolist() == [1, 1, 1]
 
 
 def test_moments_have_a_panel_a_coordinate_and_kind_of_cycles(result):

@@ -21,6 +21,23 @@ CONTENT = {
         "explainable_share": {"estimate": 0.6},
     },
     "broken/gap.json": {"subject": "p2"},
+    "contact/contact.json": {
+        "subject": "p3",
+        "joints": {"hip": "hip_l", "knee": "knee_l"},
+        "runs": [
+            {
+                "run": "NGA",
+                "joints": {
+                    "hip": {"peak": {"mean_bodyweights": 5.0}, "first_peak": {"mean_bodyweights": 3.456}},
+                    "knee": {"peak": {"mean_bodyweights": 2.0}},
+                },
+            }
+        ],
+    },
+    "lengths/initialisation.json": {
+        "subject": "p4",
+        "passive_mae_Nm": {"knee_angle_l": {"before": 2.0, "after": 0.125}},
+    },
     ".hidden/fit.json": {},
 }
 
@@ -38,12 +55,16 @@ def results(subject, result, tmp_path):
 
 def test_every_result_has_a_line_with_its_figures(results):
     found = {one.folder.relative_to(results).as_posix(): one for one in find_results(results)}
-    assert list(found) == ["broken", "deep/er/gap & co", "fit", "run"]
+    assert list(found) == ["broken", "contact", "deep/er/gap & co", "fit", "lengths", "run"]
     assert found["fit"].figures == "2 muscles; largest length error 0.25 mm RMSE (b_l)"
     assert found["deep/er/gap & co"].figures == (
         "tie: cop_offset, hip_center_offset; 60 % of the error explainable"
     )
     assert found["broken"].figures == "gap.json cannot be read"
+    assert found["contact"].figures == "first peak at the hip (bodyweights): NGA 3.46"
+    assert found["lengths"].figures == (
+        "passive moments, mean absolute error (N m): knee_angle_l 2.00 to 0.12"
+    )
     mean = {
         use: json.loads((results / "run/summary.json").read_text())["mae_Nm"][use]["mean"]
         for use in ("calibration", "validation")

@@ -34,5 +34,5 @@ def run(options: argparse.Namespace) -> int:
         print_json(stored(options.out / "preparation.json"))
     else:
         print(render_tables(done.tables()))
-        print(f"written to {options.out}; see 'wrapjax check {options.out}'")
+        print(f"written to {options.out}; look at {options.out / 'report.html'}")
     return DONE

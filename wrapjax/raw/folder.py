@@ -42,6 +42,8 @@ class PreparedTrial:
         Series by OpenSim's label (``hip_flexion_l_moment``), N m or N, at the times of ``motion``.
     forces
         On the feet, filtered.
+    needed_time, needed_force
+        s; upward force that bears and accelerates all bodies of the model in this motion, N.
     emg_time, volts
         s; raw EMG at the electrode, one row a channel in the order of the settings.
     checks
@@ -56,6 +58,8 @@ class PreparedTrial:
     motion: Motion
     moments: dict[str, Float[np.ndarray, " frame"]]
     forces: FootForces
+    needed_time: Float[np.ndarray, " needed_frame"]
+    needed_force: Float[np.ndarray, " needed_frame"]
     emg_time: Float[np.ndarray, " sample"]
     volts: Float[np.ndarray, "channel sample"]
     checks: tuple[Check, ...]

@@ -68,24 +68,23 @@ class CycleGroup:
         return f"{number} cycle{'' if number == 1 else 's'}"
 
 
-def groups_by_speed(result: MomentCurves, *, most: int) -> list[CycleGroup]:
+def groups_by_speed(speeds: Float[np.ndarray, " trial"], *, most: int) -> list[CycleGroup]:
     """Group the cycles by walking speed; all in one group where there are more than ``most`` speeds."""
-    speeds = np.unique(result.speeds)  # NaNs count as one, the last
-    everything = np.ones(len(result.trials), dtype=bool)
-    if not 2 <= len(speeds) <= most:
-        return [CycleGroup("", everything)]
+    different = np.unique(speeds)  # NaNs count as one, the last
+    if not 2 <= len(different) <= most:
+        return [CycleGroup("", np.ones(len(speeds), dtype=bool))]
     return [
-        CycleGroup("speed not given", np.isnan(result.speeds))
+        CycleGroup("speed not given", np.isnan(speeds))
         if np.isnan(speed)
-        else CycleGroup(f"{speed:g} m/s", result.speeds == speed)
-        for speed in speeds
+        else CycleGroup(f"{speed:g} m/s", speeds == speed)
+        for speed in different
     ]
 
 
 def groups_by_speed_and_use(result: MomentCurves, *, most_speeds: int) -> list[CycleGroup]:
     """Group the cycles by speed and, within a speed, by use; groups without cycles are left out."""
     groups = []
-    for speed in groups_by_speed(result, most=most_speeds):
+    for speed in groups_by_speed(result.speeds, most=most_speeds):
         for use in ("calibration", "validation"):
             keep = speed.keep & np.array([entry == use for entry in result.uses])
             if keep.any():

@@ -107,7 +107,7 @@ def _muscle_figure(
     label: str,
 ) -> Figure:
     """Draw one quantity of those muscles that a signal is named of."""
-    groups = groups_by_speed(result, most=len(GROUP_COLORS))
+    groups = groups_by_speed(result.speeds, most=len(GROUP_COLORS))
     muscles = [muscle for muscle in result.muscles if muscle in signal_of]
     columns = 6 if len(muscles) > 12 else 4
     figure, panels = panel_grid(

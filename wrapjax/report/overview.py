@@ -102,6 +102,23 @@ def _comparison(content: Content) -> str:
     return f"mean absolute error (N m): {', '.join(parts)}" if parts else ", ".join(content["methods"])
 
 
+def _contact(content: Content) -> str:
+    joint = next(iter(content["joints"]))
+    parts = []
+    for run in content["runs"]:
+        measure, peak = list(run["joints"][joint].items())[-1]
+        parts.append(f"{run['run']} {decimals(peak['mean_bodyweights'])}")
+    return f"{plain(measure)} at the {joint} (bodyweights): {', '.join(parts)}"
+
+
+def _lengths(content: Content) -> str:
+    errors = content["passive_mae_Nm"]
+    parts = [f"{name} {decimals(own['before'])} to {decimals(own['after'])}" for name, own in errors.items()]
+    if not parts:
+        return "no passive moments"
+    return f"passive moments, mean absolute error (N m): {', '.join(parts)}"
+
+
 def _cohort(content: Content) -> str:
     states = [own["state"] for own in content["subjects"].values()]
     return f"{counted(len(states), 'subject')}, {states.count('failed')} failed"
@@ -129,6 +146,8 @@ KINDS: dict[str, Kind] = {
         "evaluate",
     ),
     "fit": Kind("fit.json", lambda content: "", _fit, "fit"),
+    "contact force": Kind("contact.json", lambda content: content["subject"], _contact, "contact"),
+    "initialisation": Kind("initialisation.json", lambda content: content["subject"], _lengths, "initialise"),
     "calibration": Kind(
         "summary.json", lambda content: f"{content['method']} of {content['subject']}", _run, "calibrate"
     ),

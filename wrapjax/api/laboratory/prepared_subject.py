@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from wrapjax.api.laboratory.raw_trial import RawModel, prepare_trial
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.files import new_folder, write_json
+from wrapjax.files import new_folder, write_json, write_text
 from wrapjax.nmsm import Project, fill_subject_folder, read_project
 from wrapjax.osim.inverse_kinematics import marker_names
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.scaling import scale_model
 from wrapjax.raw.angles import couplers_of
 from wrapjax.raw.folder import PreparedTrial, write_folder
+from wrapjax.raw.forces import SIDES
 from wrapjax.raw.settings import RawSettings, read_raw_settings
 from wrapjax.subject import Table, read_model_file, read_subject
 from wrapjax.subject.schema import collecting
@@ -55,7 +56,7 @@ class Preparation:
                 file.write_bytes(self.model)
                 write_folder(temporary, self.settings, file, self.trials)
             write_json(temporary / "preparation.json", self.summary())
-            read_subject(temporary)
+            _write_page(temporary, self.tables(), "markers, forces and raw EMG", self.trials)
 
     def summary(self) -> dict:
         """Give what ``preparation.json`` holds: filters, cycles, checks with numbers, notes of each trial."""
@@ -105,7 +106,7 @@ class ProjectPreparation:
         with new_folder(folder, force=force) as temporary, _called(temporary, folder):
             fill_subject_folder(self.project, temporary, folder.name)
             write_json(temporary / "preparation.json", self.summary())
-            read_subject(temporary)
+            _write_page(temporary, self.tables(), "a project of the NMSM Pipeline")
 
     def summary(self) -> dict:
         """Give what ``preparation.json`` holds: where it is from, cycles, notes."""
@@ -209,6 +210,28 @@ def _model(path: Path, settings: RawSettings) -> RawModel:
     if problems:
         raise InputError(problems)
     return RawModel(path, file, couplers_of(description.coordinates), marker_names(path))
+
+
+def _write_page(
+    folder: Path, tables: Sequence[Table], came_from: str, trials: Sequence[PreparedTrial] = ()
+) -> None:
+    """Read what was written as commands will, and show it."""
+    from wrapjax.report.preparation.figures import ForceTrace
+    from wrapjax.report.preparation.page import render_preparation
+
+    forces = [
+        ForceTrace(
+            trial=each.trial.name,
+            cycles=each.cycles,
+            time=each.forces.time,
+            vertical={SIDES[side]: each.forces.vertical(side) for side in each.forces.sides},
+            needed_time=each.needed_time,
+            needed=each.needed_force,
+        )
+        for each in trials
+    ]
+    page = render_preparation(read_subject(folder), tables, forces, came_from)
+    write_text(folder / "report.html", page)
 
 
 @contextmanager

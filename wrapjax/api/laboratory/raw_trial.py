@@ -98,7 +98,8 @@ def prepare_trial(
         motion = _smoothed(recorded, window, cutoff, model)
     forces = forces.filtered(cutoff).during(motion.time[0] - MOTION_MARGIN, motion.time[-1] + MOTION_MARGIN)
     _refuse(trial, trial.motion, checks)
-    mechanical = tuple(_mechanical_checks(motion, forces, settings, model, notes))
+    posed_at, mechanics = _moving_bodies(motion, settings, model)
+    mechanical = tuple(_mechanical_checks(posed_at, mechanics, forces, settings, notes))
     _refuse(trial, trial.forces, mechanical)
     tell(f"{trial.name}: inverse dynamics")
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
@@ -115,6 +116,8 @@ def prepare_trial(
         motion=motion,
         moments=moments,
         forces=forces,
+        needed_time=posed_at,
+        needed_force=_needed(mechanics),
         emg_time=emg_time[kept],
         volts=volts[:, kept],
         checks=(*checks, *mechanical, *calf),
@@ -266,22 +269,36 @@ def _smoothed(recorded: Motion, window: tuple[float, float], cutoff: float, mode
     return Motion(recorded.coordinates, time[kept], smooth[:, kept]).coupled(model.couplers)
 
 
-def _mechanical_checks(
-    motion: Motion, forces: FootForces, settings: RawSettings, model: RawModel, notes: list[str]
-) -> Iterator[Check]:
-    """Check weight, timing and legs of the forces by the bodies' motion."""
+def _moving_bodies(
+    motion: Motion, settings: RawSettings, model: RawModel
+) -> tuple[Float[np.ndarray, " frame"], Mechanics]:
+    """Ask Newton's law of all bodies, at as many frames as motion has something new in."""
     free = motion.independent(model.couplers)
     step = max(1, round((motion.time.size - 1) / (motion.time[-1] - motion.time[0]) / MECHANICS_RATE))
     time = motion.time[::step]
     spline = CubicSpline(free.time, free.values, axis=1)
     motions = [spline(time, order) for order in range(3)]
     posed = PosedMotion(free.coordinates, *motions)
-    mechanics: Mechanics = analyse_mechanics(model.path, settings.coordinates, posed)
-    weight_of = mechanics.of_mass[:, 4].sum(axis=0)
+    return time, analyse_mechanics(model.path, settings.coordinates, posed)
+
+
+def _needed(mechanics: Mechanics) -> Float[np.ndarray, " frame"]:
+    """Sum the upward force that bears and accelerates all bodies, N."""
+    return np.asarray(mechanics.of_mass[:, 4].sum(axis=0))
+
+
+def _mechanical_checks(
+    time: Float[np.ndarray, " frame"],
+    mechanics: Mechanics,
+    forces: FootForces,
+    settings: RawSettings,
+    notes: list[str],
+) -> Iterator[Check]:
+    """Check weight, timing and legs of the forces by the bodies' motion."""
     feet = {side: mechanics.origin[mechanics.bodies.index(foot.body)] for side, foot in settings.feet.items()}
     yield from legs_of_forces(time, feet, forces, 9.81 * settings.mass_kg)
     if len(forces.sides) == 2:
-        yield from forces_against_motion(time, weight_of, forces)
+        yield from forces_against_motion(time, _needed(mechanics), forces)
     else:
         notes.append("timing of forces: not checked, since one foot's force alone does not bear the body")
 
