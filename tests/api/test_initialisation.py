@@ -60,6 +60,8 @@ def test_passive_moments_are_explained_better(found):
 
 def test_settings_can_name_what_it_writes(found, folder, tmp_path):
     found.save(tmp_path / "lengths")
+    page = (tmp_path / "lengths" / "report.html").read_text()
+    assert page.count('<img alt="') == 2 and "knee: knee_angle_l" not in page and "recfem_l" in page
     content = json.loads((tmp_path / "lengths" / "initialisation.json").read_text())
     assert list(content["muscles"]) == ["recfem_l", "semiten_l"]
     (folder / "lengths.csv").write_bytes((tmp_path / "lengths" / "muscle_parameters.csv").read_bytes())

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(initialisation_table(done.content()))
         print(
-            f"\nwritten to {options.out}; copy {PARAMETERS_FILE} beside subject.toml and name it there under"
+            f"\nwritten to {options.out}; look at its report.html, then copy {PARAMETERS_FILE} beside "
+            f'subject.toml\nand name it there under [model]: muscle_parameters = "{PARAMETERS_FILE}"'
         )
-        print(f'[model]: muscle_parameters = "{PARAMETERS_FILE}"')
     return DONE if done.status.converged else NOT_CONVERGED

@@ -6,9 +6,8 @@ import csv
 import io
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +29,9 @@ from wrapjax.subject.model_file import MuscleParameters, read_model_file
 from wrapjax.subject.muscles import CSV_COLUMNS
 from wrapjax.subject.passive import PassiveTrial
 
+if TYPE_CHECKING:
+    from wrapjax.report.initialisation.figures import PassiveCurves
+
 #: The file that ``subject.toml`` can name as ``[model] muscle_parameters``.
 PARAMETERS_FILE = "muscle_parameters.csv"
 #: Said where there is none.
@@ -50,8 +52,9 @@ class Initialisation:
         Ratios to the model's lengths that ended on a bound, as ``soleus_l.optimal_fiber_length``.
     ranges
         Shortest and longest normalised fiber length in walking, before and after.
-    passive_mae
-        Mean absolute error of passive moments by coordinate, N m, before and after; empty without any.
+    passive
+        Passive moments about the coordinates whose moments are matched, N m: recorded (NaN where not),
+        before, after; the samples of all passive trials one after the other.
     cost_by_term
         The parts of the cost at the solution.
     status
@@ -63,9 +66,21 @@ class Initialisation:
     after: MuscleParameters
     at_bounds: tuple[str, ...]
     ranges: Float[np.ndarray, "2 muscle 2"]
-    passive_mae: dict[str, tuple[float, float]]
+    passive: Float[np.ndarray, "3 coordinate sample"]
     cost_by_term: dict[str, float]
     status: Status
+
+    @property
+    def passive_mae(self) -> dict[str, tuple[float, float]]:
+        """Mean absolute error of passive moments by coordinate, N m, before and after; empty without any."""
+        measured, *modelled = self.passive
+        known = np.isfinite(measured)
+        missed = np.abs(np.array(modelled) - measured)
+        return {
+            name: (float(missed[0, row, own].mean()), float(missed[1, row, own].mean()))
+            for row, (name, own) in enumerate(zip(self.subject.trials.moment_coordinates, known, strict=True))
+            if own.any()
+        }
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -112,10 +127,17 @@ class Initialisation:
         }
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write ``muscle_parameters.csv``, which ``subject.toml`` can name, and ``initialisation.json``."""
+        """Write ``muscle_parameters.csv``, ``initialisation.json`` and ``report.html``.
+
+        The first is what ``subject.toml`` can name.
+        """
+        from wrapjax.report.initialisation.page import render_initialisation
+
+        content = self.content()
         with new_folder(Path(folder), force=force) as place:
             write_text(place / PARAMETERS_FILE, _table(self.after))
-            write_json(place / "initialisation.json", self.content())
+            write_json(place / "initialisation.json", content)
+            write_text(place / "report.html", render_initialisation(content, _passive_curves(self)))
 
 
 def initialise(
@@ -168,7 +190,9 @@ def initialise(
             for kind, row in np.argwhere(stuck)
         ),
         ranges=np.array([[one.min(axis=1), one.max(axis=1)] for one in walking]).transpose(0, 2, 1),
-        passive_mae=_passive_errors(problem, subject.trials.moment_coordinates, variables),
+        passive=np.array(
+            [np.where(problem.recorded, problem.moment, np.nan), *map(problem.passive_moments, ends)]
+        ),
         cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in problem.terms(variables).items()},
         status=solution.status,
     )
@@ -230,18 +254,20 @@ def _moments(trial: PassiveTrial, wanted: tuple[str, ...]) -> Float[np.ndarray, 
     return np.array([given.get(name, nothing) for name in wanted])
 
 
-def _passive_errors(
-    problem: InitialLengths, coordinates: tuple[str, ...], variables: jax.Array
-) -> dict[str, tuple[float, float]]:
-    ends = [
-        np.abs(np.asarray(problem.passive_moments(problem.lengths(at)) - problem.moment))
-        for at in (problem.start(), variables)
-    ]
-    return {
-        name: (float(ends[0][row, own].mean()), float(ends[1][row, own].mean()))
-        for row, (name, own) in enumerate(zip(coordinates, problem.recorded, strict=True))
-        if own.any()
-    }
+def _passive_curves(done: Initialisation) -> list[PassiveCurves]:
+    """Take passive moments apart again: one entry a trial and coordinate."""
+    from wrapjax.report.initialisation.figures import PassiveCurves
+
+    found, first = [], 0
+    for trial in done.subject.passive:
+        own = slice(first, first := first + trial.moments.shape[1])
+        for row, name in enumerate(done.subject.trials.moment_coordinates):
+            measured, before, after = done.passive[:, row, own]
+            angle = dict(zip(trial.coordinates, trial.angles, strict=True)).get(name)
+            if name in trial.moment_coordinates:
+                place = None if angle is None or np.ptp(angle) == 0.0 else np.rad2deg(angle)
+                found.append(PassiveCurves(trial.name, name, place, measured, before, after))
+    return found
 
 
 def _table(muscles: MuscleParameters) -> str:
