@@ -254,22 +254,22 @@ def wrapped_paths(
     )
     most = max((len(engine.wraps_of(name)) for name in engine.muscles), default=0)
     touching = np.zeros((len(engine.muscles), most), dtype=bool)
-    states: dict[int, PathState] = {}
+    order: list[int] = []
+    states: list[PathState] = []
     movable = []
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
         walls = _walls(wrapped)
         rows = [engine.muscles.index(name) for name in kind]
-        for place, row in enumerate(rows):
-            one, own_walls = _rows_of((wrapped, walls), place)
-            touching[row, : one.touching.shape[-1]] = np.asarray(one.touching).any(axis=0)
-            states[row] = _over_cycles(one, own_walls, jnp.asarray(velocities), columns)
+        touching[rows, : wrapped.touching.shape[-1]] = np.asarray(wrapped.touching).any(axis=1)
+        order += rows
+        states.append(_each_over_cycles(wrapped, walls, jnp.asarray(velocities), columns))
         own = np.flatnonzero([bool(set(engine.wraps_of(name)) & set(free)) for name in kind])
         if own.size:
             movable.append(_Alike(np.array(rows)[own], *_rows_of((posed_alike, walls), own)))
     paths = WrappedPaths(
-        nominal=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(states[row] for row in range(len(states)))),
+        nominal=jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[np.argsort(order)], *states),
         alike=tuple(movable),
         velocities=jnp.asarray(velocities),
         columns=columns,
@@ -279,7 +279,18 @@ def wrapped_paths(
     return paths, touching
 
 
-def _rows_of(tree: _Tree, rows: int | Int[np.ndarray, " row"]) -> _Tree:
+@eqx.filter_jit
+def _each_over_cycles(
+    path: WrappedPath,
+    walls: _Walls,
+    velocities: Float[Array, "trial coordinate frame"],
+    columns: Int[np.ndarray, " moment_coordinate"],
+) -> PathState:
+    """Arrange many muscles' paths; leaves lead with ``muscle``."""
+    return jax.vmap(_over_cycles, in_axes=(0, 0, None, None))(path, walls, velocities, columns)
+
+
+def _rows_of(tree: _Tree, rows: Int[np.ndarray, " row"]) -> _Tree:
     return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 

@@ -80,12 +80,13 @@ class StraightPath(eqx.Module):
         missing = pieces - self.eligible.shape[-1]
 
         def repeated(leaf: Array) -> Array:
-            return jnp.concatenate([leaf, jnp.repeat(leaf[..., -1:], missing, axis=-1)], axis=-1)
+            known = np.asarray(leaf)
+            return jnp.asarray(np.concatenate([known, np.repeat(known[..., -1:], missing, axis=-1)], axis=-1))
 
         ends = (self.start, self.end, self.start_velocity, self.end_velocity)
         start, end, start_velocity, end_velocity = jax.tree.map(repeated, ends)
-        none = jnp.zeros((*self.eligible.shape[:-1], missing), dtype=bool)
-        eligible = jnp.concatenate([self.eligible, none], axis=-1)
+        none = np.zeros((*self.eligible.shape[:-1], missing), dtype=bool)
+        eligible = jnp.asarray(np.concatenate([np.asarray(self.eligible), none], axis=-1))
         return StraightPath(self.length, self.moment_arm, start, end, start_velocity, end_velocity, eligible)
 
 
