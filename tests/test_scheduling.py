@@ -1,8 +1,12 @@
 """Work done elsewhere comes back by name; what fails, or takes its process with it, stops nothing else."""
 
+import ctypes
 import math
 import operator
 import os
+import select
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -43,6 +47,50 @@ class Life:
 def test_workers_are_other_processes_of_one_thread():
     (threads, process), _ = collected(operator.methodcaller("__call__"), {"own": Life()}, workers=1)["own"]
     assert threads == "1" and process != os.getpid()
+
+
+@dataclass
+class Patient:
+    """Ends when all others have said that they are done, or too late; nobody else in its process can think.
+
+    Numerical libraries are like that: until they are done no message is answered.
+    """
+
+    letters: Path
+    others: int
+
+    def __call__(self):
+        box = os.open(self.letters, os.O_RDWR)
+        watched = (ctypes.c_int * 2)(box, select.POLLIN)
+        heard = 0
+        while heard < self.others and ctypes.PyDLL(None).poll(watched, 1, 20_000):
+            heard += len(os.read(box, self.others))
+        os.close(box)
+        return heard
+
+
+@dataclass
+class Other:
+    letters: Path
+
+    def __call__(self):
+        box = os.open(self.letters, os.O_RDWR)
+        os.write(box, b".")
+        os.close(box)
+        return os.getpid()
+
+
+def test_nobody_waits_for_a_slow_one(tmp_path):
+    """What is left goes to whoever is free: a worker that is busy for long keeps none of it to itself."""
+    letters = tmp_path / "letters"
+    os.mkfifo(letters)
+    names = [f"other {number}" for number in range(12)]
+    jobs = {"patient": Patient(letters, len(names)), **dict.fromkeys(names, Other(letters))}
+    box = os.open(letters, os.O_RDWR)  # a pipe that nobody holds forgets what is in it
+    found = collected(operator.methodcaller("__call__"), jobs, workers=2)
+    os.close(box)
+    assert found["patient"] == (len(names), "")
+    assert len({found[name] for name in names}) == 1
 
 
 def test_no_scheduler(monkeypatch):

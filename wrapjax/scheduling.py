@@ -69,18 +69,23 @@ def run_everywhere(
 
     settings = {
         "distributed.scheduler.allowed-failures": RETRIES,
-        # A process holds the piece that it works at and no other, which would be blamed if it died.
+        # A process holds the piece that it works at and no other, which would wait for it, and be blamed if
+        # it died. Dask heeds that for groups of tasks only: see the keys.
         "distributed.scheduler.worker-saturation": 1.0,
     }
     with (
         dask.config.set(settings),
         _client(scheduler, min(workers, len(jobs))) as client,
     ):
-        run = uuid4().hex[:8]  # no answer of an earlier call may be taken for this one's
-        futures = {
-            client.submit(work, job, key=f"{name}-{run}", retries=RETRIES, pure=False): name
-            for name, job in jobs.items()
-        }
+        run = f"run-{uuid4().hex}"  # no answer of an earlier call may be taken for this one's
+        keys = [(run, name) for name in jobs]
+        futures = dict(
+            zip(
+                client.map(work, list(jobs.values()), key=keys, retries=RETRIES, pure=False),
+                jobs,
+                strict=True,
+            )
+        )
         for future in as_completed(list(futures)):
             name = futures.pop(future)
             if future.status == "finished":
