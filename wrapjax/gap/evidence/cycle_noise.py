@@ -114,9 +114,9 @@ def _at(
         # What is expected of the noise, given deviations and this guess, is a better guess (Dempster, Laird &
         # Rubin 1977).
         alone = np.kron(between, _kernel(phases, spectrum))
-        share_of_noise = np.linalg.solve(alone + made, np.broadcast_to(alone, made.shape))
-        expected = np.einsum("cij,ci->cj", share_of_noise, rows)
-        spread = alone - alone @ share_of_noise.mean(axis=0)
+        precision = np.stack([_inverse(alone + block) for block in made])
+        expected = np.einsum("cij,cj->ci", precision, rows) @ alone
+        spread = alone - alone @ precision.mean(axis=0) @ alone
         again = _by_harmonic(spread + expected.T @ expected / cycles, coordinates)
         between, spectrum = _settled(_no_less(again, least), phases)
     independent = np.diag(np.diag(between))
@@ -130,6 +130,13 @@ def _at(
         seen = scipy.linalg.solve_triangular(factor, own, lower=True, check_finite=False)
         likelihood -= 0.5 * float(seen @ seen) + float(np.sum(np.log(np.diag(factor))))
     return likelihood, noise
+
+
+def _inverse(covariance: Float[np.ndarray, "own own"]) -> Float[np.ndarray, "own own"]:
+    """Invert by Cholesky's factors: a third of the work of any other matrix."""
+    factor = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
+    lower, _ = scipy.linalg.lapack.dpotri(factor, lower=True)
+    return np.asarray(lower + np.tril(lower, -1).T)
 
 
 def _by_harmonic(

@@ -140,11 +140,19 @@ def score_each(
         In any order.
     """
     weights, by_null = [], []
+    shapes = [signature for candidate in candidates for signature in candidate.variants]
+    ends = np.cumsum([len(signature) for signature in shapes])[:-1]
+    stacked = np.concatenate(shapes) if shapes else np.zeros((0, residuals.shape[1]))
     for null in nulls:
         factor = scipy.linalg.cholesky(null.covariance, lower=True, check_finite=False)
         seen = scipy.linalg.solve_triangular(factor, residuals.T, lower=True, check_finite=False)
         weights.append(null.log_prior - 0.5 * np.sum(seen**2, axis=0) - np.sum(np.log(np.diag(factor))))
-        by_null.append([_against(factor, seen, candidate) for candidate in candidates])
+        # All signatures at once: one by one they would wait for the factor to come from memory.
+        white = scipy.linalg.solve_triangular(factor, stacked.T, lower=True, check_finite=False)
+        parts = iter(np.split(white, ends, axis=1))
+        by_null.append(
+            [_against([next(parts) for _ in candidate.variants], seen, candidate) for candidate in candidates]
+        )
     plausible = np.array(weights)
     usual = logsumexp(plausible, axis=0)
     every = []
@@ -199,11 +207,14 @@ class _Found:
         return max(one.detectability for one in self.hypotheses)
 
 
-def _against(factor: Matrix, seen: Float[np.ndarray, "row sample"], candidate: Candidate) -> _Found:
+def _against(
+    whitened: Sequence[Float[np.ndarray, "row parameter"]],
+    seen: Float[np.ndarray, "row sample"],
+    candidate: Candidate,
+) -> _Found:
     """Score one candidate against one null; its variants are equally plausible before."""
     tried = []
-    for variant, signature in enumerate(candidate.variants):
-        white = scipy.linalg.solve_triangular(factor, signature.T, lower=True, check_finite=False)
+    for variant, white in enumerate(whitened):
         slope, information = seen.T @ white, white.T @ white
         for (part, share), size in product(candidate.hypotheses, SIZES):
             own = np.array(part)
