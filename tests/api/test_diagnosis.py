@@ -91,7 +91,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
 
 def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(found):
     withheld = (*WITHOUT, "emg_drift")
-    afterwards = found.without(*withheld, twins=4).result
+    afterwards = found.without(*withheld).result
     at_once = diagnose_calibrated(found.calibration, without=withheld, twins=4).result
     assert afterwards.withheld == at_once.withheld == withheld
     assert [one.id for one in afterwards.effects] == ["joint_damping"]

@@ -72,7 +72,8 @@ def investigate(
     twins, seed
         How many people with nothing amiss are made, and from what.
     seen
-        What an earlier investigation of this case, with another catalogue, gave beside its result.
+        What an earlier investigation of this case, with another catalogue, gave beside its result; its
+        twins are taken, too.
     tell
         Called with a line at each step.
     seconds
@@ -111,11 +112,13 @@ def investigate(
     left = case.measured - seen.plain.predicted
     place = where(left, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
     sizes = case.measured[plan.calibration].std(axis=(0, 2))
-    with watch.during("twins", f"making {twins} people with nothing amiss"):
-        world = TwinWorld(problem, ended, inputs, gap, gap.noise)
-        others = twin_residuals(world, twins, seed)
+    if seen.twins is None:
+        with watch.during("twins", f"making {twins} people with nothing amiss"):
+            world = TwinWorld(problem, ended, inputs, gap, gap.noise)
+            seen = replace(seen, twins=twin_residuals(world, twins, seed))
+    assert seen.twins is not None
     with watch.during("score", "scoring effects"):
-        residuals = np.concatenate([gap.residual.reshape(1, -1), others])
+        residuals = np.concatenate([gap.residual.reshape(1, -1), seen.twins])
         first, *of_twins = score_each(residuals, nulls(gap, sizes), gap.candidates)
     scene = Scene(
         case=case,

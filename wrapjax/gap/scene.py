@@ -99,12 +99,15 @@ class Look:
         Whether they are good enough.
     amount_weight
         What a squared prior standard deviation of an effect's amount costs in a refit.
+    twins
+        Residuals of people with nothing amiss (see `twin_residuals`); None until they are made.
     """
 
     plain: CrossFit
     place: Where
     certificate: Certificate
     amount_weight: float
+    twins: Float[np.ndarray, "twin row"] | None = None
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,6 @@ class Diagnosis:
     def without(
         self,
         *effects: str,
-        seed: int = 0,
-        twins: int = TWINS,
         tuning: Tuning | None = None,
         tell: Callable[[str], None] = lambda line: None,
     ) -> Diagnosis:
@@ -75,7 +73,7 @@ class Diagnosis:
         ----------
         effects
             Ids of effects to leave out of the catalogue.
-        seed, twins, tuning, tell
+        tuning, tell
             As of `diagnose`.
 
         Raises
@@ -85,7 +83,7 @@ class Diagnosis:
         """
         case = replace(self.case, entries=catalogue(self.case.context, effects), withheld=effects)
         found, look = investigate(
-            case, tuning=tuning or Tuning.shipped(), twins=twins, seed=seed, seen=self.look, tell=tell
+            case, tuning=tuning or Tuning.shipped(), twins=TWINS, seen=self.look, tell=tell
         )
         return Diagnosis(self.calibration, found, case, look)
 
