@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,6 @@ GROUPS = (
     *("kernels", "compile", "solve", "recompilation", "growth", "roofline"),
     *("paths", "surrogate", "engine"),
 )
-#: Groups that need no calibration problem.
-_WITHOUT_CASE = {"paths", "surrogate", "engine"}
 
 
 def main() -> int:
@@ -81,14 +80,18 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
     limit = min(options.limit, 15.0) if options.quick else options.limit
     muscles = options.muscles or surrogate.default_muscles(subject)
     metrics = []
-    case = nga_case(subject) if set(options.only) - _WITHOUT_CASE else None
+
+    @cache
+    def case() -> Case:
+        return nga_case(subject)
+
     runs = {
-        "kernels": lambda: calibration.kernels(case, quick=options.quick),
-        "compile": lambda: calibration.compilation(case),
-        "solve": lambda: solving.solves(case, quick=options.quick, limit=limit),
-        "recompilation": lambda: recompilation.recompilations(case.problem),
-        "growth": lambda: _growth(case, options.figures),
-        "roofline": lambda: _roofline(subject, case, options.figures),
+        "kernels": lambda: calibration.kernels(case(), quick=options.quick),
+        "compile": lambda: calibration.compilation(case()),
+        "solve": lambda: solving.solves(case(), quick=options.quick, limit=limit),
+        "recompilation": lambda: recompilation.recompilations(case().problem),
+        "growth": lambda: _growth(case(), options.figures),
+        "roofline": lambda: _roofline(subject, case(), options.figures),
         "paths": lambda: path_methods(subject, wrapjax.fit(subject), quick=options.quick),
         "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
         "engine": lambda: engine.engine_speed(subject, quick=options.quick, full=options.full),

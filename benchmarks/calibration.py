@@ -96,8 +96,8 @@ def compilation(case: Case) -> list[Metric]:
             sys.executable,
             "-m",
             "benchmarks.first_calibration",
-            case.subject.folder,
-            Path(folder) / "fit",
+            str(case.subject.folder),
+            str(Path(folder) / "fit"),
         ]
         first, cached = (
             json.loads(subprocess.run(words, env=environment, check=True, capture_output=True).stdout)

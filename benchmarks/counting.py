@@ -49,7 +49,7 @@ def counted_programs() -> Iterator[list[str]]:
     """List the programs that XLA is asked for meanwhile, by name, whether compiled or found on disk."""
     asked: list[str] = []
 
-    def note(event: str, seconds: float, **about: Any) -> None:
+    def note(event: str, duration_secs: float, **about: str | int) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
             asked.append(str(about.get("fun_name", "?")))
 

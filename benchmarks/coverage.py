@@ -95,7 +95,7 @@ def _measure(folder: Path, options: argparse.Namespace) -> int:
         if rows:
             print(f"\n{way}, {len(rows)} noise draws, {options.noise:g} N m: truth within the 90 % interval,")
             print("by how far moments narrow a parameter, and by kind of those narrowed below 0.8")
-            _report(*(np.stack(part) for part in zip(*rows, strict=True)), problem.variables.labels)
+            _report(problem.variables.labels, *(np.stack(part) for part in zip(*rows, strict=True)))
     if found["bootstrap"]:
         pairs = zip(found["laplace"], found["bootstrap"], strict=False)
         ratio = np.concatenate([(two[2] / one[2])[one[1] < 0.5] for one, two in pairs])
@@ -119,7 +119,7 @@ def _judged(
     return held, spread.deviation / before, spread.deviation
 
 
-def _report(held: np.ndarray, share: np.ndarray, deviation: np.ndarray, labels: tuple[str, ...]) -> None:
+def _report(labels: tuple[str, ...], held: np.ndarray, share: np.ndarray, deviation: np.ndarray) -> None:
     kinds = np.array([label.rsplit(".", 1)[1] for label in labels])
     for low, high in ((0.0, 0.3), (0.3, 0.5), (0.5, 0.8), (0.0, 0.8), (0.8, np.inf)):
         chosen = (share >= low) & (share < high)

@@ -173,7 +173,7 @@ def optimistix_lm(case: Case, limit: float) -> Run:
     share = jnp.clip((case.start - lower) / (upper - lower), 1e-3, 1 - 1e-3)
     free = jnp.log(share / (1 - share))
     shapes = eqx.filter_eval_shape(residuals, free, case.problem)
-    solver = optimistix.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
+    solver: Any = optimistix.LevenbergMarquardt(rtol=1e-10, atol=1e-10)
     tags: frozenset[object] = frozenset()
     state = solver.init(residuals, free, case.problem, {}, *shapes, tags)
 

@@ -22,6 +22,8 @@ from benchmarks.machine import pin_threads
 from benchmarks.subjects import default_subject, set_up_jax
 
 if TYPE_CHECKING:
+    import jax
+
     from wrapjax.api import Calibration
     from wrapjax.geometry import PathState
 
@@ -105,11 +107,11 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
         yield name, figures, [criterion for criterion, failed in faults.items() if failed.any()]
 
 
-def _rms(errors: np.ndarray) -> np.ndarray:
+def _rms(errors: np.ndarray | jax.Array) -> np.ndarray:
     return np.atleast_1d(np.sqrt(np.mean(np.asarray(errors) ** 2, axis=0)))
 
 
-def _largest_step(change: np.ndarray) -> float:
+def _largest_step(change: np.ndarray | jax.Array) -> float:
     return float(np.abs(np.diff(np.asarray(change), axis=1)).max())
 
 

@@ -143,7 +143,8 @@ def measured_roof() -> Roof:
 
 def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Work:
     """Compile a function, have XLA count its work, and time it."""
-    program = eqx.filter_jit(function).lower(*arguments).compile()
+    jitted: Any = eqx.filter_jit(function)
+    program = jitted.lower(*arguments).compile()
     counted, text = program.compiled.cost_analysis(), program.compiled.as_text()
     loops, calls = len(re.findall(r" while\(", text)), len(re.findall(r" custom-call\(", text))
     turns = ", ".join(dict.fromkeys(re.findall(r'known_trip_count":{"n":"(\d+)"', text)))
