@@ -89,6 +89,18 @@ class LinearGap:
             total += share**2 * np.sum(errors.signatures**2, axis=0).mean(axis=0)
         return total
 
+    def allowing(self, background: Mapping[str, float]) -> LinearGap:
+        """Allow for what everybody has of effects, by id in parts of their prior deviations."""
+        nuisances = [self.nuisances]
+        for one in self.candidates:
+            if share := background.get(one.id, 0.0):
+                # Shapes share what everybody has.
+                spread = share * one.prior_sd[:, None] / np.sqrt(len(one.variants))
+                nuisances += [
+                    (variant * spread).reshape(-1, *self.residual.shape) for variant in one.variants
+                ]
+        return replace(self, nuisances=np.concatenate(nuisances))
+
     @property
     def calibrated(self) -> Float[np.ndarray, "sum cycle coordinate phase"]:
         """By independent sums of calibrated variables, one prior standard deviation of each."""
@@ -138,10 +150,6 @@ def linear_gap(
             ]
         else:
             candidates.append(own)
-            if share := background.get(effect.id, 0.0):
-                # Shapes share what everybody has.
-                spread = share * own.prior_sd[:, None] / np.sqrt(len(own.variants))
-                nuisances += [(variant * spread).reshape(-1, *fitted.shape) for variant in own.variants]
     return LinearGap(
         residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,
@@ -156,7 +164,7 @@ def linear_gap(
         ),
         muscle_errors=_muscle_errors(states, parameters, frames),
         speeds=speed_numbers(context.speeds),
-    )
+    ).allowing(background)
 
 
 def expectations(

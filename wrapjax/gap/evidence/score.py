@@ -122,6 +122,55 @@ class Null:
     log_prior: float = 0.0
 
 
+@dataclass(frozen=True)
+class Projection:
+    """What one null hypothesis makes of residuals and signatures: all that a score takes of them.
+
+    Amounts are those of all shapes of all candidates, one after the other.
+
+    Parameters
+    ----------
+    weight
+        Logarithm of how plausible the null is with each residual, but for a constant.
+    slope, information
+        s and I.
+    """
+
+    weight: Float[np.ndarray, " sample"]
+    slope: Float[np.ndarray, "sample amount"]
+    information: Float[np.ndarray, "amount amount"]
+
+    def allowing(self, spread: Float[np.ndarray, " amount"]) -> Projection:
+        """Let the null have all amounts with these standard deviations (Woodbury's identity)."""
+        own = np.flatnonzero(spread)
+        root = self.information[:, own] * spread[own]
+        inner = np.eye(len(own)) + spread[own, None] * root[own]
+        factor = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
+        taken = scipy.linalg.solve_triangular(
+            factor, np.vstack([root, self.slope[:, own] * spread[own]]).T, lower=True, check_finite=False
+        ).T
+        of_amounts, of_samples = np.split(taken, [len(root)])
+        return Projection(
+            self.weight + 0.5 * np.sum(of_samples**2, axis=1) - np.sum(np.log(np.diag(factor))),
+            self.slope - of_samples @ of_amounts.T,
+            self.information - of_amounts @ of_amounts.T,
+        )
+
+
+def project(
+    residuals: Float[np.ndarray, "sample row"], null: Null, candidates: Sequence[Candidate]
+) -> Projection:
+    """Look at residuals and signatures through a null's covariance."""
+    shapes = [signature for candidate in candidates for signature in candidate.variants]
+    stacked = np.concatenate([*shapes, np.zeros((0, residuals.shape[1]))])
+    factor = scipy.linalg.cholesky(null.covariance, lower=True, check_finite=False)
+    seen = scipy.linalg.solve_triangular(factor, residuals.T, lower=True, check_finite=False)
+    # All signatures at once: one by one they would wait for the factor to come from memory.
+    white = scipy.linalg.solve_triangular(factor, stacked.T, lower=True, check_finite=False)
+    weight = null.log_prior - 0.5 * np.sum(seen**2, axis=0) - np.sum(np.log(np.diag(factor)))
+    return Projection(weight, seen.T @ white, white.T @ white)
+
+
 def score_each(
     residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
 ) -> tuple[Scored, ...]:
@@ -139,24 +188,16 @@ def score_each(
     candidates
         In any order.
     """
-    weights, by_null = [], []
-    shapes = [signature for candidate in candidates for signature in candidate.variants]
-    ends = np.cumsum([len(signature) for signature in shapes])[:-1]
-    stacked = np.concatenate(shapes) if shapes else np.zeros((0, residuals.shape[1]))
-    for null in nulls:
-        factor = scipy.linalg.cholesky(null.covariance, lower=True, check_finite=False)
-        seen = scipy.linalg.solve_triangular(factor, residuals.T, lower=True, check_finite=False)
-        weights.append(null.log_prior - 0.5 * np.sum(seen**2, axis=0) - np.sum(np.log(np.diag(factor))))
-        # All signatures at once: one by one they would wait for the factor to come from memory.
-        white = scipy.linalg.solve_triangular(factor, stacked.T, lower=True, check_finite=False)
-        parts = iter(np.split(white, ends, axis=1))
-        by_null.append(
-            [_against([next(parts) for _ in candidate.variants], seen, candidate) for candidate in candidates]
-        )
-    plausible = np.array(weights)
+    return score_projected([project(residuals, null, candidates) for null in nulls], candidates)
+
+
+def score_projected(projections: Sequence[Projection], candidates: Sequence[Candidate]) -> tuple[Scored, ...]:
+    """Score every candidate against all nulls together; see `score_each`."""
+    by_null = [_against_all(one, candidates) for one in projections]
+    plausible = np.array([one.weight for one in projections])
     usual = logsumexp(plausible, axis=0)
     every = []
-    for sample in range(len(residuals)):
+    for sample in range(plausible.shape[1]):
         own = []
         for number, candidate in enumerate(candidates):
             found = [own_null[number] for own_null in by_null]
@@ -207,15 +248,25 @@ class _Found:
         return max(one.detectability for one in self.hypotheses)
 
 
+def _against_all(projection: Projection, candidates: Sequence[Candidate]) -> list[_Found]:
+    """Score all candidates against one null."""
+    found, first = [], 0
+    for candidate in candidates:
+        shapes = []
+        for _ in candidate.variants:
+            own = slice(first, first := first + len(candidate.prior_sd))
+            shapes.append((projection.slope[:, own], projection.information[own, own]))
+        found.append(_against(shapes, candidate))
+    return found
+
+
 def _against(
-    whitened: Sequence[Float[np.ndarray, "row parameter"]],
-    seen: Float[np.ndarray, "row sample"],
+    shapes: Sequence[tuple[Float[np.ndarray, "sample parameter"], Float[np.ndarray, "parameter parameter"]]],
     candidate: Candidate,
 ) -> _Found:
-    """Score one candidate against one null; its variants are equally plausible before."""
+    """Score one candidate by s and I of its shapes; these are equally plausible before."""
     tried = []
-    for variant, white in enumerate(whitened):
-        slope, information = seen.T @ white, white.T @ white
+    for variant, (slope, information) in enumerate(shapes):
         for (part, share), size in product(candidate.hypotheses, SIZES):
             own = np.array(part)
             evidence, amounts, sd, detectability = evidence_of(

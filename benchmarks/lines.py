@@ -1,0 +1,159 @@
+"""Straight lines of a bank's cases, kept so that constants of the score can be tried in seconds.
+
+``python -m benchmarks.lines --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
+`wrapjax.gap.evidence.linearized`) and keeps them, one file a case, with no effect allowed for in everyone.
+Nothing is scored or refitted here, and the truth is not looked at; `benchmarks.tuning` does that, of
+development banks alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.machine import pin_threads
+from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
+from wrapjax.gap.evidence.linearized import LinearGap
+from wrapjax.gap.evidence.score import Candidate
+from wrapjax.scheduling import run_everywhere
+
+_ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds")
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A case's straight lines, standard deviations of its measured moments (N m), and those of its twins."""
+
+    gap: LinearGap
+    sizes: Float[np.ndarray, " coordinate"]
+    twins: Float[np.ndarray, "twin row"]
+
+
+@dataclass(frozen=True)
+class Job:
+    case: Path
+    file: Path
+    starts: int
+    twins: int
+
+
+def main() -> int:
+    options = _parser().parse_args()
+    # Before JAX is loaded, which reads it once.
+    pin_threads()
+    cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
+    options.out.mkdir(parents=True, exist_ok=True)
+    jobs = {
+        case.name: Job(case.resolve(), file.resolve(), options.starts, options.twins)
+        for case in cases[: options.first]
+        if not (file := options.out / f"{case.name}.npz").exists()
+    }
+    failed = 0
+    for number, one in enumerate(run_everywhere(draw, jobs, workers=options.workers) if jobs else (), 1):
+        failed += bool(one.failure)
+        print(f"{number}/{len(jobs)} {one.name}: {one.failure or one.value}", file=sys.stderr, flush=True)
+    return 1 if failed else 0
+
+
+def draw(job: Job) -> str:
+    """Calibrate a case and keep its straight lines."""
+    import jax.numpy as jnp
+
+    import wrapjax
+    from wrapjax.api.diagnosing.diagnosis import investigation
+    from wrapjax.gap.catalogue import catalogue, effects_in
+    from wrapjax.gap.evidence.linearized import linear_gap
+    from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
+    from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+
+    set_up_jax()
+    subject = wrapjax.load_subject(job.case)
+    calibration = wrapjax.calibrate(
+        subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
+    )
+    case = investigation(calibration)
+    chosen = case.plan.calibration
+    known, inputs = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
+    gap = linear_gap(
+        case.problem,
+        jnp.asarray(case.variables),
+        inputs,
+        case.measured[chosen],
+        known,
+        effects_in(catalogue(known)),
+    )
+    twins = twin_residuals(TwinWorld(case.problem, case.variables, inputs, gap, gap.noise), job.twins)
+    save(Lines(gap, case.measured[chosen].std(axis=(0, 2)), twins), job.file)
+    forget_if_crowded()
+    return f"{len(gap.candidates)} effects"
+
+
+def save(lines: Lines, file: Path) -> None:
+    """Keep in single precision: a sixth figure decides nothing."""
+    gap = lines.gap
+    arrays: dict[str, Any] = {name: getattr(gap, name) for name in _ARRAYS}
+    arrays |= {"sizes": lines.sizes, "twins": lines.twins}
+    arrays |= {"states": gap.muscle_errors.states, "arms": gap.muscle_errors.arms}
+    for place, errors in enumerate(gap.input_errors):
+        arrays |= {f"input_{place}": errors.signatures, f"width_{place}": np.array(errors.width)}
+    told = []
+    for place, one in enumerate(gap.candidates):
+        arrays[f"variants_{place}"] = np.stack(one.variants)
+        arrays[f"prior_{place}"] = one.prior_sd
+        told.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
+    arrays["candidates"] = np.array(json.dumps(told))
+    small = {name: own.astype(np.float32) if own.dtype == np.float64 else own for name, own in arrays.items()}
+    temporary = file.with_suffix(".part.npz")
+    np.savez(temporary, **small)
+    temporary.replace(file)
+
+
+def load(file: Path) -> Lines:
+    """Read lines back."""
+    with np.load(file) as stored:
+        arrays = {
+            name: own.astype(float) if own.dtype == np.float32 else own
+            for name, own in ((name, stored[name]) for name in stored.files)
+        }
+    candidates = tuple(
+        Candidate(
+            told["id"],
+            tuple(arrays[f"variants_{place}"]),
+            arrays[f"prior_{place}"],
+            np.array(told["one_sided"], dtype=bool),
+            tuple(tuple(part) for part in told["parts"]),
+        )
+        for place, told in enumerate(json.loads(str(arrays["candidates"])))
+    )
+    inputs = sum(name.startswith("input_") for name in arrays)
+    gap = LinearGap(
+        **{name: arrays[name] for name in _ARRAYS},
+        candidates=candidates,
+        input_errors=tuple(
+            InputErrors(arrays[f"input_{place}"], float(arrays[f"width_{place}"])) for place in range(inputs)
+        ),
+        muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
+    )
+    return Lines(gap, arrays["sizes"], arrays["twins"])
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lines", description=__doc__)
+    parser.add_argument("--bank", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--starts", type=int, default=2)
+    parser.add_argument("--twins", type=int, default=8, help="people with nothing amiss, of each case")
+    parser.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

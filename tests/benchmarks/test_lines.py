@@ -1,0 +1,39 @@
+"""Straight lines that were kept are those that were drawn."""
+
+import numpy as np
+
+from benchmarks.lines import Lines, load, save
+from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
+from wrapjax.gap.evidence.linearized import LinearGap
+from wrapjax.gap.evidence.score import Candidate
+
+
+def test_lines_come_back(tmp_path):
+    draw = np.random.default_rng(3).normal
+    rows = (4, 2, 5)
+    gap = LinearGap(
+        residual=draw(size=rows),
+        fitted=draw(size=rows),
+        slopes=draw(size=(3, *rows)),
+        spread=draw(size=(3, 3)),
+        away=draw(size=3),
+        nuisances=draw(size=(2, *rows)),
+        candidates=(
+            Candidate("one", (draw(size=(2, 40)), draw(size=(2, 40))), np.ones(2), np.array([True, False])),
+            Candidate("other", (draw(size=(3, 40)),), np.ones(3), np.zeros(3, bool), ((0,), (1, 2))),
+        ),
+        input_errors=(InputErrors(draw(size=(2, *rows)), 0.04), InputErrors(draw(size=(1, *rows)), 0.08)),
+        muscle_errors=MuscleErrors(draw(size=(2, 4, 5, 3)), draw(size=(2, *rows))),
+        speeds=np.array([0, 0, 1, 1]),
+    )
+    save(Lines(gap, np.ones(2), draw(size=(6, 40))), tmp_path / "case.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["case.npz"]
+    found = load(tmp_path / "case.npz").gap
+    for name in ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds"):
+        np.testing.assert_allclose(getattr(found, name), getattr(gap, name), rtol=1e-6, err_msg=name)
+    for one, other in zip(found.candidates, gap.candidates, strict=True):
+        assert (one.id, one.parts) == (other.id, other.parts)
+        np.testing.assert_array_equal(one.one_sided, other.one_sided)
+        np.testing.assert_allclose(one.variants, other.variants, rtol=1e-6)
+    assert [errors.width for errors in found.input_errors] == [0.04, 0.08]
+    np.testing.assert_allclose(found.muscle_errors.states, gap.muscle_errors.states, rtol=1e-6)
