@@ -1,6 +1,7 @@
 """Straight lines that were kept are those that were drawn."""
 
 import numpy as np
+import pytest
 
 from benchmarks.lines import Lines, load, save
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
@@ -35,5 +36,5 @@ def test_lines_come_back(tmp_path):
         assert (one.id, one.parts) == (other.id, other.parts)
         np.testing.assert_array_equal(one.one_sided, other.one_sided)
         np.testing.assert_allclose(one.variants, other.variants, rtol=1e-6)
-    assert [errors.width for errors in found.input_errors] == [0.04, 0.08]
+    assert [errors.width for errors in found.input_errors] == pytest.approx([0.04, 0.08], rel=1e-6)
     np.testing.assert_allclose(found.muscle_errors.states, gap.muscle_errors.states, rtol=1e-6)
