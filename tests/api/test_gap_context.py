@@ -10,7 +10,7 @@ from tests.subject.synthetic import COORDINATES, write_wrapped_subject
 from tests.subject.synthetic_forces import with_forces
 from wrapjax.api import load_subject
 from wrapjax.api.diagnosing.gap_context import _wrap_changes, gap_context
-from wrapjax.api.paths.exact import exact_geometry
+from wrapjax.api.paths.exact import engine_of
 from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, predicted_moments
 from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.muscle import HILL_CURVES
@@ -114,8 +114,7 @@ def test_paths_follow_their_ends(gathered):
 def test_paths_follow_cylinders(tmp_path):
     """A cylinder half a millimetre thicker, by the slope and by laying the path anew."""
     subject = load_subject(write_wrapped_subject(tmp_path / "wrapped"))
-    geometry = exact_geometry(subject)
-    changes = _wrap_changes(geometry, subject)
+    changes = _wrap_changes(engine_of(subject), subject)
     assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
     thicker = np.where(changes.places == 5, 0.5e-3 / 0.035, 0.0)
     longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)

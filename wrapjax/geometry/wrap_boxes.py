@@ -22,7 +22,8 @@ LARGEST_TURN = np.radians(20.0)
 #: Smallest and largest radius in nominal ones: the paper's.
 RADIUS_FACTORS = (0.8, 1.2)
 #: Half widths of translation that are tried, m: narrower ones, from the usual one on, and wider ones.
-NARROWER, WIDER = (0.01, 0.0075, 0.005), (0.015, 0.02)
+USUAL_TRANSLATION = 0.01
+NARROWER, WIDER = (USUAL_TRANSLATION, 0.0075, 0.005), (0.015, 0.02)
 #: Shares of usable placements between which a box is kept.
 LEAST_USABLE, MOST_USABLE = 0.5, 0.9
 _SAMPLES = 96

@@ -14,7 +14,7 @@ from wrapjax.api.calibrating.assembly import recording
 from wrapjax.api.calibrating.calibration import Calibration
 from wrapjax.api.calibrating.undriven import other_muscles
 from wrapjax.api.paths.cylinders import freed_wraps
-from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
+from wrapjax.api.paths.exact import ExactGeometry, engine_of, touched_cylinders
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
@@ -22,6 +22,7 @@ from wrapjax.gap import AtBound, Context, PathChanges
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_wraps
+from wrapjax.geometry.wrap_boxes import USUAL_TRANSLATION
 from wrapjax.measurement import measured_changes
 from wrapjax.model import QUANTITIES, Recording
 from wrapjax.subject import Subject
@@ -124,17 +125,19 @@ def _paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | N
 def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges | None]:
     """Ask the exact engine how paths follow their cylinders and their ends, to first order."""
     try:
-        geometry = exact_geometry(subject)
+        engine = engine_of(subject)
     except InputError:
         return None, None
-    return _wrap_changes(geometry, subject), _attachment_changes(geometry, subject)
+    return _wrap_changes(engine, subject), _attachment_changes(engine, subject)
 
 
-def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | None:
-    if not geometry.translations:
+def _wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
+    _, touched = touched_cylinders(engine, subject.trials)
+    if not touched:
         return None
-    engine = geometry.engine
-    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], geometry.translations)
+    # How far each could move takes long to find; of an effect only what is usual counts.
+    usual = dict.fromkeys(touched, USUAL_TRANSLATION)
+    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], usual)
     moving = np.asarray((freed.places >= 0).any(axis=1))
     count = len(freed.quantities)
     places = freed.places[:, :, None] * count + np.arange(count)
@@ -147,8 +150,7 @@ def _wrap_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges | No
     )
 
 
-def _attachment_changes(geometry: ExactGeometry, subject: Subject) -> PathChanges:
-    engine = geometry.engine
+def _attachment_changes(engine: ExactPaths, subject: Subject) -> PathChanges:
     count = len(engine.muscles)
     ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
     return PathChanges(

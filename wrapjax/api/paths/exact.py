@@ -122,16 +122,8 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     if geometry not in WRAPPINGS:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
     engine = engine_of(subject)
-    angles, velocities = recorded(subject.trials, engine.coordinates)
-    _, touching = wrapped_paths(engine, angles, velocities, subject.trials.moment_coordinates, (), GEODESIC)
-    touched = sorted(
-        {
-            wrap
-            for row, muscle in enumerate(engine.muscles)
-            for place, wrap in enumerate(engine.wraps_of(muscle))
-            if touching[row, place]
-        }
-    )
+    angles, _ = recorded(subject.trials, engine.coordinates)
+    touching, touched = touched_cylinders(engine, subject.trials)
     poses = np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
     return ExactGeometry(
         name=geometry,
@@ -140,6 +132,21 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
         on_surface=touching,
         translations=translation_bounds(engine, engine.posed(poses), touched),
     )
+
+
+def touched_cylinders(
+    engine: ExactPaths, trials: Trials
+) -> tuple[Bool[np.ndarray, "muscle wrap"], tuple[str, ...]]:
+    """Say which of its cylinders each muscle lies on in at least one frame, and name these cylinders."""
+    motion = recorded(trials, engine.coordinates)
+    _, touching = wrapped_paths(engine, *motion, trials.moment_coordinates, (), GEODESIC)
+    names = {
+        wrap
+        for row, muscle in enumerate(engine.muscles)
+        for place, wrap in enumerate(engine.wraps_of(muscle))
+        if touching[row, place]
+    }
+    return touching, tuple(sorted(names))
 
 
 def engine_of(subject: Subject) -> ExactPaths:
