@@ -284,7 +284,7 @@ def _each_over_cycles(
     path: WrappedPath,
     walls: _Walls,
     velocities: Float[Array, "trial coordinate frame"],
-    columns: Int[np.ndarray, " moment_coordinate"],
+    columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
     """Arrange many muscles' paths; leaves lead with ``muscle``."""
     return jax.vmap(_over_cycles, in_axes=(0, 0, None, None))(path, walls, velocities, columns)
