@@ -106,7 +106,7 @@ def write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
         elif name in BASELINES:
             write_answer(BASELINES[name](lines), folder)
         else:
-            sizes = done.case.measured[done.case.plan.calibration].std(axis=(0, 2))
+            sizes = done.case.measured_sizes
             write_answer(ablated(ABLATIONS[name], lines, sizes, done.result.alarm), folder)
 
 

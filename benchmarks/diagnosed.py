@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from benchmarks.answering import Job, answer
+from benchmarks.banks import cases_of
 from benchmarks.machine import pin_threads
 from wrapjax.errors import InputError
 from wrapjax.scheduling import Finished, run_everywhere
@@ -29,14 +30,17 @@ def main() -> int:
     options = _parser().parse_args()
     # Before JAX is loaded, which reads it once.
     pin_threads()
-    cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
-    cases = cases[: options.first]
+    try:
+        cases = cases_of(options.bank, options.first)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
     # Other processes may work elsewhere.
     out, *others = (
         place and place.resolve()
         for place in (options.out, options.baselines, options.ablations, options.withheld)
     )
-    jobs = {case.name: Job(case.resolve(), out / case.name, options.starts, *others) for case in cases}
+    jobs = {case.name: Job(case, out / case.name, options.starts, *others) for case in cases}
     out.mkdir(parents=True, exist_ok=True)
     alone = options.workers == 1 and options.scheduler is None
     found = _run_here(jobs) if alone else _run_elsewhere(jobs, options)

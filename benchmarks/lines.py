@@ -18,22 +18,25 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from benchmarks.banks import cases_of
 from benchmarks.machine import pin_threads
+from wrapjax.errors import InputError
+from wrapjax.files import write_whole
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.evidence.linearized import LinearGap
-from wrapjax.gap.evidence.score import Candidate
+from wrapjax.gap.evidence.projection import Candidate
 from wrapjax.scheduling import run_everywhere
+from wrapjax.stored import load_arrays
 
 _ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds")
 
 
 @dataclass(frozen=True)
 class Lines:
-    """A case's straight lines, standard deviations of its measured moments (N m), and those of its twins."""
+    """A case's straight lines, and standard deviations of its measured moments (N m)."""
 
     gap: LinearGap
     sizes: Float[np.ndarray, " coordinate"]
-    twins: Float[np.ndarray, "twin row"]
 
 
 @dataclass(frozen=True)
@@ -41,19 +44,22 @@ class Job:
     case: Path
     file: Path
     starts: int
-    twins: int
 
 
 def main() -> int:
     options = _parser().parse_args()
     # Before JAX is loaded, which reads it once.
     pin_threads()
-    cases = sorted(path for path in (options.bank / "cases").iterdir() if (path / "subject.toml").exists())
-    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        cases = cases_of(options.bank, options.first)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        return 2
+    out = options.out.resolve()
     jobs = {
-        case.name: Job(case.resolve(), file.resolve(), options.starts, options.twins)
-        for case in cases[: options.first]
-        if not (file := options.out / f"{case.name}.npz").exists()
+        case.name: Job(case, file, options.starts)
+        for case in cases
+        if not (file := out / f"{case.name}.npz").exists()
     }
     failed = 0
     for number, one in enumerate(run_everywhere(draw, jobs, workers=options.workers) if jobs else (), 1):
@@ -64,13 +70,9 @@ def main() -> int:
 
 def draw(job: Job) -> str:
     """Calibrate a case and keep its straight lines."""
-    import jax.numpy as jnp
-
     import wrapjax
     from wrapjax.api.diagnosing.diagnosis import investigation
-    from wrapjax.gap.catalogue import catalogue, effects_in
-    from wrapjax.gap.evidence.linearized import linear_gap
-    from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
+    from wrapjax.gap.investigation import straight_lines
     from wrapjax.jax_setup import forget_if_crowded, set_up_jax
 
     set_up_jax()
@@ -79,18 +81,8 @@ def draw(job: Job) -> str:
         subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
     )
     case = investigation(calibration)
-    chosen = case.plan.calibration
-    known, inputs = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
-    gap = linear_gap(
-        case.problem,
-        jnp.asarray(case.variables),
-        inputs,
-        case.measured[chosen],
-        known,
-        effects_in(catalogue(known)),
-    )
-    twins = twin_residuals(TwinWorld(case.problem, case.variables, inputs, gap, gap.noise), job.twins)
-    save(Lines(gap, case.measured[chosen].std(axis=(0, 2)), twins), job.file)
+    _, _, gap = straight_lines(case, case.variables, background={})
+    save(Lines(gap, case.measured_sizes), job.file)
     forget_if_crowded()
     return f"{len(gap.candidates)} effects"
 
@@ -99,8 +91,7 @@ def save(lines: Lines, file: Path) -> None:
     """Keep in single precision: a sixth figure decides nothing."""
     gap = lines.gap
     arrays: dict[str, Any] = {name: getattr(gap, name) for name in _ARRAYS}
-    arrays |= {"sizes": lines.sizes, "twins": lines.twins}
-    arrays |= {"states": gap.muscle_errors.states, "arms": gap.muscle_errors.arms}
+    arrays |= {"sizes": lines.sizes, "states": gap.muscle_errors.states, "arms": gap.muscle_errors.arms}
     for place, errors in enumerate(gap.input_errors):
         arrays |= {f"input_{place}": errors.signatures, f"width_{place}": np.array(errors.width)}
     told = []
@@ -110,18 +101,14 @@ def save(lines: Lines, file: Path) -> None:
         told.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
     arrays["candidates"] = np.array(json.dumps(told))
     small = {name: own.astype(np.float32) if own.dtype == np.float64 else own for name, own in arrays.items()}
-    temporary = file.with_suffix(".part.npz")
-    np.savez(temporary, **small)
-    temporary.replace(file)
+    write_whole(file, lambda temporary: np.savez(temporary, **small))
 
 
 def load(file: Path) -> Lines:
     """Read lines back."""
-    with np.load(file) as stored:
-        arrays = {
-            name: own.astype(float) if own.dtype == np.float32 else own
-            for name, own in ((name, stored[name]) for name in stored.files)
-        }
+    arrays = {
+        name: own.astype(float) if own.dtype == np.float32 else own for name, own in load_arrays(file).items()
+    }
     candidates = tuple(
         Candidate(
             told["id"],
@@ -141,7 +128,7 @@ def load(file: Path) -> Lines:
         ),
         muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
     )
-    return Lines(gap, arrays["sizes"], arrays["twins"])
+    return Lines(gap, arrays["sizes"])
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -150,7 +137,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--starts", type=int, default=2)
-    parser.add_argument("--twins", type=int, default=8, help="people with nothing amiss, of each case")
     parser.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
     return parser
 

@@ -14,14 +14,14 @@ from jaxtyping import Float
 import wrapjax
 from wrapjax.api.calibrating.calibration import Calibration, kept_calibration
 from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated, investigation
-from wrapjax.gap.catalogue import catalogue, effects_in
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.effect import Effects
 from wrapjax.gap.effects.drive import drive_over_cycle
-from wrapjax.gap.evidence.linearized import LinearGap, linear_gap
+from wrapjax.gap.evidence.linearized import LinearGap
 from wrapjax.gap.evidence.null import nulls
 from wrapjax.gap.evidence.score import Score, score_each
 from wrapjax.gap.fits.refit import fit_jointly, joint_problem
+from wrapjax.gap.investigation import straight_lines
 from wrapjax.subject import Subject
 
 #: Phases of a cycle in which drives are compared, and by how many of them activation may be later than EMG.
@@ -46,23 +46,12 @@ def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]
         Evidence in nats by effect, the cost, and the variables where the calibration ended.
     """
     case = investigation(_calibrated(wrapjax.load_subject(folder), starts))
-    plan = case.plan
     problem = joint_problem(case.problem, Effects(()), case.variables, np.zeros(0), 0.0)
     begun = [case.variables, *([np.array(beside)] if len(beside) else [])]
     fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
-    known = case.context.select(plan.calibration.tolist())
-    measured = case.measured[plan.calibration]
-    gap = linear_gap(
-        case.problem,
-        jnp.asarray(fitted.calibrated),
-        case.recording.of_trials(plan.calibration),
-        measured,
-        known,
-        effects_in(catalogue(known)),
-        Tuning.shipped().background,
-    )
+    _, _, gap = straight_lines(case, fitted.calibrated, Tuning.shipped().background)
     return {
-        "evidence": {one.id: one.evidence for one in _scores(gap, measured.std(axis=(0, 2)))},
+        "evidence": {one.id: one.evidence for one in _scores(gap, case.measured_sizes)},
         "cost": float(fitted.cost),
         "variables": fitted.calibrated.tolist(),
     }
@@ -92,7 +81,7 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
     }
     others = done.case.context.others
     if hidden and found.lines is not None and others is not None:
-        sizes = done.case.measured[done.case.plan.calibration].std(axis=(0, 2))
+        sizes = done.case.measured_sizes
         out["drive"] = _drive(found.lines, sizes, others.groups, wrapjax.load_subject(whole), hidden)
     return out
 

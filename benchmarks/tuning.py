@@ -23,10 +23,13 @@ from jaxtyping import Float
 from scipy.special import softmax
 
 from benchmarks.lines import load
+from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash, write_json
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.score import Candidate, Projection, project, score_projected
+from wrapjax.gap.evidence.projection import Candidate, Projection, project
+from wrapjax.gap.evidence.score import score_projected
+from wrapjax.stored import load_json
 
 #: Of an effect that a case has, as a share of its prior deviation: larger than any.
 _THERE = 3.0
@@ -36,6 +39,8 @@ _TURNS = 30
 _LEAST, _MOST = 0.05, 1.0
 #: Where a cause can be found at all.
 _CLEAR = 2.0
+_NO_OTHER = "constants are tuned on a development bank, and on no other"
+SEALED = Path(__file__).parent / "blind" / "sealed"
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,7 @@ class Known:
     candidates
         Its effects.
     projections
-        One a null, of the case and of its twins.
+        One a null.
     """
 
     truth: dict[str, Any]
@@ -66,26 +71,21 @@ class Known:
 
     def spread(self, shares: Mapping[str, float]) -> Float[np.ndarray, " amount"]:
         """Standard deviations of all amounts of all shapes, which share what everybody has."""
-        return np.concatenate(
-            [
-                np.tile(
-                    shares.get(one.id, 0.0) * one.prior_sd / np.sqrt(len(one.variants)), len(one.variants)
-                )
-                for one in self.candidates
-            ]
-        )
+        return np.concatenate([shares.get(one.id, 0.0) * one.shared_sd for one in self.candidates])
 
-    def evidence(self, shares: Mapping[str, float], sample: int = 0) -> dict[str, float]:
-        """Score effects; the first sample is the case, others are its twins."""
+    def evidence(self, shares: Mapping[str, float]) -> dict[str, float]:
+        """Score effects."""
         allowed = [one.allowing(self.spread(shares)) for one in self.projections]
-        return {one.id: one.evidence for one in score_projected(allowed, self.candidates)[sample].scores}
+        (scored,) = score_projected(allowed, self.candidates)
+        return {one.id: one.evidence for one in scored.scores}
 
 
 def main() -> int:
     options = _parser().parse_args()
-    known = read(options.bank, options.lines)
-    if any(case.truth["bank"] != "development" for case in known):
-        print("constants are tuned on a development bank, and on no other", file=sys.stderr)
+    try:
+        known = read(options.bank, options.lines)
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
         return 2
     shipped = Tuning.shipped()
     worlds = sorted({case.truth["world"] for case in known})
@@ -105,16 +105,35 @@ def main() -> int:
 
 
 def read(bank: Path, lines: Path) -> list[Known]:
-    """Take in all cases whose lines are there."""
+    """Take in all cases whose lines are there.
+
+    Raises
+    ------
+    InputError
+        If a case was sealed for a test bank (no truth is opened then), is of no development bank
+        otherwise, or there are no lines, or no whole ones.
+    OSError
+        If a truth is missing.
+    """
+    files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
+    if not files:
+        raise InputError(Problem(str(lines), "no lines", hint="draw them with python -m benchmarks.lines"))
+    sealed = {case for manifest in SEALED.glob("*.json") for case in load_json(manifest)["cases"]}
+    for file in files:
+        if file.stem in sealed:
+            raise InputError(Problem(str(file), _NO_OTHER))
     found = []
-    for file in sorted(lines.glob("*.npz")):
-        if file.name.endswith(".part.npz"):
-            continue
-        stored = load(file)
-        residuals = np.concatenate([stored.gap.residual.reshape(1, -1), stored.twins])
+    for file in files:
+        try:
+            stored = load(file)
+        except ValueError as error:
+            raise InputError(Problem(str(file), str(error))) from None
         candidates = stored.gap.candidates
-        seen = tuple(project(residuals, null, candidates) for null in nulls(stored.gap, stored.sizes))
+        residual = stored.gap.residual.reshape(1, -1)
+        seen = tuple(project(residual, null, candidates) for null in nulls(stored.gap, stored.sizes))
         truth = json.loads((bank / "truth" / f"{file.stem}.json").read_text(encoding="utf-8"))
+        if truth["bank"] != "development":
+            raise InputError(Problem(str(bank), _NO_OTHER))
         found.append(Known(truth, candidates, seen))
     return found
 
@@ -149,9 +168,8 @@ def _add_up(case: Known, shares: Mapping[str, float], size: dict[str, float], to
         place = slice(first, first := first + count)
         if one.id in case.causes:
             continue
-        unit = np.tile(one.prior_sd, len(one.variants)) / np.sqrt(len(one.variants))
         for weight, amount, share in zip(weights, amounts, decided, strict=True):
-            size[one.id] += float(weight * np.sum((amount[place] / unit) ** 2))
+            size[one.id] += float(weight * np.sum((amount[place] / one.shared_sd) ** 2))
             told[one.id] += float(weight * np.sum(share[place]))
 
 

@@ -1,10 +1,13 @@
 """How much everybody has of an effect is found, whatever a case itself is known to have."""
 
+import json
+import sys
+
 import numpy as np
 import pytest
 
-from benchmarks.tuning import Known, everybody
-from wrapjax.gap.evidence.score import Candidate, Null, project
+from benchmarks.tuning import SEALED, Known, everybody, main
+from wrapjax.gap.evidence.projection import Candidate, Null, project
 
 ROWS, SHARE = 60, 0.5
 
@@ -52,3 +55,28 @@ def test_evidence_falls_for_what_everybody_has(people):
     nothing, common, cause = (case.evidence(shares) for shares in ({}, {"common": SHARE}, {"cause": 1.0}))
     assert max(nothing, key=lambda id: nothing[id]) == "cause"
     assert common["cause"] > 10.0 > cause["cause"] + 5.0
+
+
+def test_sealed_cases_teach_nothing(tmp_path, capsys, monkeypatch):
+    """A test bank's truth is not opened: it is not even there."""
+    manifest = json.loads((SEALED / "test_240.json").read_text(encoding="utf-8"))
+    (tmp_path / f"{min(manifest['cases'])}.npz").touch()
+    assert _run(monkeypatch, tmp_path) == 2
+    assert "tuned on a development bank, and on no other" in capsys.readouterr().err
+
+
+def test_without_lines_there_is_nothing_to_tune(tmp_path, capsys, monkeypatch):
+    assert _run(monkeypatch, tmp_path) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_lines_without_truth_are_refused(tmp_path, capsys, monkeypatch):
+    (tmp_path / "0123.npz").write_bytes(b"no archive")
+    assert _run(monkeypatch, tmp_path) == 2
+    assert "0123" in capsys.readouterr().err
+
+
+def _run(monkeypatch, folder):
+    command = ["tuning", "--bank", str(folder), "--lines", str(folder)]
+    monkeypatch.setattr(sys, "argv", command)
+    return main()

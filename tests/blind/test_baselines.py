@@ -13,7 +13,7 @@ from benchmarks.baselines import BASELINES, modification_index, write_answer, wr
 from benchmarks.blind.score.records import read_answer
 from wrapjax.gap.evidence.covariance import MuscleErrors
 from wrapjax.gap.evidence.linearized import LinearGap
-from wrapjax.gap.evidence.score import Candidate
+from wrapjax.gap.evidence.projection import Candidate
 
 CYCLES, COORDINATES, PHASES, EFFECTS = 6, 2, 10, 12
 ROWS = CYCLES * COORDINATES * PHASES
@@ -106,14 +106,10 @@ def test_what_a_term_explains_is_taken_for_an_effect_without_it(name):
 
 
 def test_everybody_answers_on_the_lines_of_one_diagnosis(tmp_path):
-    """Moments of calibration cycles alone say how large what repeats may be."""
     gap = lines(np.random.default_rng(0), 0.5)
     done = SimpleNamespace(
         result=SimpleNamespace(lines=gap, outcome="named", alarm=3.0),
-        case=SimpleNamespace(
-            measured=np.random.default_rng(1).normal(size=(CYCLES + 2, COORDINATES, 101)),
-            plan=SimpleNamespace(calibration=np.arange(CYCLES)),
-        ),
+        case=SimpleNamespace(measured_sizes=np.random.default_rng(1).uniform(0.5, 1.5, COORDINATES)),
     )
     write_others(done, {name: tmp_path / name for name in (*BASELINES, *ABLATIONS)})
     for name in (*BASELINES, *ABLATIONS):

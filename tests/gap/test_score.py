@@ -17,7 +17,8 @@ from wrapjax.gap.evidence.covariance import (
 )
 from wrapjax.gap.evidence.cycle_noise import cycle_noise
 from wrapjax.gap.evidence.linearized import LinearGap
-from wrapjax.gap.evidence.score import SIZES, Candidate, Null, evidence_of, likeness, project, score_each
+from wrapjax.gap.evidence.projection import Candidate, Null, project
+from wrapjax.gap.evidence.score import SIZES, evidence_of, likeness, score_each
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
 ROWS = CYCLES * COORDINATES * PHASES

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from wrapjax.gap.catalogue import catalogue, effects_in
 from wrapjax.gap.conclude.conclusion import conclude, stopped
 from wrapjax.gap.conclude.verdict import Tuning
-from wrapjax.gap.effect import Effects
+from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.cycle_noise import cycle_noise
-from wrapjax.gap.evidence.linearized import linear_gap, phase_frames
+from wrapjax.gap.evidence.linearized import LinearGap, linear_gap, phase_frames
 from wrapjax.gap.evidence.null import nulls
 from wrapjax.gap.evidence.score import score_each
 from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
@@ -23,6 +24,7 @@ from wrapjax.gap.result import GapResult
 from wrapjax.gap.scene import Investigation, Look, Scene
 from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.where.place import amount_weight, certificate_of, where
+from wrapjax.model import Recording
 
 #: Fewest calibration cycles at any one speed.
 FEWEST_CYCLES = 3
@@ -49,6 +51,29 @@ def look(case: Investigation, watch: Stopwatch) -> Look:
         weight = amount_weight(spread, residual[plan.calibration].shape[:2])
         certificate = certificate_of(case.outcomes, plain, place, problem, plan, weight)
     return Look(plain, place, certificate, weight)
+
+
+def straight_lines(
+    case: Investigation, variables: Float[np.ndarray, " variable"], background: Mapping[str, float]
+) -> tuple[Recording, tuple[Effect, ...], LinearGap]:
+    """Give the calibration cycles, the effects that they can show, and all straight lines at the variables.
+
+    Parameters
+    ----------
+    case
+        What is looked at.
+    variables
+        Of its problem.
+    background
+        What everybody has of effects: see `linear_gap`.
+    """
+    chosen = case.plan.calibration
+    known, cycles = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
+    effects = effects_in(catalogue(known, case.withheld))
+    gap = linear_gap(
+        case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects, background
+    )
+    return cycles, effects, gap
 
 
 def investigate(
@@ -96,22 +121,11 @@ def investigate(
     if not seen.certificate.holds:
         return stopped(case, "not_converged", seen.certificate.problems[0], watch.seconds, seen), seen
     with watch.during("signatures", "drawing the signature of every effect"):
-        known = case.context.select(plan.calibration.tolist())
-        inputs = case.recording.of_trials(plan.calibration)
-        effects = effects_in(catalogue(known, case.withheld))
         ended = seen.plain.full.calibrated
-        gap = linear_gap(
-            problem,
-            jnp.asarray(ended),
-            inputs,
-            case.measured[plan.calibration],
-            known,
-            effects,
-            tuning.background,
-        )
+        inputs, effects, gap = straight_lines(case, ended, tuning.background)
     left = case.measured - seen.plain.predicted
     place = where(left, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
-    sizes = case.measured[plan.calibration].std(axis=(0, 2))
+    sizes = case.measured_sizes
     if seen.twins is None:
         with watch.during("twins", f"making {twins} people with nothing amiss"):
             world = TwinWorld(problem, ended, inputs, gap, gap.noise)

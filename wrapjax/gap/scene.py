@@ -14,7 +14,8 @@ from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects, NotTestable
 from wrapjax.gap.evidence.linearized import LinearGap, speed_numbers
-from wrapjax.gap.evidence.score import Candidate, Score, Scored
+from wrapjax.gap.evidence.projection import Candidate
+from wrapjax.gap.evidence.score import Score, Scored
 from wrapjax.gap.fits.held_out import CrossFit, Plan, Predict, plan_of
 from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.result import Certificate
@@ -69,6 +70,11 @@ class Investigation:
     def plan(self) -> Plan:
         """Which cycles are left out together."""
         return plan_of(self.uses, self.speeds)
+
+    @property
+    def measured_sizes(self) -> Float[np.ndarray, " coordinate"]:
+        """Standard deviations of the calibration cycles' measured moments, N m."""
+        return self.measured[self.plan.calibration].std(axis=(0, 2))
 
     def predict(self, effects: Effects) -> Predict:
         """Give what predicts all cycles with these effects."""

@@ -18,6 +18,7 @@ from wrapjax.report.drive import drive_section
 from wrapjax.report.moved_paths import MovedPath
 from wrapjax.report.parameter_section import parameters_section
 from wrapjax.report.path_section import path_section
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.solver_section import solver_section
 from wrapjax.report.spread_section import spread_section
 from wrapjax.report.starts_section import starts_section
@@ -63,7 +64,7 @@ def render_report(
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             _verdict(result, summary),
             errors_section(result, summary),
             moments_section(result, summary),
@@ -123,11 +124,7 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
 
 
 def _verdict(result: CalibrationResult, summary: dict[str, Any]) -> str:
-    sentences = verdict(result, summary)
-    content = "\n".join(
-        [f"<p><strong>{markup.text(sentences[0])}</strong></p>", *map(markup.paragraph, sentences[1:])]
-    )
-    return markup.box(content, "verdict" if summary["converged"] else "verdict failed")
+    return markup.verdict(verdict(result, summary), fine=summary["converged"])
 
 
 def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]) -> str:
@@ -137,7 +134,7 @@ def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]
         if subject.undriven_muscles
         else f"EMG{' or its synergies' if subject.synergies else ''} drives every muscle of this leg's model."
     )
-    versions = ", ".join(f"{name} {number}" for name, number in settings["versions"].items() if number)
+    versions = versions_in_words(settings["versions"])
     speeds = sorted({float(speed) for speed in result.speeds if math.isfinite(speed)})
     made = [
         f"Subject folder {subject.folder.name} (path in settings.json), model {subject.model_file.name}.",

@@ -97,6 +97,19 @@ def section(title: str, *content: str) -> str:
     return "\n".join([f"<section>\n<h2>{text(title)}</h2>", *content, "</section>"])
 
 
+def header(title: str, under: str = "") -> str:
+    """Write a page's title, and a line under it."""
+    below = f"\n{paragraph(under, 'under')}" if under else ""
+    return f"<header><h1>{text(title)}</h1>{below}</header>"
+
+
+def verdict(sentences: Sequence[str], *, fine: bool) -> str:
+    """Set apart what a page says in the end, the first sentence in bold; empty ones are left out."""
+    first, *others = sentences
+    content = [f"<p><strong>{text(first)}</strong></p>", *(paragraph(one) for one in others if one)]
+    return box("\n".join(content), "verdict" if fine else "verdict failed")
+
+
 def folded(title: str, *content: str) -> str:
     """Put pieces behind a line that opens them."""
     return "\n".join([f"<details>\n<summary>{text(title)}</summary>", *content, "</details>"])

@@ -186,7 +186,7 @@ def render_overview(folder: Path, results: list[Result]) -> str:
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1></header>",
+            markup.header(title),
             markup.table(
                 ("folder", "result", "of", "key figures"),
                 rows,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -167,3 +167,14 @@ def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str | None
         except PackageNotFoundError:
             found[package] = None
     return found
+
+
+def versions_in_words(versions: Mapping[str, str | None] | None = None) -> str:
+    """Write versions, those installed if not given, as one line."""
+    known = package_versions() if versions is None else versions
+    return ", ".join(f"{name} {number}" for name, number in known.items() if number)
+
+
+def made_with() -> str:
+    """Say with which versions, where and when a page is made."""
+    return f"{versions_in_words()}; {platform.platform()}; {datetime.now(UTC).isoformat(timespec='seconds')}"

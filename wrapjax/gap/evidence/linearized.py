@@ -23,7 +23,7 @@ from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.evidence.cycle_noise import CycleNoise, cycle_noise
-from wrapjax.gap.evidence.score import Candidate
+from wrapjax.gap.evidence.projection import Candidate
 from wrapjax.gap.prediction import secants
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
@@ -94,11 +94,8 @@ class LinearGap:
         nuisances = [self.nuisances]
         for one in self.candidates:
             if share := background.get(one.id, 0.0):
-                # Shapes share what everybody has.
-                spread = share * one.prior_sd[:, None] / np.sqrt(len(one.variants))
-                nuisances += [
-                    (variant * spread).reshape(-1, *self.residual.shape) for variant in one.variants
-                ]
+                every = share * one.shared_sd[:, None] * np.concatenate(one.variants)
+                nuisances.append(every.reshape(-1, *self.residual.shape))
         return replace(self, nuisances=np.concatenate(nuisances))
 
     @property

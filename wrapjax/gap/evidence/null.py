@@ -15,7 +15,8 @@ from wrapjax.gap.evidence.covariance import (
     repeated_covariance,
 )
 from wrapjax.gap.evidence.linearized import LinearGap
-from wrapjax.gap.evidence.score import Null, Scored
+from wrapjax.gap.evidence.projection import Null
+from wrapjax.gap.evidence.score import Scored
 
 #: Errors of muscle force that depend on the muscle's state, in maximum isometric forces; and what is
 #: expected of them. No model of a muscle is without: these take up what other curves and another activation

@@ -13,7 +13,8 @@ from wrapjax.calibrate import MOMENT_ERROR, ProjectedLM
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.linearized import phase_frames
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.score import Candidate, score_each
+from wrapjax.gap.evidence.projection import Candidate
+from wrapjax.gap.evidence.score import score_each
 from wrapjax.gap.fits.held_out import CrossFit, cross_fit, speed_conflict
 from wrapjax.gap.fits.refit import Refit, fit_jointly, joint_problem
 from wrapjax.gap.fits.shrinkage import cycle_errors, shrinkage

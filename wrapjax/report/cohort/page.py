@@ -6,6 +6,7 @@ from typing import Any
 
 from wrapjax.report import markup
 from wrapjax.report.cohort.figure import outcomes_figure, population_figure
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import counted, decimals, plain
 
@@ -24,14 +25,16 @@ def render_cohort(content: dict[str, Any]) -> str:
     if content["diagnosed"]:
         title += " and diagnosis"
     done = [one for one in content["subjects"].values() if one["state"] == "done"]
-    parts = [f"<header><h1>{markup.text(title)}</h1></header>", _verdict(content)]
+    parts = [markup.header(title), _verdict(content)]
     if done:
         parts.append(_errors(content, done))
         if content["diagnosed"]:
             parts.append(_outcomes(content["population"]))
     parts.append(_subjects(content))
-    versions = ", ".join(f"{name} {number}" for name, number in content["versions"].items() if number)
-    notes = ["Every number is in cohort.json; each subject's own are in its folder.", f"{versions}."]
+    notes = [
+        "Every number is in cohort.json; each subject's own are in its folder.",
+        f"{versions_in_words(content['versions'])}.",
+    ]
     return markup.page(title, [*parts, markup.section("Notes", markup.bullets(notes))])
 
 

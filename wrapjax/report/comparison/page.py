@@ -25,7 +25,7 @@ from wrapjax.report.comparison.numbers import Row, note
 from wrapjax.report.comparison.samples import ALL_SPEEDS, MEAN, ComparedLeg, unit_of_analysis
 from wrapjax.report.moved_paths import MOST_MUSCLES, moved_paths
 from wrapjax.report.path_views import path_views
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import counted, decimals
 
@@ -39,7 +39,7 @@ def render_comparison(legs: Sequence[ComparedLeg], methods: Sequence[str], rows:
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             _verdict(legs, methods, rows),
             _errors_section(legs, methods, rows),
             _moments_section(legs, methods),
@@ -82,10 +82,7 @@ def _overall(rows: Sequence[Row], use: str) -> Row | None:
 def _verdict(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
     first, *others = findings(legs, methods, rows)
     converged = all(one.solution.status.converged for leg in legs for one in leg.results.values())
-    content = [f"<p><strong>{markup.text(first)}</strong></p>", markup.paragraph(" ".join(others))]
-    return markup.box(
-        "\n".join([*content, markup.paragraph(note(legs))]), "verdict" if converged else "verdict failed"
-    )
+    return markup.verdict([first, " ".join(others), note(legs)], fine=converged)
 
 
 def _errors_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
@@ -254,7 +251,6 @@ def _runs_section(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
 
 
 def _notes() -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     return markup.section(
         "Notes",
         markup.bullets(
@@ -264,7 +260,7 @@ def _notes() -> str:
                 "comparison.json holds the same for programs. Names are without '_l' and '_r'.",
                 "d_z: the mean of paired differences over their standard deviation (Cohen 1988).",
                 "A dash: not defined, or too few observations.",
-                f"{versions}.",
+                f"{versions_in_words()}.",
             ]
         ),
     )

@@ -19,7 +19,7 @@ from wrapjax.report.contact.numbers import (
     rms_by_coordinate,
     tests_reason,
 )
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.wording import counted, plain
 
 _DASH = "\N{EN DASH}"
@@ -36,7 +36,7 @@ def render_contact(result: ContactResult) -> str:
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             _verdict(result),
             _forces_section(result),
             _undriven_section(result),
@@ -82,10 +82,8 @@ def _what(result: ContactResult) -> str:
 
 
 def _verdict(result: ContactResult) -> str:
-    first, *others = sentences(result)
-    content = [f"<p><strong>{markup.text(first)}</strong></p>", *map(markup.paragraph, others)]
     fine = result.kind == JOINT_REACTION and all(run.converged for run in result.runs)
-    return markup.box("\n".join(content), "verdict" if fine else "verdict failed")
+    return markup.verdict(sentences(result), fine=fine)
 
 
 def _forces_section(result: ContactResult) -> str:
@@ -235,13 +233,12 @@ def _undriven_sentence(run: RunContact) -> str:
 
 
 def _notes(result: ContactResult) -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     where = "NGA: muscles run as in the subject's model; PGA: as in the run's model_personalized.osim."
     lines = [
         f"Runs: {', '.join(f'{run.label} in {run.folder}' for run in result.runs)}. {where}",
         f"Medial and lateral knee are not told apart: {ONE_KNEE}.",
         "contact.json holds peaks of every cycle; forces/ the curves in N as OpenSim tables.",
-        f"{versions}.",
+        f"{versions_in_words()}.",
     ]
     if result.kind == JOINT_REACTION:
         lines.insert(

@@ -30,7 +30,7 @@ def render_evaluation(content: dict[str, Any], cycles: PredictedCycles) -> str:
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             _verdict(content),
             _errors(content, cycles),
             moments_section(cycles, content),

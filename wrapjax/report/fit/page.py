@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any
@@ -11,7 +10,7 @@ from wrapjax.report import markup
 from wrapjax.report.fit.cylinders import cylinder_findings, cylinders_section, pictures_section
 from wrapjax.report.fit.errors import error_findings, errors_section, unusual
 from wrapjax.report.physiological_figure import SampledPath
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import made_with
 from wrapjax.report.wording import counted
 from wrapjax.subject import Subject
 
@@ -53,7 +52,7 @@ def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             _verdict(content),
             errors_section(content),
             cylinders_section(content),
@@ -64,19 +63,17 @@ def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable
 
 
 def _verdict(content: dict[str, Any]) -> str:
-    first, *others = [*error_findings(content), *cylinder_findings(content)]
-    lines = [f"<p><strong>{markup.text(first)}</strong></p>", *map(markup.paragraph, others)]
-    return markup.box("\n".join(lines), "verdict failed" if unusual(content) else "verdict")
+    said = [*error_findings(content), *cylinder_findings(content)]
+    return markup.verdict(said, fine=not unusual(content))
 
 
 def _notes(content: dict[str, Any], subject: Subject | None) -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     seconds = content["seconds"]
     lines = [
         f"Lengths and moment arms, which errors are held against too, from {_source(content)}; random "
         f"poses and placements by seed {content['seed']}.",
         f"Touching a surface in the recorded cycles: {', '.join(content['touching']) or 'none'}.",
-        f"This page: {versions}; {platform.platform()}; {datetime.now(UTC).isoformat(timespec='seconds')}.",
+        f"This page: {made_with()}.",
         "Numbers for programs are in fit.json, coefficients and limits in fit.npz.",
     ]
     if subject is not None:

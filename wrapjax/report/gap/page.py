@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from datetime import UTC, datetime
 
 from wrapjax.gap.result import GapResult
@@ -14,7 +13,7 @@ from wrapjax.report.gap.shrinkage_section import released_section, shrinkage_sec
 from wrapjax.report.gap.ties_section import ties_section
 from wrapjax.report.gap.where_section import where_section
 from wrapjax.report.gap.words import SILENT, findings, untested
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import made_with
 from wrapjax.report.summary import USES
 from wrapjax.report.wording import counted, plain
 from wrapjax.subject import Subject
@@ -42,7 +41,7 @@ def render_gap(subject: Subject, result: GapResult, note: str = "") -> str:
     return markup.page(
         title,
         [
-            f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+            markup.header(title, under),
             *([markup.paragraph(note)] if note else []),
             _verdict(subject, result),
             *_untested_section(result),
@@ -66,12 +65,8 @@ def _leg(subject: Subject) -> str:
 
 def _verdict(subject: Subject, result: GapResult) -> str:
     first, *others = findings(result)
-    lines = [
-        f"<p><strong>{markup.text(f'{_leg(subject)} of {subject.name}: {first[:1].lower()}{first[1:]}')}"
-        "</strong></p>",
-        *map(markup.paragraph, [" ".join(others), *untested(result)]),
-    ]
-    return markup.box("\n".join(lines), "verdict failed" if result.outcome in SILENT else "verdict")
+    said = f"{_leg(subject)} of {subject.name}: {first[:1].lower()}{first[1:]}"
+    return markup.verdict([said, " ".join(others), *untested(result)], fine=result.outcome not in SILENT)
 
 
 def _untested_section(result: GapResult) -> list[str]:
@@ -91,7 +86,6 @@ def _untested_section(result: GapResult) -> list[str]:
 
 
 def _notes(subject: Subject, result: GapResult) -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     parts = [
         markup.bullets(
             [
@@ -99,7 +93,7 @@ def _notes(subject: Subject, result: GapResult) -> str:
                 "cannot be tested with these data, may explain it better.",
                 "Moments before and after, of every cycle, are in moments/; gap.json holds all numbers.",
                 f"Subject folder {subject.folder.name}, model {subject.model_file.name}.",
-                f"{versions}; {platform.platform()}; {datetime.now(UTC).isoformat(timespec='seconds')}.",
+                f"{made_with()}.",
             ]
         )
     ]

@@ -8,7 +8,7 @@ from typing import Any
 from wrapjax.calibrate.initial_lengths import LONGEST, SHORTEST
 from wrapjax.report import markup
 from wrapjax.report.initialisation.figures import PassiveCurves, passive_figure, range_figure
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.wording import counted, decimals
 
 
@@ -24,9 +24,7 @@ def render_initialisation(content: dict[str, Any], passive: Sequence[PassiveCurv
     """
     title = f"{content['subject']}: lengths to start from"
     parts = [
-        f"<header><h1>{markup.text(title)}</h1>\n"
-        + markup.paragraph(f"Of {counted(len(content['muscles']), 'muscle')}.", "under")
-        + "</header>",
+        markup.header(title, f"Of {counted(len(content['muscles']), 'muscle')}."),
         _verdict(content),
     ]
     if passive:
@@ -44,8 +42,7 @@ def _verdict(content: dict[str, Any]) -> str:
         for name, own in content["passive_mae_Nm"].items()
     ]
     said = [*errors, *content["notes"]]
-    body = [f"<p><strong>{markup.text(first)}</strong></p>", *map(markup.paragraph, said)]
-    return markup.box("\n".join(body), "verdict" if fine else "verdict failed")
+    return markup.verdict([first, *said], fine=fine)
 
 
 def _passive_section(content: dict[str, Any], passive: Sequence[PassiveCurves]) -> str:
@@ -91,14 +88,13 @@ def _lengths_section(content: dict[str, Any]) -> str:
 
 
 def _notes() -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     return markup.section(
         "Notes",
         markup.bullets(
             [
                 "Name muscle_parameters.csv in subject.toml, under [model], to calibrate from these.",
                 "Strengths and pennation stay what the model says.",
-                f"{versions}.",
+                f"{versions_in_words()}.",
             ]
         ),
     )

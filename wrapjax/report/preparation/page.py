@@ -8,7 +8,7 @@ import numpy as np
 
 from wrapjax.report import markup
 from wrapjax.report.preparation.figures import ForceTrace, cycles_figure, force_figure
-from wrapjax.report.provenance import package_versions
+from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.wording import counted
 from wrapjax.subject import Subject, Table, Trials
 
@@ -37,7 +37,7 @@ def render_preparation(
     cycles = counted(len(trials), "gait cycle")
     under = f"{side.capitalize()} leg, {subject.mass_kg:g} kg, {cycles}, from {came_from}."
     parts = [
-        f"<header><h1>{markup.text(title)}</h1>\n{markup.paragraph(under, 'under')}</header>",
+        markup.header(title, under),
         _verdict(subject, tables),
         _tables_section(tables),
     ]
@@ -57,8 +57,7 @@ def _verdict(subject: Subject, tables: Sequence[Table]) -> str:
     if notes:
         said.append(f"{counted(notes, 'note')} on what was repaired, or not looked at, below.")
     said.append("Numbers do not see everything: look at each cycle for one that goes its own way.")
-    content = [f"<p><strong>{markup.text(first)}</strong></p>", *map(markup.paragraph, said)]
-    return markup.box("\n".join(content), "verdict")
+    return markup.verdict([first, *said], fine=True)
 
 
 def _tables_section(tables: Sequence[Table]) -> str:
@@ -86,11 +85,20 @@ def _forces_section(forces: Sequence[ForceTrace]) -> str:
         markup.picture(
             force_figure(forces),
             alternative="Vertical ground force under each foot over time, beside what the motion needs.",
-            caption="Vertical ground force in N; gait cycles in gray, numbered. By Newton's law both feet "
-            "together bear and accelerate all bodies (dotted line, by the motion and masses alone): where "
-            "the black line runs ahead of the dotted one, or behind it, forces and motion are not in time.",
+            caption=f"Vertical ground force in N; gait cycles in gray, numbered. {_newton(forces)}",
         ),
     )
+
+
+def _newton(forces: Sequence[ForceTrace]) -> str:
+    """Say what the dotted line is for."""
+    said = "By Newton's law both feet together bear and accelerate all bodies (dotted line, by motion and "
+    if all(len(trace.vertical) > 1 for trace in forces):
+        return (
+            f"{said}masses alone): where the black line runs ahead of the dotted one, or behind it, forces "
+            "and motion are not in time."
+        )
+    return f"{said}masses alone); where one foot's force was recorded alone, the two cannot be compared."
 
 
 def _cycles_section(trials: Trials) -> str:
@@ -120,14 +128,13 @@ def _cycles_section(trials: Trials) -> str:
 
 
 def _notes(subject: Subject) -> str:
-    versions = ", ".join(f"{name} {number}" for name, number in package_versions().items() if number)
     return markup.section(
         "Notes",
         markup.bullets(
             [
                 *subject.notes,
                 "preparation.json beside this page holds every figure; subject.toml is what commands read.",
-                f"{versions}.",
+                f"{versions_in_words()}.",
             ]
         ),
     )
