@@ -16,7 +16,8 @@ from wrapjax.gap.result import (
     MuscleShare,
     Released,
 )
-from wrapjax.gap.where.budget import split_error
+from wrapjax.gap.where.budget import BINS, split_error
+from wrapjax.gap.where.gap_map import gap_map
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 SPEEDS = (0.5, 0.8)
@@ -110,6 +111,7 @@ def named() -> GapResult:
         plain=plain,
         budget=split_error(measured - plain, (speeds > 0.6).astype(int)),
         budget_speeds=np.array(SPEEDS),
+        map=gap_map(measured - plain, (speeds > 0.6).astype(int), np.zeros((2, len(COORDINATES), FRAMES))),
         explainable_share=Estimate(0.61, 0.52, 0.7),
         alternatives=(
             _alternative((ORTHOSIS,), 0.48, missing, plain),
@@ -184,6 +186,7 @@ def insufficient_data() -> GapResult:
         plain=np.full_like(named().plain, np.nan),
         budget=None,
         budget_speeds=np.zeros(0),
+        map=np.zeros((0, len(COORDINATES), BINS)),
         explainable_share=Estimate.unknown("too few cycles"),
         alternatives=(),
         shares={},

@@ -246,6 +246,8 @@ class GapResult:
     budget, budget_speeds
         The plain model's error split into parts, and the speed of each of its rows, m/s; None where cycles
         are too few.
+    map
+        Root mean square of the error that repeats, N m, by speed as the budget; empty where that is None.
     explainable_share
         Of the whole error.
     alternatives
@@ -288,6 +290,7 @@ class GapResult:
     plain: Float[np.ndarray, "cycle coordinate frame"]
     budget: Budget | None
     budget_speeds: Float[np.ndarray, " speed"]
+    map: Float[np.ndarray, "speed coordinate bin"]
     explainable_share: Estimate
     alternatives: tuple[Alternative, ...]
     shares: dict[str, float]

@@ -37,6 +37,7 @@ from wrapjax.gap.result import (
 )
 from wrapjax.gap.scene import Investigation, Look, Scene
 from wrapjax.gap.stopwatch import Stopwatch
+from wrapjax.gap.where.budget import BINS
 from wrapjax.gap.where.muscle_share import muscle_share
 
 #: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
@@ -160,6 +161,7 @@ def stopped(
         plain=modelled,
         budget=None if look is None else look.place.budget,
         budget_speeds=np.zeros(0) if look is None else look.place.speeds,
+        map=np.zeros((0, len(case.context.coordinates), BINS)) if look is None else look.place.map,
         explainable_share=Estimate.unknown(reason) if look is None else look.place.explainable,
         alternatives=(),
         shares={},

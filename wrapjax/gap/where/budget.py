@@ -113,7 +113,7 @@ def split_error(
         "driven": np.zeros_like(mean) if driven is None else driven,
     }
     parts["noise"] = variance - parts["driven"]
-    return Budget(**{name: _binned(part) for name, part in parts.items()})
+    return Budget(**{name: binned(part) for name, part in parts.items()})
 
 
 def _over_cycle(values: Float[np.ndarray, "*axes frame"]) -> Float[np.ndarray, "*axes"]:
@@ -121,7 +121,7 @@ def _over_cycle(values: Float[np.ndarray, "*axes frame"]) -> Float[np.ndarray, "
     return (values[..., :-1].sum(axis=-1) + 0.5 * (values[..., -1] - values[..., 0])) / (values.shape[-1] - 1)
 
 
-def _binned(values: Float[np.ndarray, "*axes frame"]) -> Float[np.ndarray, "*axes bin"]:
+def binned(values: Float[np.ndarray, "*axes frame"]) -> Float[np.ndarray, "*axes bin"]:
     """Average over each bin, sharing out frames on a border between two."""
     return np.tensordot(values, bin_weights(values.shape[-1]), axes=(-1, 1))
 

@@ -17,6 +17,7 @@ from wrapjax.gap.fits.shrinkage import cycle_errors, cycle_floor, explainable_sh
 from wrapjax.gap.result import Certificate, Estimate
 from wrapjax.gap.where.budget import Budget, split_error
 from wrapjax.gap.where.driven import driven_variance
+from wrapjax.gap.where.gap_map import gap_map
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class Where:
         Measured less predicted moments, N m.
     budget, speeds
         Its parts, and the speed of each row, m/s; of speeds with two cycles or more.
+    map
+        Root mean square of what repeats, N m: see `gap_map`.
     floor
         Of each cycle: mean square that a right model would leave, (N m)^2.
     explainable
@@ -38,6 +41,7 @@ class Where:
     residual: Float[np.ndarray, "cycle coordinate frame"]
     budget: Budget
     speeds: Float[np.ndarray, " speed"]
+    map: Float[np.ndarray, "speed coordinate bin"]
     floor: Float[np.ndarray, " cycle"]
     explainable: Estimate
 
@@ -65,6 +69,8 @@ def where(
     several = np.flatnonzero(np.bincount(speeds)[speeds] > 1)
     kept, own = np.unique(speeds[several], return_inverse=True)
     driven = driven_variance(residual[several], inputs[several], own)
+    between = np.stack([residual[several][own == speed].var(axis=0, ddof=1) for speed in range(len(kept))])
+    mapped = gap_map(residual[several], own, between - driven)
     if of_errors is not None:
         driven = np.maximum(driven - _round_the_cycle(of_errors, driven.shape[-1]), 0.0)
     by_speed = np.zeros(speeds.max() + 1)
@@ -75,6 +81,7 @@ def where(
         residual,
         split_error(residual[several], own, driven),
         speeds_m_s[first],
+        mapped,
         floor,
         explainable_share(cycle_errors(residual), floor, speeds),
     )

@@ -77,19 +77,18 @@ def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
 
 
 def where(result: GapResult) -> list[dict[str, Any]]:
-    """List every coordinate, bin and speed with its error in N m, the largest explainable part first.
+    """List every coordinate, bin and speed with its error in N m, what repeats most first.
 
-    Parts may be negative by chance: shares of the gap then are, too, as they have to sum to one, and the
-    root mean square is zero. There are no shares where there is nothing to explain.
+    Explainable is what repeats: see `gap_map`. There are no shares of it where there is none.
     """
     budget = result.budget
     if budget is None:
         return []
-    whole = float(budget.explainable.sum())
-    shares = budget.explainable / whole if whole > 0.0 else np.full_like(budget.explainable, np.nan)
-    rms, explainable_rms = root(budget.total), root(budget.explainable)
+    whole = float(np.sum(result.map**2))
+    shares = result.map**2 / whole if whole > 0.0 else np.full_like(result.map, np.nan)
+    rms = root(budget.total)
     rows = []
-    for place in np.argsort(-budget.explainable, axis=None, kind="stable"):
+    for place in np.argsort(-result.map, axis=None, kind="stable"):
         speed, coordinate, number = np.unravel_index(place, shares.shape)
         rows.append(
             {
@@ -97,7 +96,7 @@ def where(result: GapResult) -> list[dict[str, Any]]:
                 "phase_percent": [int(number) * BIN_PERCENT, (int(number) + 1) * BIN_PERCENT],
                 "speed_m_s": float(result.budget_speeds[speed]),
                 "rms_Nm": float(rms.flat[place]),
-                "explainable_rms_Nm": float(explainable_rms.flat[place]),
+                "explainable_rms_Nm": float(result.map.flat[place]),
                 "share_of_gap": float(shares.flat[place]),
             }
         )

@@ -11,7 +11,7 @@ from wrapjax.gap.where.budget import BIN_PERCENT, BINS, Budget
 from wrapjax.report import markup
 from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.gap.errors import mean_absolute_errors, speed_label
-from wrapjax.report.gap.numbers import root, where
+from wrapjax.report.gap.numbers import where
 from wrapjax.report.style import (
     BLACK,
     BLUE,
@@ -50,15 +50,16 @@ def where_section(result: GapResult) -> list[str]:
             "Where the error is",
             markup.picture(
                 map_figure(result, result.budget),
-                alternative="Map of the explainable error over coordinates and the gait cycle, by speed; it "
-                f"is largest at {first['coordinate']}, {_phase(first)} of the cycle, "
+                alternative="Map of the error that repeats, over coordinates and the gait cycle, by speed; "
+                f"it is largest at {first['coordinate']}, {_phase(first)} of the cycle, "
                 f"{speed_label(first['speed_m_s'])}: {first['explainable_rms_Nm']:.1f} N m.",
-                caption="Root mean square in N m of that part of the error which a better model could "
-                f"explain, by coordinate and {BIN_PERCENT} % of the gait cycle, which starts with heel "
-                "strike. The darker, the more is missing from the model there. Hatched: less than noise.",
+                caption="Root mean square in N m of the error that repeats from cycle to cycle, which a "
+                f"better model could explain, by coordinate and {BIN_PERCENT} % of the gait cycle, which "
+                "starts with heel strike. The darker, the more is missing from the model there. Hatched: "
+                "less than noise.",
             ),
             markup.table(
-                ("coordinate", "gait cycle", "speed", "error (N m)", "explainable (N m)", "share (%)"),
+                ("coordinate", "gait cycle", "speed", "error (N m)", "repeats (N m)", "share (%)"),
                 [
                     (
                         row["coordinate"],
@@ -71,8 +72,7 @@ def where_section(result: GapResult) -> list[str]:
                     for row in rows[:_MOST_ROWS]
                 ],
                 caption=f"The {_MOST_ROWS} places with most of it: root mean square error, the part of it "
-                "that a better model could explain, and the share of all that is explainable. All places "
-                "are in gap.json.",
+                "that repeats, and its share of all that does. All places are in gap.json.",
             ),
         ),
         markup.section(
@@ -95,10 +95,9 @@ def where_section(result: GapResult) -> list[str]:
 
 @in_style
 def map_figure(result: GapResult, budget: Budget) -> Figure:
-    """Draw the explainable error over coordinates and the gait cycle, one panel a speed."""
+    """Draw the error that repeats over coordinates and the gait cycle, one panel a speed."""
     from matplotlib.patches import Rectangle
 
-    explainable = root(budget.explainable)
     speeds, names = len(result.budget_speeds), result.coordinates
     columns = min(speeds, 3)
     figure, panels = panel_grid(
@@ -109,14 +108,14 @@ def map_figure(result: GapResult, budget: Budget) -> Figure:
         image = panel.pcolormesh(
             edges,
             np.arange(len(names) + 1),
-            explainable[row],
+            result.map[row],
             cmap="YlGnBu",
             vmin=0.0,
-            vmax=float(explainable.max()) or 1.0,
+            vmax=float(result.map.max()) or 1.0,
             edgecolor="white",
             linewidth=0.4,
         )
-        for coordinate, number in np.argwhere(budget.explainable[row] < budget.noise[row]).tolist():
+        for coordinate, number in np.argwhere(result.map[row] ** 2 < budget.noise[row]).tolist():
             panel.add_patch(
                 Rectangle(
                     (edges[number], coordinate),
@@ -135,7 +134,7 @@ def map_figure(result: GapResult, budget: Budget) -> Figure:
         panel.spines[["left", "bottom"]].set_visible(False)
         panel.set_xlabel("gait cycle (%)")
         mark_gait_cycle(panel, step=20)
-    figure.colorbar(image, ax=panels, label="explainable error (N m)", aspect=12, pad=0.01)
+    figure.colorbar(image, ax=panels, label="error that repeats (N m)", aspect=12, pad=0.01)
     return figure
 
 
