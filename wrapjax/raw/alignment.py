@@ -107,9 +107,13 @@ def forces_against_motion(
 
     misfits = np.array([misfit(lag) for lag in LAGS])
     lag, least, unshifted = float(LAGS[misfits.argmin()]), float(misfits.min()), misfit(0.0)
-    late = "late" if lag > 0.0 else "early"
-    found = f"forces fit motion best {abs(lag) * 1e3:.0f} ms {late}: the vertical force is then {least:.3g} N"
-    found = f"{found} (standard deviation) from what the bodies need, and {unshifted:.3g} N as recorded"
+    by = round(abs(lag) * 1e3)
+    away = f"{unshifted:.3g} N (standard deviation) from what the bodies need"
+    found = f"forces fit motion best as they were recorded: the vertical force is then {away}"
+    if by:
+        late = "late" if lag > 0.0 else "early"
+        found = f"forces fit motion best {by} ms {late}: as recorded the vertical force is {away}, and then"
+        found = f"{found} {least:.3g} N"
     shifted = abs(lag) > MOST_LAG + 1e-9 and least < BETTER * unshifted
     yield Check(
         "timing of forces",
