@@ -1,10 +1,18 @@
-"""Cases of a blind bank, as those see it who answer them."""
+"""Cases of a blind bank: as those see them who answer, and with their truth where that may be looked at."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.stored import load_json
+
+#: Manifests of test banks.
+SEALED = Path(__file__).parent / "blind" / "sealed"
+#: d* from which on a cause can be found at all.
+CLEAR = 2.0
 
 
 def cases_of(bank: Path, first: int | None = None) -> list[Path]:
@@ -24,3 +32,23 @@ def cases_of(bank: Path, first: int | None = None) -> list[Path]:
             )
         )
     return [case.resolve() for case in cases[:first]]
+
+
+def development_truth(bank: Path, case: str) -> dict[str, Any]:
+    """Read what is true of a case of a development bank.
+
+    Raises
+    ------
+    InputError
+        If the case was sealed for a test bank (nothing is opened then), or is of no development bank.
+    OSError
+        If there is none.
+    """
+    file = bank / "truth" / f"{case}.json"
+    no_other = InputError(Problem(str(file), "expected a case of a development bank: others teach nothing"))
+    if any(case in load_json(manifest)["cases"] for manifest in SEALED.glob("*.json")):
+        raise no_other
+    truth = json.loads(file.read_text(encoding="utf-8"))
+    if truth["bank"] != "development":
+        raise no_other
+    return dict(truth)

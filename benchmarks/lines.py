@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.banks import cases_of
+from benchmarks.banks import cases_of, development_truth
 from benchmarks.machine import pin_threads
-from wrapjax.errors import InputError
+from wrapjax.errors import InputError, Problem
 from wrapjax.files import write_whole
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.evidence.linearized import LinearGap
@@ -129,6 +130,29 @@ def load(file: Path) -> Lines:
         muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
     )
     return Lines(gap, arrays["sizes"])
+
+
+def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any], Lines]]:
+    """Give the truth and the lines of all cases of a development bank whose lines are there.
+
+    Raises
+    ------
+    InputError
+        If a case is of no development bank (see `development_truth`), or there are no lines, or no whole
+        ones.
+    OSError
+        If a truth is missing.
+    """
+    files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
+    if not files:
+        raise InputError(Problem(str(lines), "no lines", hint="draw them with python -m benchmarks.lines"))
+    truths = [development_truth(bank, file.stem) for file in files]
+    for file, truth in zip(files, truths, strict=True):
+        try:
+            own = load(file)
+        except ValueError as error:
+            raise InputError(Problem(str(file), str(error))) from None
+        yield truth, own
 
 
 def _parser() -> argparse.ArgumentParser:

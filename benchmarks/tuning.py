@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,14 +21,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import softmax
 
-from benchmarks.lines import load
-from wrapjax.errors import InputError, Problem
+from benchmarks.banks import CLEAR
+from benchmarks.lines import development_lines
+from wrapjax.errors import InputError
 from wrapjax.files import content_hash, write_json
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.evidence.null import nulls
 from wrapjax.gap.evidence.projection import Candidate, Projection, project
 from wrapjax.gap.evidence.score import score_projected
-from wrapjax.stored import load_json
 
 #: Of an effect that a case has, as a share of its prior deviation: larger than any.
 _THERE = 3.0
@@ -37,10 +36,6 @@ _TURNS = 30
 #: Shares below this are none, and none is larger than this: an effect that everybody has so much of is no
 #: effect.
 _LEAST, _MOST = 0.05, 1.0
-#: Where a cause can be found at all.
-_CLEAR = 2.0
-_NO_OTHER = "constants are tuned on a development bank, and on no other"
-SEALED = Path(__file__).parent / "blind" / "sealed"
 
 
 @dataclass(frozen=True)
@@ -89,7 +84,7 @@ def main() -> int:
         return 2
     shipped = Tuning.shipped()
     worlds = sorted({case.truth["world"] for case in known})
-    print(f"{len(known)} cases of {', '.join(worlds)}; right cause first, d* over {_CLEAR:g}")
+    print(f"{len(known)} cases of {', '.join(worlds)}; right cause first, d* over {CLEAR:g}")
     for world in worlds:
         others = [case for case in known if case.truth["world"] != world]
         own = [case for case in known if case.truth["world"] == world]
@@ -105,35 +100,12 @@ def main() -> int:
 
 
 def read(bank: Path, lines: Path) -> list[Known]:
-    """Take in all cases whose lines are there.
-
-    Raises
-    ------
-    InputError
-        If a case was sealed for a test bank (no truth is opened then), is of no development bank
-        otherwise, or there are no lines, or no whole ones.
-    OSError
-        If a truth is missing.
-    """
-    files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
-    if not files:
-        raise InputError(Problem(str(lines), "no lines", hint="draw them with python -m benchmarks.lines"))
-    sealed = {case for manifest in SEALED.glob("*.json") for case in load_json(manifest)["cases"]}
-    for file in files:
-        if file.stem in sealed:
-            raise InputError(Problem(str(file), _NO_OTHER))
+    """Take in all cases whose lines are there; raises what `development_lines` does."""
     found = []
-    for file in files:
-        try:
-            stored = load(file)
-        except ValueError as error:
-            raise InputError(Problem(str(file), str(error))) from None
-        candidates = stored.gap.candidates
-        residual = stored.gap.residual.reshape(1, -1)
-        seen = tuple(project(residual, null, candidates) for null in nulls(stored.gap, stored.sizes))
-        truth = json.loads((bank / "truth" / f"{file.stem}.json").read_text(encoding="utf-8"))
-        if truth["bank"] != "development":
-            raise InputError(Problem(str(bank), _NO_OTHER))
+    for truth, own in development_lines(bank, lines):
+        candidates = own.gap.candidates
+        residual = own.gap.residual.reshape(1, -1)
+        seen = tuple(project(residual, null, candidates) for null in nulls(own.gap, own.sizes))
         found.append(Known(truth, candidates, seen))
     return found
 
@@ -174,7 +146,7 @@ def _add_up(case: Known, shares: Mapping[str, float], size: dict[str, float], to
 
 
 def _judged(cases: Sequence[Known], shares: Mapping[str, float]) -> str:
-    single = [c for c in cases if c.truth["tier"] == "single" and c.truth["d_star"] > _CLEAR]
+    single = [c for c in cases if c.truth["tier"] == "single" and c.truth["d_star"] > CLEAR]
     first = three = 0
     for case in single:
         found = case.evidence(shares)
