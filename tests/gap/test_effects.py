@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.tree_util import Partial
 
 from tests.gap.subject import CURVES, small_recording_and_context
 from wrapjax.errors import InputError
@@ -24,6 +25,7 @@ from wrapjax.gap import (
     secants,
     signatures,
 )
+from wrapjax.gap.context import change_id
 from wrapjax.geometry import fixed_path
 from wrapjax.model import Recording, joint_moments
 
@@ -325,6 +327,21 @@ def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word)
     found = CATALOGUE[id](dataclasses.replace(CONTEXT, **changed))
     assert isinstance(found, NotTestable) and found.id == id
     assert word in found.reason
+
+
+def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
+    """Where these are known; of each shape what is its own."""
+    amounts = jnp.arange(1.0, 1.0 + 2 * len(CONTEXT.coordinates))
+    pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
+    known = {change_id("soft_tissue_artifact", "loading"): Partial(_summed, pattern)}
+    effect = CATALOGUE["soft_tissue_artifact"](dataclasses.replace(CONTEXT, measured_changes=known))
+    loading, swing = (variant.form(amounts) for variant in effect.variants)
+    np.testing.assert_allclose(loading.moment, amounts.sum() * pattern)
+    assert swing.moment is None and swing.paths is not None
+
+
+def _summed(pattern, amounts):
+    return amounts.sum() * pattern
 
 
 def test_effects_can_be_left_out_and_unknown_ones_are_refused():

@@ -10,6 +10,8 @@ from tests.subject import synthetic
 from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
 from wrapjax.api import load_subject
 from wrapjax.errors import InputError
+from wrapjax.gap.context import change_id
+from wrapjax.gap.effects.kinematics import sliding
 from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.measurement.changes import measured_changes, recorded_walk
 from wrapjax.measurement.walk import UP, Walk
@@ -126,6 +128,12 @@ def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
     turned = change(found, "joint_axis_rotation", knee_rad=0.1)
     np.testing.assert_allclose(turned[1], expected, atol=1e-3 * np.abs(expected).max())
     assert np.abs(turned[0]).max() == 0.0
+    # About what is forward: on the left the axis' right end, which is the inner one, comes down.
+    downward = np.stack([np.sin(hip), -np.cos(hip), 0.0 * hip])
+    expected = 0.1 * (downward * moment).sum(axis=0)
+    tilted = change(found, "joint_axis_rotation", knee_tilt_rad=0.1)
+    np.testing.assert_allclose(tilted[1], expected, atol=1e-3 * np.abs(expected).max())
+    assert np.abs(tilted[0]).max() == 0.0
 
 
 def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found, leg):
@@ -233,6 +241,30 @@ def test_an_ankle_recorded_askew_gives_other_moments(recorded):
     np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
 
 
+def test_skin_that_slides_gives_other_moments(recorded):
+    """By the slope, and by inverse dynamics of the motion with as much more of it; about every coordinate."""
+    subject, walk, found = recorded
+    trials = subject.trials
+    names = trials.moment_coordinates
+    knee = names.index("knee_angle_r")
+    rows = [trials.coordinates.index(name) for name in names]
+    for when, (slide, by_phase) in sliding(np.linspace(0.0, 1.0, trials.time.shape[1])).items():
+        duration = (trials.time[:, -1] - trials.time[:, 0])[:, None]
+        angles, rates = trials.angles.copy(), trials.angular_velocities.copy()
+        angles[:, rows[knee]] += 0.02 * slide + 0.01 * trials.angles[:, rows[knee]]
+        rates[:, rows[knee]] += 0.02 * by_phase / duration + 0.01 * trials.angular_velocities[:, rows[knee]]
+        other = dataclasses.replace(trials, angles=angles, angular_velocities=rates)
+        moved, _ = recorded_walk(dataclasses.replace(subject, trials=other))
+        before, after = moments_of(walk), moments_of(moved)
+        expected = np.stack([after[name] - before[name] for name in names])
+        amounts = np.zeros(2 * len(names))
+        amounts[knee], amounts[len(names) + knee] = 0.02, 0.01
+        slope = np.asarray(found[0][change_id("soft_tissue_artifact", when)](jnp.asarray(amounts)))
+        slope = np.moveaxis(slope, 1, 0)
+        assert np.abs(expected).max() > 1.0
+        np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.05 * np.abs(expected).max())
+
+
 def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
     subject, walk, found = recorded
@@ -286,8 +318,7 @@ def test_the_other_foot_is_this_one_half_a_cycle_away():
         wrench=wrench(1)[None],
         by_latency=wrench(1)[None],
         other=None,
-        bent=None,
-        bend=1.0,
+        analyse=lambda motion: mechanics,
     )
     np.testing.assert_allclose(walk.rightward[:, 0], right, atol=1e-12)
     np.testing.assert_allclose(walk.other_foot(), wrench(-1), atol=1e-9)

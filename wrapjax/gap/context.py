@@ -21,6 +21,11 @@ Kinematics = Float[np.ndarray, "trial coordinate frame"]
 MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coordinate frame"]]
 
 
+def change_id(effect: str, shape: str) -> str:
+    """Name what a shape of an effect adds to measured moments (`Context.measured_changes`)."""
+    return f"{effect}, {shape}"
+
+
 class OtherMuscles(eqx.Module):
     """Muscles of the leg that no EMG channel drives, over the recorded cycles."""
 
@@ -113,8 +118,9 @@ class Context:
     at_bounds
         Parameters at their bounds.
     measured_changes
-        By the id of an effect on the measurement chain: what its amounts add to the prediction of what
-        is measured, through the exact change of inverse dynamics (see `effects.measurement`).
+        By the id of an effect on the measurement chain, or of one of its shapes (`change_id`): what its
+        amounts add to the prediction of what is measured, through the exact change of inverse dynamics (see
+        `effects.measurement`).
     no_measured_changes
         Why there are none.
     whole

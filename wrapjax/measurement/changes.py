@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -14,15 +15,16 @@ from scipy.interpolate import CubicSpline
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.gap import MeasuredChange
+from wrapjax.gap.context import change_id
 from wrapjax.measurement.walk import Walk
-from wrapjax.measurement.wrong_inputs import SLOPES
+from wrapjax.measurement.wrong_inputs import BY_SHAPE, SLOPES
 from wrapjax.osim import describe_model
-from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.inverse_dynamics import analyse_mechanics
 from wrapjax.osim.motion import Motion
 from wrapjax.subject import GroundLoads, Subject, Trials, read_ground_loads
 
-#: By how much foot deformation (rad/N) and latency (s) are moved to see what they do: half a prior deviation.
-_COMPLIANCE, _LATENCY = 0.5e-4, 0.005
+#: By how much latency is moved to see what it does, s: half a prior deviation.
+_LATENCY = 0.005
 
 
 def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
@@ -40,8 +42,8 @@ def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
     Returns
     -------
     changes, reason
-        By the id of an effect, from amounts to N m (trial x coordinate x frame); and why others are not
-        there.
+        By the id of an effect, or of one of its shapes (`change_id`), from amounts to N m (trial x
+        coordinate x frame); and why others are not there.
 
     Raises
     ------
@@ -51,9 +53,11 @@ def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
     walk, reason = recorded_walk(subject)
     if walk is None:
         return {}, reason
+    found = {id: slopes_of(walk) for id, slopes_of in SLOPES.items()}
+    for id, by_shape in BY_SHAPE.items():
+        found |= {change_id(id, shape): slopes for shape, slopes in by_shape(walk).items()}
     changes: dict[str, MeasuredChange] = {}
-    for id, slopes_of in SLOPES.items():
-        slopes = slopes_of(walk)
+    for id, slopes in found.items():
         if slopes.any():
             cut = slopes.reshape(*slopes.shape[:2], *walk.time.shape)
             changes[id] = Partial(_along, jnp.asarray(np.moveaxis(cut, 1, 2)))
@@ -159,31 +163,19 @@ def _walk(
 
     own = wrench(0.0)
     others = tuple({body for entry in loads.values() for body in entry.bodies} - set(loaded))
-    vertical = own[:, 4].sum(axis=0).reshape(trials.time.shape)
-    ankle = f"ankle_angle_{subject.side}"
-
-    def mechanics(motion: Motion) -> Mechanics:
-        return analyse_mechanics(subject.model_file, trials.moment_coordinates, motion)
-
-    bent = [
-        mechanics(_motion(subject, model, ankle, sign * _COMPLIANCE * vertical))
-        if ankle in trials.coordinates
-        else None
-        for sign in (1.0, -1.0)
-    ]
-    motion = _motion(subject, model, ankle, 0.0 * vertical)
+    analyse = partial(analyse_mechanics, subject.model_file, trials.moment_coordinates)
+    motion = _motion(subject, model)
     return Walk(
         side=subject.side,
         time=trials.time,
         motion=motion,
-        mechanics=mechanics(motion),
+        mechanics=analyse(motion),
         loaded=loaded,
         wrench=own,
         # What is recorded later by an amount is, now, what it was that amount ago.
         by_latency=(wrench(_LATENCY) - wrench(-_LATENCY)) / (2.0 * _LATENCY),
         other=_acting(trials, loads, others, 0.0) if others else None,
-        bent=None if bent[0] is None or bent[1] is None else (bent[0], bent[1]),
-        bend=2.0 * _COMPLIANCE,
+        analyse=analyse,
     )
 
 
@@ -200,28 +192,19 @@ def _acting(
     return found.reshape(6, -1)
 
 
-def _motion(
-    subject: Subject, model: _Structure, ankle: str, bent: Float[np.ndarray, "trial frame"]
-) -> Motion:
-    """Give the recorded motion, but for what the ankle is bent by (rad)."""
+def _motion(subject: Subject, model: _Structure) -> Motion:
+    """Give the recorded motion."""
     trials = subject.trials
     chosen = [row for row, name in enumerate(trials.coordinates) if name not in model.following]
-    moving = [trials.coordinates[row] for row in chosen]
     values, speeds = trials.angles[:, chosen], trials.angular_velocities[:, chosen]
     accelerations = np.zeros_like(values)
     for number, time in enumerate(trials.time):
         accelerations[number] = CubicSpline(time, speeds[number], axis=1)(time, 1)
-    if bent.any():
-        row, values, speeds = moving.index(ankle), values.copy(), speeds.copy()
-        step = (trials.time[:, 1] - trials.time[:, 0])[:, None]
-        rate = np.gradient(bent, axis=1) / step
-        values[:, row] += bent
-        speeds[:, row] += rate
-        accelerations[:, row] += np.gradient(rate, axis=1) / step
 
     def in_a_row(
         signals: Float[np.ndarray, "trial coordinate frame"],
     ) -> Float[np.ndarray, "coordinate pose"]:
-        return np.moveaxis(signals, 1, 0).reshape(len(moving), -1)
+        return np.moveaxis(signals, 1, 0).reshape(len(chosen), -1)
 
-    return Motion(tuple(moving), in_a_row(values), in_a_row(speeds), in_a_row(accelerations))
+    names = tuple(trials.coordinates[row] for row in chosen)
+    return Motion(names, in_a_row(values), in_a_row(speeds), in_a_row(accelerations))

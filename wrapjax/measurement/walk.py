@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.interpolate import CubicSpline
 
 from wrapjax.osim.inverse_dynamics import Mechanics
 from wrapjax.osim.motion import Motion
@@ -13,6 +15,8 @@ from wrapjax.osim.motion import Motion
 UP = np.array([0.0, 1.0, 0.0])
 #: Share of the largest vertical force from which a foot counts as on the ground.
 CONTACT = 0.05
+#: By how much angles are moved to see what that does, rad.
+ANGLE_STEP = 0.005
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,8 @@ class Walk:
         How that changes with the time (s) by which forces were recorded later than motion.
     other
         What acts on the other leg; None where it was not recorded.
-    bent, bend
-        The mechanics with the ankle bent by half of ``bend`` (rad/N) times the vertical force, and by as
-        much the other way; None where the ankle's angle was not recorded.
+    analyse
+        Gives the mechanics of another motion.
     """
 
     side: str
@@ -47,8 +50,7 @@ class Walk:
     wrench: Float[np.ndarray, "load 6 pose"]
     by_latency: Float[np.ndarray, "load 6 pose"]
     other: Float[np.ndarray, "6 pose"] | None
-    bent: tuple[Mechanics, Mechanics] | None
-    bend: float
+    analyse: Callable[[Motion], Mechanics]
 
     @property
     def outward(self) -> float:
@@ -110,6 +112,45 @@ class Walk:
         moved = self.mechanics.moved(self.loaded)
         return -self.mechanics.moments(np.einsum("kl,lwp->kwp", moved, change))
 
+    def moments_by_angles(
+        self, errors: Float[np.ndarray, "pattern coordinate trial frame"]
+    ) -> Float[np.ndarray, "pattern coordinate pose"]:
+        """Give what moments change by, for a unit of each pattern, when angles are recorded so far off (rad).
+
+        Coordinates as those of `mechanics`. Forces stay where they were recorded; rates and accelerations
+        are off as well. Every second frame is looked at.
+        """
+        trials, frames = self.time.shape
+        kept = np.arange(frames) if frames % 2 == 0 else np.arange(0, frames, 2)
+        poses = (np.arange(trials)[:, None] * frames + kept).ravel()
+        rows = [self.motion.coordinates.index(name) for name in self.mechanics.coordinates]
+        wrench, motion = self.wrench[..., poses], self.motion
+        plain = self.mechanics.moments(self.transmitted())[:, poses]
+        step = (self.time[:, 1] - self.time[:, 0])[:, None]
+        slopes = np.zeros((len(errors), *self.mechanics.screw.shape[::2]))
+        for number, pattern in enumerate(errors):
+            largest = np.abs(pattern).max()
+            if largest == 0.0:
+                continue
+            unit = ANGLE_STEP / largest
+            rates = np.gradient(pattern, axis=-1) / step
+            moved = Motion(
+                motion.coordinates,
+                *(
+                    _with(own[:, poses], rows, unit * off.reshape(len(rows), -1)[:, poses])
+                    for own, off in (
+                        (motion.values, pattern),
+                        (motion.speeds, rates),
+                        (motion.accelerations, np.gradient(rates, axis=-1) / step),
+                    )
+                ),
+            )
+            found = self.analyse(moved)
+            change = (found.moments(found.transmitted(self.loaded, wrench)) - plain) / unit
+            by_time = CubicSpline(kept, change.reshape(len(rows), trials, -1), axis=-1)(np.arange(frames))
+            slopes[number] = by_time.reshape(len(rows), -1)
+        return slopes
+
     def other_foot(self) -> Float[np.ndarray, "6 pose"]:
         """Give what acts on the other foot: as recorded, else this one's half a cycle away, mirrored.
 
@@ -133,3 +174,13 @@ class Walk:
         # A moment turns the other way round in a mirror.
         moment = 2.0 * right * (right * moment).sum(axis=0) - moment
         return np.concatenate([moment + np.cross(where, force, axis=0), force])
+
+
+def _with(
+    signals: Float[np.ndarray, "coordinate pose"],
+    rows: Sequence[int],
+    added: Float[np.ndarray, "moved pose"],
+) -> Float[np.ndarray, "coordinate pose"]:
+    found = signals.copy()
+    found[list(rows)] += added
+    return found

@@ -13,6 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.gap.effects.kinematics import sliding
 from wrapjax.measurement.walk import CONTACT, Walk
 
 Slopes = Float[np.ndarray, "parameter coordinate pose"]
@@ -99,16 +100,26 @@ def _hip_center_offset(walk: Walk) -> Slopes:
 
 
 def _joint_axis_rotation(walk: Walk) -> Slopes:
-    """The joint's whole moment is projected on an axis that is turned as toes are when they turn out."""
+    """The joint's whole moment is projected on an axis that is off, by either of the angles that place it.
+
+    It is turned as toes are when they turn out, and about what is across: knee and ankle, whose axes go from
+    side to side, about the direction that is forward, and the subtalar joint, whose goes forward, about the
+    one that is outward.
+    """
     mechanics, wrench = walk.mechanics, walk.transmitted()
-    slopes = np.zeros((3, *mechanics.screw.shape[::2]))
-    for number, stem in enumerate(("knee_angle", "ankle_angle", "subtalar_angle")):
+    slopes = np.zeros((6, *mechanics.screw.shape[::2]))
+    # Columns of the carrier's axes: forward, up, to the right. Of a right leg, outward is clockwise seen from
+    # above, and an axis' outer end goes up counterclockwise seen from behind; its front end always goes up
+    # about what points to the right.
+    turns = {"knee_angle": (1, 0), "ankle_angle": (1, 0), "subtalar_angle": (1, 2)}
+    signs = {0: -walk.outward, 1: -walk.outward, 2: 1.0}
+    for number, (stem, columns) in enumerate(turns.items()):
         for row in walk.starting(stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
-            upright = mechanics.rotation[_carrier(walk, row), :, 1]
-            # Seen from above, outward is clockwise for a right leg.
-            turned = -walk.outward * np.cross(upright, mechanics.screw[row, :3], axis=0)
-            slopes[number, row] = (turned * moment).sum(axis=0)
+            for place, column in enumerate(columns):
+                about = signs[column] * mechanics.rotation[_carrier(walk, row), :, column]
+                turned = np.cross(about, mechanics.screw[row, :3], axis=0)
+                slopes[2 * number + place, row] = (turned * moment).sum(axis=0)
     return slopes
 
 
@@ -124,10 +135,23 @@ def _carrier(walk: Walk, coordinate: int) -> int:
 
 def _foot_deformation(walk: Walk) -> Slopes:
     """The ankle was recorded too far in dorsiflexion, by an angle that goes with the vertical force."""
-    if walk.bent is None:
-        return np.zeros((1, *walk.mechanics.screw.shape[::2]))
-    more, less = (bent.moments(bent.transmitted(walk.loaded, walk.wrench)) for bent in walk.bent)
-    return (more - less)[None] / walk.bend
+    errors = np.zeros((1, len(walk.mechanics.coordinates), *walk.time.shape))
+    errors[0, walk.starting("ankle_angle")] = walk.force[1].reshape(walk.time.shape)
+    return walk.moments_by_angles(errors)
+
+
+def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
+    """Skin slid over bone, and angles were recorded that the bones did not have."""
+    count, (trials, frames) = len(walk.mechanics.coordinates), walk.time.shape
+    rows = [walk.motion.coordinates.index(name) for name in walk.mechanics.coordinates]
+    angles = walk.motion.values[rows].reshape(count, trials, frames)
+    apart = np.eye(count)[:, :, None, None]
+    shares = walk.moments_by_angles(apart * angles)
+    slides = {
+        when: walk.moments_by_angles(np.broadcast_to(apart * shape, (count, count, trials, frames)))
+        for when, (shape, _) in sliding(np.linspace(0.0, 1.0, frames)).items()
+    }
+    return {when: np.concatenate([own, shares]) for when, own in slides.items()}
 
 
 def _wobbling_mass(walk: Walk) -> Slopes:
@@ -158,7 +182,9 @@ def _knee_laxity(walk: Walk) -> Slopes:
     return slopes
 
 
-#: From the id of an effect to what one unit of each of its amounts adds to the moments.
+#: From the id of an effect to what one unit of each of its amounts adds to the moments, by its shapes.
+BY_SHAPE: dict[str, Callable[[Walk], dict[str, Slopes]]] = {"soft_tissue_artifact": _soft_tissue_artifact}
+#: The same of effects with one shape.
 SLOPES: dict[str, Callable[[Walk], Slopes]] = {
     "cop_offset": _cop_offset,
     "hip_center_offset": _hip_center_offset,

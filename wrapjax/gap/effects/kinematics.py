@@ -7,7 +7,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.gap.context import Context
+from wrapjax.gap.context import Context, MeasuredChange, change_id
 from wrapjax.gap.cycles import bell
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.gap.effects.emg import later
@@ -23,10 +23,10 @@ _WIDTH = 0.10
 
 
 def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
-    """Change the angles that paths are laid through: at a part of the cycle, and in proportion to them.
+    """Record angles that bones did not have: at a part of the cycle, and in proportion to the angles.
 
-    To first order, moment arms included. Shapes: when in the cycle. What inverse dynamics make of other
-    angles is not part of it.
+    Muscles took the paths of the bones' angles, to first order, moment arms included; inverse dynamics made
+    of the others what they did, where ground forces were recorded. Shapes: when in the cycle.
     """
     if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
@@ -59,40 +59,58 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     ]
     variants = tuple(
         Variant(
-            Partial(_slid, context.paths_by_angle, context.paths.moment_arm, *_errors(context, center)), when
+            Partial(
+                _misread,
+                context.paths_by_angle,
+                context.paths.moment_arm,
+                *_errors(context, *shape),
+                context.measured_changes.get(change_id("soft_tissue_artifact", when)),
+            ),
+            when,
         )
-        for when, center in _SLIDES.items()
+        for when, shape in sliding(context.phase).items()
     )
     return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
 
 
-def _errors(context: Context, center: float) -> tuple[Array, Array]:
+def sliding(
+    phase: Float[np.ndarray, " frame"],
+) -> dict[str, tuple[Float[np.ndarray, " frame"], Float[np.ndarray, " frame"]]]:
+    """Give how skin slides over the cycle, one where it does so most, and the derivative by phase."""
+    return {when: bell(phase, center, _WIDTH) for when, center in _SLIDES.items()}
+
+
+def _errors(
+    context: Context, slide: Float[np.ndarray, " frame"], by_phase: Float[np.ndarray, " frame"]
+) -> tuple[Array, Array]:
     """Errors of angles and of their rates for a unit of sliding, then of the share."""
-    value, by_phase = bell(context.phase, center, _WIDTH)
     shape = context.angles.shape
-    slide = np.broadcast_to(value, shape)
-    slide_rate = np.broadcast_to(by_phase / context.duration[:, None, None], shape)
-    return jnp.asarray(np.stack([slide, context.angles])), jnp.asarray(
-        np.stack([slide_rate, context.velocities])
-    )
+    slides = np.broadcast_to(slide, shape)
+    rates = np.broadcast_to(by_phase / context.duration[:, None, None], shape)
+    return jnp.asarray(np.stack([slides, context.angles])), jnp.asarray(np.stack([rates, context.velocities]))
 
 
-def _slid(
+def _misread(
     by_angle: PathState,
     moment_arm: Float[Array, "muscle trial coordinate frame"],
     angles: Float[Array, "kind trial coordinate frame"],
     rates: Float[Array, "kind trial coordinate frame"],
+    change: MeasuredChange | None,
     amounts: Amounts,
 ) -> Alteration:
     own = amounts.reshape(len(angles), -1)
-    angle, rate = (jnp.einsum("kc,ktcf->tcf", own, errors) for errors in (angles, rates))
+    # Bones lag behind what was recorded by the error.
+    angle, rate = (-jnp.einsum("kc,ktcf->tcf", own, errors) for errors in (angles, rates))
     length, velocity, arm = (
         jnp.einsum("tcf,mct...f->mt...f", angle, leaf)
         for leaf in (by_angle.length, by_angle.velocity, by_angle.moment_arm)
     )
     # Where an angle changes faster than was recorded, length falls faster by the moment arm.
     velocity -= jnp.einsum("tcf,mtcf->mtf", rate, moment_arm)
-    return Alteration(paths=Partial(added_to_paths, PathState(length, velocity, arm)))
+    return Alteration(
+        paths=Partial(added_to_paths, PathState(length, velocity, arm)),
+        moment=None if change is None else change(amounts),
+    )
 
 
 def event_jitter(context: Context) -> Effect | NotTestable:

@@ -41,8 +41,11 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
         "5 to 15 degrees",
         (
             ("knee_rad", "rad", 0.12, 0, "knee axis turned outward in the horizontal plane", 0.5),
+            ("knee_tilt_rad", "rad", 0.12, 0, "knee axis with its outer end too high", 0.5),
             ("ankle_rad", "rad", 0.12, 0, "ankle axis turned outward in the horizontal plane", 0.5),
+            ("ankle_tilt_rad", "rad", 0.12, 0, "ankle axis with its outer end too high", 0.5),
             ("subtalar_rad", "rad", 0.12, 0, "subtalar axis turned outward in the horizontal plane", 0.5),
+            ("subtalar_pitch_rad", "rad", 0.12, 0, "subtalar axis with its front end too high", 0.5),
         ),
     ),
     "force_latency": (
