@@ -315,6 +315,9 @@ SCRIPT = """
 import numpy as np, os, signal
 from wrapjax.osim import analyse_muscles, muscle_analysis
 
+# Whoever runs the tests in the background may ignore interrupts, and so would this.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 def strike(*arguments):
     {strike}
 
