@@ -11,8 +11,8 @@ from tests.subject.synthetic_forces import with_forces
 from wrapjax.api import load_subject
 from wrapjax.api.diagnosing.gap_context import _wrap_changes, gap_context
 from wrapjax.api.paths.exact import engine_of
-from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, predicted_moments
-from wrapjax.gap.effects.measurement import CHAIN
+from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, effects_in, predicted_moments
+from wrapjax.gap.context import change_id
 from wrapjax.muscle import HILL_CURVES
 
 
@@ -127,10 +127,16 @@ def test_paths_follow_cylinders(tmp_path):
 def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, tmp_path):
     subject = with_forces(tmp_path / "person")
     _, context = gap_context(dataclasses.replace(calibrated, subject=subject))
-    testable = {entry.id for entry in catalogue(context) if not isinstance(entry, NotTestable)}
-    assert set(context.measured_changes) <= testable and "crossed_plates" in testable
+    effects = effects_in(catalogue(context))
+    sizes = {
+        id: [parameter.prior_sd for parameter in effect.parameters]
+        for effect in effects
+        for id in (effect.id, *(change_id(effect.id, variant.label) for variant in effect.variants))
+    }
+    assert set(context.measured_changes) <= set(sizes) and "crossed_plates" in sizes
+    assert change_id("soft_tissue_artifact", "loading") in context.measured_changes
     part = context.select([2, 0])
     for id, whole in context.measured_changes.items():
-        amounts = jnp.array([row[2] for row in CHAIN[id][1]])
+        amounts = jnp.array(sizes[id])
         np.testing.assert_array_equal(part.measured_changes[id](amounts), whole(amounts)[np.array([2, 0])])
         assert np.abs(whole(0.0 * amounts)).max() == 0.0
