@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.lines --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
 `wrapjax.gap.evidence.linearized`) and keeps them, one file a case, with no effect allowed for in everyone.
-Nothing is scored or refitted here, and the truth is not looked at; `benchmarks.tuning` does that, of
-development banks alone.
+Nothing is scored or refitted here, and the truth is not looked at. `development_lines` gives lines with it,
+of development banks alone.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 standard deviations:
 
 - ``d*``, what the simulator could see of it, knowing its own curves and parameters;
-- ``seen``, what the null hypothesis leaves of it (`wrapjax.gap.evidence.null`);
+- ``seen``, what the null hypothesis that the residual speaks for leaves of it;
 - ``captured``, what share of that (of its square) the effect's own signatures can form: the rest is of a
   shape that the catalogue does not have;
 - ``found``, how much of it the calibrated model's residual holds. Along straight lines it is as much as is
@@ -25,17 +25,15 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
+from benchmarks.banks import CLEAR
 from benchmarks.blind.effects import EFFECTS
 from benchmarks.blind.library import SHARE, Library
-from benchmarks.lines import Lines
-from benchmarks.tuning import CLEAR, development_lines
+from benchmarks.lines import Lines, development_lines
 from wrapjax.errors import InputError
 from wrapjax.gap.conclude.verdict import Tuning
-from wrapjax.gap.evidence.covariance import muscle_covariance, repeated_covariance
-from wrapjax.gap.evidence.null import EXPECTED_REPEATED_ERROR, known_covariance
+from wrapjax.gap.evidence.null import nulls
+from wrapjax.gap.evidence.projection import project
 
-#: Of muscle force, in maximum isometric forces: what most people of development banks speak for.
-_FORCE_ERROR = 0.007
 _RANK = 1e-8
 
 
@@ -99,17 +97,14 @@ def loss(
     ordered = np.reshape(signal, (cycles, phases, coordinates)).transpose(0, 2, 1).ravel()
     # The cause itself is what is looked for.
     others = gap.allowing({id: share for id, share in background.items() if id != cause})
-    covariance = (
-        known_covariance(others)
-        + _FORCE_ERROR**2 * muscle_covariance(gap.muscle_errors)
-        + EXPECTED_REPEATED_ERROR**2 * repeated_covariance(lines.sizes, gap.speeds, phases)
-    )
-    factor = scipy.linalg.cholesky(covariance, lower=True)
+    own = gap.residual.reshape(1, -1)
+    null = max(nulls(others, lines.sizes), key=lambda one: project(own, one, ()).weight[0])
+    factor = scipy.linalg.cholesky(null.covariance, lower=True)
 
     def white(rows: Float[np.ndarray, "_ row"]) -> Float[np.ndarray, "row _"]:
         return scipy.linalg.solve_triangular(factor, rows.T, lower=True)
 
-    left, residual = white(np.stack([ordered, gap.residual.ravel()])).T
+    left, residual = white(np.stack([ordered, own[0]])).T
     seen = float(np.linalg.norm(left))
     captured = 0.0
     for variant in next(one for one in gap.candidates if one.id == cause).variants:

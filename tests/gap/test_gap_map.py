@@ -56,6 +56,13 @@ def test_noise_alone_leaves_little():
     assert np.sqrt(np.mean(found**2)) < 0.5 / np.sqrt(CYCLES) and np.isfinite(found).all()
 
 
+def test_no_part_is_larger_than_the_whole():
+    """An error at one speed alone is not seen at the other."""
+    cycles = np.where(SPEEDS[:, None, None] == 0, 0.0, np.ones((2 * CYCLES, COORDINATES, FRAMES)))
+    found = gap_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES)))
+    assert found[0].max() == 0.0 and found[1].min() > 0.9 and found[1].max() <= 1.0
+
+
 def test_where_there_is_nothing_the_map_is_empty():
     cycles = np.zeros((2 * CYCLES, COORDINATES, FRAMES))
     np.testing.assert_array_equal(gap_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES))), 0.0)

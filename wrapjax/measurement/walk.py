@@ -112,24 +112,31 @@ class Walk:
         moved = self.mechanics.moved(self.loaded)
         return -self.mechanics.moments(np.einsum("kl,lwp->kwp", moved, change))
 
+    @property
+    def moving(self) -> tuple[list[int], list[int]]:
+        """Rows of the coordinates that follow no other: in `mechanics`, and in `motion`."""
+        names, moving = self.mechanics.coordinates, self.motion.coordinates
+        own = [row for row, name in enumerate(names) if name in moving]
+        return own, [moving.index(names[row]) for row in own]
+
     def moments_by_angles(
         self, errors: Float[np.ndarray, "pattern coordinate trial frame"]
     ) -> Float[np.ndarray, "pattern coordinate pose"]:
         """Give what moments change by, for a unit of each pattern, when angles are recorded so far off (rad).
 
-        Coordinates as those of `mechanics`. Forces stay where they were recorded; rates and accelerations
-        are off as well. Every second frame is looked at.
+        Coordinates as those of `mechanics`; one that follows another is off as that one is. Forces stay where
+        they were recorded; rates and accelerations are off as well. Every second frame is looked at.
         """
         trials, frames = self.time.shape
         kept = np.arange(frames) if frames % 2 == 0 else np.arange(0, frames, 2)
         poses = (np.arange(trials)[:, None] * frames + kept).ravel()
-        rows = [self.motion.coordinates.index(name) for name in self.mechanics.coordinates]
+        own_rows, rows = self.moving
         wrench, motion = self.wrench[..., poses], self.motion
         plain = self.mechanics.moments(self.transmitted())[:, poses]
         step = (self.time[:, 1] - self.time[:, 0])[:, None]
         slopes = np.zeros((len(errors), *self.mechanics.screw.shape[::2]))
-        for number, pattern in enumerate(errors):
-            largest = np.abs(pattern).max()
+        for number, pattern in enumerate(errors[:, own_rows]):
+            largest = np.abs(pattern).max(initial=0.0)
             if largest == 0.0:
                 continue
             unit = ANGLE_STEP / largest
@@ -147,8 +154,8 @@ class Walk:
             )
             found = self.analyse(moved)
             change = (found.moments(found.transmitted(self.loaded, wrench)) - plain) / unit
-            by_time = CubicSpline(kept, change.reshape(len(rows), trials, -1), axis=-1)(np.arange(frames))
-            slopes[number] = by_time.reshape(len(rows), -1)
+            by_time = CubicSpline(kept, change.reshape(len(change), trials, -1), axis=-1)(np.arange(frames))
+            slopes[number] = by_time.reshape(len(change), -1)
         return slopes
 
     def other_foot(self) -> Float[np.ndarray, "6 pose"]:

@@ -143,8 +143,9 @@ def _foot_deformation(walk: Walk) -> Slopes:
 def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
     """Skin slid over bone, and angles were recorded that the bones did not have."""
     count, (trials, frames) = len(walk.mechanics.coordinates), walk.time.shape
-    rows = [walk.motion.coordinates.index(name) for name in walk.mechanics.coordinates]
-    angles = walk.motion.values[rows].reshape(count, trials, frames)
+    own, rows = walk.moving
+    angles = np.zeros((count, trials, frames))
+    angles[own] = walk.motion.values[rows].reshape(-1, trials, frames)
     apart = np.eye(count)[:, :, None, None]
     shares = walk.moments_by_angles(apart * angles)
     slides = {

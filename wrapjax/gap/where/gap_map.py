@@ -40,4 +40,7 @@ def gap_map(
     wanted = binned(own**2 - noise / counts[:, None, None]).sum(axis=(0, 2), keepdims=True)
     shape = binned(drawn**2)
     whole = shape.sum(axis=(0, 2), keepdims=True)
-    return np.sqrt(shape * np.maximum(wanted, 0.0) / np.where(whole > 0.0, whole, 1.0))
+    repeats = shape * np.maximum(wanted, 0.0) / np.where(whole > 0.0, whole, 1.0)
+    # Drawn towards other speeds, a part could come out larger than the whole.
+    squares = np.stack([np.mean(residuals[speeds == speed] ** 2, axis=0) for speed in range(len(counts))])
+    return np.sqrt(np.minimum(repeats, binned(squares)))
