@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.machine import pin_threads
-from benchmarks.subjects import default_subject, set_up_jax
+from benchmarks.subjects import default_subject
+from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from benchmarks.case import Case

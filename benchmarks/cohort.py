@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
-from benchmarks.subjects import set_up_jax
+from wrapjax.jax_setup import set_up_jax
 
 
 def main() -> int:

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
-from benchmarks.subjects import default_subject, set_up_jax
+from benchmarks.subjects import default_subject
+from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.api import Comparison

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import pin_threads
-from benchmarks.subjects import set_up_jax
+from wrapjax.jax_setup import set_up_jax
 
 #: Bell that noise is smoothed with, in frames, as the virtual person's.
 _WIDTH = 3.8

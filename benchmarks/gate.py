@@ -18,7 +18,8 @@ from benchmarks.comparison import regressions
 from benchmarks.floors import read_floors, shortfalls
 from benchmarks.machine import pin_threads, processor
 from benchmarks.metric import Metric, text_table
-from benchmarks.subjects import default_subject, set_up_jax
+from benchmarks.subjects import default_subject
+from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from benchmarks.run_file import EarlierRun

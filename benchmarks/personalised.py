@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.machine import pin_threads
-from benchmarks.subjects import default_subject, set_up_jax
+from benchmarks.subjects import default_subject
+from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     import jax

@@ -1,4 +1,4 @@
-"""Whom benchmarks calibrate, and JAX set up as commands set it up."""
+"""Whom benchmarks calibrate."""
 
 from __future__ import annotations
 
@@ -7,16 +7,6 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-
-def set_up_jax() -> None:
-    """Switch to 64 bits and keep compiled kernels for the next run."""
-    import jax
-
-    from wrapjax.files import cache_folder
-
-    jax.config.update("jax_enable_x64", True)
-    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
 
 
 @contextmanager

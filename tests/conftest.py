@@ -51,11 +51,20 @@ def cache(tmp_path_factory):
         os.environ["WRAPJAX_CACHE"] = previous
 
 
+def pytest_sessionstart():
+    """Compile as commands do; not sooner, for jaxtyping wants to be there before any of the package."""
+    from wrapjax.jax_setup import choose_compiler_options
+
+    choose_compiler_options()
+
+
 @pytest.fixture(scope="session", autouse=True)
-def compiled(tmp_path_factory):
-    """Keep compiled programs on disk: modules that need the same one share it."""
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("compiled")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+def compiled(cache):
+    """Keep compiled programs on disk, where commands keep them: modules that need the same one share it."""
+    from wrapjax.files import cache_folder
+
+    jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+from importlib.metadata import version
 from pathlib import Path
 
 #: What decides the thread counts of XLA and of the numerical libraries.
 THREAD_VARIABLES = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+#: Options of XLA by the series of jaxlib they were tried with: one that it does not know ends the process.
+_COMPILER_OPTIONS = {"0.10": ("--xla_cpu_use_fusion_emitters=false",)}
 
 
 def set_threads(count: int) -> None:
@@ -15,15 +19,32 @@ def set_threads(count: int) -> None:
         os.environ[variable] = str(count)
 
 
+def choose_compiler_options() -> None:
+    """Let XLA take the quicker of its two ways to compile for processors; before JAX computes anything.
+
+    What it compiles runs as fast either way (``python -m benchmarks --only compile``). What the user has set
+    in ``XLA_FLAGS`` stays.
+    """
+    series = version("jaxlib").rsplit(".", 1)[0]
+    ours = [one for one in _COMPILER_OPTIONS.get(series, ()) if one.split("=")[0] not in _flags()]
+    if ours:
+        os.environ["XLA_FLAGS"] = " ".join([_flags(), *ours]).strip()
+
+
+def _flags() -> str:
+    return os.environ.get("XLA_FLAGS", "")
+
+
 def set_up_jax() -> None:
-    """Switch to 64 bits and keep compiled kernels for the next run."""
+    """Switch to 64 bits, compile quickly, and keep what is compiled for the next run."""
+    choose_compiler_options()
     import jax
 
     from wrapjax.files import cache_folder
 
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def forget_if_crowded() -> None:

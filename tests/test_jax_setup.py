@@ -1,0 +1,35 @@
+"""Defends: JAX is set up by what was tried, and nothing that the user has set is overruled."""
+
+import subprocess
+import sys
+
+import pytest
+
+import wrapjax.jax_setup
+from wrapjax.jax_setup import choose_compiler_options
+
+OURS = "--xla_cpu_use_fusion_emitters"
+
+
+@pytest.mark.parametrize(
+    ("series", "before", "after"),
+    [
+        ("0.10.2", "", f"{OURS}=false"),
+        ("0.10.2", "--xla_dump_to=x", f"--xla_dump_to=x {OURS}=false"),
+        ("0.10.2", f"{OURS}=true", f"{OURS}=true"),
+        # Another version may not know it, and would end the process.
+        ("0.99.0", "--xla_dump_to=x", "--xla_dump_to=x"),
+    ],
+)
+def test_options_are_added_to_the_users(monkeypatch, series, before, after):
+    monkeypatch.setattr(wrapjax.jax_setup, "version", lambda _: series)
+    monkeypatch.setenv("XLA_FLAGS", before)
+    choose_compiler_options()
+    assert wrapjax.jax_setup.os.environ["XLA_FLAGS"] == after
+
+
+def test_the_installed_version_accepts_them():
+    """In a process of its own: one that is not known ends it."""
+    code = "from wrapjax.jax_setup import set_up_jax as go; go(); import jax; print(jax.numpy.ones(2).sum())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout == "2.0\n", done.stderr
