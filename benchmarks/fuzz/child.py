@@ -76,6 +76,10 @@ def _feed(atheris: Any, reader: Reader, prepared: Prepared, options: argparse.Na
     corpus = place / "corpus"
     corpus.mkdir()
     options.findings.mkdir(parents=True, exist_ok=True)
+    if not reader.apart:
+        # Once without a clock: what is imported on the way is loaded once, and no input is to blame for it.
+        prepared.file.write_bytes(prepared.seeds[0])
+        prepared.read()
     for number, seed in enumerate(prepared.seeds):
         (corpus / str(number)).write_bytes(seed)
         prepared.file.write_bytes(seed)
