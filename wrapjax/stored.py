@@ -13,6 +13,8 @@ import numpy as np
 #: Larger files are not read: nothing that is written here comes near.
 MOST_JSON_BYTES = 256 << 20
 MOST_ARRAY_BYTES = 4 << 30
+#: Longer whole numbers are no floating-point numbers, and calculating with them ends in errors.
+MOST_DIGITS = 300
 
 
 def load_json(file: Path) -> Any:
@@ -28,9 +30,15 @@ def load_json(file: Path) -> Any:
     if file.stat().st_size > MOST_JSON_BYTES:
         raise ValueError(f"more than {MOST_JSON_BYTES >> 20} MiB")
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
+        return json.loads(file.read_text(encoding="utf-8"), parse_int=_whole_number)
     except RecursionError:
         raise ValueError("lists within lists without end") from None
+
+
+def _whole_number(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"a whole number of {len(text)} digits")
+    return int(text)
 
 
 def load_arrays(file: Path) -> dict[str, np.ndarray]:

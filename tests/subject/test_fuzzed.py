@@ -257,8 +257,11 @@ def test_json_without_end_is_an_error(tmp_path):
     (tmp_path / "a.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="without end"):
         load_json(tmp_path / "a.json")
-    (tmp_path / "a.json").write_text(json.dumps({"a": [1]}))
-    assert load_json(tmp_path / "a.json") == {"a": [1]}
+    (tmp_path / "a.json").write_text('{"a": -1' + 308 * "0" + "}")
+    with pytest.raises(ValueError, match="310 digits"):
+        load_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(json.dumps({"a": [1, -(10**17)]}))
+    assert load_json(tmp_path / "a.json") == {"a": [1, -(10**17)]}
 
 
 # ---- Sentences
