@@ -103,7 +103,7 @@ class PathSurrogate(eqx.Module):
         """Pick muscles by name, in this order."""
         rows = np.array([self.muscles.index(name) for name in names])
         fields = ("spans", "spanned", "exponents", "used", "coefficients")
-        picked = {field: getattr(self, field)[rows] for field in fields}
+        picked = {field: jnp.asarray(np.asarray(getattr(self, field))[rows]) for field in fields}
         return replace(self, muscles=tuple(names), **picked)
 
     def design(
@@ -274,8 +274,9 @@ def _design(
     half_range: Float[np.ndarray, " slot"],
 ) -> Float[np.ndarray, "row term"]:
     """Lengths, then moment arms about each slot, of a unit of each term."""
-    values = np.asarray(monomials(jnp.asarray(exponents), jnp.asarray(scaled)))
-    slopes = np.asarray(monomial_gradients(jnp.asarray(exponents), jnp.asarray(scaled)))
+    # Operation by operation, each would be compiled for itself.
+    values = np.asarray(jax.jit(monomials)(exponents, scaled))
+    slopes = np.asarray(jax.jit(monomial_gradients)(exponents, scaled))
     return np.concatenate([values, *(-slopes / half_range[:, None, None])])
 
 

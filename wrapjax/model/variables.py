@@ -56,6 +56,7 @@ class Variables(eqx.Module):
         """Give the variables of the base parameters, moved inside the bounds."""
         return jnp.clip(self.pack(self.base), self.lower, self.upper)
 
+    @eqx.filter_jit
     def pack(self, parameters: ModelParameters) -> Float[Array, " variable"]:
         """Read the variables off a parameter tree; of a shared one, the last muscle's value."""
         return jnp.zeros(self.count + 1).at[self.index].set(self._local(parameters))[:-1]

@@ -82,16 +82,16 @@ def _recorded(
 def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:
     """Pick the moment arms about other coordinates; zero about those that no path was fitted over."""
     places = np.array([given.index(name) if name in given else len(given) for name in wanted])
-    nothing = jnp.zeros_like(path.moment_arm[..., :1, :])
-    moment_arm = jnp.concatenate([path.moment_arm, nothing], axis=-2)[..., places, :]
-    return PathState(path.length, path.velocity, moment_arm)
+    arms = np.asarray(path.moment_arm)
+    moment_arm = np.append(arms, np.zeros_like(arms[..., :1, :]), axis=-2)[..., places, :]
+    return PathState(path.length, path.velocity, jnp.asarray(moment_arm))
 
 
 def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording:
     """Join the EMG of each muscle's channel, or the commands that it takes instead, with its path."""
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     channels = np.array(subject.muscle_channels)
-    emg = jax.tree.map(lambda leaf: leaf[channels], splines)
+    emg = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[channels]), splines)
     if subject.synergies is not None:
         emg = _with_commands(emg, subject, trials)
     return Recording(emg=emg, path=path, padding=trials.padding)

@@ -221,6 +221,7 @@ def _result(
     run = eqx.filter_jit(muscle_states)
     states = run(problem.curves, parameters, everything, problem.alterations)
     initial_states = run(problem.curves, problem.variables.base, everything, problem.alterations)
+    terms = eqx.filter_jit(problem.terms)(parameters)
     stuck = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
     return CalibrationResult(
         method=freedom.name,
@@ -243,7 +244,7 @@ def _result(
         initial_modelled=np.asarray(initial_states.moment.sum(axis=0)),
         states=jax.tree.map(np.asarray, states),
         initial_states=jax.tree.map(np.asarray, initial_states),
-        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in problem.terms(parameters).items()},
+        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in terms.items()},
         outcomes=outcomes,
         chosen=chosen,
         curves=law.curves,

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -200,7 +201,7 @@ def path_errors(
     Moment-arm errors are pooled over the poses and the coordinates that the muscle spans.
     """
     grid = jnp.asarray(poses.T[None])
-    path = surrogate(grid, jnp.zeros_like(grid))
+    path = eqx.filter_jit(surrogate)(grid, jnp.zeros_like(grid))
     length_error = np.asarray(path.length)[:, 0] - truth.length[rows].T
     arm_error = np.asarray(path.moment_arm)[:, 0] - np.transpose(truth.moment_arm[rows], (2, 1, 0))
     return {
