@@ -13,7 +13,9 @@ from pathlib import Path
 
 import jax
 
-jax.config.update("jax_enable_x64", True)
+from wrapjax.jax_setup import set_up_jax
+
+set_up_jax()  # 64 bits; what is compiled is kept for the next run
 
 import jax.numpy as jnp
 import numpy as np

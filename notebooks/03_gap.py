@@ -13,9 +13,9 @@
 import tempfile
 from pathlib import Path
 
-import jax
+from wrapjax.jax_setup import set_up_jax
 
-jax.config.update("jax_enable_x64", True)
+set_up_jax()  # 64 bits; what is compiled is kept for the next run
 
 import numpy as np
 
