@@ -68,16 +68,25 @@ def main() -> int:
             tallies[command] = Tally()
             share = options.times / len(options.command or COMMANDS)
             while tallies[command].kills < share:
+                known = len(tallies[command].faults)
                 _disturb(case, place / "work", dice, tallies[command])
                 print(f"  {tallies[command].kills} kills", flush=True)
+                for fault in tallies[command].faults[known:]:
+                    print(f"  amiss: {fault}", flush=True)
+            # Now, not in the end alone: a long run may itself be stopped.
+            print(_row(command, tallies[command]), flush=True)
     print(f"\n{'command':12s}{'kills':>8s}{'results':>9s}{'largest difference':>20s}  amiss")
     for command, tally in tallies.items():
-        cells = f"{tally.kills:>8d}{tally.runs:>9d}{tally.largest:>20.1e}"
-        print(f"{command:12s}{cells}  {len(tally.faults) or 'nothing'}")
+        print(_row(command, tally))
     for command, tally in tallies.items():
         for fault in tally.faults:
             print(f"amiss: {command}: {fault}")
     return 1 if any(tally.faults for tally in tallies.values()) else 0
+
+
+def _row(command: str, tally: Tally) -> str:
+    cells = f"{tally.kills:>8d}{tally.runs:>9d}{tally.largest:>20.1e}"
+    return f"{command:12s}{cells}  {len(tally.faults) or 'nothing'}"
 
 
 def _subjects(place: Path) -> tuple[Path, ...]:
