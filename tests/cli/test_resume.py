@@ -14,7 +14,7 @@ from tests.subject.synthetic import write_subject
 from wrapjax.cli import main
 
 #: Starts enough that it is still at work when it is stopped.
-STARTS = "5"
+STARTS = "12"
 
 
 @pytest.fixture(scope="module")
