@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -103,7 +104,9 @@ class PathSurrogate(eqx.Module):
         """Pick muscles by name, in this order."""
         rows = np.array([self.muscles.index(name) for name in names])
         fields = ("spans", "spanned", "exponents", "used", "coefficients")
-        picked = {field: jnp.asarray(np.asarray(getattr(self, field))[rows]) for field in fields}
+        picked: dict[str, Any] = {
+            field: jnp.asarray(np.asarray(getattr(self, field))[rows]) for field in fields
+        }
         return replace(self, muscles=tuple(names), **picked)
 
     def design(
