@@ -1,5 +1,6 @@
 """Defends: JAX is set up by what was tried, and nothing that the user has set is overruled."""
 
+import os
 import subprocess
 import sys
 
@@ -25,11 +26,17 @@ def test_options_are_added_to_the_users(monkeypatch, series, before, after):
     monkeypatch.setattr(wrapjax.jax_setup, "version", lambda _: series)
     monkeypatch.setenv("XLA_FLAGS", before)
     choose_compiler_options()
-    assert wrapjax.jax_setup.os.environ["XLA_FLAGS"] == after
+    assert os.environ["XLA_FLAGS"] == after
 
 
 def test_the_installed_version_accepts_them():
-    """In a process of its own: one that is not known ends it."""
-    code = "from wrapjax.jax_setup import set_up_jax as go; go(); import jax; print(jax.numpy.ones(2).sum())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and done.stdout == "2.0\n", done.stderr
+    """In a process of its own, where nobody has set them yet: one that is not known ends it."""
+    code = (
+        "from wrapjax.jax_setup import set_up_jax as go; go(); import jax, os; print(jax.numpy.ones(2).sum())"
+    )
+    code += "; print(os.environ.get('XLA_FLAGS'))"
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and done.stdout.split() == ["2.0", f"{OURS}=false"], done.stderr

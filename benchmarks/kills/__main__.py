@@ -73,14 +73,11 @@ def main() -> int:
                 print(f"  {tallies[command].kills} kills", flush=True)
                 for fault in tallies[command].faults[known:]:
                     print(f"  amiss: {fault}", flush=True)
-            # Now, not in the end alone: a long run may itself be stopped.
+            # Here, and not in the end alone: a long run may itself be stopped.
             print(_row(command, tallies[command]), flush=True)
     print(f"\n{'command':12s}{'kills':>8s}{'results':>9s}{'largest difference':>20s}  amiss")
     for command, tally in tallies.items():
         print(_row(command, tally))
-    for command, tally in tallies.items():
-        for fault in tally.faults:
-            print(f"amiss: {command}: {fault}")
     return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
