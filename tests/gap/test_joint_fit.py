@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, linearize, value
+from benchmarks.counting import counted_programs
+from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, effects_of, linearize, value
+from tests.gap.subject import small_recording_and_context
 from wrapjax.calibrate import MOMENT_ERROR
 from wrapjax.gap import Effects
 from wrapjax.gap.fits.refit import allowed_errors, fit_jointly, joint_problem
@@ -131,6 +133,22 @@ def test_without_effects_it_is_the_plain_problem(leg, place):
     found, expected = linearize(nothing, at), linearize(plain, at)
     for name in ("cost", "gradient", "gauss_newton", "remainder"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def test_effects_that_alter_no_single_muscle_share_what_takes_long_to_compile():
+    """Of EMG, lags, paths and moments; a diagnosis would else spend most of its time on compiling."""
+    plain, _, truth, _ = damped_leg()
+    _, context = small_recording_and_context()
+    for number, id in enumerate(
+        ("passive_joint_moment", "emg_crosstalk", "force_sharing", "speed_dependent_delay")
+    ):
+        effects = effects_of(context, (id,))
+        problem = joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
+        start = jnp.concatenate([jnp.asarray(truth), jnp.zeros(effects.count)])
+        with counted_programs() as asked:
+            problem.linearized_at(start)
+            problem.value_at(start)
+        assert number == 0 or not {"jit(_expand)", "jit(_value)"} & set(asked), id
 
 
 def test_bounds_of_amounts_are_in_prior_deviations(problem, leg):

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.calibrate.penalties import Limit
-from wrapjax.calibrate.problem import AbstractCalibration, Linearization
+from wrapjax.calibrate.problem import AbstractCalibration
 from wrapjax.calibrate.projected_lm import ProjectedLM
 from wrapjax.calibrate.solution import AbstractBoundedSolver, Iteration, Pace, Solution, SolverState, Status
 
@@ -161,7 +161,7 @@ class AugmentedLagrangian:
         """Rebuild a solution from the state and status that it ended with."""
         problem = problem.with_limits(_as_in(state, problem.limits))
         excess = _excess(problem, state.variables)
-        linearization = _linearize(problem, state.variables)
+        linearization = problem.linearized_at(state.variables)
         return ConstrainedSolution(
             variables=np.asarray(state.variables),
             cost=float(linearization.cost),
@@ -187,11 +187,6 @@ class AugmentedLagrangian:
             ftol=max(inner.ftol, min(1e-6, 1e-4 * gap**2)),
             max_iterations=left,
         )
-
-
-@eqx.filter_jit
-def _linearize(problem: AbstractCalibration, variables: Float[Array, " variable"]) -> Linearization:
-    return problem.linearize(variables)
 
 
 @eqx.filter_jit

@@ -60,7 +60,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
         """Compile the kernels of `solve`."""
         inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         jax.block_until_ready(_advance(problem, inside, _begin(problem, inside)))
-        jax.block_until_ready(_linearize(problem, inside))
+        jax.block_until_ready(problem.linearized_at(inside))
 
     def solve(
         self,
@@ -74,7 +74,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
         variables = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         pace = Pace(jnp.asarray(0.0), jnp.asarray(FIRST_GROWTH))
         carry = _begin(problem, variables)
-        linearization = _linearize(problem, variables)
+        linearization = problem.linearized_at(variables)
         history: list[Iteration] = []
 
         def note(number: int, step: float) -> None:
@@ -110,7 +110,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
                     carry = _begin(problem, variables)
         except KeyboardInterrupt:
             status = Status.interrupted
-        linearization = _linearize(problem, variables)
+        linearization = problem.linearized_at(variables)
         return Solution(
             variables=np.asarray(variables),
             cost=float(linearization.cost),
@@ -141,8 +141,3 @@ def _begin(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) 
 @eqx.filter_jit
 def _advance(problem: AbstractLeastSquares, variables: Float[Array, " variable"], carry: Any) -> Any:
     return tuple(_solver(problem).update(variables, carry, bounds=_bounds(problem)))
-
-
-@eqx.filter_jit
-def _linearize(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Any:
-    return problem.linearize(variables)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -165,7 +164,7 @@ def solution_of_leg(solution: ConstrainedSolution, leg: int) -> ConstrainedSolut
     return replace(
         solution,
         variables=variables,
-        cost=float(_value(problem, jnp.asarray(variables))),
+        cost=float(problem.value_at(jnp.asarray(variables))),
         linearization=Linearization(
             cost=expansion.cost,
             gradient=expansion.gradient[place],
@@ -174,11 +173,6 @@ def solution_of_leg(solution: ConstrainedSolution, leg: int) -> ConstrainedSolut
         ),
         problem=problem,
     )
-
-
-@eqx.filter_jit
-def _value(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-    return problem.value(variables)
 
 
 def _shared_name(label: str) -> str | None:

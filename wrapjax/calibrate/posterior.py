@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Int
 from wrapjax.calibrate.augmented_lagrangian import LagrangianState
 from wrapjax.calibrate.legs import Legs
 from wrapjax.calibrate.objective import Objective
-from wrapjax.calibrate.problem import AbstractCalibration, Linearization
+from wrapjax.calibrate.problem import AbstractCalibration
 from wrapjax.calibrate.residual_noise import ResidualNoise, residual_noise
 from wrapjax.calibrate.truncated_normal import draw_within
 
@@ -175,8 +175,8 @@ def posterior(
         Of each leg's cycles, m/s; NaN where unknown.
     """
     variables = jnp.asarray(state.variables)
-    whole = _linearize(problem, variables)
-    alone = _linearize(_restraints_only(problem), variables)
+    whole = problem.linearized_at(variables)
+    alone = _restraints_only(problem).linearized_at(variables)
     curvature, restraint = np.asarray(whole.gauss_newton), np.asarray(alone.gauss_newton)
     free = _at_bound(problem, np.asarray(variables)) == 0
     inverse = np.linalg.inv((curvature + _flat(problem))[np.ix_(free, free)])
@@ -251,11 +251,6 @@ def _flat(problem: AbstractCalibration) -> _Matrix:
 def _kind_counts(labels: Sequence[str]) -> Float[np.ndarray, " variable"]:
     kinds = [label.rsplit(".", 1)[1] for label in labels]
     return np.array([float(kinds.count(kind)) for kind in kinds])
-
-
-@eqx.filter_jit
-def _linearize(problem: AbstractCalibration, variables: Float[Array, " variable"]) -> Linearization:
-    return problem.linearize(variables)
 
 
 @eqx.filter_jit

@@ -52,6 +52,24 @@ class AbstractLeastSquares(eqx.Module):
         """Cost alone; worth its own way where derivatives cost much more."""
         return self.linearize(variables).cost
 
+    def linearized_at(self, variables: Float[Array, " variable"]) -> Linearization:
+        """Compile and call `linearize`, as every solver does: what is compiled for one serves the others."""
+        return _linearize(self, variables)
+
+    def value_at(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+        """Compile and call `value`."""
+        return _value(self, variables)
+
+
+@eqx.filter_jit
+def _linearize(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Linearization:
+    return problem.linearize(variables)
+
+
+@eqx.filter_jit
+def _value(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+    return problem.value(variables)
+
 
 class AbstractCalibration(AbstractLeastSquares):
     """A sum of squares of parameter trees, to be minimised within bounds and below limits."""

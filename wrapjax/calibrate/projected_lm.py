@@ -62,7 +62,7 @@ class ProjectedLM(AbstractBoundedSolver):
     ) -> None:
         """Compile the kernels of `solve`."""
         state = self._begin(problem, start)
-        jax.block_until_ready(_value(problem, state.variables))
+        jax.block_until_ready(problem.value_at(state.variables))
         jax.block_until_ready(_mirrored(_hessian(state.linearization)))
         self._advance(problem, state, None)
 
@@ -143,7 +143,7 @@ class ProjectedLM(AbstractBoundedSolver):
         # Typed in full: a state of another type than the steps return would be compiled for once more.
         return SolverState(
             variables=inside,
-            linearization=_linearize(problem, inside),
+            linearization=problem.linearized_at(inside),
             pace=pace
             or Pace(jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)),
         )
@@ -166,9 +166,9 @@ class ProjectedLM(AbstractBoundedSolver):
             convex = _mirrored(hessian) if convex is None else convex
             candidate = propose_step(state, convex, lower, upper)
         # Derivatives take many times as long as the cost, and a step that fails needs none.
-        step = _judge(state, candidate, _value(problem, candidate))
+        step = _judge(state, candidate, problem.value_at(candidate))
         if step.downhill or step.level:
-            fresh = _linearize(problem, candidate)
+            fresh = problem.linearized_at(candidate)
             before = _optimality(state.variables, state.linearization.gradient, lower, upper)
             if step.downhill or _optimality(candidate, fresh.gradient, lower, upper) < before:
                 return SolverState(candidate, fresh, step.after_success), step, None, True
@@ -186,16 +186,6 @@ class _Step(eqx.Module):
     level: Bool[Array, ""]
     after_success: Pace
     after_failure: Pace
-
-
-@eqx.filter_jit
-def _linearize(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Linearization:
-    return problem.linearize(variables)
-
-
-@eqx.filter_jit
-def _value(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-    return problem.value(variables)
 
 
 @jax.jit

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.gap.effect import Effects, Form, split_amounts
-from wrapjax.model import ModelParameters, Recording, joint_moments
+from wrapjax.gap.effect import Effects, Form
+from wrapjax.model import Alteration, ModelParameters, Recording, carried_out, joint_moments
 from wrapjax.muscle import AbstractCurves
 
 Forms = tuple[Form, ...]
 #: One vector an effect.
 Amounts = tuple[Float[Array, " _"], ...]
+#: What `joint_moments` takes in, where EMG, paths and moments are as effects make them.
+Inputs = tuple[Recording, tuple[Alteration, ...]]
 
 
 def predicted_moments(
@@ -22,7 +26,7 @@ def predicted_moments(
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
-    amounts: Float[Array, " parameter"],
+    amounts: Float[Array | np.ndarray, " parameter"],
 ) -> Float[Array, "trial coordinate frame"]:
     """Predict what is measured of all cycles, N m, with effects at these amounts.
 
@@ -33,7 +37,8 @@ def predicted_moments(
     effects, amounts
         What it leaves out, and how much of it.
     """
-    return _moments(curves, parameters, recording, effects.forms, effects.split(jnp.asarray(amounts)))
+    own = effects.split(jnp.asarray(amounts))
+    return _moments(curves, parameters, carry_out(recording, parameters, effects.forms, own))
 
 
 def signatures(
@@ -41,8 +46,8 @@ def signatures(
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
-    amounts: Float[Array, " parameter"] | None = None,
-) -> Float[Array, "parameter trial coordinate frame"]:
+    amounts: Float[Array | np.ndarray, " parameter"] | None = None,
+) -> Float[np.ndarray, "parameter trial coordinate frame"]:
     """Differentiate the predicted moments by each amount, at zero or at these amounts.
 
     In N m a unit of the amount; one pass in forward mode each.
@@ -55,13 +60,18 @@ def signatures(
         What it leaves out, and how much of it; none of it if not given.
     """
     at = effects.split(effects.zero if amounts is None else jnp.asarray(amounts))
-    every = split_amounts(jnp.eye(effects.count), effects.counts)
-    return _slopes(curves, parameters, recording, effects.forms, at, every)
+    inputs = carry_out(recording, parameters, effects.forms, at)
+    found = np.zeros((effects.count, *inputs[0].path.nominal.moment_arm.shape[1:]))
+    # One after the other: all at once would fill memory with muscles times frames times amounts.
+    for number, direction in enumerate(np.eye(effects.count)):
+        moved = _moved(recording, parameters, effects.forms, at, effects.split(jnp.asarray(direction)))
+        found[number] = _slope(curves, parameters, inputs, moved)
+    return found
 
 
 def secants(
     curves: AbstractCurves, parameters: ModelParameters, recording: Recording, effects: Effects
-) -> Float[Array, "parameter trial coordinate frame"]:
+) -> Float[np.ndarray, "parameter trial coordinate frame"]:
     """Divide what each amount changes, when it is as large as expected, by its size: N m a unit.
 
     Tendons, passive fibers and thresholds do little at first and much later: a tangent at zero says neither
@@ -76,50 +86,58 @@ def secants(
     """
     sizes, two_sided = effects.prior_sd, np.array([entry.sign == 0 for entry in effects.parameters])
     first, last = (np.diag(sign * sizes) for sign in (np.where(two_sided, -1.0, 0.0), np.ones(len(sizes))))
-    ends = (split_amounts(jnp.asarray(rows), effects.counts) for rows in (first, last))
-    low, high = (_each_moment(curves, parameters, recording, effects.forms, rows) for rows in ends)
-    return (high - low) / jnp.asarray(sizes * np.where(two_sided, 2.0, 1.0))[:, None, None, None]
+    low, high = (
+        np.stack([predicted_moments(curves, parameters, recording, effects, row) for row in rows])
+        for rows in (first, last)
+    )
+    return (high - low) / (sizes * np.where(two_sided, 2.0, 1.0))[:, None, None, None]
 
 
-# What is compiled knows forms, not names: shapes of one effect, and subjects, then share it.
+# Programs that take long to compile see what amounts have made of EMG, paths and moments, not how: most
+# effects then share them, and so do shapes of one effect, and subjects.
+
+
+@eqx.filter_jit
+def carry_out(recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts) -> Inputs:
+    """Give what the model takes in with effects at these amounts; see `carried_out`.
+
+    Parameters
+    ----------
+    recording, parameters
+        Of the plain model; of the parameters only how paths are held.
+    forms, amounts
+        Of effects, one of each an effect.
+    """
+    alterations = tuple(form(own) for form, own in zip(forms, amounts, strict=True))
+    return carried_out(recording, parameters, alterations)
 
 
 @eqx.filter_jit
 def _moments(
-    curves: AbstractCurves, parameters: ModelParameters, recording: Recording, forms: Forms, amounts: Amounts
+    curves: AbstractCurves, parameters: ModelParameters, inputs: Inputs
 ) -> Float[Array, "trial coordinate frame"]:
-    alterations = tuple(form(own) for form, own in zip(forms, amounts, strict=True))
-    return joint_moments(curves, parameters, recording, alterations)
+    return joint_moments(curves, parameters, *inputs)
 
 
 @eqx.filter_jit
-def _slopes(
-    curves: AbstractCurves,
-    parameters: ModelParameters,
-    recording: Recording,
-    forms: Forms,
-    amounts: Amounts,
-    directions: tuple[Float[Array, "parameter _"], ...],
-) -> Float[Array, "parameter trial coordinate frame"]:
-    def along(direction: Amounts) -> Float[Array, "trial coordinate frame"]:
-        def moments(amounts: Amounts) -> Float[Array, "trial coordinate frame"]:
-            return _moments(curves, parameters, recording, forms, amounts)
+def _moved(
+    recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts, direction: Amounts
+) -> Any:
+    """Slope, along a direction, of all numbers that the model takes in."""
 
-        return jax.jvp(moments, (amounts,), (direction,))[1]
+    def numbers(amounts: Amounts) -> Any:
+        return eqx.filter(carry_out(recording, parameters, forms, amounts), eqx.is_inexact_array)
 
-    # One after the other: all at once would fill memory with muscles times frames times amounts.
-    return jax.lax.map(along, directions)
+    return jax.jvp(numbers, (amounts,), (direction,))[1]
 
 
 @eqx.filter_jit
-def _each_moment(
-    curves: AbstractCurves,
-    parameters: ModelParameters,
-    recording: Recording,
-    forms: Forms,
-    amounts: tuple[Float[Array, "row _"], ...],
-) -> Float[Array, "row trial coordinate frame"]:
-    def moments(own: Amounts) -> Float[Array, "trial coordinate frame"]:
-        return _moments(curves, parameters, recording, forms, own)
+def _slope(
+    curves: AbstractCurves, parameters: ModelParameters, inputs: Inputs, moved: Any
+) -> Float[Array, "trial coordinate frame"]:
+    numbers, rest = eqx.partition(inputs, eqx.is_inexact_array)
 
-    return jax.lax.map(moments, amounts)
+    def moments(numbers: Any) -> Float[Array, "trial coordinate frame"]:
+        return joint_moments(curves, parameters, *eqx.combine(numbers, rest))
+
+    return jax.jvp(moments, (numbers,), (moved,))[1]

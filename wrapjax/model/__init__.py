@@ -10,6 +10,7 @@ from wrapjax.model.alteration import fiber_parameters as fiber_parameters
 from wrapjax.model.alteration import muscle_parts as muscle_parts
 from wrapjax.model.forward import MuscleState as MuscleState
 from wrapjax.model.forward import Recording as Recording
+from wrapjax.model.forward import carried_out as carried_out
 from wrapjax.model.forward import joint_moments as joint_moments
 from wrapjax.model.forward import muscle_state_along as muscle_state_along
 from wrapjax.model.forward import muscle_states as muscle_states

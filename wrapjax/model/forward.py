@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -152,3 +154,27 @@ def joint_moments(
     """
     states = muscle_states(curves, parameters, recording, alterations)
     return altered_moments(states.moment.sum(axis=0), alterations)
+
+
+def carried_out(
+    recording: Recording, parameters: ModelParameters, alterations: tuple[Alteration, ...]
+) -> tuple[Recording, tuple[Alteration, ...]]:
+    """Alter EMG, paths and moments now; what is left says what single muscles do.
+
+    The same comes out. But a program for it need not know what altered EMG, paths and moments, so that one
+    serves all that does nothing else.
+
+    Parameters
+    ----------
+    recording, alterations
+        EMG and paths, and what else there is than the plain model.
+    parameters
+        They say how paths are held.
+    """
+    path = altered_paths(_frames(recording.path.at(parameters.path_changes)), alterations)
+    emg = altered_emg(recording.emg, alterations)
+    if emg.lag is None:
+        emg = replace(emg, lag=jnp.zeros(emg.step.shape))
+    moment = altered_moments(jnp.zeros(path.moment_arm.shape[1:]), alterations)
+    left = tuple(Alteration(muscle=part) for part in muscle_parts(alterations))
+    return Recording(emg, fixed_path(path), recording.padding), (Alteration(moment=moment), *left)

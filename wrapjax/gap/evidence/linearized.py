@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from wrapjax.calibrate import Linearization, Objective
+from wrapjax.calibrate import Objective
 from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
@@ -181,18 +181,13 @@ def expectations(
     """
     muscles = len(problem.variables.index)
     kept = replace(problem, moment_error=np.array(np.inf), alterations=())
-    own = _linearized(kept, jnp.asarray(variables))
+    own = kept.linearized_at(jnp.asarray(variables))
     # Nothing is expected beyond its bounds; that also holds what no penalty sees.
     width = np.asarray(problem.upper) - np.asarray(problem.lower)
     precision = muscles * np.asarray(own.gauss_newton) + np.diag(1.0 / width**2)
     covariance = np.linalg.inv(precision)
     away = covariance @ (muscles * np.asarray(own.gradient))
     return np.linalg.cholesky(0.5 * (covariance + covariance.T)), away
-
-
-@eqx.filter_jit
-def _linearized(problem: Objective, variables: Float[Array, " variable"]) -> Linearization:
-    return problem.linearize(variables)
 
 
 def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,8 +19,9 @@ from wrapjax.calibrate import (
     ProjectedLM,
     Status,
 )
-from wrapjax.gap.effect import Effects, Form, split_amounts
-from wrapjax.gap.prediction import signatures
+from wrapjax.gap.effect import Effects, split_amounts
+from wrapjax.gap.prediction import Amounts, Forms, carry_out, signatures
+from wrapjax.model import ModelParameters, Recording
 
 #: Solver of every refit. Amounts and predictions are looked at to a few digits, and starts are near.
 SOLVER = ProjectedLM(gtol=1e-3, ftol=1e-5, max_iterations=40)
@@ -35,7 +37,7 @@ class JointProblem(AbstractLeastSquares):
     #: Without any effect, and with held paths.
     plain: Objective
     #: Of the effects. What is compiled knows neither names nor sizes: other parts of an effect then share it.
-    forms: tuple[Form, ...]
+    forms: Forms
     #: How many amounts each has.
     counts: tuple[int, ...] = eqx.field(static=True)
     #: Their prior standard deviations, and between how many of these they are, one row an end.
@@ -62,41 +64,92 @@ class JointProblem(AbstractLeastSquares):
 
     def altered(self, variables: Float[Array, " variable"]) -> Objective:
         """Hold the amounts, as they are, in the plain problem."""
-        return self._with(self.amounts(variables))
-
-    def _with(self, amounts: Float[Array, " amount"]) -> Objective:
-        own = split_amounts(amounts, self.counts)
-        alterations = tuple(form(part) for form, part in zip(self.forms, own, strict=True))
-        return replace(self.plain, alterations=alterations)
+        recording, alterations = carry_out(*self._plain_inputs, self.forms, self._own_amounts(variables))
+        return replace(self.plain, recording=recording, alterations=alterations)
 
     def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
         """Sum of squares, the amounts' own too."""
         count = self.plain.variables.count
         own = self.amount_weight * jnp.sum(variables[count:] ** 2)
-        return self.altered(variables).value(variables[:count]) + own
+        return self.altered(variables).value_at(variables[:count]) + own
+
+    def value_at(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+        """See `linearized_at`."""
+        return self.value(variables)
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Cost and gradient, and the second derivatives as above."""
         count = self.plain.variables.count
-        problem, calibrated, unit = self.altered(variables), variables[:count], variables[count:]
-        own = problem.linearize(calibrated)
+        model, slopes, by_input = _expand(self.altered(variables), variables[:count])
         if not self.counts:
-            return own
-
-        def of_amounts(unit: Float[Array, " amount"]) -> Float[Array, ""]:
-            return self._with(unit * self.amount_sd).value(calibrated)
-
-        rows = self.slopes * problem.row_scale()[None]
-        across = rows @ problem.moment_jacobian(calibrated)
-        corner = rows @ rows.T + self.amount_weight * jnp.eye(len(unit))
-        return Linearization(
-            cost=own.cost + self.amount_weight * jnp.sum(unit**2),
-            gradient=jnp.concatenate(
-                [own.gradient, 0.5 * jax.grad(of_amounts)(unit) + self.amount_weight * unit]
-            ),
-            gauss_newton=jnp.block([[own.gauss_newton, across.T], [across, corner]]),
-            remainder=jnp.pad(own.remainder, (0, len(unit))),
+            return model
+        by_amount = _pulled_back(*self._plain_inputs, self.forms, self._own_amounts(variables), by_input)
+        return _joined(
+            model,
+            slopes,
+            by_amount * self.amount_sd,
+            self.slopes * self.plain.row_scale()[None],
+            variables[count:],
+            self.amount_weight,
         )
+
+    def linearized_at(self, variables: Float[Array, " variable"]) -> Linearization:
+        """Call each program in its turn: of several effects, most then share the one that takes long."""
+        return self.linearize(variables)
+
+    @property
+    def _plain_inputs(self) -> tuple[Recording, ModelParameters]:
+        return self.plain.recording, self.plain.initial
+
+    def _own_amounts(self, variables: Float[Array, " variable"]) -> Amounts:
+        return split_amounts(self.amounts(variables), self.counts)
+
+
+@eqx.filter_jit
+def _expand(
+    problem: Objective, calibrated: Float[Array, " variable"]
+) -> tuple[Linearization, Float[Array, "row variable"], Any]:
+    """Expand a calibration; give its moments' slopes, and half its cost's by each number that alters it."""
+    inputs = (problem.recording, problem.alterations)
+    numbers, rest = eqx.partition(inputs, eqx.is_inexact_array)
+
+    def half(numbers: Any) -> Float[Array, ""]:
+        recording, alterations = eqx.combine(numbers, rest)
+        return 0.5 * replace(problem, recording=recording, alterations=alterations).value(calibrated)
+
+    return problem.linearize(calibrated), problem.moment_jacobian(calibrated), jax.grad(half)(numbers)
+
+
+@eqx.filter_jit
+def _pulled_back(
+    recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts, by_input: Any
+) -> Float[Array, " amount"]:
+    """Slope by each amount, from slopes by what the amounts alter."""
+
+    def numbers(amounts: Amounts) -> Any:
+        return eqx.filter(carry_out(recording, parameters, forms, amounts), eqx.is_inexact_array)
+
+    return jnp.concatenate(jax.vjp(numbers, amounts)[1](by_input)[0])
+
+
+@jax.jit
+def _joined(
+    model: Linearization,
+    by_calibrated: Float[Array, "row variable"],
+    gradient: Float[Array, " amount"],
+    by_amounts: Float[Array, "amount row"],
+    amounts: Float[Array, " amount"],
+    weight: Float[Array, ""],
+) -> Linearization:
+    """Put amounts, which have a cost of their own, after what is calibrated."""
+    across = by_amounts @ by_calibrated
+    corner = by_amounts @ by_amounts.T + weight * jnp.eye(len(amounts))
+    return Linearization(
+        cost=model.cost + weight * jnp.sum(amounts**2),
+        gradient=jnp.concatenate([model.gradient, gradient + weight * amounts]),
+        gauss_newton=jnp.block([[model.gauss_newton, across.T], [across, corner]]),
+        remainder=jnp.pad(model.remainder, (0, len(amounts))),
+    )
 
 
 @dataclass(frozen=True)
@@ -157,7 +210,7 @@ def joint_problem(
     parameters = plain.parameters(jnp.asarray(calibrated))
     if effects.count:
         found = signatures(plain.curves, parameters, plain.recording, effects, jnp.asarray(amounts))
-        slopes = found.reshape(effects.count, -1) * effects.prior_sd[:, None]
+        slopes = jnp.asarray(found.reshape(effects.count, -1) * effects.prior_sd[:, None])
     else:
         slopes = jnp.zeros((0, plain.measured.size))
     return JointProblem(
