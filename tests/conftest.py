@@ -59,10 +59,17 @@ def pytest_sessionstart():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled(cache):
-    """Keep compiled programs on disk, where commands keep them: modules that need the same one share it."""
+def compiled(cache, tmp_path_factory):
+    """Keep compiled programs on disk, where commands keep them: modules that need the same one share it.
+
+    So do the processes that tests run in. One may read what another is still writing: that is compiled anew.
+    """
     from wrapjax.files import cache_folder
 
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = tmp_path_factory.getbasetemp().parent / "compiled"
+        shared.mkdir(exist_ok=True)
+        (Path(os.environ["WRAPJAX_CACHE"]) / "compiled").symlink_to(shared, target_is_directory=True)
     jax.config.update("jax_compilation_cache_dir", str(cache_folder("compiled")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 

@@ -2,12 +2,11 @@
 
 import dataclasses
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calibrate.dense import dense_derivatives
 from tests.model.small import PADDING, small_objective
 from tests.model.small_extrapolated import COMMANDS, small_extrapolated_objective
 from wrapjax.calibrate import ProjectedLM
@@ -42,10 +41,8 @@ def point(problem):
 
 
 def test_expansion_equals_dense_derivatives(problem, point):
-    found = eqx.filter_jit(problem.linearize)(point)
-    rows = problem.residuals(point)
-    jacobian = jax.jit(jax.jacfwd(problem.residuals))(point)
-    hessian = jax.jit(jax.hessian(problem.value))(point) / 2
+    found = problem.linearized_at(point)
+    rows, jacobian, hessian = dense_derivatives(problem, point)
     weights = np.array([".synergy_" in label for label in problem.variables.labels])
     assert np.abs(jacobian.T @ rows)[weights].min() > 1e-4
     np.testing.assert_allclose(found.cost, rows @ rows, rtol=1e-13)
@@ -55,8 +52,8 @@ def test_expansion_equals_dense_derivatives(problem, point):
 
 
 def test_gradient_equals_differences(problem, point):
-    gradient = 2 * eqx.filter_jit(problem.linearize)(point).gradient
-    cost = jax.jit(lambda at: problem.value(at))
+    gradient = 2 * problem.linearized_at(point).gradient
+    cost = problem.value_at
     step = 1e-6
     for place, label in enumerate(problem.variables.labels):
         if ".synergy_" in label:

@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calibrate.dense import dense_derivatives
 from tests.model.small import small_limited_objective, small_objective
 from wrapjax.calibrate import AugmentedLagrangian, join_legs, solution_of_leg
 
@@ -81,14 +80,14 @@ def test_only_what_is_the_persons_is_shared(joint):
     assert shared == expected
 
 
-def test_expansion_equals_dense_derivatives(limited):
-    point = somewhere(limited)
-    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(limited, point)
-    rows = limited.residuals(point)
-    jacobian = jax.jit(jax.jacfwd(limited.residuals))(point)
-    hessian = jax.jit(jax.hessian(lambda x: jnp.sum(limited.residuals(x) ** 2)))(point) / 2.0
+@pytest.mark.parametrize("legs", ["joint", pytest.param("limited", marks=pytest.mark.slow)])
+def test_expansion_equals_dense_derivatives(legs, request):
+    problem = request.getfixturevalue(legs)
+    point = somewhere(problem)
+    found = problem.linearized_at(point)
+    rows, jacobian, hessian = dense_derivatives(problem, point)
     np.testing.assert_allclose(found.cost, rows @ rows, rtol=1e-12)
-    np.testing.assert_allclose(found.cost, limited.value(point), rtol=1e-12)
+    np.testing.assert_allclose(found.cost, problem.value_at(point), rtol=1e-12)
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)

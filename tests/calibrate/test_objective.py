@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calibrate.dense import dense_derivatives, dense_slopes
 from tests.model.small import MODES, small_limited_objective, small_objective
 from wrapjax.model import muscle_states, tendon_alterations
 
@@ -25,10 +26,8 @@ def point(problem):
 
 
 def test_expansion_equals_dense_derivatives_of_all_residuals(problem, point):
-    found = eqx.filter_jit(problem.linearize)(point)
-    rows = problem.residuals(point)
-    jacobian = jax.jit(jax.jacfwd(problem.residuals))(point)
-    hessian = jax.jit(jax.hessian(lambda x: jnp.sum(problem.residuals(x) ** 2)))(point) / 2
+    found = problem.linearized_at(point)
+    rows, jacobian, hessian = dense_derivatives(problem, point)
     np.testing.assert_allclose(found.cost, rows @ rows, rtol=1e-13)
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-10, atol=1e-10)
@@ -54,15 +53,12 @@ def test_expansion_with_paths_and_limits(shift):
     moved = np.array(["path_changes" in label for label in problem.variables.labels])
     assert moved.sum() == sum(MODES)
     point = point + jnp.asarray(moved * generator.normal(size=moved.size))
-    above = sum(
-        int((one + limit.shift > 0.0).sum()) for one, limit in zip(problem.excess(point), limits, strict=True)
-    )
+    excess = eqx.filter_jit(lambda problem, x: problem.excess(x))(problem, point)
+    above = sum(int((one + limit.shift > 0.0).sum()) for one, limit in zip(excess, limits, strict=True))
     assert above > 5
-    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(problem, point)
-    rows = problem.residuals(point)
-    jacobian = jax.jit(jax.jacfwd(problem.residuals))(point)
-    hessian = jax.jit(jax.hessian(problem.value))(point) / 2.0
-    np.testing.assert_allclose(found.cost, problem.value(point), rtol=1e-13)
+    found = problem.linearized_at(point)
+    rows, jacobian, hessian = dense_derivatives(problem, point)
+    np.testing.assert_allclose(found.cost, problem.value_at(point), rtol=1e-13)
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-9, atol=1e-8)
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
@@ -79,8 +75,8 @@ def test_expansion_with_paths_and_a_tendon_that_remembers():
     )
     moved = np.array(["path_changes" in label for label in problem.variables.labels])
     point = point + jnp.asarray(moved * generator.normal(size=moved.size))
-    found = eqx.filter_jit(lambda problem, x: problem.linearize(x))(problem, point)
-    assert abs(found.cost - plain.value(point)) > 1e-3 * found.cost
+    found = problem.linearized_at(point)
+    assert abs(found.cost - plain.value_at(point)) > 1e-3 * found.cost
     residuals = jax.jit(lambda x: problem.residuals(x))
     gradient = jax.jit(lambda x: jax.grad(problem.value)(x) / 2.0)
     np.testing.assert_allclose(found.gradient, gradient(point), rtol=1e-9, atol=1e-9)
@@ -94,7 +90,7 @@ def test_expansion_with_paths_and_a_tendon_that_remembers():
 
 
 def test_gradient_equals_differences(problem, point):
-    gradient = 2 * eqx.filter_jit(problem.linearize)(point).gradient
+    gradient = 2 * problem.linearized_at(point).gradient
     cost = jax.jit(lambda x: jnp.sum(problem.residuals(x) ** 2))
     step = 1e-6
     for place, direction in enumerate(jnp.eye(point.size)):
@@ -126,16 +122,17 @@ def test_expansion_with_a_parameter_that_muscles_share(problem, point):
     )
     tied = dataclasses.replace(problem, variables=shared)
     at = point[kept]
-    found = eqx.filter_jit(tied.linearize)(at)
-    jacobian = jax.jit(jax.jacfwd(tied.residuals))(at)
-    np.testing.assert_allclose(found.gradient, jacobian.T @ tied.residuals(at), rtol=1e-10, atol=1e-12)
+    found = tied.linearized_at(at)
+    rows, jacobian = dense_slopes(tied, at)
+    np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-10, atol=1e-10)
 
 
 def test_terms_are_mean_squares_in_allowable_errors(problem, point):
     parameters = problem.variables.unpack(point)
-    states = muscle_states(problem.curves, parameters, problem.recording)
-    before = muscle_states(problem.curves, problem.variables.base, problem.recording)
+    run = eqx.filter_jit(muscle_states)
+    states = run(problem.curves, parameters, problem.recording)
+    before = run(problem.curves, problem.variables.base, problem.recording)
     length, start = states.fiber.normalized_length, before.fiber.normalized_length
     overall = length.mean(axis=(1, 2)) - start.mean(axis=(1, 2))
     shape = (length - length.mean(axis=(1, 2), keepdims=True)).reshape(3, -1)
@@ -160,7 +157,8 @@ def test_terms_are_mean_squares_in_allowable_errors(problem, point):
         )
         + np.mean(((parameters.tendon_slack_length - problem.variables.base.tendon_slack_length) / 0.1) ** 2),
     }
-    found = {name: float(jnp.sum(rows**2)) for name, rows in problem.terms(parameters).items()}
+    terms = eqx.filter_jit(lambda problem, at: problem.terms(at))(problem, parameters)
+    found = {name: float(jnp.sum(rows**2)) for name, rows in terms.items()}
     assert found.keys() == expected.keys()
     for name, value in expected.items():
         np.testing.assert_allclose(found[name], value, rtol=1e-10, err_msg=name)
@@ -172,8 +170,8 @@ def test_cost_is_pure_under_grad_jit_and_vmap(problem, point):
     slopes = jax.jit(jax.grad(problem.cost))(parameters)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
     many = jax.tree.map(lambda leaf: jnp.stack([leaf, 1.01 * leaf]), parameters)
-    costs = jax.vmap(problem.cost)(many)
-    np.testing.assert_allclose(costs[0], problem.cost(parameters), rtol=1e-12)
+    costs = jax.jit(jax.vmap(problem.cost))(many)
+    np.testing.assert_allclose(costs[0], jax.jit(lambda at: problem.cost(at))(parameters), rtol=1e-12)
 
 
 def test_moment_jacobian_is_the_plain_one(problem, point):

@@ -1,6 +1,5 @@
 """The made-up leg, damped and driven a little otherwise than its model says, ready for joint fits."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -45,8 +44,3 @@ def damped_leg():
         limits=(),
     )
     return problem, effects, truth, amounts
-
-
-# One program for all that ask for the same.
-value = eqx.filter_jit(lambda problem, variables: problem.value(variables))
-linearize = eqx.filter_jit(lambda problem, variables: problem.linearize(variables))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.counting import counted_programs
-from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, effects_of, linearize, value
+from tests.gap.joint_leg import FINE, WEIGHT, damped_leg, effects_of
 from tests.gap.subject import small_recording_and_context
 from wrapjax.calibrate import MOMENT_ERROR
 from wrapjax.gap import Effects
@@ -44,14 +44,14 @@ def counting(problem, used=USED, weight=WEIGHT):
 def test_the_gradient_is_the_slope_of_the_cost(problem, place, used):
     """By every amount alone, and in one direction through all variables; amounts have a cost of their own."""
     own = counting(problem, used, 0.3)
-    found = linearize(own, place)
-    np.testing.assert_allclose(found.cost, value(own, place), rtol=1e-12)
+    found = own.linearized_at(place)
+    np.testing.assert_allclose(found.cost, own.value_at(place), rtol=1e-12)
     count = own.plain.variables.count
     directions = [np.eye(len(place))[number] for number in range(count, len(place))]
     directions.append(np.random.default_rng(0).normal(size=len(place)))
     for direction in directions:
         step = 1e-5 * jnp.asarray(direction)
-        rise = (value(own, place + step) - value(own, place - step)) / 2e-5
+        rise = (own.value_at(place + step) - own.value_at(place - step)) / 2e-5
         np.testing.assert_allclose(2.0 * found.gradient @ direction, rise, rtol=1e-6, atol=1e-9)
 
 
@@ -60,10 +60,10 @@ def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem
     plain, effects, truth, amounts = leg
     own = counting(joint_problem(plain, effects, truth, amounts, WEIGHT), weight=0.3)
     at = jnp.concatenate([jnp.asarray(truth), jnp.asarray(amounts / effects.prior_sd)])
-    found = linearize(own, at)
+    found = own.linearized_at(at)
     direction = np.random.default_rng(1).normal(size=len(at))
     # All residuals are zero there but those of amounts and priors, which are linear.
-    ends = [linearize(own, at + sign * 1e-5 * jnp.asarray(direction)).gradient for sign in (1.0, -1.0)]
+    ends = [own.linearized_at(at + sign * 1e-5 * jnp.asarray(direction)).gradient for sign in (1.0, -1.0)]
     product = found.gauss_newton @ direction
     np.testing.assert_allclose(
         product, (ends[0] - ends[1]) / 2e-5, rtol=0, atol=1e-6 * float(np.abs(product).max())
@@ -99,13 +99,13 @@ def test_cycles_that_do_not_count_change_nothing(problem, leg):
 def test_moments_that_do_not_count_leave_everything_finite(problem, place):
     """Cost, gradient and curvature; the rest is as if those rows were not there."""
     own = counting(problem)
-    found = linearize(own, place)
+    found = own.linearized_at(place)
     for part in (found.cost, found.gradient, found.gauss_newton, found.remainder):
         assert np.isfinite(part).all()
     rows = np.asarray(own.plain.row_scale()).reshape(own.plain.measured.shape)
     assert (rows[1] == 0.0).all()
     nothing = replace(own, plain=replace(own.plain, moment_error=np.full((4, 1, 1), np.inf)))
-    only = linearize(nothing, place)
+    only = nothing.linearized_at(place)
     assert np.isfinite(only.gauss_newton).all()
     assert only.cost < found.cost
 
@@ -127,10 +127,10 @@ def test_without_effects_it_is_the_plain_problem(leg, place):
     plain, _, truth, _ = leg
     nothing = joint_problem(plain, Effects(()), truth, np.zeros(0), 0.0)
     at = place[: plain.variables.count]
-    assert value(nothing, at) == value(plain, at)
+    assert nothing.value_at(at) == plain.value_at(at)
     np.testing.assert_array_equal(nothing.lower, plain.lower)
     np.testing.assert_array_equal(nothing.upper, plain.upper)
-    found, expected = linearize(nothing, at), linearize(plain, at)
+    found, expected = nothing.linearized_at(at), plain.linearized_at(at)
     for name in ("cost", "gradient", "gauss_newton", "remainder"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 

@@ -49,17 +49,15 @@ def test_blocks_of_muscles_give_the_jacobian_of_moments():
 def test_blocks_of_muscles_give_gradient_and_hessian():
     """Against differences of the cost, which knows of no blocks; tendons that stretch are there too."""
     problem = with_effects(*TOGETHER, "tendon_compliance")
-    linearize = eqx.filter_jit(lambda problem, x: problem.linearize(x))
-    cost = eqx.filter_jit(lambda problem, x: problem.value(x))
     variables = problem.variables.start() * 1.07
     direction = jnp.asarray(np.random.default_rng(0).normal(size=variables.size))
     step = 1e-6
-    found = linearize(problem, variables)
+    found = problem.linearized_at(variables)
     ends = [variables + sign * step * direction for sign in (1.0, -1.0)]
-    np.testing.assert_allclose(found.cost, cost(problem, variables), rtol=1e-12)
-    rise = (cost(problem, ends[0]) - cost(problem, ends[1])) / (2 * step)
+    np.testing.assert_allclose(found.cost, problem.value_at(variables), rtol=1e-12)
+    rise = (problem.value_at(ends[0]) - problem.value_at(ends[1])) / (2 * step)
     np.testing.assert_allclose(2.0 * found.gradient @ direction, rise, rtol=1e-6)
-    above, below = (linearize(problem, end).gradient for end in ends)
+    above, below = (problem.linearized_at(end).gradient for end in ends)
     product = (found.gauss_newton + found.remainder) @ direction
     scale = np.abs(product).max()
     np.testing.assert_allclose(product, (above - below) / (2 * step), rtol=0, atol=1e-6 * scale)

@@ -116,15 +116,16 @@ def test_each_limit_reads_its_own_cylinder(paths, changes):
 
 def test_slopes_and_curvature_are_those_of_the_paths(paths, changes):
     """Against differentiating everything by everything: no muscle follows another's cylinders."""
-    dense = jax.jacfwd(paths.at)(changes)
-    found, slopes = paths.linearized(changes)
+    dense = jax.jit(jax.jacfwd(lambda at: paths.at(at)))(changes)
+    found, slopes = jax.jit(lambda at: paths.linearized(at))(changes)
     weights = jax.tree.map(lambda leaf: jnp.cos(jnp.arange(leaf.size)).reshape(leaf.shape), found)
 
     def total(changes):
         products = jax.tree.map(lambda one, weight: jnp.sum(one * weight), paths.at(changes), weights)
         return jax.tree.reduce(jnp.add, products)
 
-    hessian, curvature = jax.hessian(total)(changes), paths.curvature(changes, weights)
+    hessian = jax.jit(jax.hessian(total))(changes)
+    curvature = jax.jit(lambda at: paths.curvature(at, weights))(changes)
     for muscle in range(4):
         for other in range(4):
             for own, all_of_them in zip(jax.tree.leaves(slopes), jax.tree.leaves(dense), strict=True):

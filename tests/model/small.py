@@ -49,7 +49,7 @@ def small_objective(seed: int = 0) -> Objective:
     truth = variables.start() * jnp.asarray(
         np.random.default_rng(seed + 1).uniform(0.9, 1.1, variables.count)
     )
-    true_states = muscle_states(HILL_CURVES["paper"], variables.unpack(truth), recording)
+    true_states = eqx.filter_jit(muscle_states)(HILL_CURVES["paper"], variables.unpack(truth), recording)
     noise = jax.random.normal(jax.random.key(seed), true_states.moment.shape[1:])
     return Objective(
         curves=HILL_CURVES["paper"],
@@ -92,7 +92,7 @@ def small_limited_objective(seed: int = 0) -> Objective:
     states = eqx.filter_jit(muscle_states)(curves, base, recording)
     changes = 6.0 * np.random.default_rng(seed + 3).choice([-1.0, 1.0], (3, max(MODES))) * free
     true = eqx.tree_at(lambda tree: tree.path_changes, base, jnp.asarray(changes))
-    true_states = muscle_states(curves, true, recording)
+    true_states = eqx.filter_jit(muscle_states)(curves, true, recording)
     return Objective(
         curves=curves,
         recording=recording,
