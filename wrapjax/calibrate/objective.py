@@ -129,7 +129,13 @@ class Objective(AbstractCalibration):
         return jnp.sum(self.residuals(variables) ** 2)
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
-        """Compute cost, gradient and both parts of the Hessian by blocks of muscles.
+        """Compute cost, gradient and both parts of the Hessian: see `expand`."""
+        return self.expand(variables)[0]
+
+    def expand(
+        self, variables: Float[Array, " variable"]
+    ) -> tuple[Linearization, Float[Array, "row variable"]]:
+        """Compute what `linearize` does, and what `moment_jacobian` does, by blocks of muscles.
 
         A muscle's parameters touch its own force alone. So one small Jacobian a muscle gives all first
         derivatives, and the second derivatives of all residuals, weighted by the residuals, are one
@@ -158,13 +164,15 @@ class Objective(AbstractCalibration):
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block
         curvatures = self._muscle_curvatures(inputs, rows, tuple(multipliers))
-        curvatures += self._path_curvatures(variables, inputs, rows, tuple(multipliers))
-        return Linearization(
+        if self.variables.modes:
+            curvatures += self._path_curvatures(variables, inputs, rows, tuple(multipliers))
+        model = Linearization(
             cost=cost,
             gradient=gradient + self.variables.gather(local_gradient[..., None])[:, 0],
             gauss_newton=gauss_newton + self.variables.assemble(own_gram, groups),
             remainder=self.variables.assemble(curvatures),
         )
+        return model, transposed.T
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
         """Differentiate the moment residuals, muscle by muscle."""

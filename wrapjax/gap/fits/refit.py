@@ -117,7 +117,7 @@ def _expand(
         recording, alterations = eqx.combine(numbers, rest)
         return 0.5 * replace(problem, recording=recording, alterations=alterations).value(calibrated)
 
-    return problem.linearize(calibrated), problem.moment_jacobian(calibrated), jax.grad(half)(numbers)
+    return *problem.expand(calibrated), jax.grad(half)(numbers)
 
 
 @eqx.filter_jit
