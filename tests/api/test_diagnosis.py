@@ -10,7 +10,8 @@ from wrapjax import InputError
 from wrapjax.api import diagnose
 from wrapjax.api.demonstration.gap_demo import demonstrate_gap
 from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated
-from wrapjax.gap import CATALOGUE
+from wrapjax.gap import CATALOGUE, investigation
+from wrapjax.gap.conclude import conclusion
 from wrapjax.virtual import HIDDEN_EFFECTS
 
 #: Few effects compile fast.
@@ -101,6 +102,26 @@ def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(
         np.testing.assert_array_equal(one.predicted, other.predicted)
     with pytest.raises(InputError, match="joint_damping"):
         found.without("joint_dampin")
+
+
+def test_several_effects_are_fitted_together_and_share_what_they_remove(found, monkeypatch, tmp_path):
+    """Where they stand together and each helps; whether these two do is not asked here."""
+    both = ("joint_damping", "emg_drift")
+    monkeypatch.setattr(investigation, "standing_together", lambda *_: both)
+    monkeypatch.setattr(conclusion, "may_be_several", lambda *_: True)
+    monkeypatch.setattr(conclusion, "each_helps", lambda *_: True)
+    named = found.without(*WITHOUT)
+    result = named.result
+    assert result.outcome == "named" and result.named == both and not result.ties
+    fitted = {one.ids: one for one in result.alternatives}
+    assert result.alternatives[0].ids == both and {both[:1], both[1:]} < set(fitted)
+    if fitted[both].held_out_cycles.known:
+        assert sum(result.shares.values()) == pytest.approx(fitted[both].held_out_cycles.value)
+    named.save(tmp_path / "gap")
+    assert json.loads((tmp_path / "gap" / "gap.json").read_text())["named"] == list(both)
+    assert "joint damping with emg drift" in (tmp_path / "gap" / "report.html").read_text()
+    monkeypatch.setattr(conclusion, "each_helps", lambda *_: False)
+    assert found.without(*WITHOUT).result.named == found.result.named
 
 
 def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):

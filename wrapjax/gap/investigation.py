@@ -16,7 +16,9 @@ from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.cycle_noise import cycle_noise
 from wrapjax.gap.evidence.linearized import LinearGap, linear_gap, phase_frames
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.score import score_each
+from wrapjax.gap.evidence.projection import project
+from wrapjax.gap.evidence.score import score_projected
+from wrapjax.gap.evidence.together import standing_together
 from wrapjax.gap.evidence.twins import TwinWorld, twin_residuals
 from wrapjax.gap.fits.held_out import cross_fit
 from wrapjax.gap.fits.refit import joint_problem
@@ -133,7 +135,8 @@ def investigate(
     assert seen.twins is not None
     with watch.during("score", "scoring effects"):
         residuals = np.concatenate([gap.residual.reshape(1, -1), seen.twins])
-        first, *of_twins = score_each(residuals, nulls(gap, sizes), gap.candidates)
+        projections = [project(residuals, null, gap.candidates) for null in nulls(gap, sizes)]
+        first, *of_twins = score_projected(projections, gap.candidates)
     scene = Scene(
         case=case,
         effects={effect.id: effect for effect in effects},
@@ -146,4 +149,7 @@ def investigate(
         ),
         tuning=tuning,
     )
+    with watch.during("score", "scoring effects beside one another"):
+        own = [replace(one, weight=one.weight[:1], slope=one.slope[:1]) for one in projections]
+        scene = replace(scene, together=standing_together(own, gap.candidates, scene.scores, scene.alarm))
     return conclude(scene, watch), seen

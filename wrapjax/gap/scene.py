@@ -22,6 +22,9 @@ from wrapjax.gap.result import Certificate
 from wrapjax.gap.where.place import Where
 from wrapjax.model import Recording
 
+#: Share of people with nothing amiss whose strongest evidence is above the alarm level.
+ALARM_SHARE = 0.025
+
 
 @dataclass(frozen=True)
 class Investigation:
@@ -134,6 +137,8 @@ class Scene:
         Of the subject, and the strongest evidence in each person with nothing amiss.
     tuning
         Constants of the verdict.
+    together
+        Effects that each stand out beside the others (see `standing_together`).
     """
 
     case: Investigation
@@ -144,6 +149,14 @@ class Scene:
     scored: Scored
     strongest_of_twins: Float[np.ndarray, " twin"]
     tuning: Tuning
+    together: tuple[str, ...] = ()
+
+    @property
+    def alarm(self) -> float:
+        """Evidence (nats) that has to be exceeded: rarely seen where nothing is amiss, here or elsewhere."""
+        twins = self.strongest_of_twins
+        own = float(np.quantile(twins, 1.0 - ALARM_SHARE)) if len(twins) else 0.0
+        return max(self.tuning.alarm, own)
 
     @property
     def candidates(self) -> dict[str, Candidate]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +15,11 @@ from wrapjax.gap.conclude.verdict import (
     UNSEEN,
     credible_set,
     decision,
+    each_helps,
     judge,
+    may_be_several,
     probabilities,
+    several,
     tie_of,
 )
 from wrapjax.gap.effect import Effect, Effects, NotTestable
@@ -43,8 +47,6 @@ from wrapjax.gap.where.muscle_share import muscle_share
 #: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
 #: are fitted to parts of the cycles.
 REFITS, COMPARED, TRIED = 4, 8, 2
-#: Share of people with nothing amiss whose strongest evidence is above the alarm level.
-ALARM_SHARE = 0.025
 
 
 def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
@@ -63,8 +65,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         compared = tuple(order[:COMPARED])
         apart = _apart(scene, compared)
         tie = tie_of(order[0], compared, apart, settled) if order else ()
-        twins = scene.strongest_of_twins
-        alarm = max(tuning.alarm, float(np.quantile(twins, 1.0 - ALARM_SHARE)) if len(twins) else 0.0)
+        twins, alarm = scene.strongest_of_twins, scene.alarm
         found = probabilities(settled, scene.scored.structured, tuning)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
         unseen = [id for id, one in scores.items() if max(SIZES) * one.detectability < UNSEEN]
@@ -74,6 +75,14 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     shown = [id for id in order if id in shrunk]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))
     alternatives = tuple(shrunk[id] for id in shown)
+    if may_be_several(verdict, scene.together, (*controls, *unseen)):
+        with watch.during("together", f"fitting {', '.join(scene.together)} together"):
+            parts = _parts_of(scene, shrunk)
+        if each_helps(scene.together, {ids: one.gains for ids, one in parts.items()}):
+            verdict = several(scene.together)
+            accepted = verdict.named
+            others = [one for one in alternatives if one.ids not in parts]
+            alternatives = (*sorted(parts.values(), key=lambda one: -len(one.ids)), *others)
     findings = tuple(
         _finding(
             scene, scores[id], found.effects[id], refitted.get(id), refits.get(id), alarm, id in accepted
@@ -112,6 +121,18 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         advice=_advice(scene, verdict.tie, compared, apart),
         lines=scene.gap,
     )
+
+
+def _parts_of(scene: Scene, known: Mapping[str, Alternative]) -> dict[tuple[str, ...], Alternative]:
+    """Fit effects that stand together, and any part of them, in their order."""
+    sizes = range(1, len(scene.together) + 1)
+    parts = [part for size in sizes for part in combinations(scene.together, size)]
+    return {
+        part: known[part[0]]
+        if len(part) == 1 and part[0] in known
+        else alternative(scene, refit(scene, part))
+        for part in parts
+    }
 
 
 def _fitted_until_the_first_is(
@@ -188,7 +209,7 @@ def _apart(scene: Scene, ids: Sequence[str]) -> Float[np.ndarray, "effect effect
 def _shares(alternatives: Sequence[Alternative], named: tuple[str, ...]) -> dict[str, float]:
     """Share out what named effects remove together; of members of a tie each would remove the same error."""
     removed = {one.ids: one.held_out_cycles.value for one in alternatives if one.held_out_cycles.known}
-    if not all((id,) in removed for id in named):
+    if not all(part in removed for size in range(len(named)) for part in combinations(named, size + 1)):
         return {}
     return shapley(named, lambda part: removed[part] if part else 0.0)
 

@@ -201,6 +201,47 @@ def judge(
     return Verdict("none", "nothing stands out against what is left where nothing is amiss")
 
 
+def may_be_several(verdict: Verdict, together: Sequence[str], excluded: Sequence[str]) -> bool:
+    """Say whether effects that stand together may be named in place of what was said of single ones.
+
+    Parameters
+    ----------
+    verdict
+        Of single effects.
+    together
+        From `standing_together`.
+    excluded
+        Controls, and what this recording could not show.
+    """
+    if not together or set(together) & set(excluded):
+        return False
+    # One may have hidden the other; but what was said of a tie or of a control stays said.
+    return verdict.named[0] in together if verdict.named else verdict.outcome == "none"
+
+
+def each_helps(together: Sequence[str], gains: Mapping[tuple[str, ...], Sequence[float]]) -> bool:
+    """Say whether each of several effects helps with cycles kept back, beside the others.
+
+    Parameters
+    ----------
+    together
+        Ids.
+    gains
+        By ids that were fitted together, in that order: what each block of cycles says for them, in nats.
+    """
+    whole = gains[tuple(together)]
+    for one in together:
+        others = tuple(id for id in together if id != one)
+        if not _helps([more - less for more, less in zip(whole, gains[others], strict=True)]):
+            return False
+    return True
+
+
+def several(together: Sequence[str]) -> Verdict:
+    """Name several effects."""
+    return Verdict("named", "these effects explain the error together", named=tuple(together))
+
+
 def _helps(gains: Sequence[float]) -> bool:
     """Say whether an effect helps with cycles kept back: in the sum, and in four blocks of five."""
     against = sum(gain <= 0.0 for gain in gains)
