@@ -14,7 +14,7 @@ from wrapjax.gap.where.budget import Budget
 #: How a diagnosis can end.
 #:
 #: named
-#:     One effect explains the error best.
+#:     One effect explains the error best, or several do together, each of them needed beside the others.
 #: tie
 #:     Several do that this recording cannot tell apart.
 #: unknown
