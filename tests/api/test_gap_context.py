@@ -5,15 +5,20 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.subject.synthetic import COORDINATES, write_wrapped_subject
 from tests.subject.synthetic_forces import with_forces
 from wrapjax.api import load_subject
-from wrapjax.api.diagnosing.gap_context import _wrap_changes, gap_context
+from wrapjax.api.diagnosing.gap_context import gap_context
+from wrapjax.api.diagnosing.path_changes import misplaced_joints, wrap_changes
 from wrapjax.api.paths.exact import engine_of
 from wrapjax.gap import CATALOGUE, Effects, NotTestable, catalogue, effects_in, predicted_moments
 from wrapjax.gap.context import change_id
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.measurement import recorded_walk
 from wrapjax.muscle import HILL_CURVES
+from wrapjax.skeleton.misplacement import with_moved_ends
 
 
 @pytest.fixture(scope="module")
@@ -88,25 +93,30 @@ def test_paths_follow_changed_angles(calibrated, gathered):
         )
 
 
-def test_paths_follow_their_ends(gathered):
-    """A straight line gets longer by the displacement along it, here in a plane."""
-    _, context = gathered
+def _from_insertion(context):
+    """Unit vectors from each muscle's insertion to its origin, in the plane of the leg."""
     hip, knee = np.moveaxis(context.angles, 1, 0)
     forward = {"recfem_l": 0.05, "semiten_l": -0.05}
 
     def turned(angle, x, y):
         return np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
 
-    for row, muscle in enumerate(context.muscles):
+    for muscle in context.muscles:
         x, y = turned(knee, forward[muscle], -0.05)
         x, y = turned(hip, x, y - 0.4)
         away = np.stack([forward[muscle] - x, -y])
-        expected = away / np.linalg.norm(away, axis=0)
+        yield away / np.linalg.norm(away, axis=0)
+
+
+def test_paths_follow_their_ends(gathered):
+    """A straight line gets longer by the displacement along it, here in a plane."""
+    _, context = gathered
+    for row, expected in enumerate(_from_insertion(context)):
         for axis in range(3):
             changes = np.zeros((2, 6))
             changes[row, axis] = 1.0
             found = context.attachments.paths(jnp.asarray(changes)).length[row]
-            np.testing.assert_allclose(found, expected[axis] if axis < 2 else 0.0 * hip, atol=1e-6)
+            np.testing.assert_allclose(found, expected[axis] if axis < 2 else 0.0, atol=1e-6)
     assert context.attachments.names[0] == f"{context.muscles[0]}.origin_x_m"
 
 
@@ -114,7 +124,7 @@ def test_paths_follow_their_ends(gathered):
 def test_paths_follow_cylinders(tmp_path):
     """A cylinder half a millimetre thicker, by the slope and by laying the path anew."""
     subject = load_subject(write_wrapped_subject(tmp_path / "wrapped"))
-    changes = _wrap_changes(engine_of(subject), subject)
+    changes = wrap_changes(engine_of(subject), subject)
     assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
     thicker = np.where(changes.places == 5, 0.5e-3 / 0.035, 0.0)
     longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)
@@ -124,9 +134,55 @@ def test_paths_follow_cylinders(tmp_path):
     assert 1e-4 < longer[rows[1]].max() < np.pi * 0.5e-3 and longer[rows[1]].min() > -1e-12
 
 
-def test_effects_are_told_and_some_cycles_are_a_part_of_all(calibrated, tmp_path):
+@pytest.fixture(scope="module")
+def with_ground(calibrated, tmp_path_factory):
+    subject = with_forces(tmp_path_factory.mktemp("ground") / "person")
+    return gap_context(dataclasses.replace(calibrated, subject=subject))[1]
+
+
+def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
+    """A hip that the model has too far forward or up is behind or below: so are all ends on the leg."""
+    slopes = with_ground.path_changes["hip_center_offset"]
+    for row, away in enumerate(_from_insertion(with_ground)):
+        np.testing.assert_allclose(slopes.length[row, 0], away[0], atol=1e-6)
+        np.testing.assert_allclose(slopes.length[row, 1], away[1], atol=1e-6)
+        np.testing.assert_allclose(slopes.length[row, 2], 0.0, atol=1e-6)
+
+
+def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
+    """Beside the plane of the leg, where a turned axis takes ends of muscles first of all."""
     subject = with_forces(tmp_path / "person")
-    _, context = gap_context(dataclasses.replace(calibrated, subject=subject))
+    whole = engine_of(subject)
+    beside = ExactPaths(
+        with_moved_ends(whole.model, whole.muscles, -1, 2, 0.03), whole.muscles, whole.coordinates
+    )
+    walk, _ = recorded_walk(subject)
+    found = misplaced_joints(beside, subject, walk, ["joint_axis_rotation"])
+    (slopes,) = found.values()
+    hip, knee = np.moveaxis(subject.trials.angles, 1, 0)
+    forward = {"recfem_l": 0.05, "semiten_l": -0.05}
+
+    def length(muscle, turn):
+        # The person's axis is turned the other way than the model's.
+        axis = Rotation.from_rotvec(-np.array(turn)).apply([0.0, 0.0, 1.0])
+        bent = Rotation.from_rotvec(knee.ravel()[:, None] * axis)
+        thigh = Rotation.from_rotvec(hip.ravel()[:, None] * [0.0, 0.0, 1.0])
+        insertion = thigh.apply(bent.apply([forward[muscle], -0.05, 0.03]) - [0.0, 0.4, 0.0])
+        return np.linalg.norm(insertion - [forward[muscle], 0.0, 0.0], axis=1).reshape(knee.shape)
+
+    # On the left, toes that turn out turn about what points up, and an axis whose left end goes up about what
+    # points forward.
+    for row, muscle in enumerate(whole.muscles):
+        for place, about in ((0, (0.0, 1e-4, 0.0)), (1, (1e-4, 0.0, 0.0))):
+            expected = (length(muscle, about) - length(muscle, np.negative(about))) / 2e-4
+            assert np.abs(expected).max() > 1e-3
+            np.testing.assert_allclose(slopes.length[row, place], expected, atol=1e-7)
+    # There is neither ankle nor subtalar joint.
+    assert np.abs(slopes.length[:, 2:]).max() == 0.0
+
+
+def test_effects_are_told_and_some_cycles_are_a_part_of_all(with_ground):
+    context = with_ground
     effects = effects_in(catalogue(context))
     sizes = {
         id: [parameter.prior_sd for parameter in effect.parameters]

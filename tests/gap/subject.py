@@ -126,6 +126,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         units=("m", "1"),
         prior_sd=(0.004, 0.1),
     )
+    by_angle = _paths_by_angle(angles, velocities)
     pattern = jnp.asarray(generator.normal(0.0, 1.0, (2, 4, 3, FRAMES)))
     context = Context(
         muscles=MUSCLES,
@@ -149,7 +150,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
             parameters=of_others,
             path=paths_at(OTHERS, angles, velocities),
         ),
-        paths_by_angle=_paths_by_angle(angles, velocities),
+        paths_by_angle=by_angle,
         wraps=wraps,
         attachments=changes,
         at_bounds=(
@@ -157,6 +158,10 @@ def small_recording_and_context() -> tuple[Recording, Context]:
             AtBound("tibant_l", "electromechanical_delay", -1, 0.05, "s"),
             AtBound("gasmed_l", "emg_scale", -1, 0.2, "1"),
         ),
-        measured_changes={"cop_offset": Partial(_pushed, 300.0 * pattern)},
+        path_changes={"foot_deformation": jax.tree.map(lambda leaf: 500.0 * leaf[:, 2:], by_angle)},
+        measured_changes={
+            "cop_offset": Partial(_pushed, 300.0 * pattern),
+            "foot_deformation": Partial(_pushed, 5000.0 * pattern[:1]),
+        },
     )
     return Recording(splines, fixed_path(paths), PADDING), context

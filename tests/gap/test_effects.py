@@ -340,6 +340,20 @@ def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     assert swing.moment is None and swing.paths is not None
 
 
+def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
+    """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
+    amounts = jnp.array([2e-4])
+    slopes = CONTEXT.path_changes["foot_deformation"]
+    (known,) = CATALOGUE["foot_deformation"](CONTEXT).variants
+    paths = known.form(amounts).paths(CONTEXT.paths)
+    for field in ("length", "velocity", "moment_arm"):
+        expected = getattr(CONTEXT.paths, field) + 2e-4 * getattr(slopes, field)[:, 0]
+        np.testing.assert_allclose(getattr(paths, field), expected)
+    (unknown,) = CATALOGUE["foot_deformation"](dataclasses.replace(CONTEXT, path_changes={})).variants
+    assert unknown.form(amounts).paths is None
+    np.testing.assert_array_equal(unknown.form(amounts).moment, known.form(amounts).moment)
+
+
 def _summed(pattern, amounts):
     return amounts.sum() * pattern
 

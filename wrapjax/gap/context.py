@@ -117,6 +117,10 @@ class Context:
         How paths follow their cylinders, and their muscles' ends, where that is known.
     at_bounds
         Parameters at their bounds.
+    path_changes
+        By the id of an effect on the measurement chain that misplaces joints or angles: what a unit of each
+        of its amounts adds to the recorded paths to give those that muscles took; leaves lead with ``muscle
+        parameter``. An effect without them changes moments alone.
     measured_changes
         By the id of an effect on the measurement chain, or of one of its shapes (`change_id`): what its
         amounts add to the prediction of what is measured, through the exact change of inverse dynamics (see
@@ -147,6 +151,7 @@ class Context:
     wraps: PathChanges | None = None
     attachments: PathChanges | None = None
     at_bounds: tuple[AtBound, ...] = ()
+    path_changes: Mapping[str, PathState] = field(default_factory=dict)
     measured_changes: Mapping[str, MeasuredChange] = field(default_factory=dict)
     no_measured_changes: str = "no ground reaction forces are given for these trials"
     whole: Context | None = None
@@ -196,9 +201,10 @@ class Context:
             else eqx.tree_at(lambda tree: tree.path, self.others, cut(self.others.path)),
             paths_by_angle=None
             if self.paths_by_angle is None
-            else jax.tree.map(lambda leaf: leaf[:, :, keep], self.paths_by_angle),
+            else _slopes_of_trials(self.paths_by_angle, keep),
             wraps=_cut_changes(self.wraps, keep),
             attachments=_cut_changes(self.attachments, keep),
+            path_changes={id: _slopes_of_trials(slopes, keep) for id, slopes in self.path_changes.items()},
             measured_changes={
                 name: jax.tree_util.Partial(_chosen_trials, change, keep)
                 for name, change in self.measured_changes.items()
@@ -212,6 +218,12 @@ def _of_trials(paths: PathState, keep: Int[Array, " trial"]) -> PathState:
     return PathState(
         *(jnp.asarray(leaf)[:, keep] for leaf in (paths.length, paths.velocity, paths.moment_arm))
     )
+
+
+def _slopes_of_trials(slopes: PathState, keep: Int[Array, " trial"]) -> PathState:
+    """Keep cycles of how paths change with several things; the axis ``trial`` is the third."""
+    cut: PathState = jax.tree.map(lambda leaf: leaf[:, :, keep], slopes)
+    return cut
 
 
 def _of_trials_at(

@@ -1,12 +1,12 @@
-"""How paths follow angles, and the exact engine's paths their cylinders and their ends, to first order.
+"""How paths follow angles, and the exact engine's paths their cylinders, ends and joints, to first order.
 
 The engine's by differences: to compile derivatives of paths round several cylinders takes minutes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +19,9 @@ from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.skeleton import ModelDescription
-from wrapjax.skeleton.description import Muscle
+from wrapjax.skeleton.misplacement import with_moved_ends
 
-#: By how much ends (m) and cylinders (m, rad, 1) are moved.
+#: By how much ends (m), joints (m, rad) and cylinders (m, rad, 1) are moved.
 _STEP = 1e-4
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
@@ -74,6 +74,43 @@ def slopes_by_angles(
     )
 
 
+def slopes_by_model(
+    engine: ExactPaths,
+    changed: Sequence[Callable[[float], ModelDescription]],
+    angles: Kinematics,
+    velocities: Kinematics,
+    moment_coordinates: Sequence[str],
+) -> PathState:
+    """Differentiate paths by what the model may have elsewhere.
+
+    Parameters
+    ----------
+    engine, angles, velocities, moment_coordinates
+        As of `laid_paths`.
+    changed
+        For each way in which it may differ, from by how much (m or rad) to the model.
+
+    Returns
+    -------
+    PathState
+        Leaves lead with ``muscle mode``; a change of one metre or radian.
+    """
+
+    def laid(model: ModelDescription) -> PathState:
+        moved = ExactPaths(model, engine.muscles, engine.coordinates)
+        return laid_paths(moved, angles, velocities, moment_coordinates)
+
+    slopes = [
+        jax.tree.map(
+            lambda above, below: (above - below) / (2.0 * _STEP),
+            laid(model_at(_STEP)),
+            laid(model_at(-_STEP)),
+        )
+        for model_at in changed
+    ]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *slopes)
+
+
 def slopes_by_ends(
     engine: ExactPaths, angles: Kinematics, velocities: Kinematics, moment_coordinates: Sequence[str]
 ) -> PathState:
@@ -90,25 +127,12 @@ def slopes_by_ends(
         Leaves lead with ``muscle mode``: x, y and z of the origin, then of the insertion, in the frame of the
         body that each is on; a change of one metre.
     """
-
-    def laid(end: int, axis: int, step: float) -> PathState:
-        moved = ExactPaths(
-            _with_moved_ends(engine.model, engine.muscles, end, axis, step),
-            engine.muscles,
-            engine.coordinates,
-        )
-        return laid_paths(moved, angles, velocities, moment_coordinates)
-
-    slopes = [
-        jax.tree.map(
-            lambda above, below: (above - below) / (2.0 * _STEP),
-            laid(end, axis, _STEP),
-            laid(end, axis, -_STEP),
-        )
+    ends = [
+        partial(with_moved_ends, engine.model, engine.muscles, end, axis)
         for end in (0, -1)
         for axis in range(3)
     ]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves, axis=1), *slopes)
+    return slopes_by_model(engine, ends, angles, velocities, moment_coordinates)
 
 
 def slopes_by_wraps(
@@ -157,20 +181,3 @@ def slopes_by_wraps(
         velocity[row, :count] = -np.sum(arm * velocities, axis=2)
         moment_arm[row, :count] = np.einsum("cp,ktpf->ktcf", about, arm)
     return PathState(jnp.asarray(length), jnp.asarray(velocity), jnp.asarray(moment_arm))
-
-
-def _with_moved_ends(
-    model: ModelDescription, muscles: Sequence[str], end: int, axis: int, step: float
-) -> ModelDescription:
-    """Move one end of these muscles along an axis of the body that it is on."""
-
-    def moved(muscle: Muscle) -> Muscle:
-        if muscle.name not in muscles:
-            return muscle
-        points = list(muscle.points)
-        location = list(points[end].location)
-        location[axis] += step
-        points[end] = replace(points[end], location=(location[0], location[1], location[2]))
-        return replace(muscle, points=tuple(points))
-
-    return replace(model, muscles=tuple(moved(muscle) for muscle in model.muscles))

@@ -27,7 +27,11 @@ from wrapjax.subject import GroundLoads, Subject, Trials, read_ground_loads
 _LATENCY = 0.005
 
 
-def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
+#: Why there is no change of moments where all that inverse dynamics need was recorded.
+INDEPENDENT = "inverse dynamics about these coordinates do not depend on it"
+
+
+def measured_changes(walk: Walk) -> dict[str, MeasuredChange]:
     """Say what each effect on the measurement chain adds to the moments that were measured.
 
     Measured is what a laboratory's inverse dynamics gave; an amount says how wrong their input was, and a
@@ -35,24 +39,15 @@ def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
 
     Parameters
     ----------
-    subject
-        Whose trials name ground forces and external loads, and whose angles hold every coordinate from
-        ground to the foot.
+    walk
+        From `recorded_walk`.
 
     Returns
     -------
-    changes, reason
+    changes
         By the id of an effect, or of one of its shapes (`change_id`), from amounts to N m (trial x
-        coordinate x frame); and why others are not there.
-
-    Raises
-    ------
-    InputError
-        If the files of forces are unfit, or name bodies that the model lacks.
+        coordinate x frame); those that change nothing (`INDEPENDENT`) are left out.
     """
-    walk, reason = recorded_walk(subject)
-    if walk is None:
-        return {}, reason
     found = {id: slopes_of(walk) for id, slopes_of in SLOPES.items()}
     for id, by_shape in BY_SHAPE.items():
         found |= {change_id(id, shape): slopes for shape, slopes in by_shape(walk).items()}
@@ -61,16 +56,22 @@ def measured_changes(subject: Subject) -> tuple[dict[str, MeasuredChange], str]:
         if slopes.any():
             cut = slopes.reshape(*slopes.shape[:2], *walk.time.shape)
             changes[id] = Partial(_along, jnp.asarray(np.moveaxis(cut, 1, 2)))
-    return changes, "inverse dynamics about these coordinates do not depend on it"
+    return changes
 
 
 def recorded_walk(subject: Subject) -> tuple[Walk | None, str]:
     """Gather what inverse dynamics of all cycles need; or None, and what is missing for that.
 
+    Parameters
+    ----------
+    subject
+        Whose trials name ground forces and external loads, and whose angles hold every coordinate from
+        ground to the foot.
+
     Raises
     ------
     InputError
-        As `measured_changes`.
+        If the files of forces are unfit, or name bodies that the model lacks.
     """
     reason = _files_lack(subject)
     if reason:

@@ -18,6 +18,16 @@ from wrapjax.measurement.walk import CONTACT, Walk
 
 Slopes = Float[np.ndarray, "parameter coordinate pose"]
 
+#: The amounts of `joint_axis_rotation`: whose axis is turned, and about which one of the body that carries it
+#: (forward, up, to the right).
+TURNS = (
+    ("knee_angle", 1),
+    ("knee_angle", 0),
+    ("ankle_angle", 1),
+    ("ankle_angle", 0),
+    ("subtalar_angle", 1),
+    ("subtalar_angle", 2),
+)
 #: Share of the cycle that soft tissue takes to come to rest.
 _IMPACT = 0.1
 
@@ -108,19 +118,28 @@ def _joint_axis_rotation(walk: Walk) -> Slopes:
     """
     mechanics, wrench = walk.mechanics, walk.transmitted()
     slopes = np.zeros((6, *mechanics.screw.shape[::2]))
-    # Columns of the carrier's axes: forward, up, to the right. Of a right leg, outward is clockwise seen from
-    # above, and an axis' outer end goes up counterclockwise seen from behind; its front end always goes up
-    # about what points to the right.
-    turns = {"knee_angle": (1, 0), "ankle_angle": (1, 0), "subtalar_angle": (1, 2)}
-    signs = {0: -walk.outward, 1: -walk.outward, 2: 1.0}
-    for number, (stem, columns) in enumerate(turns.items()):
+    for number, (stem, column) in enumerate(TURNS):
         for row in walk.starting(stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
-            for place, column in enumerate(columns):
-                about = signs[column] * mechanics.rotation[_carrier(walk, row), :, column]
-                turned = np.cross(about, mechanics.screw[row, :3], axis=0)
-                slopes[2 * number + place, row] = (turned * moment).sum(axis=0)
+            about = turn_sign(column, walk.outward) * mechanics.rotation[_carrier(walk, row), :, column]
+            turned = np.cross(about, mechanics.screw[row, :3], axis=0)
+            slopes[number, row] = (turned * moment).sum(axis=0)
     return slopes
+
+
+def turn_sign(column: int, outward: float) -> float:
+    """Say which way round a positive amount turns a joint's axis about an axis of the body that carries it.
+
+    Parameters
+    ----------
+    column
+        Of the carrier's axes: forward, up, to the right.
+    outward
+        1 on the right leg, -1 on the left.
+    """
+    # Of a right leg, outward is clockwise seen from above, and an axis' outer end goes up counterclockwise
+    # seen from behind; its front end always goes up about what points to the right.
+    return 1.0 if column == 2 else -outward
 
 
 def _carrier(walk: Walk, coordinate: int) -> int:

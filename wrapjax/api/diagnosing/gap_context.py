@@ -4,32 +4,27 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.tree_util import Partial
-from jaxtyping import Array, Float
 
 from wrapjax.api.calibrating.assembly import recording
 from wrapjax.api.calibrating.calibration import Calibration
 from wrapjax.api.calibrating.undriven import other_muscles
-from wrapjax.api.paths.cylinders import freed_wraps
-from wrapjax.api.paths.exact import ExactGeometry, engine_of, touched_cylinders
-from wrapjax.api.paths.fitting import Fit
+from wrapjax.api.diagnosing.path_changes import (
+    attachment_changes,
+    deformed_foot,
+    misplaced_joints,
+    paths_by_angle,
+    wrap_changes,
+)
+from wrapjax.api.paths.exact import engine_of
 from wrapjax.calibrate import Objective
 from wrapjax.errors import InputError
-from wrapjax.gap import AtBound, Context, PathChanges
-from wrapjax.geometry import PathState, fixed_path
+from wrapjax.gap import AtBound, Context
+from wrapjax.geometry import fixed_path
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_wraps
-from wrapjax.geometry.wrap_boxes import USUAL_TRANSLATION
-from wrapjax.measurement import measured_changes
+from wrapjax.measurement import INDEPENDENT, measured_changes, recorded_walk
 from wrapjax.model import QUANTITIES, Recording
 from wrapjax.subject import Subject
-
-#: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
-#: differ from the model's by 4 to 12 mm.
-_ATTACHMENT_SD = 0.005
 
 
 def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
@@ -54,9 +49,14 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
     paths = inputs.path.at(result.parameters.path_changes)
     inputs = replace(inputs, path=fixed_path(paths))
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
-    wraps, attachments = _engine_changes(subject)
+    engine = _engine(subject)
+    by_angle = paths_by_angle(fit, subject)
     others, no_others = other_muscles(subject, result.curves)
-    changes, no_changes = measured_changes(subject)
+    walk, no_changes = recorded_walk(subject)
+    changes = {} if walk is None else measured_changes(walk)
+    misplaced = {} if walk is None or engine is None else misplaced_joints(engine, subject, walk, changes)
+    if walk is not None and by_angle is not None and "foot_deformation" in changes:
+        misplaced["foot_deformation"] = deformed_foot(by_angle, subject, paths, walk)
     context = Context(
         muscles=subject.muscles.names,
         channels=trials.channels,
@@ -74,12 +74,13 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
         paretic=subject.paretic,
         others=others,
         no_others=no_others,
-        paths_by_angle=_paths_by_angle(fit, subject),
-        wraps=wraps,
-        attachments=attachments,
+        paths_by_angle=by_angle,
+        wraps=None if engine is None else wrap_changes(engine, subject),
+        attachments=None if engine is None else attachment_changes(engine, subject),
         at_bounds=_at_bounds(calibration),
+        path_changes=misplaced,
         measured_changes=changes,
-        no_measured_changes=no_changes,
+        no_measured_changes=no_changes or INDEPENDENT,
     )
     return inputs, context
 
@@ -108,68 +109,9 @@ def _at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:
     return tuple(found)
 
 
-def _paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | None:
-    """Differentiate polynomial paths by the angles that moments are about; None for other paths."""
-    if not isinstance(fit, Fit):
-        return None
-    trials, surrogate = subject.trials, fit.surrogate.of_muscles(subject.muscles.names)
-    recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
-    return slopes_by_angles(
-        surrogate,
-        trials.angles[:, recorded],
-        trials.angular_velocities[:, recorded],
-        trials.moment_coordinates,
-    )
-
-
-def _engine_changes(subject: Subject) -> tuple[PathChanges | None, PathChanges | None]:
-    """Ask the exact engine how paths follow their cylinders and their ends, to first order."""
+def _engine(subject: Subject) -> ExactPaths | None:
+    """Build the exact engine of a subject's muscles; None where a path has what it does not know."""
     try:
-        engine = engine_of(subject)
+        return engine_of(subject)
     except InputError:
-        return None, None
-    return _wrap_changes(engine, subject), _attachment_changes(engine, subject)
-
-
-def _wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
-    _, touched = touched_cylinders(engine, subject.trials)
-    if not touched:
         return None
-    # How far each could move takes long to find; of an effect only what is usual counts.
-    usual = dict.fromkeys(touched, USUAL_TRANSLATION)
-    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], usual)
-    moving = np.asarray((freed.places >= 0).any(axis=1))
-    count = len(freed.quantities)
-    places = freed.places[:, :, None] * count + np.arange(count)
-    return PathChanges(
-        paths=Partial(_along, slopes_by_wraps(engine, *_laid_through(engine, subject), moving)),
-        places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
-        names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
-        units=freed.units * len(freed.names),
-        prior_sd=tuple(freed.prior_sd.ravel().tolist()),
-    )
-
-
-def _attachment_changes(engine: ExactPaths, subject: Subject) -> PathChanges:
-    count = len(engine.muscles)
-    ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
-    return PathChanges(
-        paths=Partial(_along, slopes_by_ends(engine, *_laid_through(engine, subject))),
-        places=np.arange(6 * count).reshape(count, 6),
-        names=tuple(f"{muscle}.{end}" for muscle in engine.muscles for end in ends),
-        units=("m",) * (6 * count),
-        prior_sd=(_ATTACHMENT_SD,) * (6 * count),
-    )
-
-
-def _laid_through(
-    engine: ExactPaths, subject: Subject
-) -> tuple[Float[np.ndarray, "trial _ frame"], Float[np.ndarray, "trial _ frame"], tuple[str, ...]]:
-    """Angles and rates of the engine's coordinates, and what moment arms are wanted about."""
-    trials = subject.trials
-    columns = [trials.coordinates.index(name) for name in engine.coordinates]
-    return trials.angles[:, columns], trials.angular_velocities[:, columns], trials.moment_coordinates
-
-
-def _along(slopes: PathState, changes: Float[Array, "muscle mode"]) -> PathState:
-    return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), slopes)

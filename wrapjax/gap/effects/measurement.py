@@ -2,7 +2,9 @@
 
 Data stay as they are; it is their prediction that changes. By how much, only inverse dynamics of the
 whole leg can say: whoever builds a `Context` puts, under an effect's id, the exact change of the moments
-with its amounts into ``measured_changes``, zero at zero. What is not there is not testable.
+with its amounts into ``measured_changes``, zero at zero. What is not there is not testable. Muscles took the
+paths of the person's joints, not of those that the laboratory's model has: by how much those differ is in
+``path_changes``, to first order.
 """
 
 from __future__ import annotations
@@ -10,11 +12,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from wrapjax.gap.context import Context, MeasuredChange
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
+from wrapjax.gap.effects.geometry import added_to_paths
+from wrapjax.geometry import PathState
 from wrapjax.model import Alteration
 
 #: Name, unit, prior deviation, sign, meaning, limit.
@@ -115,13 +121,18 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
             EffectParameter(name, unit, sd, sign, meaning, source, limit, part=name.split("_")[0])
             for name, unit, sd, sign, meaning, limit in rows
         ),
-        variants=(Variant(Partial(_added, context.measured_changes[id])),),
+        variants=(Variant(Partial(_added, context.measured_changes[id], context.path_changes.get(id))),),
         negative_control=id in _NEGATIVE_CONTROLS,
     )
 
 
-def _added(change: MeasuredChange, amounts: Float[Array, " parameter"]) -> Alteration:
-    return Alteration(moment=change(amounts))
+def _added(
+    change: MeasuredChange, slopes: PathState | None, amounts: Float[Array, " parameter"]
+) -> Alteration:
+    if slopes is None:
+        return Alteration(moment=change(amounts))
+    by_amounts = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", amounts, leaf), slopes)
+    return Alteration(moment=change(amounts), paths=Partial(added_to_paths, by_amounts))
 
 
 #: From the id to what gives the effect for a subject.

@@ -1,0 +1,157 @@
+"""How a subject's recorded paths follow cylinders, ends, joints and angles: what effects on geometry need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+
+from wrapjax.api.paths.cylinders import freed_wraps
+from wrapjax.api.paths.exact import ExactGeometry, touched_cylinders
+from wrapjax.api.paths.fitting import Fit
+from wrapjax.gap import PathChanges
+from wrapjax.geometry import PathState
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_model, slopes_by_wraps
+from wrapjax.geometry.wrap_boxes import USUAL_TRANSLATION
+from wrapjax.measurement.walk import Walk
+from wrapjax.measurement.wrong_inputs import TURNS, turn_sign
+from wrapjax.skeleton import ModelDescription
+from wrapjax.skeleton.misplacement import with_moved_joint, with_turned_joint
+from wrapjax.subject import Subject
+
+#: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
+#: differ from the model's by 4 to 12 mm.
+_ATTACHMENT_SD = 0.005
+
+_Misplace = Callable[[ModelDescription, str, int, float], ModelDescription]
+_ModelAt = Callable[[float], ModelDescription]
+
+
+def paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | None:
+    """Differentiate polynomial paths by the angles that moments are about; None for other paths."""
+    if not isinstance(fit, Fit):
+        return None
+    trials, surrogate = subject.trials, fit.surrogate.of_muscles(subject.muscles.names)
+    recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
+    return slopes_by_angles(
+        surrogate,
+        trials.angles[:, recorded],
+        trials.angular_velocities[:, recorded],
+        trials.moment_coordinates,
+    )
+
+
+def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
+    """Say how paths follow their cylinders; None where none is touched."""
+    _, touched = touched_cylinders(engine, subject.trials)
+    if not touched:
+        return None
+    # How far each could move takes long to find; of an effect only what is usual counts.
+    usual = dict.fromkeys(touched, USUAL_TRANSLATION)
+    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], usual)
+    moving = np.asarray((freed.places >= 0).any(axis=1))
+    count = len(freed.quantities)
+    places = freed.places[:, :, None] * count + np.arange(count)
+    return PathChanges(
+        paths=Partial(_along, slopes_by_wraps(engine, *_laid_through(engine, subject), moving)),
+        places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
+        names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
+        units=freed.units * len(freed.names),
+        prior_sd=tuple(freed.prior_sd.ravel().tolist()),
+    )
+
+
+def attachment_changes(engine: ExactPaths, subject: Subject) -> PathChanges:
+    """Say how paths follow their muscles' ends."""
+    count = len(engine.muscles)
+    ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
+    return PathChanges(
+        paths=Partial(_along, slopes_by_ends(engine, *_laid_through(engine, subject))),
+        places=np.arange(6 * count).reshape(count, 6),
+        names=tuple(f"{muscle}.{end}" for muscle in engine.muscles for end in ends),
+        units=("m",) * (6 * count),
+        prior_sd=(_ATTACHMENT_SD,) * (6 * count),
+    )
+
+
+def misplaced_joints(
+    engine: ExactPaths, subject: Subject, walk: Walk, wanted: Collection[str]
+) -> dict[str, PathState]:
+    """Say by how much paths differ where the laboratory's model has a joint in a wrong place.
+
+    Parameters
+    ----------
+    engine, subject, walk
+        Of one leg.
+    wanted
+        Ids of effects; of these, ``hip_center_offset`` and ``joint_axis_rotation`` are looked at.
+
+    Returns
+    -------
+    dict
+        As `Context.path_changes`: where the model's joint is too far forward, the person's is behind it.
+    """
+    hip = ((0, 1.0), (1, 1.0), (2, walk.outward))
+    ways = {
+        "hip_center_offset": [(with_moved_joint, "hip_", axis, sign) for axis, sign in hip],
+        "joint_axis_rotation": [
+            (with_turned_joint, stem, axis, turn_sign(axis, walk.outward)) for stem, axis in TURNS
+        ],
+    }
+    names = subject.trials.moment_coordinates
+
+    def elsewhere(misplace: _Misplace, stem: str, axis: int, sign: float) -> _ModelAt:
+        coordinate = next((name for name in names if name.startswith(stem)), None)
+        if coordinate is None:
+            return lambda step: engine.model
+        return lambda step: misplace(engine.model, coordinate, axis, -sign * step)
+
+    through = _laid_through(engine, subject)
+    return {
+        id: slopes_by_model(engine, [elsewhere(*way) for way in own], *through)
+        for id, own in ways.items()
+        if id in wanted
+    }
+
+
+def deformed_foot(by_angle: PathState, subject: Subject, paths: PathState, walk: Walk) -> PathState:
+    """Say by how much paths differ where the ankle was recorded off by the vertical force, for 1 rad/N.
+
+    Parameters
+    ----------
+    by_angle, subject, paths, walk
+        How paths change with angles (`paths_by_angle`), and what was recorded, an ankle among it.
+
+    Returns
+    -------
+    PathState
+        As `Context.path_changes` of ``foot_deformation``.
+    """
+    names = subject.trials.moment_coordinates
+    ankle = next(row for row, name in enumerate(names) if name.startswith("ankle_angle"))
+    vertical = walk.force[1].reshape(walk.time.shape)
+    rate = np.gradient(vertical, axis=-1) / (walk.time[:, 1] - walk.time[:, 0])[:, None]
+    # The bones lag behind what was recorded.
+    return PathState(
+        length=(-vertical * by_angle.length[:, ankle])[:, None],
+        velocity=(rate * paths.moment_arm[:, :, ankle] - vertical * by_angle.velocity[:, ankle])[:, None],
+        moment_arm=(-vertical[:, None] * by_angle.moment_arm[:, ankle])[:, None],
+    )
+
+
+def _laid_through(
+    engine: ExactPaths, subject: Subject
+) -> tuple[Float[np.ndarray, "trial _ frame"], Float[np.ndarray, "trial _ frame"], tuple[str, ...]]:
+    """Angles and rates of the engine's coordinates, and what moment arms are wanted about."""
+    trials = subject.trials
+    columns = [trials.coordinates.index(name) for name in engine.coordinates]
+    return trials.angles[:, columns], trials.angular_velocities[:, columns], trials.moment_coordinates
+
+
+def _along(slopes: PathState, changes: Float[Array, "muscle mode"]) -> PathState:
+    return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), slopes)
