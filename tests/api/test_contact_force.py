@@ -9,8 +9,9 @@ import pytest
 
 from tests.contact.made_up_run import MUSCLES, muscle_forces, write_run
 from tests.subject import synthetic
-from tests.subject.synthetic_forces import force, with_forces
+from tests.subject.synthetic_forces import POINT, TORQUE, force, with_forces
 from wrapjax.api import contact, load_subject
+from wrapjax.api.tables.contact import contact_table
 from wrapjax.contact.result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
 from wrapjax.errors import InputError
 
@@ -101,6 +102,59 @@ def test_the_hip_bears_what_newton_says(subject, compared):
             np.testing.assert_allclose(
                 run.force[trial, 0, :, inner], -on_leg[:, inner], atol=2e-3 * np.abs(on_leg).max()
             )
+
+
+@pytest.fixture(scope="module")
+def divided(runs):
+    return contact(*runs, condyle_distance=0.04)
+
+
+def test_the_knee_leans_on_the_side_that_the_ground_turns_it_to(subject, divided):
+    """Muscles and masses lie in the plane of the leg: the ground alone turns the shank about its length."""
+    result = divided.result
+    for run in result.runs:
+        for trial, time in enumerate(subject.trials.time):
+            thigh, shank, _ = places(time)
+            knee = LENGTH * np.stack([np.sin(thigh), -np.cos(thigh), 0.0 * thigh])
+            turned = np.cross(POINT[:, None] - knee, force(time), axis=0) + TORQUE[:, None]
+            forward = np.stack([np.cos(shank), np.sin(shank), 0.0 * shank])
+            medial, lateral = run.compartments[trial]
+            # A left knee: what the femur holds against turns it the other way.
+            held = -(forward * turned).sum(axis=0)
+            np.testing.assert_allclose(medial - lateral, 2.0 * held / 0.04, atol=0.1)
+            # What is given along the thigh presses along the shank, turned from it by the knee's angle.
+            on_thigh, bent = run.force[trial, 1], shank - thigh
+            along = np.cos(bent) * on_thigh[1] - np.sin(bent) * on_thigh[0]
+            np.testing.assert_allclose(medial + lateral, along, rtol=1e-6, atol=1e-2)
+
+
+def test_compartments_are_in_all_that_is_said_and_saved(divided, tmp_path):
+    result = divided.result
+    divided.save(tmp_path / "contact")
+    content = json.loads((tmp_path / "contact" / "contact.json").read_text())
+    found = content["knee_compartments"]
+    assert (found["condyle_distance_m"], content["knee_compartments_reason"]) == (0.04, None)
+    medial = result.runs[1].compartments[:, 0]
+    assert found["runs"]["PGA"]["medial"]["peak"]["mean_N"] == pytest.approx(medial.max(axis=1).mean())
+    tested = {(entry["joint"], entry["measure"]) for entry in content["tests"]}
+    assert {("medial knee", "peak"), ("lateral knee", "peak")} <= tested
+    table = opensim.TimeSeriesTable(str(tmp_path / "contact" / "forces" / "PGA" / "walk_b.sto"))
+    column = table.getDependentColumn("medial_knee_force").to_numpy()
+    np.testing.assert_allclose(column, medial[result.trials.index("walk_b")], rtol=1e-9)
+    labelled = divided.dataset["knee_compartment_force"].sel(run="PGA", compartment="medial")
+    np.testing.assert_array_equal(labelled, medial)
+    assert "40 mm apart" in (tmp_path / "contact" / "report.html").read_text()
+    assert "medial knee, peak" in contact_table(divided)
+
+
+def test_a_knee_is_not_divided_by_guess(compared, runs, bare, tmp_path):
+    assert compared.result.undivided.startswith("the model's knee is one joint")
+    assert compared.result.runs[0].compartments is None
+    share = contact(write_run(tmp_path / "run", bare), condyle_distance=0.04).result
+    assert share.condyle_distance is None and "only the muscles' share" in share.undivided
+    for distance in (40.0, -0.04, float("nan")):
+        with pytest.raises(InputError, match=r"m apart, where 0\.01 to 0\.12 m were expected"):
+            contact(*runs, condyle_distance=distance)
 
 
 def test_forces_are_labelled(compared):

@@ -38,6 +38,7 @@ def test_two_runs_side_by_side(run, subject, tmp_path):
 
     before = content(nga)
     assert_only_errors(run("contact", nga), nga / "contact")
+    assert_only_errors(run("contact", nga, "--out", tmp_path / "out", "--condyle-distance", "40"), "0.12 m")
     assert content(nga) == before
     again = run("contact", nga, "--undriven", "none", "--force", "--json", "--quiet")
     assert (again.status, again.progress) == (0, "")

@@ -79,7 +79,10 @@ def turn(angle):
 
 
 def newton_euler(motion, pose, load, tension):
-    """Sum up forces on each link, from the last one to the first, with pen and paper's formulas."""
+    """Sum up what acts on each link, from the last one to the first, with pen and paper's formulas.
+
+    Forces of hip and knee on the parent, then the moment about the knee and the force on the shank.
+    """
     (q1, q2), (u1, u2), (a1, a2) = (
         part[:, pose] for part in (motion.values, motion.speeds, motion.accelerations)
     )
@@ -98,25 +101,35 @@ def newton_euler(motion, pose, load, tension):
         carried(knee, u1, a1) + carried(arms[1], u1 + u2, a1 + a2),
     ]
     gravity = np.array([0.0, -9.80665, 0.0])
-    pulls = [np.zeros(3) for _ in range(3)]
+    pulls, turns = [np.zeros(3) for _ in range(3)], np.zeros(3)
     for points, force in zip(MUSCLES.values(), tension, strict=True):
         places = [(body, origins[body] + axes[body] @ where) for body, where in points]
         for (body, start), (next_body, end) in itertools.pairwise(places):
             along = force * (end - start) / np.linalg.norm(end - start)
-            pulls[body] += along
-            pulls[next_body] -= along
-    at_knee = MASSES[1] * (centers[1] - gravity) - load - pulls[2]
+            for link, point, pull in ((body, start, along), (next_body, end, -along)):
+                pulls[link] += pull
+                turns += np.cross(point - origins[2], pull) * (link == 2)
+    at_knee = MASSES[1] * (centers[1] - gravity) - load[3:] - pulls[2]
     at_hip = at_knee + MASSES[0] * (centers[0] - gravity) - pulls[1]
-    # On the parent, along its axes.
-    return np.stack([-at_hip, -axes[1].T @ at_knee])
+    # Euler's equation of the shank, which turns about z alone.
+    spin = np.diag([0.2, 0.1, 0.2])
+    rate, change = np.array([0.0, 0.0, u1 + u2]), np.array([0.0, 0.0, a1 + a2])
+    about_knee = axes[2] @ (spin @ change + np.cross(rate, spin @ rate))
+    about_knee += np.cross(arms[1], MASSES[1] * (centers[1] - gravity))
+    about_knee -= turns + load[:3] - np.cross(origins[2], load[3:])
+    on_parent = np.stack([-at_hip, -axes[1].T @ at_knee])
+    return on_parent, axes[2].T @ about_knee, axes[2].T @ at_knee
 
 
 def test_reactions_are_newton_and_eulers_sum(two_links, motion, wrench, forces):
     joints = ("hip_joint", "knee_joint")
     found = analyse_joint_reactions(two_links, joints, motion, ("shank",), wrench, tuple(MUSCLES), forces)
     for pose in range(POSES):
-        expected = newton_euler(motion, pose, wrench[0, 3:, pose], forces[:, pose])
-        np.testing.assert_allclose(found[:, :, pose], expected, rtol=1e-9, atol=1e-7)
+        on_parent, moment, force = newton_euler(motion, pose, wrench[0, :, pose], forces[:, pose])
+        np.testing.assert_allclose(found.on_parent[:, :, pose], on_parent, rtol=1e-9, atol=1e-7)
+        np.testing.assert_allclose(found.on_child[1, 3:, pose], force, rtol=1e-9, atol=1e-7)
+        # About the pin's own axis coordinates close what bones need; about the others the pin itself holds.
+        np.testing.assert_allclose(found.on_child[1, :2, pose], moment[:2], rtol=1e-9, atol=1e-7)
 
 
 def test_a_load_acts_wherever_it_is_given(two_links, motion, wrench, forces):
@@ -127,7 +140,7 @@ def test_a_load_acts_wherever_it_is_given(two_links, motion, wrench, forces):
     one, other = (
         analyse_joint_reactions(*question, load, tuple(MUSCLES), forces) for load in (wrench, shifted)
     )
-    np.testing.assert_allclose(one, other, atol=1e-7)
+    np.testing.assert_allclose(one.on_parent, other.on_parent, atol=1e-7)
 
 
 def test_muscles_that_are_not_named_do_not_pull(two_links, motion, wrench, forces):
@@ -136,7 +149,7 @@ def test_muscles_that_are_not_named_do_not_pull(two_links, motion, wrench, force
     silent = forces.copy()
     silent[0] = 0.0
     other = analyse_joint_reactions(*question, tuple(MUSCLES), silent)
-    np.testing.assert_allclose(one, other, atol=1e-7)
+    np.testing.assert_allclose(one.on_parent, other.on_parent, atol=1e-7)
 
 
 def test_unknown_names_are_said(two_links, motion, wrench, forces):
@@ -153,7 +166,8 @@ def test_what_muscles_add_runs_along_their_lines(odd_model, motion):
     none = np.zeros((0, 6, POSES))
     force = np.random.default_rng(11).uniform(100.0, 900.0, (len(muscles), POSES))
     question = (odd_model, joints, motion, (), none, muscles)
-    added = analyse_joint_reactions(*question, force) - analyse_joint_reactions(*question, 0.0 * force)
+    pulled, slack = (analyse_joint_reactions(*question, size * force).on_parent for size in (1.0, 0.0))
+    added = pulled - slack
 
     lines = lines_of_action(
         describe_model(odd_model), muscles, joints, motion.coordinates, motion.values[None], PARITY

@@ -23,6 +23,13 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="static-optimization",
         help="what muscles without an electrode do: close the moments with least effort, or nothing",
     )
+    contact.add_argument(
+        "--condyle-distance",
+        type=float,
+        metavar="M",
+        help="between the points where the condyles touch the tibia, m: divides the knee's force between its "
+        "medial and its lateral side",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
         options.second,
         subject=options.subject,
         undriven=options.undriven,
+        condyle_distance=options.condyle_distance,
         tell=lambda line: say(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from wrapjax.contact.compartments import COMPARTMENTS
+
 #: m/s^2; OpenSim's.
 GRAVITY = 9.80665
 #: What a force is: OpenSim's joint reaction, or what muscles alone press with.
@@ -55,6 +57,9 @@ class RunContact:
     force
         What the distal body puts on the proximal one, N, along x (forward), y (up) and z (to the right) of
         that bone.
+    compartments
+        What presses the medial and the lateral side of the knee together, N; None where that was not asked
+        for or cannot be told.
     """
 
     label: str
@@ -63,6 +68,7 @@ class RunContact:
     converged: bool
     undriven: Undriven
     force: Float[np.ndarray, "trial joint 3 frame"]
+    compartments: Float[np.ndarray, "trial 2 frame"] | None = None
 
     @property
     def magnitude(self) -> Float[np.ndarray, "trial joint frame"]:
@@ -91,6 +97,10 @@ class ContactResult:
         the cycle's first frame. Beyond 100 after the next strike.
     runs
         In the order given.
+    condyle_distance
+        Between the points of contact that the knee's force was divided by, m; None where it was not.
+    undivided
+        Why the knee's force was not divided (else empty).
     """
 
     subject: str
@@ -105,11 +115,31 @@ class ContactResult:
     time: Float[np.ndarray, "trial frame"]
     phase: Float[np.ndarray, "trial frame"]
     runs: tuple[RunContact, ...]
+    condyle_distance: float | None = None
+    undivided: str = ""
 
     @property
     def bodyweight(self) -> float:
         """N."""
         return self.mass_kg * GRAVITY
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What bears a force: the joints, and the compartments of a knee whose force was divided."""
+        sides = [] if self.condyle_distance is None else [compartment_name(side) for side in COMPARTMENTS]
+        return (*self.joints, *sides)
+
+    def curves(self, run: RunContact, part: str) -> Float[np.ndarray, "trial frame"]:
+        """Give how large the force on one of the `parts` is, N; negative where a compartment would open."""
+        if part in self.joints:
+            return run.magnitude[:, list(self.joints).index(part)]
+        assert run.compartments is not None
+        return run.compartments[:, self.parts.index(part) - len(self.joints)]
+
+
+def compartment_name(side: str) -> str:
+    """Name a side of the knee as a part."""
+    return f"{side} knee"
 
 
 def stretches(joint: str) -> dict[str, tuple[float, float]]:

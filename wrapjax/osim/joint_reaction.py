@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,23 @@ from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.motion import Motion, Mover
 
 
+class JointReactions(NamedTuple):
+    """What holds joints together.
+
+    Parameters
+    ----------
+    on_parent
+        Force of the child body on the parent, N, along x, y and z of the parent (of ground, where that is
+        the parent).
+    on_child
+        Moment (N m) about the joint's center, then force (N), of the parent on the child, along x, y and z of
+        the child.
+    """
+
+    on_parent: Float[np.ndarray, "joint 3 pose"]
+    on_child: Float[np.ndarray, "joint 6 pose"]
+
+
 def analyse_joint_reactions(
     model_file: Path | str,
     joints: Sequence[str],
@@ -28,8 +45,8 @@ def analyse_joint_reactions(
     wrench: Float[np.ndarray, "load 6 pose"],
     muscles: Sequence[str],
     forces: Float[np.ndarray, "muscle pose"],
-) -> Float[np.ndarray, "joint 3 pose"]:
-    """Compute the force that each joint's child body puts on its parent.
+) -> JointReactions:
+    """Compute what each joint's two bodies put on one another.
 
     Parameters
     ----------
@@ -44,11 +61,6 @@ def analyse_joint_reactions(
         (N), in ground's frame.
     muscles, forces
         Forces along the tendon, N. All other forces of the model but gravity are left out.
-
-    Returns
-    -------
-    array
-        N, along x, y and z of the parent body (of ground, where that is the parent).
 
     Raises
     ------
@@ -74,8 +86,9 @@ def analyse_joint_reactions(
     columns = [mover.column(actuator.getCoordinate()) for actuator in closing]
     solver = opensim.InverseDynamicsSolver(model)
     measured = [model.getJointSet().get(name) for name in joints]
-    found = np.zeros((len(joints), 3, motion.values.shape[1]))
-    for pose in range(motion.values.shape[1]):
+    poses = motion.values.shape[1]
+    found = JointReactions(np.zeros((len(joints), 3, poses)), np.zeros((len(joints), 6, poses)))
+    for pose in range(poses):
         # Loads are functions of the pose's number in place of time.
         state.setTime(float(pose))
         rates = mover.move(motion.values[:, pose], motion.speeds[:, pose], motion.accelerations[:, pose])
@@ -88,11 +101,20 @@ def analyse_joint_reactions(
             actuator.setOverrideActuation(state, lacking.get(column))
         model.realizeAcceleration(state)
         for place, joint in enumerate(measured):
-            reaction = joint.calcReactionOnParentExpressedInGround(state).get(1)
-            axes = joint.getParentFrame().findBaseFrame().getTransformInGround(state).R().asMat33()
-            turned = np.array([[axes.get(i, j) for j in range(3)] for i in range(3)])
-            found[place, :, pose] = turned.T @ reaction.to_numpy()
+            on_parent = joint.calcReactionOnParentExpressedInGround(state).get(1).to_numpy()
+            found.on_parent[place, :, pose] = _axes(joint.getParentFrame(), state).T @ on_parent
+            on_child = joint.calcReactionOnChildExpressedInGround(state)
+            axes = _axes(joint.getChildFrame(), state)
+            found.on_child[place, :, pose] = np.concatenate(
+                [axes.T @ on_child.get(part).to_numpy() for part in (0, 1)]
+            )
     return found
+
+
+def _axes(frame: Any, state: Any) -> Float[np.ndarray, "3 3"]:
+    """Give the axes of the body that a frame is on, in ground, as columns."""
+    axes = frame.findBaseFrame().getTransformInGround(state).R().asMat33()
+    return np.array([[axes.get(i, j) for j in range(3)] for i in range(3)])
 
 
 def _check_names(

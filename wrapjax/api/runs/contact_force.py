@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +16,7 @@ from wrapjax.api.calibrating.undriven import other_muscles
 from wrapjax.api.runs.datasets import contact_dataset
 from wrapjax.api.runs.run_curves import RunCurves, read_curves
 from wrapjax.api.runs.stored_run import Run
+from wrapjax.contact.compartments import NARROWEST, WIDEST, knee_compartments
 from wrapjax.contact.gait_phase import evenly, phase_from_strikes
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION, MUSCLE_SHARE, ContactResult, RunContact, Undriven
@@ -37,6 +38,8 @@ from wrapjax.subject import Subject, read_ground_loads
 if TYPE_CHECKING:
     from xarray import Dataset
 
+#: The joint whose force may be divided, as `_joints` calls it.
+KNEE = "knee"
 #: What may be made of muscles without an electrode.
 TREATMENTS = ("static-optimization", "none")
 
@@ -71,6 +74,7 @@ def contact(
     *,
     subject: Subject | str | Path | None = None,
     undriven: str = TREATMENTS[0],
+    condyle_distance: float | None = None,
     tell: Callable[[str], None] = lambda line: None,
 ) -> Contact:
     """Say what the joints of a leg bear with the muscle forces of a finished calibration.
@@ -89,6 +93,10 @@ def contact(
     undriven
         What is made of muscles without an electrode: ``static-optimization``, they close the joint moments
         with least effort (`wrapjax.contact.static_optimization.share_moments`), or ``none``, no force.
+    condyle_distance
+        Between the points where the medial and the lateral condyle touch the tibia, m: divides the knee's
+        force between the two (`wrapjax.contact.compartments.knee_compartments`), which no model with one knee
+        joint does by itself.
     tell
         Called with a line at each step.
 
@@ -101,11 +109,12 @@ def contact(
     ------
     InputError
         If a folder is no run's, lacks a file, its subject is not found, or its method says nothing of
-        where muscles run (SGA and LSGA adjust polynomials).
+        where muscles run (SGA and LSGA adjust polynomials); if no knee has condyles so far apart.
     """
     require_float64()
     if undriven not in TREATMENTS:
         raise ValueError(f"unknown treatment '{undriven}': expected one of {', '.join(TREATMENTS)}")
+    _check_distance(condyle_distance)
     runs = [read_curves(run, subject)]
     if other is not None:
         runs.append(read_curves(other, subject))
@@ -114,6 +123,7 @@ def contact(
     own = runs[0].subject
     joints = _joints(models[0], own.trials.moment_coordinates)
     walk, reason = recorded_walk(own)
+    undivided = _undivided(joints, whole=walk is not None, asked=condyle_distance is not None)
     found = []
     for entry, model_file, label in zip(runs, models, _labels(runs), strict=True):
         tell(f"{label}: muscles without an electrode")
@@ -121,12 +131,15 @@ def contact(
         tell(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
         muscles = (*entry.run.muscles, *others.muscles)
         force = np.concatenate([entry.force, others.force])
-        pressed = (
-            _share(own, model_file, tuple(joints.values()), muscles, force)
-            if walk is None
-            else _reactions(walk, model_file, tuple(joints.values()), muscles, force)
-        )
-        found.append(_run_contact(label, entry.run, others, pressed))
+        compartments = None
+        if walk is None:
+            pressed = _share(own, model_file, tuple(joints.values()), muscles, force)
+        else:
+            pressed, on_child = _reactions(walk, model_file, tuple(joints.values()), muscles, force)
+            if condyle_distance is not None and not undivided:
+                on_tibia = on_child[:, list(joints).index(KNEE)]
+                compartments = knee_compartments(on_tibia, condyle_distance, own.side)
+        found.append(_run_contact(label, entry.run, others, pressed, compartments))
     trials = own.trials
     return Contact(
         own,
@@ -143,8 +156,31 @@ def contact(
             time=trials.time,
             phase=_phase(own, () if walk is None else walk.loaded),
             runs=tuple(found),
+            condyle_distance=None if undivided else condyle_distance,
+            undivided=undivided,
         ),
     )
+
+
+def _check_distance(distance: float | None) -> None:
+    if distance is not None and not NARROWEST <= distance <= WIDEST:
+        message = f"{distance:g} m apart, where {NARROWEST:g} to {WIDEST:g} m were expected"
+        raise InputError(Problem("the condyles of a knee", message))
+
+
+def _undivided(joints: Collection[str], *, whole: bool, asked: bool) -> str:
+    """Say why the knee's force is not divided; empty where it is."""
+    if KNEE not in joints:
+        return "the moments of no knee were measured"
+    if not whole:
+        return "only the muscles' share of the knee's force is known, not what turns it in the frontal plane"
+    if not asked:
+        return (
+            "the model's knee is one joint, and does not say how its force divides between the medial and "
+            "the lateral side; give the distance between the points where its condyles touch "
+            "(--condyle-distance)"
+        )
+    return ""
 
 
 def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial frame"]:
@@ -180,9 +216,13 @@ def _labels(runs: Sequence[RunCurves]) -> list[str]:
 
 
 def _run_contact(
-    label: str, run: Run, undriven: Undriven, force: Float[np.ndarray, "trial joint 3 frame"]
+    label: str,
+    run: Run,
+    undriven: Undriven,
+    force: Float[np.ndarray, "trial joint 3 frame"],
+    compartments: Float[np.ndarray, "trial 2 frame"] | None,
 ) -> RunContact:
-    return RunContact(label, run.method, run.folder.name, run.converged, undriven, force)
+    return RunContact(label, run.method, run.folder.name, run.converged, undriven, force, compartments)
 
 
 def _model_of(entry: RunCurves) -> Path:
@@ -274,11 +314,16 @@ def _reactions(
     joints: Sequence[str],
     muscles: Sequence[str],
     force: Float[np.ndarray, "muscle trial frame"],
-) -> Float[np.ndarray, "trial joint 3 frame"]:
+) -> tuple[Float[np.ndarray, "trial joint 3 frame"], Float[np.ndarray, "trial joint 6 frame"]]:
+    """Force on the proximal bodies, and moment and force on the distal ones."""
     found = analyse_joint_reactions(
         model_file, joints, walk.motion, walk.loaded, walk.wrench, muscles, force.reshape(len(muscles), -1)
     )
-    return np.moveaxis(found.reshape(len(joints), 3, *walk.time.shape), 2, 0)
+
+    def by_trial(reactions: Float[np.ndarray, "joint _ pose"]) -> Float[np.ndarray, "trial joint _ frame"]:
+        return np.moveaxis(reactions.reshape(*reactions.shape[:2], *walk.time.shape), 2, 0)
+
+    return by_trial(found.on_parent), by_trial(found.on_child)
 
 
 def _share(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrapjax.calibrate import CalibrationResult
+from wrapjax.contact.compartments import COMPARTMENTS
 from wrapjax.contact.result import ContactResult
 from wrapjax.gap.result import GapResult
 from wrapjax.model import QUANTITIES
@@ -160,10 +161,18 @@ def contact_dataset(result: ContactResult) -> Dataset:
             np.stack([run.undriven.residual for run in result.runs]),
         ),
     }
+    if result.condyle_distance is not None:
+        columns["knee_compartment_force"] = (
+            ("run", "trial", "compartment", "frame"),
+            "N",
+            "what presses either side of the knee together",
+            np.stack([run.compartments for run in result.runs if run.compartments is not None]),
+        )
     labels = {
         "run": [run.label for run in result.runs],
         "trial": result.trials,
         "joint": list(result.joints),
+        "compartment": COMPARTMENTS,
         "axis": ("x", "y", "z"),
         "coordinate": result.coordinates,
         "frame": np.arange(result.time.shape[1]),

@@ -10,24 +10,22 @@ from wrapjax.api.tables.calibration import mean_and_deviation
 
 def contact_table(contact: Contact) -> str:
     """Show what the forces are, and the peaks of each joint by each run."""
-    from wrapjax.evaluate.statistics import Spread
-    from wrapjax.report.contact.numbers import compared_peaks, describe_contact, tests_reason
+    from wrapjax.contact.result import peaks, stretches
+    from wrapjax.evaluate.statistics import spread
+    from wrapjax.report.contact.numbers import compared_peaks, tests_reason
     from wrapjax.report.contact.page import sentences, undriven_sentences
 
     result = contact.result
     lines = [textwrap.fill(sentences(result)[0], 100), ""]
     lines.append(f"{'peak':24s}{'run':16s}{'bodyweights':>18s}{'N':>18s}{'% of cycle':>14s}")
-    runs = describe_contact(result)["runs"]
-    for joint in result.joints:
-        for measure in runs[0]["joints"][joint]:
-            for run in runs:
-                own = run["joints"][joint][measure]
-                cells = [
-                    mean_and_deviation(Spread(own[f"mean_{unit}"], own[f"sd_{unit}"]), digits)
-                    for unit, digits in (("bodyweights", 2), ("N", 0), ("phase_percent", 0))
-                ]
-                name = f"{joint}, {measure.replace('_', ' ')}"
-                lines.append(f"{name:24s}{run['run']:16s}{cells[0]:>18s}{cells[1]:>18s}{cells[2]:>14s}")
+    for part in result.parts:
+        for measure, stretch in stretches(part).items():
+            for run in result.runs:
+                found = peaks(result.curves(run, part), result.phase, stretch)
+                of_units = ((found.force / result.bodyweight, 2), (found.force, 0), (found.phase, 0))
+                cells = [mean_and_deviation(spread(own), digits) for own, digits in of_units]
+                name = f"{part}, {measure.replace('_', ' ')}"
+                lines.append(f"{name:24s}{run.label:16s}{cells[0]:>18s}{cells[1]:>18s}{cells[2]:>14s}")
     lines.append("")
     if reason := tests_reason(result):
         lines.append(f"not tested: {reason}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from wrapjax.contact.gait_phase import evenly
 from wrapjax.contact.result import ContactResult, peaks, stretches
-from wrapjax.report.contact.numbers import magnitude_of
 from wrapjax.report.cycles import draw_spread, mark_gait_cycle
 from wrapjax.report.style import BLUE, LIGHT_GRAY, PAGE_WIDTH, VERMILION, Figure, in_style, panel_grid
 
@@ -15,23 +14,28 @@ _AXES = (("x", "forward"), ("y", "up"), ("z", "to the right"))
 
 @in_style
 def magnitude_figure(result: ContactResult) -> Figure:
-    """Draw how large the force in each joint is, one color a run, with the peaks of every cycle."""
-    joints = list(result.joints)
+    """Draw how large the force on each joint and compartment is, one color a run, with all peaks."""
+    parts, columns = result.parts, min(3, len(result.parts))
     figure, panels = panel_grid(
-        len(joints), min(4, len(joints)), width=PAGE_WIDTH, panel_height=2.6, sharex=True, sharey=True
+        len(parts), columns, width=PAGE_WIDTH, panel_height=2.6, sharex=True, sharey=True
     )
-    for panel, joint in zip(panels, joints, strict=True):
+    lowest = 0.0
+    for number, (panel, part) in enumerate(zip(panels, parts, strict=True)):
         for run, color in zip(result.runs, RUN_COLORS, strict=False):
-            curves = magnitude_of(result, run, joint) / result.bodyweight
+            curves = result.curves(run, part) / result.bodyweight
+            lowest = min(lowest, float(curves.min()))
             draw_spread(panel, curves, color, run.label)
-            for stretch in stretches(joint).values():
+            for stretch in stretches(part).values():
                 found = peaks(curves, result.phase, stretch)
                 place = evenly(curves.shape[1])[found.frame]
                 panel.plot(place, found.force, "o", color=color, markersize=3, zorder=3)
-        panel.set_title(f"{joint} ({result.joints[joint]})", loc="left", parse_math=False)
-        panel.set_xlabel("recorded cycle (%)")
+        title = f"{part} ({result.joints[part]})" if part in result.joints else part
+        panel.set_title(title, loc="left", parse_math=False)
+        if number + columns >= len(parts):
+            panel.set_xlabel("recorded cycle (%)")
         mark_gait_cycle(panel, step=20)
-    panels[0].set_ylim(bottom=0.0)
+        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+    panels[0].set_ylim(bottom=1.1 * lowest)
     panels[0].set_ylabel("force (bodyweights)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
     return figure

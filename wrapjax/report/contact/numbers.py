@@ -9,18 +9,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.contact.result import ContactResult, RunContact, peaks, stretches
+from wrapjax.contact.compartments import COMPARTMENTS
+from wrapjax.contact.result import ContactResult, RunContact, compartment_name, peaks, stretches
 from wrapjax.evaluate.statistics import FEWEST_UNITS, PairedTest, paired_test, spread
 from wrapjax.report.provenance import package_versions
 from wrapjax.subject import Storage
 
 #: Version of the layout of ``contact.json``.
 SCHEMA = 1
-#: Why medial and lateral knee forces are missing.
-ONE_KNEE = (
-    "the model's knee is one joint, and does not say how its force divides between the medial and the "
-    "lateral side"
-)
 
 
 def describe_contact(result: ContactResult) -> dict[str, Any]:
@@ -48,8 +44,8 @@ def describe_contact(result: ContactResult) -> dict[str, Any]:
             for joint, measure, test in compared_peaks(result)
         ],
         "tests_reason": tests_reason(result) or None,
-        "knee_compartments": None,
-        "knee_compartments_reason": ONE_KNEE,
+        "knee_compartments": _compartments(result),
+        "knee_compartments_reason": result.undivided or None,
         "versions": package_versions(),
     }
 
@@ -78,8 +74,22 @@ def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
     }
 
 
-def _peak(result: ContactResult, run: RunContact, joint: str, measure: str) -> dict[str, Any]:
-    found = peaks(magnitude_of(result, run, joint), result.phase, stretches(joint)[measure])
+def _compartments(result: ContactResult) -> dict[str, Any] | None:
+    if result.condyle_distance is None:
+        return None
+    return {
+        "condyle_distance_m": result.condyle_distance,
+        "runs": {
+            run.label: {
+                side: {"peak": _peak(result, run, compartment_name(side), "peak")} for side in COMPARTMENTS
+            }
+            for run in result.runs
+        },
+    }
+
+
+def _peak(result: ContactResult, run: RunContact, part: str, measure: str) -> dict[str, Any]:
+    found = peaks(result.curves(run, part), result.phase, stretches(part)[measure])
     relative = found.force / result.bodyweight
     return {
         "mean_bodyweights": spread(relative).mean,
@@ -97,23 +107,18 @@ def _peak(result: ContactResult, run: RunContact, joint: str, measure: str) -> d
     }
 
 
-def magnitude_of(result: ContactResult, run: RunContact, joint: str) -> Float[np.ndarray, "trial frame"]:
-    """Give the size of a joint's contact force, N."""
-    return run.magnitude[:, list(result.joints).index(joint)]
-
-
 def compared_peaks(result: ContactResult) -> Iterator[tuple[str, str, PairedTest | None]]:
     """Test each peak of the second run against that of the first, cycle by cycle, in bodyweights."""
     if len(result.runs) < 2:
         return
     first, second = result.runs
-    for joint in result.joints:
-        for measure, stretch in stretches(joint).items():
+    for part in result.parts:
+        for measure, stretch in stretches(part).items():
             one, other = (
-                peaks(magnitude_of(result, run, joint), result.phase, stretch).force / result.bodyweight
+                peaks(result.curves(run, part), result.phase, stretch).force / result.bodyweight
                 for run in (first, second)
             )
-            yield joint, measure, paired_test(other, one)
+            yield part, measure, paired_test(other, one)
 
 
 def tests_reason(result: ContactResult) -> str:
@@ -139,11 +144,17 @@ def _over_cycles(curves: Float[np.ndarray, "muscle trial frame"]) -> list[float]
 
 
 def force_table(result: ContactResult, run: RunContact, trial: int) -> Storage:
-    """Give one cycle's contact forces, N: ``hip_force_x``, ``_y``, ``_z`` and ``hip_force``."""
+    """Give one cycle's contact forces, N: ``hip_force_x``, ``_y``, ``_z`` and ``hip_force``.
+
+    Where the knee's force was divided, ``medial_knee_force`` and ``lateral_knee_force`` as well.
+    """
     columns, rows = [], []
     for place, joint in enumerate(result.joints):
         columns += [*(f"{joint}_force_{axis}" for axis in "xyz"), f"{joint}_force"]
         rows += [*run.force[trial, place], run.magnitude[trial, place]]
+    for part in result.parts[len(result.joints) :]:
+        columns.append(f"{part.replace(' ', '_')}_force")
+        rows.append(result.curves(run, part)[trial])
     name = f"{result.kind} (N) of {result.trials[trial]} by {run.label}"
     return Storage(name, tuple(columns), result.time[trial], np.stack(rows, axis=1))
 

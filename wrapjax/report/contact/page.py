@@ -13,9 +13,7 @@ from wrapjax.evaluate.statistics import PairedTest, Spread, spread
 from wrapjax.report import markup
 from wrapjax.report.contact.figures import component_figure, magnitude_figure
 from wrapjax.report.contact.numbers import (
-    ONE_KNEE,
     compared_peaks,
-    magnitude_of,
     rms_by_coordinate,
     tests_reason,
 )
@@ -61,7 +59,7 @@ def sentences(result: ContactResult) -> list[str]:
     joint = next(iter(result.joints))
     measure = list(stretches(joint))[-1]
     for run in result.runs:
-        found = peaks(magnitude_of(result, run, joint), result.phase, stretches(joint)[measure])
+        found = peaks(result.curves(run, joint), result.phase, stretches(joint)[measure])
         size, place = spread(found.force / result.bodyweight), spread(found.phase)
         said.append(
             f"{run.label}: the {plain(measure)} at the {joint} is {_with_deviation(size, 2)} bodyweights, at "
@@ -134,12 +132,12 @@ def _beginning(result: ContactResult) -> str:
 
 
 def _peak_rows(result: ContactResult) -> Iterator[tuple[str, ...]]:
-    for joint in result.joints:
-        for measure, stretch in stretches(joint).items():
+    for part in result.parts:
+        for measure, stretch in stretches(part).items():
             for run in result.runs:
-                found = peaks(magnitude_of(result, run, joint), result.phase, stretch)
+                found = peaks(result.curves(run, part), result.phase, stretch)
                 yield (
-                    f"{joint}, {plain(measure)}",
+                    f"{part}, {plain(measure)}",
                     run.label,
                     _with_deviation(spread(found.force / result.bodyweight), 2),
                     _with_deviation(spread(found.force), 0),
@@ -232,11 +230,22 @@ def _undriven_sentence(run: RunContact) -> str:
     return " ".join(said)
 
 
+def _knee_note(result: ContactResult) -> str:
+    if result.condyle_distance is None:
+        return f"Medial and lateral knee are not told apart: {result.undivided}."
+    return (
+        f"Medial and lateral knee: two points of contact, {1e3 * result.condyle_distance:.0f} mm apart and "
+        "equally far from the joint's center, balance what presses the knee together and turns it in the "
+        "frontal plane; ligaments bear nothing. Where a force is below zero, this side would open, and "
+        "ligaments have to hold it."
+    )
+
+
 def _notes(result: ContactResult) -> str:
     where = "NGA: muscles run as in the subject's model; PGA: as in the run's model_personalized.osim."
     lines = [
         f"Runs: {', '.join(f'{run.label} in {run.folder}' for run in result.runs)}. {where}",
-        f"Medial and lateral knee are not told apart: {ONE_KNEE}.",
+        _knee_note(result),
         "contact.json holds peaks of every cycle; forces/ the curves in N as OpenSim tables.",
         f"{versions_in_words()}.",
     ]
