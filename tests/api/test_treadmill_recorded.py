@@ -16,7 +16,7 @@ def test_knee_and_ankle_of_53_cycles_are_explained_alike(data_folder):
     before = np.abs(found.initial_modelled - found.measured).mean(axis=2)
     calibrated, validated = error[:30], error[30:]
     assert len(validated) == 23
-    # No cycle stands out; those that calibration did not see are explained as well; all are better than before.
+    # No cycle stands out; those not calibrated on are explained as well; all are better than before.
     assert (error.std(axis=0) < 0.15 * error.mean(axis=0)).all()
     np.testing.assert_allclose(validated.mean(axis=0), calibrated.mean(axis=0), rtol=0.1)
     assert (error.mean(axis=0) < 0.8 * before.mean(axis=0)).all()

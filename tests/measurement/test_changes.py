@@ -15,6 +15,7 @@ from wrapjax.gap.effects.kinematics import sliding
 from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.measurement.changes import measured_changes, recorded_walk
 from wrapjax.measurement.walk import UP, Walk
+from wrapjax.measurement.wrong_inputs import foot_loads
 from wrapjax.osim.inverse_dynamics import Mechanics
 from wrapjax.osim.motion import Motion
 
@@ -41,13 +42,13 @@ def leg(subject):
     return time, synthetic.angles(time), synthetic.angular_velocities(time), accelerations
 
 
-def change(found, id, **amounts):
+def change(found, id, shape="", **amounts):
     names = [row[0] for row in CHAIN[id][1]]
     vector = np.zeros(len(names))
     for name, amount in amounts.items():
         vector[names.index(name)] = amount
     # Hip and knee, trials, frames.
-    return np.moveaxis(np.asarray(found[id](jnp.asarray(vector))), 1, 0)
+    return np.moveaxis(np.asarray(found[change_id(id, shape)](jnp.asarray(vector))), 1, 0)
 
 
 def close(value, expected):
@@ -174,7 +175,8 @@ def test_a_wobble_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
 
 
 def test_what_is_missing_is_said(subject, found):
-    assert {"foot_deformation", "knee_laxity"}.isdisjoint(found)
+    ids = {id.partition(",")[0] for id in found}
+    assert "cop_offset" in ids and {"foot_deformation", "knee_laxity"}.isdisjoint(ids)
     one, *others = subject.recordings
     for key, word in (("ground_forces", "no ground reaction forces"), ("external_loads", "on what body")):
         without = dataclasses.replace(subject, recordings=(dataclasses.replace(one, **{key: None}), *others))
@@ -223,12 +225,23 @@ def test_a_laboratorys_own_moments_come_out_again(recorded):
         assert np.sqrt(np.mean((own[name] - theirs) ** 2)) < limit < 0.25 * np.abs(theirs).max()
 
 
-def test_an_ankle_recorded_askew_gives_other_moments(recorded):
+def test_a_foot_bends_by_what_presses_it(recorded):
+    """All of it in the middle of stance, the forefoot late in it and not at the strike."""
+    _, walk, _ = recorded
+    whole, forefoot = foot_loads(walk).values()
+    np.testing.assert_allclose(whole, (walk.force[1] / walk.force[1].max()).reshape(whole.shape))
+    # This cycle begins 15 % after the strike.
+    assert forefoot.max() == 1.0 and 0.0 <= forefoot.min() < 0.03 and 25 < forefoot.argmax() < 50
+    assert forefoot[0, :5].max() < 0.5 < whole[0, :5].min()
+
+
+@pytest.mark.parametrize("where", ["whole foot", "forefoot"])
+def test_an_ankle_recorded_askew_gives_other_moments(recorded, where):
     """By the slope, and by inverse dynamics of the motion that bends."""
     subject, walk, found = recorded
     trials = subject.trials
     askew = np.zeros_like(trials.angles)
-    askew[:, trials.coordinates.index("ankle_angle_r")] = 2e-5 * walk.force[1].reshape(walk.time.shape)
+    askew[:, trials.coordinates.index("ankle_angle_r")] = 0.02 * foot_loads(walk)[where]
     step = trials.time[0, 1] - trials.time[0, 0]
     bent = dataclasses.replace(
         trials,
@@ -238,7 +251,7 @@ def test_an_ankle_recorded_askew_gives_other_moments(recorded):
     moved, _ = recorded_walk(dataclasses.replace(subject, trials=bent))
     before, after = moments_of(walk), moments_of(moved)
     expected = np.stack([after[name] - before[name] for name in trials.moment_coordinates])
-    slope = change(found, "foot_deformation", compliance=2e-5)
+    slope = change(found, "foot_deformation", where, bend=0.02)
     np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
 
 

@@ -22,8 +22,17 @@ MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coor
 
 
 def change_id(effect: str, shape: str) -> str:
-    """Name what a shape of an effect adds to measured moments (`Context.measured_changes`)."""
-    return f"{effect}, {shape}"
+    """Name what a shape of an effect adds to measured moments and paths (`Context.measured_changes`).
+
+    The one shape of an effect may have no name.
+    """
+    return f"{effect}, {shape}" if shape else effect
+
+
+def known_shape(id: str, effect: str) -> str | None:
+    """Undo `change_id`: name the shape, or say by None that it is another effect's."""
+    own, _, shape = id.partition(", ")
+    return shape if own == effect else None
 
 
 class OtherMuscles(eqx.Module):
@@ -118,9 +127,9 @@ class Context:
     at_bounds
         Parameters at their bounds.
     path_changes
-        By the id of an effect on the measurement chain that misplaces joints or angles: what a unit of each
-        of its amounts adds to the recorded paths to give those that muscles took; leaves lead with ``muscle
-        parameter``. An effect without them changes moments alone.
+        By the id of an effect on the measurement chain that misplaces joints or angles, or of one of its
+        shapes (`change_id`): what a unit of each of its amounts adds to the recorded paths to give those that
+        muscles took; leaves lead with ``muscle parameter``. An effect without them changes moments alone.
     measured_changes
         By the id of an effect on the measurement chain, or of one of its shapes (`change_id`): what its
         amounts add to the prediction of what is measured, through the exact change of inverse dynamics (see

@@ -28,6 +28,8 @@ TURNS = (
     ("subtalar_angle", 1),
     ("subtalar_angle", 2),
 )
+#: Share of the largest moment on the forefoot about which it sets in.
+_ONSET = 0.05
 #: Share of the cycle that soft tissue takes to come to rest.
 _IMPACT = 0.1
 
@@ -152,11 +154,35 @@ def _carrier(walk: Walk, coordinate: int) -> int:
     return mechanics.bodies.index(parent) if parent in mechanics.bodies else int(child)
 
 
-def _foot_deformation(walk: Walk) -> Slopes:
-    """The ankle was recorded too far in dorsiflexion, by an angle that goes with the vertical force."""
-    errors = np.zeros((1, len(walk.mechanics.coordinates), *walk.time.shape))
-    errors[0, walk.starting("ankle_angle")] = walk.force[1].reshape(walk.time.shape)
-    return walk.moments_by_angles(errors)
+def foot_loads(walk: Walk) -> dict[str, Float[np.ndarray, "trial frame"]]:
+    """Give what bends a foot, 1 where it is largest: the vertical force, and what it bends the forefoot by.
+
+    Without an ankle, nothing does.
+    """
+    rows = walk.starting("ankle_angle")
+    if not rows:
+        return {}
+    moment, force = walk.wrench.sum(axis=0).reshape(2, 3, -1)
+    at_ankle = moment - np.cross(walk.mechanics.joint_center[rows[0]], force, axis=0)
+    upward = (at_ankle * walk.rightward).sum(axis=0)
+    # A load that set in at once would ask for accelerations that no foot has.
+    onset = _ONSET * np.abs(upward).max()
+    loads = {"whole foot": force[1], "forefoot": 0.5 * (upward + np.hypot(upward, onset))}
+    return {
+        where: (load / load.max()).reshape(walk.time.shape)
+        for where, load in loads.items()
+        if load.max() > 0.0
+    }
+
+
+def _foot_deformation(walk: Walk) -> dict[str, Slopes]:
+    """The ankle was recorded too far in dorsiflexion, by an angle that goes with the foot's load."""
+    slopes = {}
+    for where, load in foot_loads(walk).items():
+        errors = np.zeros((1, len(walk.mechanics.coordinates), *walk.time.shape))
+        errors[0, walk.starting("ankle_angle")] = load
+        slopes[where] = walk.moments_by_angles(errors)
+    return slopes
 
 
 def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
@@ -203,7 +229,10 @@ def _knee_laxity(walk: Walk) -> Slopes:
 
 
 #: From the id of an effect to what one unit of each of its amounts adds to the moments, by its shapes.
-BY_SHAPE: dict[str, Callable[[Walk], dict[str, Slopes]]] = {"soft_tissue_artifact": _soft_tissue_artifact}
+BY_SHAPE: dict[str, Callable[[Walk], dict[str, Slopes]]] = {
+    "foot_deformation": _foot_deformation,
+    "soft_tissue_artifact": _soft_tissue_artifact,
+}
 #: The same of effects with one shape.
 SLOPES: dict[str, Callable[[Walk], Slopes]] = {
     "cop_offset": _cop_offset,
@@ -212,7 +241,6 @@ SLOPES: dict[str, Callable[[Walk], Slopes]] = {
     "force_latency": _force_latency,
     "segment_inertia": _segment_inertia,
     "crossed_plates": _crossed_plates,
-    "foot_deformation": _foot_deformation,
     "wobbling_mass": _wobbling_mass,
     "knee_laxity": _knee_laxity,
 }

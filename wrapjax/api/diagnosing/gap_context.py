@@ -55,8 +55,8 @@ def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
     walk, no_changes = recorded_walk(subject)
     changes = {} if walk is None else measured_changes(walk)
     misplaced = {} if walk is None or engine is None else misplaced_joints(engine, subject, walk, changes)
-    if walk is not None and by_angle is not None and "foot_deformation" in changes:
-        misplaced["foot_deformation"] = deformed_foot(by_angle, subject, paths, walk)
+    if walk is not None and by_angle is not None:
+        misplaced |= deformed_foot(by_angle, subject, paths, walk)
     context = Context(
         muscles=subject.muscles.names,
         channels=trials.channels,

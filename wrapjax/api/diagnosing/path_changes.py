@@ -14,12 +14,13 @@ from wrapjax.api.paths.cylinders import freed_wraps
 from wrapjax.api.paths.exact import ExactGeometry, touched_cylinders
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.gap import PathChanges
+from wrapjax.gap.context import change_id
 from wrapjax.geometry import PathState
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_model, slopes_by_wraps
 from wrapjax.geometry.wrap_boxes import USUAL_TRANSLATION
 from wrapjax.measurement.walk import Walk
-from wrapjax.measurement.wrong_inputs import TURNS, turn_sign
+from wrapjax.measurement.wrong_inputs import TURNS, foot_loads, turn_sign
 from wrapjax.skeleton import ModelDescription
 from wrapjax.skeleton.misplacement import with_moved_joint, with_turned_joint
 from wrapjax.subject import Subject
@@ -119,29 +120,37 @@ def misplaced_joints(
     }
 
 
-def deformed_foot(by_angle: PathState, subject: Subject, paths: PathState, walk: Walk) -> PathState:
-    """Say by how much paths differ where the ankle was recorded off by the vertical force, for 1 rad/N.
+def deformed_foot(
+    by_angle: PathState, subject: Subject, paths: PathState, walk: Walk
+) -> dict[str, PathState]:
+    """Say by how much paths differ where the ankle was recorded off by the foot's load, for 1 rad at most.
 
     Parameters
     ----------
     by_angle, subject, paths, walk
-        How paths change with angles (`paths_by_angle`), and what was recorded, an ankle among it.
+        How paths change with angles (`paths_by_angle`), and what was recorded.
 
     Returns
     -------
-    PathState
-        As `Context.path_changes` of ``foot_deformation``.
+    dict
+        As `Context.path_changes`, by shapes of ``foot_deformation``.
     """
     names = subject.trials.moment_coordinates
-    ankle = next(row for row, name in enumerate(names) if name.startswith("ankle_angle"))
-    vertical = walk.force[1].reshape(walk.time.shape)
-    rate = np.gradient(vertical, axis=-1) / (walk.time[:, 1] - walk.time[:, 0])[:, None]
-    # The bones lag behind what was recorded.
-    return PathState(
-        length=(-vertical * by_angle.length[:, ankle])[:, None],
-        velocity=(rate * paths.moment_arm[:, :, ankle] - vertical * by_angle.velocity[:, ankle])[:, None],
-        moment_arm=(-vertical[:, None] * by_angle.moment_arm[:, ankle])[:, None],
-    )
+    ankle = [row for row, name in enumerate(names) if name.startswith("ankle_angle")][:1]
+    step = (walk.time[:, 1] - walk.time[:, 0])[:, None]
+
+    def changed(load: Float[np.ndarray, "trial frame"]) -> PathState:
+        # The bones lag behind what was recorded.
+        arm, bend = paths.moment_arm[:, :, ankle[0]], -load
+        rate = np.gradient(bend, axis=-1) / step
+        of_unit = jax.tree.map(lambda leaf: leaf[:, ankle], by_angle)
+        return PathState(
+            length=bend * of_unit.length,
+            velocity=bend * of_unit.velocity - (rate * arm)[:, None],
+            moment_arm=bend[:, None] * of_unit.moment_arm,
+        )
+
+    return {change_id("foot_deformation", where): changed(load) for where, load in foot_loads(walk).items()}
 
 
 def _laid_through(

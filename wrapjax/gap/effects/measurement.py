@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.gap.context import Context, MeasuredChange
+from wrapjax.gap.context import Context, MeasuredChange, change_id, known_shape
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.gap.effects.geometry import added_to_paths
 from wrapjax.geometry import PathState
@@ -84,7 +84,7 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
     ),
     "foot_deformation": (
         "ankle angles off by up to 7.3 degrees, PMC8085108",
-        (("compliance", "rad/N", 1e-4, 1, "ankle angle lost to the foot's deformation", 1e-3),),
+        (("bend", "rad", 0.06, 1, "ankle angle lost to the foot's deformation where it is largest", 0.3),),
     ),
     "wobbling_mass": (
         "0 to 10 % of the cycle",
@@ -111,7 +111,12 @@ _NEEDS = {
 
 
 def _of_chain(id: str, context: Context) -> Effect | NotTestable:
-    if id not in context.measured_changes:
+    changes = {
+        shape: change
+        for known, change in context.measured_changes.items()
+        if (shape := known_shape(known, id)) is not None
+    }
+    if not changes:
         return NotTestable(id, _NEEDS.get(id, context.no_measured_changes))
     source, rows = CHAIN[id]
     return Effect(
@@ -121,7 +126,10 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
             EffectParameter(name, unit, sd, sign, meaning, source, limit, part=name.split("_")[0])
             for name, unit, sd, sign, meaning, limit in rows
         ),
-        variants=(Variant(Partial(_added, context.measured_changes[id], context.path_changes.get(id))),),
+        variants=tuple(
+            Variant(Partial(_added, change, context.path_changes.get(change_id(id, shape))), shape)
+            for shape, change in changes.items()
+        ),
         negative_control=id in _NEGATIVE_CONTROLS,
     )
 
