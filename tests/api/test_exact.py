@@ -1,5 +1,6 @@
 """PGA through the exact engine: cylinders found, kept in their boxes, and written as OpenSim has them."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -7,6 +8,8 @@ from tests.api.hidden_cylinders import errors_of_told_arms, hidden
 from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject, write_wrapped_subject
 from wrapjax.api import calibrate, exact_geometry, load_subject, prepare
+from wrapjax.api.calibrating.problem import stages
+from wrapjax.calibrate import Status
 from wrapjax.cli import main
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
@@ -48,6 +51,28 @@ def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
     assert geometry.translations[name] in (*NARROWER, *WIDER)
     np.testing.assert_allclose(wraps.upper[0, 3:], [np.radians(20), np.radians(20), 0.2])
     assert geometry.freedom("NGA", subject).wraps is None
+
+
+def test_what_is_compiled_for_nga_serves_the_first_stage(subject, geometry):
+    """The same leaves of the same shapes, whatever may move later."""
+    plain, held = prepare(subject, "NGA", geometry), stages(subject, "PGA", geometry)[0]
+    assert jax.tree.structure(held) == jax.tree.structure(plain)
+    assert [np.shape(leaf) for leaf in jax.tree.leaves(held)] == [
+        np.shape(leaf) for leaf in jax.tree.leaves(plain)
+    ]
+
+
+def test_interrupted_before_paths_moved_they_are_the_models(subject, geometry):
+    def stop(start, iteration, state):
+        if iteration.number:
+            raise KeyboardInterrupt
+
+    stopped = calibrate(subject, "PGA", geometry, starts=1, callback=stop)
+    assert stopped.status is Status.interrupted
+    result = stopped.result
+    changes = np.asarray(result.parameters.path_changes)
+    assert changes.shape == (2, 6) and not changes.any()
+    np.testing.assert_array_equal(result.states.path.length, result.initial_states.path.length)
 
 
 def test_the_run_evaluates_to_itself(run, subject):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -80,7 +81,24 @@ def test_only_what_is_the_persons_is_shared(joint):
     assert shared == expected
 
 
-@pytest.mark.parametrize("legs", ["joint", pytest.param("limited", marks=pytest.mark.slow)])
+def test_expansion_is_that_of_all_residuals(joint):
+    """By differences along lines that move shared and own variables of both legs at once."""
+    point = somewhere(joint)
+    found, rows = joint.linearized_at(point), jax.jit(lambda x: joint.residuals(x))
+    np.testing.assert_allclose(found.cost, rows(point) @ rows(point), rtol=1e-12)
+    np.testing.assert_allclose(found.cost, joint.value_at(point), rtol=1e-12)
+    lines = np.random.default_rng(4).normal(size=(4, point.size))
+    ends = [(point + 1e-6 * line, point - 1e-6 * line) for line in lines]
+    pushed = np.array([(rows(ahead) - rows(behind)) / 2e-6 for ahead, behind in ends])
+    np.testing.assert_allclose(lines @ found.gradient, pushed @ rows(point), rtol=1e-6)
+    np.testing.assert_allclose(lines @ found.gauss_newton @ lines.T, pushed @ pushed.T, rtol=1e-6)
+    bent = [(joint.linearized_at(a).gradient - joint.linearized_at(b).gradient) / 2e-6 for a, b in ends]
+    curved = lines @ (found.gauss_newton + found.remainder)
+    np.testing.assert_allclose(curved, bent, rtol=1e-5, atol=1e-5 * np.abs(curved).max())
+
+
+@pytest.mark.slow  # the test before is quicker; each leg's own expansion is held against dense derivatives
+@pytest.mark.parametrize("legs", ["joint", "limited"])
 def test_expansion_equals_dense_derivatives(legs, request):
     problem = request.getfixturevalue(legs)
     point = somewhere(problem)

@@ -8,6 +8,7 @@ ratios to the model's. Delays, EMG scales and paths are each leg's own, as elect
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -102,12 +103,33 @@ class Legs(AbstractCalibration):
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Add up the legs' expansions, each at its own places."""
+        return self._added_up(
+            [leg.linearize(variables[place]) for leg, place in zip(self.legs, self.places, strict=True)]
+        )
+
+    def linearized_at(self, variables: Float[Array, " variable"]) -> Linearization:
+        """Expand each leg by a program of its own.
+
+        Legs are alike as a rule, and what is compiled for one serves the other: one program of both would
+        take twice as long to compile.
+        """
+        return self._added_up(
+            [leg.linearized_at(variables[place]) for leg, place in zip(self.legs, self.places, strict=True)]
+        )
+
+    def value_at(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+        """Sum of both legs' costs, each by a program of its own."""
+        first, second = (
+            leg.value_at(variables[place]) for leg, place in zip(self.legs, self.places, strict=True)
+        )
+        return first + second
+
+    def _added_up(self, expansions: Sequence[Linearization]) -> Linearization:
         count = self.bounds.shape[1]
         total = Linearization(
             jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)), jnp.zeros((count, count))
         )
-        for leg, place in zip(self.legs, self.places, strict=True):
-            own = leg.linearize(variables[place])
+        for own, place in zip(expansions, self.places, strict=True):
             rows, columns = jnp.asarray(place)[:, None], jnp.asarray(place)[None]
             total = Linearization(
                 cost=total.cost + own.cost,

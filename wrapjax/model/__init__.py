@@ -27,6 +27,7 @@ from wrapjax.model.freedom import with_wraps as with_wraps
 from wrapjax.model.parameters import QUANTITIES as QUANTITIES
 from wrapjax.model.parameters import ModelParameters as ModelParameters
 from wrapjax.model.parameters import initial_parameters as initial_parameters
+from wrapjax.model.parameters import with_path_modes as with_path_modes
 from wrapjax.model.tendon import TENDONS as TENDONS
 from wrapjax.model.tendon import CompliantTendon as CompliantTendon
 from wrapjax.model.tendon import tendon_alterations as tendon_alterations

@@ -98,3 +98,11 @@ def initial_parameters(
         path_changes=jnp.zeros((*ones.shape, path_modes)),
         synergy_weights=None if commands is None else jnp.zeros((*ones.shape, commands)),
     )
+
+
+def with_path_modes(parameters: ModelParameters, count: int) -> ModelParameters:
+    """Give a tree so many modes of paths; those that it lacks are not in use, as in paths that are held."""
+    changes = parameters.path_changes
+    lacking = max(count - changes.shape[-1], 0)
+    padded = jnp.pad(changes, [(0, 0)] * (changes.ndim - 1) + [(0, lacking)])
+    return eqx.tree_at(lambda tree: tree.path_changes, parameters, padded)

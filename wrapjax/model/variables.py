@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from wrapjax.model.freedom import Freedom
-from wrapjax.model.parameters import ModelParameters
+from wrapjax.model.parameters import ModelParameters, with_path_modes
 
 
 class Variables(eqx.Module):
@@ -58,8 +58,12 @@ class Variables(eqx.Module):
 
     @eqx.filter_jit
     def pack(self, parameters: ModelParameters) -> Float[Array, " variable"]:
-        """Read the variables off a parameter tree; of a shared one, the last muscle's value."""
-        return jnp.zeros(self.count + 1).at[self.index].set(self._local(parameters))[:-1]
+        """Read the variables off a parameter tree; of a shared one, the last muscle's value.
+
+        The tree may be one whose paths were held, and that has no modes.
+        """
+        whole = with_path_modes(parameters, self.modes)
+        return jnp.zeros(self.count + 1).at[self.index].set(self._local(whole))[:-1]
 
     @eqx.filter_jit
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:

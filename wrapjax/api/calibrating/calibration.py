@@ -37,7 +37,7 @@ from wrapjax.calibrate import (
     starting_points,
 )
 from wrapjax.files import cache_folder
-from wrapjax.model import Freedom, muscle_states
+from wrapjax.model import Freedom, muscle_states, with_path_modes
 from wrapjax.osim import describe_model
 from wrapjax.subject import Subject
 from wrapjax.subject.synergies import COMMANDS
@@ -215,13 +215,17 @@ def _result(
     solution = outcomes[chosen].solution
     problem = solution.problem  # of an earlier stage, if it was interrupted there
     assert isinstance(problem, Objective)
-    parameters = problem.parameters(jnp.asarray(solution.variables))
     trials = subject.trials
-    everything = recording(subject, trials, fit.paths(subject, trials, freedom))
+    paths = fit.paths(subject, trials, freedom)
+    everything = recording(subject, trials, paths)
+    found = problem.parameters(jnp.asarray(solution.variables))
+    terms = eqx.filter_jit(problem.terms)(found)
+    initial, parameters = (
+        with_path_modes(tree, paths.modes_count) for tree in (problem.variables.base, found)
+    )
     run = eqx.filter_jit(muscle_states)
     states = run(problem.curves, parameters, everything, problem.alterations)
-    initial_states = run(problem.curves, problem.variables.base, everything, problem.alterations)
-    terms = eqx.filter_jit(problem.terms)(parameters)
+    initial_states = run(problem.curves, initial, everything, problem.alterations)
     stuck = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
     return CalibrationResult(
         method=freedom.name,
@@ -231,7 +235,7 @@ def _result(
         uses=trials.uses,
         speeds=trials.speeds,
         time=trials.time,
-        initial=problem.variables.base,
+        initial=initial,
         parameters=parameters,
         freedom=freedom,
         at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),

@@ -23,8 +23,15 @@ from wrapjax.calibrate import (
     pipeline_penalties,
 )
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry import fixed_path
-from wrapjax.model import Freedom, ModelParameters, free_variables, muscle_states, tendon_alterations
+from wrapjax.geometry import PathState, fixed_path
+from wrapjax.model import (
+    Freedom,
+    ModelParameters,
+    free_variables,
+    muscle_states,
+    tendon_alterations,
+    with_path_modes,
+)
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject
@@ -75,7 +82,8 @@ def stages(
     """Build the problems that `calibrate` solves one after the other; the last is that of `prepare`.
 
     Where paths may change, a first problem holds them: the many coefficients then start near an
-    optimum of the few parameters that every method frees.
+    optimum of the few parameters that every method frees. It is of one shape for all methods, so that what is
+    compiled for one serves the others.
     """
     require_float64()
     trials = subject.trials.used_for("calibration")
@@ -86,14 +94,15 @@ def stages(
     fitted = source_for(method, subject) if fit is None else fit
     freedom = with_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
     paths = fitted.paths(subject, trials, freedom)
-    inputs = recording(subject, trials, paths)
-    base = model_parameters(subject, path_modes=paths.modes_count)
+    nominal = PathState(paths.nominal.length, paths.nominal.velocity, paths.nominal.moment_arm)
+    inputs = recording(subject, trials, fixed_path(nominal))
+    base = model_parameters(subject)
     names = subject.muscles.names
     alterations = tendon_alterations(tendon, len(names))
     reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
     held = Objective(
         curves=HILL_CURVES[curves],
-        recording=replace(inputs, path=fixed_path(paths.nominal)),
+        recording=inputs,
         measured=jnp.asarray(trials.moments),
         variables=free_variables(base, freedom.with_held_paths(), names),
         penalties=pipeline_penalties(
@@ -107,7 +116,11 @@ def stages(
     )
     if freedom.paths is None and freedom.wraps is None:
         return (held,)
-    moving = replace(held, recording=inputs, variables=free_variables(base, freedom, names))
+    moving = replace(
+        held,
+        recording=replace(inputs, path=paths),
+        variables=free_variables(with_path_modes(base, paths.modes_count), freedom, names),
+    )
     if freedom.wraps is None:
         return held, replace(moving, limits=path_limits(paths.nominal))
     kept = () if paths.nominal.closeness is None else (closeness_penalty(len(names)),)
