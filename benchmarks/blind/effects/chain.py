@@ -225,13 +225,13 @@ EFFECTS = (
     Effect(
         "hip_center_offset", "measurement", "m", 0.035, _hip_center,
         "the real leg's hip is elsewhere: paths and inverse dynamics redone",
-        "cross product of offset and force",
+        "cross product of offset and force; derivatives of paths by the offset",
         variants=lambda w: (("anterior",), ("up",), ("lateral",)), two_sided=True,
     ),
     Effect(
         "joint_axis_rotation", "kinematics", "deg", 20.0, _axis,
         "the real leg's axis is turned about a slanted line: paths and inverse dynamics redone",
-        "moments mixed by a small rotation",
+        "moments projected on an axis turned by either of two angles; derivatives of paths by these",
         variants=lambda w: (("knee",), ("ankle",), ("subtalar",)), two_sided=True,
     ),
     Effect(
@@ -256,7 +256,7 @@ EFFECTS = (
     Effect(
         "foot_deformation", "kinematics", "deg", 16.0, _foot,
         "recorded ankle creeps with forefoot load, 60 ms late, saturating",
-        "recorded ankle straight in load",
+        "recorded ankle straight in vertical force, or in its moment on the forefoot",
         two_sided=True,
     ),
     Effect(
