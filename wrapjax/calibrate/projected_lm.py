@@ -97,9 +97,9 @@ class ProjectedLM(AbstractBoundedSolver):
             if callback:
                 callback(history[-1], state)
 
-        note(0, 0.0)
         status = Status.iterations
         try:
+            note(0, 0.0)
             if not np.isfinite(history[-1].cost):
                 status = Status.not_finite
             elif history[-1].optimality <= self.gtol:
