@@ -164,19 +164,25 @@ def test_to_lose_a_cylinder_is_a_wall(paths):
     assert np.isfinite(lost.closeness[MUSCLES.index("gasmed_l")]).all()
 
 
-def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion):
-    """Paths that do not move at all: what the exact ones move by, they stray by."""
-    angles, velocities = motion
+@pytest.fixture(scope="module")
+def guarded(s1_left, motion):
+    """Paths that do not move at all: what the exact ones move by, they stray by. And those exact ones."""
     engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
-    every_third = angles[:, :, ::3], velocities[:, :, ::3]
+    every_third = tuple(one[:, :, ::3] for one in motion)
     exact = wrapped_paths(engine, *every_third, MOMENTS, ("PS_at_brim_l",))[0]
     held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, closeness=None)
     none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
-    guarded = guarded_paths(AdjustablePath(held, none), exact, 3)
-    changes = jnp.zeros((2, 6)).at[0].set(jnp.array([3e-4, -3e-4, 3e-4, 0.006, -0.006, 0.006]))
+    return guarded_paths(AdjustablePath(held, none), exact, 3)
+
+
+CHANGES = jnp.zeros((2, 6)).at[0].set(jnp.array([3e-4, -3e-4, 3e-4, 0.006, -0.006, 0.006]))
+
+
+def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(guarded):
+    held, exact = guarded.paths.nominal, guarded.exact
     at = jax.jit(lambda changes: guarded.at(changes))
-    state, slopes = jax.jit(lambda changes: guarded.linearized(changes))(changes)
-    known = jax.jit(lambda changes: exact.at(changes))(changes)
+    state, slopes = jax.jit(lambda changes: guarded.linearized(changes))(CHANGES)
+    known = jax.jit(lambda changes: exact.at(changes))(CHANGES)
     np.testing.assert_array_equal(state.length, held.length)
     length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
     assert np.isfinite(known.closeness).all()
@@ -188,7 +194,35 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(s1_left, motion
     np.testing.assert_allclose(guarded.nominal.closeness, exact.nominal.closeness[..., frames], atol=1e-11)
     for mode in range(6):
         step = jnp.zeros((2, 6)).at[0, mode].set(1e-7)
-        difference = (at(changes + step).closeness - at(changes - step).closeness) / 2e-7
+        difference = (at(CHANGES + step).closeness - at(CHANGES - step).closeness) / 2e-7
         np.testing.assert_allclose(slopes.closeness[:, mode], difference, atol=1e-5, rtol=1e-5)
     assert np.abs(slopes.closeness[0]).max() > 0.0
     assert not np.asarray(slopes.length).any()
+
+
+def test_second_derivatives_of_guarded_paths_equal_differences_of_first_ones(guarded):
+    """Straying in several directions at once is what slopes alone do not show a solver of least squares."""
+    generator = np.random.default_rng(7)
+    unguarded = guarded.paths.nominal
+    modes = jax.tree.map(lambda leaf: 1e-2 * generator.normal(size=(2, 6, *leaf.shape[1:])), unguarded)
+    moving = replace(guarded, paths=AdjustablePath(unguarded, modes))
+    changes = CHANGES.at[1].set(CHANGES[0])
+    weights = jax.tree.map(lambda leaf: jnp.asarray(generator.normal(size=leaf.shape)), moving.nominal)
+    # As a sum of squares has it: the root alone has a kink where nothing is near and nothing strays.
+    weights = replace(weights, closeness=jax.jit(lambda changes: moving.at(changes))(changes).closeness)
+    curvature = jax.jit(lambda changes: moving.curvature(changes, weights))(changes)
+
+    @jax.jit
+    def slope(changes):
+        slopes = moving.linearized(changes)[1]
+        products = jax.tree.map(
+            lambda leaf, weight: jnp.einsum("mk...,m...->mk", leaf, weight), slopes, weights
+        )
+        return jax.tree.reduce(jnp.add, products)
+
+    for mode in range(6):
+        step = jnp.zeros((2, 6)).at[:, mode].set(1e-7)
+        difference = (slope(changes + step) - slope(changes - step)) / 2e-7
+        for found, expected in zip(curvature, difference, strict=True):
+            np.testing.assert_allclose(found[mode], expected, atol=1e-5 * np.abs(found).max())
+    assert np.abs(curvature).max() > 1.0

@@ -61,8 +61,33 @@ class GuardedPaths(AbstractPath):
     def curvature(
         self, changes: Float[Array, "muscle mode"], weights: PathState
     ) -> Float[Array, "muscle mode mode"]:
-        """Differentiate the paths twice; the closeness is left out, as it costs more than all the rest."""
-        return self.paths.curvature(changes, replace(weights, closeness=None))
+        """Differentiate the paths twice, the closeness included.
+
+        It is a root of a sum of squares: what a solver of least squares makes of its slopes alone is one
+        direction of many, and without the rest its steps are short wherever paths are held.
+        """
+        (state, slopes), (exact, exact_slopes) = (
+            self.paths.linearized(changes),
+            self.exact.linearized(changes),
+        )
+
+        def by_paths(state: PathState, exact: PathState) -> tuple[PathState, PathState]:
+            def total(state: PathState, exact: PathState) -> Float[Array, ""]:
+                return jnp.vdot(weights.closeness, self._guarded(state, exact).closeness)
+
+            return jax.grad(total, argnums=(0, 1))(state, exact)
+
+        def along(*slope: PathState) -> tuple[PathState, PathState]:
+            return jax.jvp(by_paths, (state, exact), slope)[1]
+
+        bent = jax.vmap(along, in_axes=1, out_axes=1)(slopes, exact_slopes)
+        products = jax.tree.map(
+            lambda one, other: jnp.einsum("mi...,mj...->mij", one, other), bent, (slopes, exact_slopes)
+        )
+        of_guard = jax.tree.reduce(jnp.add, products)
+        by_state, by_exact = by_paths(state, exact)
+        of_state = jax.tree.map(jnp.add, replace(weights, closeness=None), by_state)
+        return of_guard + self.paths.curvature(changes, of_state) + self.exact.curvature(changes, by_exact)
 
     def _guarded(self, state: PathState, exact: PathState) -> PathState:
         """Add the closeness; it is held from one frame in which it is known to the next."""
