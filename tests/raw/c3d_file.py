@@ -1,4 +1,4 @@
-"""Writes a small C3D file of known content: ``python c3d_file.py PATH SIGN``."""
+"""Writes a small C3D file of known content: ``python c3d_file.py PATH SIGN UNIT``."""
 
 import sys
 
@@ -10,13 +10,16 @@ CORNERS = np.array([[600.0, 0, 0], [600.0, 400, 0], [0.0, 400, 0], [0.0, 0, 0]])
 PLACES = np.array([[300.0, 100.0, 900.0], [310.0, 150.0, 50.0]])
 
 
-def write(path, sign):
-    """Write two markers (mm), a plate that bears 700 N beside its middle, by either sign, and EMG."""
+def write(path, sign, unit):
+    """Write two markers (mm), a plate that bears 700 N beside its middle, by either sign, and EMG.
+
+    What ``unit`` says of lengths need not be true.
+    """
     import ezc3d
 
     content = ezc3d.c3d()
     point, analog = content["parameters"]["POINT"], content["parameters"]["ANALOG"]
-    point["RATE"]["value"], point["UNITS"]["value"] = [RATE], ("mm",)
+    point["RATE"]["value"], point["UNITS"]["value"] = [RATE], (unit,)
     point["LABELS"]["value"] = ("Person:KNEE", "Person:HEEL")
     positions = np.ones((4, 2, FRAMES))
     positions[:3] = PLACES.T[:, :, None]
@@ -40,4 +43,4 @@ def write(path, sign):
 
 
 if __name__ == "__main__":
-    write(sys.argv[1], float(sys.argv[2]))
+    write(sys.argv[1], float(sys.argv[2]), sys.argv[3])

@@ -9,7 +9,7 @@ import pytest
 from tests.raw import c3d_file
 from tests.raw.c3d_file import FRAMES, PLACES, RATE, RATIO
 from wrapjax.errors import InputError
-from wrapjax.raw.c3d import read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.raw.c3d import _wrench, read_c3d_analog, read_c3d_markers, read_plates
 from wrapjax.raw.filters import laboratory_axes
 from wrapjax.raw.forces import ForceColumns, centers_of_pressure
 
@@ -18,8 +18,12 @@ from wrapjax.raw.forces import ForceColumns, centers_of_pressure
 def file(request, tmp_path_factory):
     """Two markers, the second one hidden for a while; 700 N on the plate by either sign; one EMG channel."""
     path = tmp_path_factory.mktemp("c3d") / "walk.c3d"
+    return _written(path, request.param, "mm")
+
+
+def _written(path, sign, unit):
     # In a process of its own: ezc3d cannot write where OpenSim has been imported.
-    subprocess.run([sys.executable, c3d_file.__file__, str(path), request.param], check=True)
+    subprocess.run([sys.executable, c3d_file.__file__, str(path), sign, unit], check=True)
     return path
 
 
@@ -51,6 +55,20 @@ def test_the_ground_pushes_up_where_the_foot_is(file):
 def test_a_plate_that_is_not_there_is_told(file):
     with pytest.raises(InputError, match=r"force plate 2, found 1 plates"):
         read_plates(file, {"r": ForceColumns("calcn_r", plates=(2,))}, np.eye(3))
+
+
+@pytest.mark.parametrize("unit", ["", " ", "furlong"])
+def test_plates_without_a_known_unit_of_length_are_told(tmp_path, unit):
+    file = _written(tmp_path / "walk.c3d", "1", unit)
+    with pytest.raises(InputError, match=rf"expected m, .* as POINT:UNITS, found '{unit.strip()}'"):
+        read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_axes("x", "z"))
+
+
+def test_a_plate_in_no_known_unit_of_length_is_told(tmp_path):
+    """Plates may be given a unit of their own by whoever reads the file."""
+    plate = {"unit_position": "", "unit_moment": "Nm", "unit_force": "N"}
+    with pytest.raises(InputError, match="as the unit of force plates' corners, found ''"):
+        _wrench(plate, np.eye(3), tmp_path)
 
 
 def test_other_files_are_refused(tmp_path):

@@ -86,6 +86,8 @@ def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarra
     ]
     if problems:
         raise InputError(problems)
+    # ezc3d takes plates for measured in m where the file says nothing.
+    _unit(content["parameters"]["POINT"], path)
     rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
     wrench = [
         np.sum([_wrench(platforms[number - 1], axes, path) for number in foot.plates], axis=0)
@@ -96,13 +98,16 @@ def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarra
 
 
 def _wrench(platform: Any, axes: Float[np.ndarray, "3 3"], path: Path) -> Float[np.ndarray, "6 sample"]:
-    lengths = METERS[platform["unit_position"].strip().lower()]
+    length_unit = platform["unit_position"].strip().lower()
+    if length_unit not in METERS:
+        message = f"expected {', '.join(METERS)} as the unit of force plates' corners, found '{length_unit}'"
+        raise InputError(Problem(str(path), message))
     moment_unit = platform["unit_moment"].strip().lower().removeprefix("n").lstrip(".* ")
     if platform["unit_force"].strip().lower() != "n" or moment_unit not in METERS:
         found = f"{platform['unit_force']} and {platform['unit_moment']}"
         raise InputError(Problem(str(path), f"expected forces in N and moments in Nmm or Nm, found {found}"))
     force = axes @ platform["force"]
-    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * lengths
+    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * METERS[length_unit]
     free = axes @ np.nan_to_num(platform["Tz"]) * METERS[moment_unit]
     wrench = np.concatenate([np.cross(center, force, axis=0) + free, force])
     return wrench * (-1.0 if wrench[4].sum() < 0.0 else 1.0)
