@@ -226,6 +226,7 @@ def test_what_feeds_what(wrapped, calibrated, monkeypatch):
         "PGA": ExactGeometry,
     }
     assert fed["NGA"] is fed["PGA"] and fed["SGA"] is fed["LSGA"]
+    assert fed["SGA"].geometry == "engine", "all start from one geometry"
     assert compared.legs[0].geometry == {
         "NGA": "engine",
         "SGA": "surrogate",
@@ -233,7 +234,24 @@ def test_what_feeds_what(wrapped, calibrated, monkeypatch):
         "PGA": "engine",
     }
     compare([wrapped], WITHOUT_CYLINDERS)
-    assert {type(fed[method]) for method in WITHOUT_CYLINDERS} == {Fit}
+    assert {fed[method].geometry for method in WITHOUT_CYLINDERS} == {"opensim"}
+
+
+def test_polynomials_of_pga_serve_all_that_it_is_compared_with(wrapped, calibrated, monkeypatch):
+    """Or a difference between methods would be one between OpenSim's paths and the engine's."""
+    fed = {}
+
+    def note(subject, method, fit, **options):
+        fed[method] = fit
+        return replace(calibrated, fit=fit)
+
+    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", note)
+    problem = "wrapjax.api.calibrating.problem"
+    monkeypatch.setattr(f"{problem}.fit_wraps", lambda subject, fit, **_: replace(fit, key="sampled"))
+    monkeypatch.setattr("wrapjax.api.comparing.comparison.method_freedom", lambda *_: None)
+    compare([wrapped], METHODS)
+    assert {id(fit) for fit in fed.values()} == {id(fed["PGA"])}
+    assert (fed["NGA"].key, fed["NGA"].geometry) == ("sampled", "engine")
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         paths = load_fit(options.fit, subject)
     else:
         paths = source_for(
-            options.method, subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+            (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
         )
     say("compiling (once; later runs take it from the cache)", quiet=options.quiet)
     done = calibrate(

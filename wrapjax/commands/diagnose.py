@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         paths = load_fit(options.fit, subject)
     else:
         paths = source_for(
-            options.method, subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+            (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
         )
     done = diagnose(
         subject,

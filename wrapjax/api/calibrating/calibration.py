@@ -188,7 +188,7 @@ def kept_calibration(
     callback: Watch | None = None,
 ) -> Calibration:
     """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
-    fitted = source_for(method, subject) if fit is None else fit
+    fitted = source_for((method,), subject) if fit is None else fit
     legs = gather_legs(subject, fitted, method, None)
     question = question_of(legs, AugmentedLagrangian(), Law(), starts, seed)
     journal = cache_folder("calibrations") / question

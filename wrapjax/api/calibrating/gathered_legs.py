@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wrapjax.api.calibrating.extrapolation import STRATEGIES, drive, with_weights
-from wrapjax.api.calibrating.problem import method_freedom, source_for
-from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
+from wrapjax.api.calibrating.problem import method_freedom, source_for, source_like
+from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.calibrate import AugmentedLagrangian
 from wrapjax.files import content_hash
@@ -44,7 +44,7 @@ def gather_legs(
             given = None  # made before these muscles were driven
         if isinstance(given, Fit) and leg is not read:
             given.refuse_others(leg, "fit")
-        fitted = given or _source_like(fit, method, leg)
+        fitted = given or (source_for((method,), leg) if fit is None else source_like(fit, leg))
         free = with_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted)
         legs.append(Leg(leg, fitted, free))
     return legs
@@ -61,11 +61,6 @@ class Law:
 def question_of(legs: list[Leg], solver: AugmentedLagrangian, law: Law, starts: int, seed: int) -> str:
     """Name a calibration by all that decides where it goes."""
     return content_hash(*map(_question, legs), repr((solver, law, starts, seed)))
-
-
-def _source_like(fit: Fit | ExactGeometry | None, method: str, leg: Subject) -> Fit | ExactGeometry:
-    """Take a leg's paths from where the other leg's come from."""
-    return exact_geometry(leg, fit.name) if isinstance(fit, ExactGeometry) else source_for(method, leg)
 
 
 def _question(leg: Leg) -> str:

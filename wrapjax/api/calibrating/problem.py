@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import equinox as eqx
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.api.calibrating.assembly import group_indices, model_parameters, recording
 from wrapjax.api.calibrating.extrapolation import with_weights
-from wrapjax.api.paths.exact import ExactGeometry
+from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.api.paths.fitting import fit as fit_paths
 from wrapjax.api.paths.wrap_fitting import fit_wraps
@@ -91,7 +91,7 @@ def stages(
         raise InputError(
             Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
         )
-    fitted = source_for(method, subject) if fit is None else fit
+    fitted = source_for((method,), subject) if fit is None else fit
     freedom = with_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
     paths = fitted.paths(subject, trials, freedom)
     nominal = PathState(paths.nominal.length, paths.nominal.velocity, paths.nominal.moment_arm)
@@ -129,26 +129,42 @@ def stages(
 
 
 def source_for(
-    method: str, subject: Subject, *, seed: int = 0, processes: int | None = None, quiet: bool = True
+    methods: Sequence[str],
+    subject: Subject,
+    geometry: str = "opensim",
+    *,
+    seed: int = 0,
+    processes: int | None = None,
+    quiet: bool = True,
 ) -> Fit:
-    """Make the polynomials that a method needs, or find them in the cache.
+    """Make the polynomials that serve all of these methods, or find them in the cache.
 
-    Those of PGA know how they follow cylinders. They are made from the exact engine's paths: half a
-    million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
+    Where PGA is among them they know how they follow cylinders, and are made from the exact engine's
+    paths: half a million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
 
     Parameters
     ----------
-    method
-        One of `METHODS`.
+    methods
+        Of `METHODS`.
     subject
         From `load_subject`.
+    geometry
+        Whose paths they are fitted to where PGA is not among the methods; as of `wrapjax.fit`.
     seed, processes, quiet
         As of `wrapjax.fit`.
     """
-    if method != "PGA":
-        return fit_paths(subject, seed=seed, processes=processes, quiet=quiet)
-    fitted = fit_paths(subject, "engine", seed=seed, processes=processes, quiet=quiet)
-    return fit_wraps(subject, fitted, processes=processes, quiet=quiet)
+    knows_cylinders = "PGA" in methods
+    source = "engine" if knows_cylinders else geometry
+    fitted = fit_paths(subject, source, seed=seed, processes=processes, quiet=quiet)
+    return fit_wraps(subject, fitted, processes=processes, quiet=quiet) if knows_cylinders else fitted
+
+
+def source_like(fit: Fit | ExactGeometry, subject: Subject) -> Fit | ExactGeometry:
+    """Take a subject's paths from where another's, the other leg's for example, come from."""
+    if isinstance(fit, ExactGeometry):
+        return exact_geometry(subject, fit.name)
+    fitted = fit_paths(subject, fit.geometry)
+    return fitted if fit.wraps is None else fit_wraps(subject, fitted)
 
 
 def objective(

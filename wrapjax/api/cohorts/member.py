@@ -86,7 +86,7 @@ def _answer(job: Job) -> dict[str, Any]:
     subject = read_subject(job.folder)
     question = _question(job, subject)
     place = Path(job.place)
-    paths = source_for(job.method, subject, seed=job.seed, processes=1)
+    paths = source_for((job.method,), subject, seed=job.seed, processes=1)
     calibration = kept_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
     if calibration.status is Status.interrupted:
         raise RuntimeError("interrupted; what was done of it is kept")

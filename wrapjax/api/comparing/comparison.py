@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wrapjax.api.calibrating.calibration import STARTS, Calibration, calibrate
-from wrapjax.api.calibrating.problem import METHODS, method_freedom, source_for
+from wrapjax.api.calibrating.problem import METHODS, method_freedom, source_for, source_like
 from wrapjax.api.comparing.persons import file_name, labels_of, persons_of
 from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
 from wrapjax.api.paths.fitting import Fit
@@ -125,10 +125,11 @@ def compare(
 ) -> Comparison:
     """Calibrate every subject by every method, and test whether the methods differ.
 
-    What feeds what: SGA and LSGA change polynomials, so that they always take the paths of `fit`. NGA and
-    PGA take those too (``geometry="surrogate"``), or the exact engine's (``geometry="engine"``). NGA held
-    by the engine and SGA started from polynomials then differ by the error of the polynomials, too, as
-    `fit` reports it.
+    What feeds what: SGA and LSGA change polynomials, so that they always take those of `fit`. NGA and PGA
+    take them too (``geometry="surrogate"``), or the exact engine's paths (``geometry="engine"``). All four
+    start from one geometry: polynomials are fitted to OpenSim's paths, but to the exact engine's as soon as
+    a method takes those or PGA is among the methods. NGA held by the engine and SGA started from
+    polynomials then differ by the error of the polynomials alone, as `fit` reports it.
 
     Where a subject names its ``other_leg``, both legs are calibrated together and both are compared; the
     other leg is not calibrated again if it is among the subjects, too.
@@ -250,17 +251,15 @@ def _sources(
     if by_engine:
         say(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
         found |= dict.fromkeys(by_engine, exact_geometry(person))
-    fitted: dict[bool, Fit] = {}
-    for method in methods:
-        if method not in by_engine:
-            knows_cylinders = method == "PGA"
-            if knows_cylinders not in fitted:
-                fitted[knows_cylinders] = source_for(
-                    method, person, seed=seed, processes=processes, quiet=quiet
-                )
-            found[method] = fitted[knows_cylinders]
-        for leg in legs:
-            method_freedom(method, leg, found[method] if leg is person else source_for(method, leg))
+    by_polynomials = [method for method in methods if method not in by_engine]
+    if by_polynomials:
+        source = "engine" if by_engine else "opensim"
+        fitted = source_for(by_polynomials, person, source, seed=seed, processes=processes, quiet=quiet)
+        found |= dict.fromkeys(by_polynomials, fitted)
+    for leg in legs:
+        own = found if leg is person else {method: source_like(fit, leg) for method, fit in found.items()}
+        for method in methods:
+            method_freedom(method, leg, own[method])
     return found
 
 
