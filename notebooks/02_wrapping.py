@@ -169,8 +169,10 @@ path_view_figure([move]).savefig(folder.parent / "moved_cylinder.png", dpi=120)
 # %% [markdown]
 # ## Which way feeds what
 #
-# - **Calibration, and the surrogates it uses: the shortest way.** Lengths, velocities and moment arms must be
-#   one function and its derivatives, or a solver is told one thing and shown another.
+# - **Whatever moves cylinders: the shortest way.** PGA takes it directly (`--geometry engine`) or through a
+#   surrogate. Lengths, velocities and moment arms must be one function and its derivatives, or a solver is
+#   told one thing and shown another. Methods that move no cylinder take polynomials that are fitted to
+#   OpenSim's paths, or to these where they are compared with PGA; `wrapjax fit --geometry` has the choice.
 # - **What a model will do in OpenSim: OpenSim's way.** It is also how the engine is tested: against OpenSim
 #   itself, to rounding.
 #

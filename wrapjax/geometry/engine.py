@@ -1,7 +1,7 @@
 """The exact path engine: lengths and moment arms of wrapping paths, without OpenSim.
 
 Two ways of wrapping. `GEODESIC` lays paths the shortest way, so that moment arms are exactly -dL/dq;
-calibration and surrogates use it. `PARITY` does what OpenSim 4.6 does, to round-off and with its
+whatever moves cylinders uses it, directly or through surrogates. `PARITY` does what OpenSim 4.6 does, to round-off and with its
 defects: it says what a model will do in OpenSim, and is what the engine is tested by.
 """
 

@@ -73,7 +73,9 @@ class GuardedPaths(AbstractPath):
 
         def by_paths(state: PathState, exact: PathState) -> tuple[PathState, PathState]:
             def total(state: PathState, exact: PathState) -> Float[Array, ""]:
-                return jnp.vdot(weights.closeness, self._guarded(state, exact).closeness)
+                closeness = self._guarded(state, exact).closeness
+                assert closeness is not None and weights.closeness is not None, "guarded paths have it"
+                return jnp.vdot(weights.closeness, closeness)
 
             return jax.grad(total, argnums=(0, 1))(state, exact)
 
