@@ -192,4 +192,8 @@ def _unknown_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]:
 
 
 def _refusal(model: ModelDescription, what: str) -> Problem:
-    return Problem(model.name, f"{what}: the exact engine cannot wrap it", hint="use --geometry opensim")
+    return Problem(
+        model.name,
+        f"{what}: the exact engine cannot wrap it",
+        hint="NGA, SGA and LSGA go along OpenSim's own paths: 'calibrate' without --fit and --geometry",
+    )
