@@ -240,7 +240,17 @@ def _plates(settings):
     _text(settings, ('force = "right_v"\npoint = "right_p"', "plates = [2]"))
 
 
+def _pounds(settings):
+    _text(settings, ("mass_kg = 70.0", "mass_kg = 154.3"))
+
+
+def _heavier(settings):
+    _text(settings, ("mass_kg = 70.0", "mass_kg = 78.0"))
+
+
 PLANTED = {
+    "mass in lb": (_pounds, ["[subject] mass_kg", "154.3, 2.2 times the 70 kg", "is it in lb?"]),
+    "another person's model": (_heavier, ["[subject] mass_kg", "78, 1.11 times the 70 kg", "scale the"]),
     "forces 50 ms late": (_late, ["forces.mot", "timing of forces", "best 50 ms late", "within 20 ms"]),
     "forces 50 ms early": (_early, ["timing of forces", "best 50 ms early"]),
     "legs swapped": (_swapped, ["place of the left force", "the legs are swapped", "from the right one"]),
@@ -295,6 +305,8 @@ def test_a_generic_model_is_scaled_on_the_way(run, solved):
     still = np.repeat(1.02 * places[:, 60:61], 60, axis=1)
     walker.write_trc(solved.parent / "static.trc", np.arange(60) / 100.0, names, still)
     (solved.parent / "setup.xml").write_text(SETUP, encoding="utf-8")
+    # As heavy as they are, too: what the generic model weighs is no matter.
+    _heavier(solved)
     _text(solved, ('file = "scaled.osim"', 'file = "scaled.osim"\nscaling = "setup.xml"'))
     folder = solved.parent / "out"
     outcome = run("prepare", solved, "--out", folder)

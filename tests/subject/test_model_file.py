@@ -56,7 +56,8 @@ def test_agrees_with_opensim(subject, data_folder):
     path = data_folder / subject / "model.osim"
     read = read_model_file(path)
     model = opensim.Model(str(path))
-    model.initSystem()
+    state = model.initSystem()
+    assert read.mass_kg == pytest.approx(model.getTotalMass(state), rel=1e-9)
 
     muscles = [model.getMuscles().get(i) for i in range(model.getMuscles().getSize())]
     assert read.muscles.names == tuple(muscle.getName() for muscle in muscles)

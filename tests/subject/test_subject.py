@@ -1,5 +1,6 @@
 """Subject folders give what their settings say, recorded ones included."""
 
+import re
 import subprocess
 import sys
 import time
@@ -118,6 +119,22 @@ def test_negative_envelopes_are_clipped_and_noted(tmp_path):
     subject = read_subject(folder)
     assert subject.trials.emg.min() == 0.0
     assert len(subject.notes) == 1 and "-0.05" in subject.notes[0] and "SemiTen" in subject.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("mass", "said"), [(154.3, "is it in lb?"), (60.0, "is the model scaled to the person?"), (72.0, None)]
+)
+def test_a_mass_that_is_not_the_models_is_noted(tmp_path, mass, said):
+    """A model of a leg alone is lighter than the person, and nothing is said of that."""
+    folder = write_subject(tmp_path / "s")
+    assert read_subject(folder).notes == ()
+    model, settings = folder / "model.osim", folder / "subject.toml"
+    bodies = model.read_text().count("<mass>5</mass>")
+    model.write_text(model.read_text().replace("<mass>5</mass>", f"<mass>{70.0 / bodies}</mass>"))
+    settings.write_text(re.sub("mass_kg = .*", f"mass_kg = {mass}", settings.read_text()))
+    notes = read_subject(folder).notes
+    assert len(notes) == (said is not None)
+    assert all(said in note and f"{mass:.4g}" in note and "70 kg" in note for note in notes)
 
 
 def test_raw_emg_is_normalised_over_all_trials(tmp_path):

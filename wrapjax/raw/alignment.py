@@ -131,7 +131,7 @@ def _unit_hint(ratio: float) -> str:
     for factor, words in ((1000.0, "N, not mN"), (0.001, "N, not kN"), (1 / 9.81, "N, not kg")):
         if abs(ratio / factor - 1.0) < 0.3:
             return f"give forces in {words}"
-    return "check mass_kg, the model's mass, and that all steps were on the plates"
+    return "check the gain of the plates, and whether the model weighs what the person does"
 
 
 def legs_of_forces(

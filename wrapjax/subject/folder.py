@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.subject.body_mass import mass_notes
 from wrapjax.subject.cut import cut_trials
 from wrapjax.subject.emg import sampling_rate
 from wrapjax.subject.groups import activation_groups, fiber_length_groups
@@ -130,6 +131,7 @@ def read_subject(path: str | Path) -> Subject:
         # Trials that share a file report the same problem each.
         raise InputError(dict.fromkeys(problems))
     assert model is not None and muscles is not None and settings.model_file is not None
+    notes.extend(f"{folder / SETTINGS_FILE}: {note}" for note in mass_notes(settings.mass_kg, model.mass_kg))
     channel_of = {name: index for index, names in enumerate(settings.channels.values()) for name in names}
     return Subject(
         name=settings.name,
@@ -204,7 +206,9 @@ def _read_muscles(
                 message = f"muscle '{name}' is not in the model"
                 hint = nearest_name(name, model.muscles.names)
                 problems.append(Problem(str(settings.muscle_parameters), message, hint=hint))
-        return check_muscle_parameters(table, driven, settings.muscle_parameters, problems), (
-            table.followed_by(others).select(others.names)
-        )
+        # Of muscles that no channel drives only those that the table has: others are as in the model.
+        listed = tuple(name for name in table.names if name in others.names)
+        checked = check_muscle_parameters(table, (*driven, *listed), settings.muscle_parameters, problems)
+        if checked is not None:
+            return checked.select(driven), checked.followed_by(others).select(others.names)
     return None, others

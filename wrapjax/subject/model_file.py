@@ -102,15 +102,24 @@ class CoordinateInfo:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """Muscles, coordinates and groups of forces of a model."""
+    """What a model's file says.
+
+    Parameters
+    ----------
+    muscles, coordinates, groups
+        Muscles, coordinates, and groups of forces by their names.
+    mass_kg
+        Sum over all bodies; NaN where the file does not say.
+    """
 
     muscles: MuscleParameters
     coordinates: tuple[CoordinateInfo, ...]
     groups: dict[str, tuple[str, ...]]
+    mass_kg: float
 
 
 def read_model_file(path: str | Path) -> ModelFile:
-    """Read muscles, coordinates and groups from an ``.osim`` file.
+    """Read muscles, coordinates, groups and mass from an ``.osim`` file.
 
     Returns
     -------
@@ -138,7 +147,7 @@ def read_model_file(path: str | Path) -> ModelFile:
     }
     if problems:
         raise InputError(problems)
-    return ModelFile(muscles, coordinates, groups)
+    return ModelFile(muscles, coordinates, groups, _mass(model, defaults))
 
 
 def read_xml(path: Path, root_tag: str) -> Element:
@@ -207,6 +216,15 @@ def _read_muscles(
         )
     columns = np.array(table, dtype=float).reshape(len(names), 4)
     return MuscleParameters(tuple(names), columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3])
+
+
+def _mass(model: Element, defaults: dict[str, Element]) -> float:
+    """Sum the bodies' masses in kg; NaN where one is missing or no number."""
+    texts = [_text(body, "mass", defaults.get("Body")) for body in model.iter("Body")]
+    try:
+        return float(sum(map(float, texts))) if texts else float("nan")
+    except ValueError:
+        return float("nan")
 
 
 def _number(text: str, tag: str, place: str, path: Path, problems: list[Problem]) -> float:

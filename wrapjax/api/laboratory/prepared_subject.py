@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from wrapjax.api.laboratory.project_geometry import geometry_notes
 from wrapjax.api.laboratory.raw_trial import RawModel, prepare_trial
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder, write_json, write_text
@@ -20,6 +21,7 @@ from wrapjax.raw.folder import PreparedTrial, write_folder
 from wrapjax.raw.forces import SIDES
 from wrapjax.raw.settings import RawSettings, read_raw_settings
 from wrapjax.subject import Table, read_model_file, read_subject
+from wrapjax.subject.body_mass import agrees_with_model, looks_like_pounds, mass_beside_model
 from wrapjax.subject.schema import collecting
 
 
@@ -135,7 +137,7 @@ def prepare_subject(
     """Read a laboratory's raw files, check that they belong together, and solve motion and moments.
 
     Or, by the settings (``.xml``) of the NMSM Pipeline's muscle-tendon personalisation, take over what that
-    project holds already.
+    project holds already; its ``MAData`` are compared with its model's own muscle paths.
 
     Markers and forces are filtered low-pass at 7 over the gait period, forwards and backwards; OpenSim's own
     tools solve angles and moments. EMG stays raw: `load_subject` filters it.
@@ -162,7 +164,9 @@ def prepare_subject(
     >>> wrapjax.prepare_subject("lab/prepare.toml").save("P07_left")  # doctest: +SKIP
     """
     if Path(settings_file).suffix.lower() == ".xml":
-        return ProjectPreparation(read_project(settings_file))
+        project = read_project(settings_file)
+        notes = (*project.notes, *geometry_notes(project, tell))
+        return ProjectPreparation(replace(project, notes=notes))
     settings = read_raw_settings(Path(settings_file))
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         path = settings.model_file
@@ -207,6 +211,18 @@ def _model(path: Path, settings: RawSettings) -> RawModel:
         for side, foot in settings.feet.items()
         if foot.body not in bodies
     ]
+    # The scale tool makes bodies as heavy as it is told.
+    if settings.scaling is None and not agrees_with_model(settings.mass_kg, file.mass_kg):
+        beside = mass_beside_model(settings.mass_kg, file.mass_kg)
+        pounds = looks_like_pounds(settings.mass_kg, file.mass_kg)
+        problems.append(
+            Problem(
+                str(settings.file),
+                f"expected the mass of a model scaled to the person, found that {beside}",
+                "[subject] mass_kg",
+                "is it in lb? Give kg" if pounds else "scale the model to the person, or correct mass_kg",
+            )
+        )
     if problems:
         raise InputError(problems)
     return RawModel(path, file, couplers_of(description.coordinates), marker_names(path))
