@@ -1,77 +1,21 @@
 """Projects of the NMSM Pipeline become subjects: nothing is lost on the way, and what is wrong is said."""
 
 import json
+import re
 import shutil
 
 import numpy as np
 import pytest
 
-from tests.subject.synthetic import CHANNELS, COORDINATES, MODEL, PERIOD, angles, emg, moments
-from wrapjax.api import prepare_subject
+from tests.nmsm.made_up_project import SETTINGS, STARTS, write_settings
+from tests.subject.synthetic import CHANNELS, PERIOD, angles, emg, moments
+from wrapjax.api import load_subject, prepare_subject
+from wrapjax.api.calibrating.extrapolation import drive
 from wrapjax.cli import main
 from wrapjax.errors import InputError
 from wrapjax.nmsm import read_project
 from wrapjax.nmsm.project import FOLDERS
 from wrapjax.subject import Storage, read_model_file, read_storage, read_subject, write_storage
-
-#: Frames that the project keeps beside each cycle.
-BESIDE = 20
-STARTS = {"gait_1": 0.5, "gait_2": 1.9}
-SETTINGS = """<?xml version="1.0" encoding="utf-8"?>
-<NMSMPipelineDocument Version="1.5.0">
- <MuscleTendonPersonalizationTool>
-  <results_directory>results</results_directory>
-  <input_model_file>models\\model.osim</input_model_file>
-  <input_osimx_file>{osimx}</input_osimx_file>
-  <data_directory>preprocessed</data_directory>
-  <coordinate_list>{coordinates}</coordinate_list>
-  <collected_emg_channel_muscle_groups>{groups}</collected_emg_channel_muscle_groups>
-  <missing_emg_channel_muscle_groups>{missing}</missing_emg_channel_muscle_groups>
-  <trial_prefixes>{prefixes}</trial_prefixes>
- </MuscleTendonPersonalizationTool>
-</NMSMPipelineDocument>
-"""
-OSIMX = """<NMSMPipelineDocument Version="1.5.0"><OsimxModel name="m"><RCNLMuscleSet><objects>
-<RCNLMuscle name="semiten_l"><electromechanical_delay>0.5</electromechanical_delay>
-<optimal_fiber_length>0.17</optimal_fiber_length></RCNLMuscle>
-</objects></RCNLMuscleSet></OsimxModel></NMSMPipelineDocument>
-"""
-
-
-def with_groups(model: str) -> str:
-    own = "".join(
-        f'<ObjectGroup name="{channel}"><members> {" ".join(muscles)}</members></ObjectGroup>'
-        for channel, muscles in CHANNELS.items()
-    )
-    return model.replace("</groups>", own + "</groups>")
-
-
-def write_settings(folder, **changes):
-    values = {
-        "osimx": "",
-        "coordinates": " ".join(COORDINATES),
-        "groups": " ".join(CHANNELS),
-        "missing": "",
-        "prefixes": "",
-        **changes,
-    }
-    (folder / "settings.xml").write_text(SETTINGS.format(**values), encoding="utf-8")
-    return folder / "settings.xml"
-
-
-@pytest.fixture
-def project(tmp_path):
-    (tmp_path / "models").mkdir()
-    (tmp_path / "models" / "model.osim").write_text(with_groups(MODEL), encoding="utf-8")
-    (tmp_path / "earlier.osimx").write_text(OSIMX, encoding="utf-8")
-    step = PERIOD / 100
-    for name, start in STARTS.items():
-        time = start + step * np.arange(-BESIDE, 101 + BESIDE)
-        data = tmp_path / "preprocessed"
-        write_storage(data / "IKData" / f"{name}.sto", Storage("ik", COORDINATES, time, angles(time).T))
-        write_storage(data / "IDData" / f"{name}.sto", Storage("id", COORDINATES, time, moments(time).T))
-        write_storage(data / "EMGData" / f"{name}.sto", Storage("emg", tuple(CHANNELS), time, emg(time).T))
-    return tmp_path
 
 
 def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
@@ -101,10 +45,45 @@ def test_lengths_of_an_earlier_step_win_over_the_model(project, tmp_path):
     np.testing.assert_array_equal(muscles.tendon_slack_length, model.tendon_slack_length)
 
 
-def test_prefixes_choose_trials_and_missing_groups_are_noted(project):
-    done = read_project(write_settings(project, prefixes="gait_2", groups="RecFem", missing="SemiTen"))
-    assert [trial.name for trial in done.trials] == ["gait_2"]
-    assert done.channels == {"RecFem": ("recfem_l",)} and "SemiTen" in done.notes[0]
+def test_prefixes_choose_trials(project):
+    done = read_project(write_settings(project, prefixes="gait_2"))
+    assert [trial.name for trial in done.trials] == ["gait_2"] and done.notes == ()
+
+
+def test_groups_without_emg_are_kept_for_synergies(project, tmp_path):
+    """The project's groups are what synergies drive; nothing else is, and what would drive them is named."""
+    done = prepare_subject(write_settings(project, groups="RecFem", missing="SemiTen"))
+    assert done.project.channels == {"RecFem": ("recfem_l",)}
+    assert done.project.extrapolated == {"SemiTen": ("semiten_l",)}
+    (note,) = done.project.notes
+    assert "SemiTen" in note and "--undriven synergies" in note
+    done.save(tmp_path / "subject")
+    subject = load_subject(tmp_path / "subject")
+    assert subject.extrapolated == {"SemiTen": ("semiten_l",)} and subject.muscles.names == ("recfem_l",)
+    driven = drive(subject, "synergies", 1)
+    assert driven.synergies.groups == {"SemiTen": ("semiten_l",)}
+    assert driven.muscles.names == ("recfem_l", "semiten_l")
+
+
+def test_a_muscle_has_one_excitation(project, tmp_path):
+    """A group without EMG may hold muscles that a channel drives; these stay the channel's, which is told."""
+    both = "ThighActivationGroupL"
+    done = prepare_subject(write_settings(project, groups="RecFem", missing=both))
+    assert done.project.extrapolated == {both: ("semiten_l",)}
+    assert both in done.project.notes[0] and "recfem_l" in done.project.notes[0]
+    done.save(tmp_path / "one")
+    assert read_subject(tmp_path / "one").extrapolated == {both: ("semiten_l",)}
+    done = prepare_subject(write_settings(project, missing=both))
+    assert done.project.extrapolated == {} and "--undriven" not in " ".join(done.project.notes)
+    done.save(tmp_path / "none")
+    assert read_subject(tmp_path / "none").extrapolated is None
+
+
+def test_passive_trials_that_are_not_taken_over_are_told(project):
+    named = "<passive_data_input_directory>thelen</passive_data_input_directory>"
+    others = f"<MuscleTendonLengthInitialization>{named}</MuscleTendonLengthInitialization>"
+    (note,) = read_project(write_settings(project, others=others)).notes
+    assert "'thelen'" in note and "[[passive]]" in note
 
 
 def rename(folder, *_):
@@ -135,6 +114,7 @@ def spoil_mass(folder, *_):
     [
         (spoil_mass, {}, "found 'heavy'"),
         (None, {"groups": "RecFem SemiTenn"}, "did you mean 'SemiTen'"),
+        (None, {"missing": "SemiTenn"}, "did you mean 'SemiTen'"),
         (None, {"groups": ""}, "collected_emg_channel_muscle_groups"),
         (None, {"coordinates": "hip_flexion_l knee_angle_r"}, "one leg"),
         (None, {"prefixes": "squat"}, "begin with squat"),
@@ -178,6 +158,7 @@ def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
     names = {frozenset(members): group for group, members in groups.items()}
     renamed = tuple(names[frozenset(own)] for own in _driven(subject).values())
     assert len(set(renamed)) == len(subject.trials.channels)
+    analysed = ("walk_0p5_1", "walk_0p8_1")
     shutil.copyfile(s1_left / "model.osim", tmp_path / "model.osim")
     for name in subject.trials.names:
         for kind, folder in FOLDERS.items():
@@ -192,6 +173,13 @@ def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
                 dict(zip(subject.trials.channels, renamed, strict=True))[name] for name in table.columns
             )
             write_storage(place, Storage("emg", columns, table.time, table.values))
+        if name not in analysed:
+            continue
+        for file in (s1_left / "reference_geometry" / name).iterdir():
+            kind = file.name.replace("length", "Length").replace("moment_arm", "MomentArm")
+            place = tmp_path / "preprocessed" / "MAData" / name / f"{name}_{kind}"
+            place.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, place)
     text = SETTINGS.replace("models\\model.osim", "model.osim")
     (tmp_path / "settings.xml").write_text(
         text.format(
@@ -200,10 +188,18 @@ def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
             groups=" ".join(renamed),
             missing="",
             prefixes="",
+            others="",
         ),
         encoding="utf-8",
     )
-    prepare_subject(tmp_path / "settings.xml").save(tmp_path / "subject")
+    done = prepare_subject(tmp_path / "settings.xml")
+    # The lab's lengths are OpenSim's within a millimeter. Its moment arms are polynomials' derivatives, which
+    # step over the frames where OpenSim's paths jump on or off a cylinder.
+    largest, warning, absent = done.project.notes
+    assert float(re.search(r"lengths \w+ ([0-9.]+) mm", largest)[1]) < 1.0
+    assert warning.startswith("warning") and "lengths of" not in warning and "moment arms of glmax" in warning
+    assert "walk_0p5_2" in absent and not set(analysed) & set(absent.split(", "))
+    done.save(tmp_path / "subject")
     again = read_subject(tmp_path / "subject")
     assert again.muscles.names == subject.muscles.names
     np.testing.assert_allclose(again.trials.time, subject.trials.time, atol=1e-6)

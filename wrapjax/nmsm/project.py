@@ -55,6 +55,8 @@ class Project:
         Of the leg, and of all bodies of the model.
     channels
         The muscles of this leg that each channel drives.
+    extrapolated
+        The muscles of this leg in each group without a channel: they have an excitation in common.
     trials
         The gait cycles.
     muscles
@@ -67,6 +69,7 @@ class Project:
     side: str
     mass_kg: float
     channels: dict[str, tuple[str, ...]]
+    extrapolated: dict[str, tuple[str, ...]]
     trials: tuple[Recorded, ...]
     muscles: MuscleParameters | None
     notes: tuple[str, ...]
@@ -86,9 +89,8 @@ def read_project(path: str | Path) -> Project:
     side = _side(settings, problems)
     channels = _channels(settings, model, side, problems)
     trials = _trials(settings, problems)
-    notes = []
-    if settings.missing:
-        notes.append(f"no EMG, and not driven: the groups {', '.join(settings.missing)}")
+    notes: list[str] = []
+    extrapolated = _extrapolated(settings, model, side, channels, problems, notes)
     muscles = None
     if settings.osimx_file is not None:
         earlier = read_osimx(settings.osimx_file)
@@ -98,10 +100,15 @@ def read_project(path: str | Path) -> Project:
                 f"{settings.osimx_file.name}: lengths and forces are taken over; delays, time constants and "
                 "EMG scales are calibrated anew"
             )
+    if settings.passive:
+        notes.append(
+            f"passive trials ('{settings.passive}') are not taken over; where angles and moments of them are "
+            "known, list both as [[passive]] for 'wrapjax initialise'"
+        )
     mass = _mass(settings.model_file, problems)
     if problems:
         raise InputError(problems)
-    return Project(settings, side, mass, channels, trials, muscles, tuple(notes))
+    return Project(settings, side, mass, channels, extrapolated, trials, muscles, tuple(notes))
 
 
 def fill_subject_folder(project: Project, folder: Path, name: str) -> None:
@@ -135,24 +142,66 @@ def _side(settings: ToolSettings, problems: list[Problem]) -> str:
 def _channels(
     settings: ToolSettings, model: ModelFile, side: str, problems: list[Problem]
 ) -> dict[str, tuple[str, ...]]:
-    channels = {}
-    for group in settings.collected:
+    tag = "collected_emg_channel_muscle_groups"
+    before = len(problems)
+    channels = _groups_of_leg(settings.collected, tag, settings, model, side, problems)
+    if settings.collected and not channels and len(problems) == before:
+        found = f"expected a group with muscles that end in _{side}, found none"
+        problems.append(Problem(str(settings.file), found, f"<{tag}>"))
+    return channels
+
+
+def _extrapolated(
+    settings: ToolSettings,
+    model: ModelFile,
+    side: str,
+    channels: dict[str, tuple[str, ...]],
+    problems: list[Problem],
+    notes: list[str],
+) -> dict[str, tuple[str, ...]]:
+    """Keep the groups without EMG, of muscles that nothing else excites, and say what can drive them."""
+    taken = {muscle for own in channels.values() for muscle in own}
+    found = {}
+    tag = "missing_emg_channel_muscle_groups"
+    for group, muscles in _groups_of_leg(settings.missing, tag, settings, model, side, problems).items():
+        twice = [muscle for muscle in muscles if muscle in taken]
+        if twice:
+            notes.append(f"group {group}: without {', '.join(twice)}, which another group has already")
+        own = tuple(muscle for muscle in muscles if muscle not in taken)
+        if own:
+            found[group] = own
+            taken.update(own)
+    if found:
+        notes.append(
+            f"no EMG: the groups {', '.join(found)}, kept as [emg.extrapolated]; with 'wrapjax calibrate "
+            "--undriven synergies' each has an excitation by synergies of the measured EMG, and without that "
+            "option nothing drives them"
+        )
+    return found
+
+
+def _groups_of_leg(
+    groups: Sequence[str],
+    tag: str,
+    settings: ToolSettings,
+    model: ModelFile,
+    side: str,
+    problems: list[Problem],
+) -> dict[str, tuple[str, ...]]:
+    """Look up the muscles of this leg in each group; groups of the other leg alone are left out."""
+    found = {}
+    for group in groups:
         if group not in model.groups:
-            found = f"names the group '{group}', which {settings.model_file.name} does not have"
-            place = "<collected_emg_channel_muscle_groups>"
-            problems.append(
-                Problem(str(settings.file), found, place, nearest_name(group, list(model.groups)))
-            )
+            message = f"names the group '{group}', which {settings.model_file.name} does not have"
+            hint = nearest_name(group, list(model.groups))
+            problems.append(Problem(str(settings.file), message, f"<{tag}>", hint))
             continue
         own = tuple(
             name for name in model.groups[group] if name in model.muscles.names and name.endswith(f"_{side}")
         )
         if own:
-            channels[group] = own
-    if settings.collected and not channels and not problems:
-        found = f"expected a group with muscles that end in _{side}, found none"
-        problems.append(Problem(str(settings.file), found, "<collected_emg_channel_muscle_groups>"))
-    return channels
+            found[group] = own
+    return found
 
 
 def _trials(settings: ToolSettings, problems: list[Problem]) -> tuple[Recorded, ...]:
@@ -253,10 +302,15 @@ def _settings_text(project: Project, name: str) -> str:
         "[emg]",
         'kind = "envelope"',
         "[emg.channels]",
-        *(f"{quoted(channel)} = {quoted_list(muscles)}" for channel, muscles in project.channels.items()),
+        *_lists(project.channels),
+        *(["[emg.extrapolated]", *_lists(project.extrapolated)] if project.extrapolated else []),
     ]
     for trial in project.trials:
         lines += ["", "[[trial]]", f"name = {quoted(trial.name)}", 'use = "calibration"']
         lines += [f"{kind} = {quoted(_place(trial, kind))}" for kind in FOLDERS]
         lines.append(f"cycle = [{trial.cycle[0]!r}, {trial.cycle[1]!r}]")
     return "\n".join(lines) + "\n"
+
+
+def _lists(groups: dict[str, tuple[str, ...]]) -> list[str]:
+    return [f"{quoted(name)} = {quoted_list(muscles)}" for name, muscles in groups.items()]

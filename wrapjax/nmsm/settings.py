@@ -24,13 +24,15 @@ class ToolSettings:
     model_file, osimx_file
         Model, and the parameters of an earlier step; None where none are named.
     data_directory
-        Folder of ``IKData``, ``IDData`` and ``EMGData``.
+        Folder of ``IKData``, ``IDData``, ``EMGData`` and, where there is one, ``MAData``.
     coordinates
         Whose moments are tracked.
     collected, missing
         Groups of muscles with an EMG channel, and without.
     prefixes
         With which names of trial files begin; empty for all.
+    passive
+        Folder of passive trials as the settings write it; empty where they name none.
     """
 
     file: Path
@@ -41,6 +43,7 @@ class ToolSettings:
     collected: tuple[str, ...]
     missing: tuple[str, ...]
     prefixes: tuple[str, ...]
+    passive: str = ""
 
 
 def read_tool_settings(path: str | Path) -> ToolSettings:
@@ -75,8 +78,18 @@ def read_tool_settings(path: str | Path) -> ToolSettings:
         raise InputError(problems)
     assert model is not None and data is not None
     missing = _words(tool, "missing_emg_channel_muscle_groups")
+    prefixes = _words(tool, "trial_prefixes")
+    passive = next(tool.iter("passive_data_input_directory"), None)
     return ToolSettings(
-        path, model, osimx, data, coordinates, collected, missing, _words(tool, "trial_prefixes")
+        path,
+        model,
+        osimx,
+        data,
+        coordinates,
+        collected,
+        missing,
+        prefixes,
+        "" if passive is None else (passive.text or "").strip(),
     )
 
 
