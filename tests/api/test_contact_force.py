@@ -190,20 +190,25 @@ def test_pga_pulls_along_the_model_that_it_wrote(bare, tmp_path):
         contact(folder)
 
 
+def without_electrode(folder):
+    """A folder of a subject whose semitendinosus has no electrode."""
+    synthetic.write_subject(folder)
+    settings = folder / "subject.toml"
+    settings.write_text(settings.read_text().replace('SemiTen = ["semiten_l"]\n', ""))
+    return folder
+
+
 @pytest.fixture
 def partly_driven(tmp_path):
     """A subject whose semitendinosus has no electrode, and a run of it."""
-    folder = synthetic.write_subject(tmp_path / "person")
-    settings = folder / "subject.toml"
-    settings.write_text(settings.read_text().replace('SemiTen = ["semiten_l"]\n', ""))
-    subject = load_subject(folder)
+    subject = load_subject(without_electrode(tmp_path / "person"))
     return subject, write_run(tmp_path / "run", subject, muscles=MUSCLES[:1])
 
 
 def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven):
     subject, folder = partly_driven
     closing, nothing = (
-        contact(folder, undriven=treatment).result.runs[0] for treatment in ("static-optimization", "none")
+        contact(folder, undriven=treatment).result.runs[0] for treatment in ("static-optimization", "left")
     )
     assert closing.undriven.muscles == ("semiten_l",)
     assert (nothing.undriven.muscles, nothing.undriven.left_out) == ((), ("semiten_l",))
@@ -214,6 +219,36 @@ def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven)
     # It pulls straight, so that it adds its force to both joints, and nothing sideways.
     added = np.linalg.norm(closing.force - nothing.force, axis=2)
     np.testing.assert_allclose(added, closing.undriven.force[0][:, None].repeat(2, axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["NGA", "PGA"])
+def test_a_table_of_muscles_goes_before_the_model_for_those_without_an_electrode(tmp_path, method):
+    """As it does for all others: lengths that somebody found for them are not thrown away."""
+    plain, listed, edited = (without_electrode(tmp_path / name) for name in ("plain", "listed", "edited"))
+    synthetic.add_muscle_parameters(
+        listed, ("recfem_l", 1500.0, 0.1, 0.3, 0.1), ("semiten_l", 450.0, 0.14, 0.31, 0.2)
+    )
+    model = edited / "model.osim"
+    before, own = model.read_text().split('name="semiten_l"')
+    for tag, old, new in (
+        ("max_isometric_force", "900.0", "450.0"),
+        ("optimal_fiber_length", "0.15", "0.14"),
+        ("tendon_slack_length", "0.25", "0.31"),
+        ("pennation_angle_at_optimal", "0.1", "0.2"),
+    ):
+        assert f"<{tag}>{old}<" in own
+        own = own.replace(f"<{tag}>{old}<", f"<{tag}>{new}<")
+    model.write_text(f'{before}name="semiten_l"{own}')
+    found = []
+    for folder in (plain, listed, edited):
+        run = write_run(folder / "run", load_subject(folder), method, muscles=MUSCLES[:1])
+        if method == "PGA":
+            # Parameters are the subject's, in whatever model the muscles run.
+            shutil.copy(plain / "model.osim", run / "model_personalized.osim")
+        found.append(contact(run).result.runs[0].undriven)
+    np.testing.assert_allclose(found[1].activation, found[2].activation, rtol=1e-12)
+    np.testing.assert_allclose(found[1].force, found[2].force, rtol=1e-12)
+    assert np.abs(found[1].force - found[0].force).max() > 10.0
 
 
 def test_peaks_are_looked_for_where_they_are_said_to_be():

@@ -71,6 +71,23 @@ def write_wrapped_subject(folder: Path) -> Path:
     return folder
 
 
+def add_muscle(folder: Path, name: str, forward: float) -> None:
+    """Give the subject's model a straight muscle, so far (m) before the joints, that no channel drives."""
+    model = folder / "model.osim"
+    muscle = _muscle(name, forward, 700.0, 0.12, 0.28)
+    model.write_text(model.read_text().replace("</objects>\n<groups>", f"{muscle}\n</objects>\n<groups>"))
+
+
+def add_muscle_parameters(folder: Path, *rows: tuple[str, float, float, float, float]) -> None:
+    """Give the subject a table of muscles: strength (N), fiber and slack length (m), pennation (rad)."""
+    lines = [",".join(map(str, row)) for row in rows]
+    labels = "muscle,max_isometric_force_N,optimal_fiber_length_m,tendon_slack_length_m,pennation_rad"
+    (folder / "muscle_parameters.csv").write_text("\n".join([labels, *lines, ""]), encoding="utf-8")
+    settings = folder / "subject.toml"
+    named = '[model]\nmuscle_parameters = "muscle_parameters.csv"'
+    settings.write_text(settings.read_text().replace("[model]", named))
+
+
 SETTINGS = f"""[subject]
 name = "synthetic"
 mass_kg = {MASS}

@@ -222,6 +222,10 @@ BROKEN = {
         parameters(CSV.replace("0.3,0.1", "0.3,5.7")),
         ["recfem_l", "pennation_angle", "5.7"],
     ),
+    "parameters of a muscle without a channel": (
+        both(settings('RecFem = ["recfem_l"]\n', ""), parameters(CSV.replace("0.3,0.1", "nan,0.1"))),
+        ["muscles.csv", "recfem_l", "tendon_slack_length", "nan"],
+    ),
     "parameters of a muscle missing": (
         parameters(CSV.split("semiten")[0]),
         ["muscles.csv", "semiten_l", "none"],

@@ -19,9 +19,9 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     contact.add_argument("--subject", type=Path, metavar="SUBJECT", help="if it is not where it was")
     contact.add_argument(
         "--undriven",
-        choices=["static-optimization", "none"],
+        choices=["static-optimization", "left"],
         default="static-optimization",
-        help="what muscles without an electrode do: close the moments with least effort, or nothing",
+        help="muscles without an electrode: close the moments with least effort, or left without force",
     )
     contact.add_argument(
         "--condyle-distance",

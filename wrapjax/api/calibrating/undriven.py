@@ -18,13 +18,12 @@ from wrapjax.model import initial_parameters
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.osim import describe_model
 from wrapjax.subject import Subject
-from wrapjax.subject.model_file import read_model_file
 
 
 def other_muscles(
     subject: Subject, curves: str, model_file: Path | None = None
 ) -> tuple[OtherMuscles | None, str]:
-    """Lay the muscles without a channel, with the model's own parameters; or say why there are none.
+    """Lay the muscles that nothing drives, as strong and long as the subject has them; or say why not.
 
     Parameters
     ----------
@@ -33,7 +32,8 @@ def other_muscles(
     curves
         Name of the Hill curves.
     model_file
-        The model that paths are taken from, where it is not the subject's own.
+        The model that paths are taken from, where it is not the subject's own. Parameters are always the
+        subject's: of its table of muscle parameters where that has them, else of its model.
 
     Returns
     -------
@@ -45,7 +45,8 @@ def other_muscles(
     names, path = acting_muscles(subject, model_file)
     if path is None:
         return None, "the paths of the muscles without an EMG channel are not known about these joints"
-    own = read_model_file(model_file or subject.model_file).muscles.select(names)
+    assert subject.undriven_parameters is not None, "read_subject gives them"
+    own = subject.undriven_parameters.select(names)
     muscles = OtherMuscles(
         names=names,
         groups=groups_of(names),
@@ -76,16 +77,14 @@ def acting_muscles(
     names, path
         In the model's order; no path where there is no such muscle.
     """
-    file = model_file or subject.model_file
-    model = describe_model(file)
-    table = read_model_file(file).muscles
+    model = describe_model(model_file or subject.model_file)
 
     def can_be_laid(muscle: str) -> bool:
         try:
             ExactPaths(model, (muscle,), ())
         except InputError:
             return False
-        return muscle in table.names
+        return True
 
     known = tuple(filter(can_be_laid, subject.undriven_muscles))
     if not known:

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 #: The joint whose force may be divided, as `_joints` calls it.
 KNEE = "knee"
 #: What may be made of muscles without an electrode.
-TREATMENTS = ("static-optimization", "none")
+TREATMENTS = ("static-optimization", "left")
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def contact(
         The subject, or its folder, where that is no longer where it was.
     undriven
         What is made of muscles without an electrode: ``static-optimization``, they close the joint moments
-        with least effort (`wrapjax.contact.static_optimization.share_moments`), or ``none``, no force.
+        with least effort (`wrapjax.contact.static_optimization.share_moments`), or ``left``, no force.
     condyle_distance
         Between the points where the medial and the lateral condyle touch the tibia, m: divides the knee's
         force between the two (`wrapjax.contact.compartments.knee_compartments`), which no model with one knee
@@ -261,12 +261,17 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
     trials, coordinates, frames = missing.shape
     # Muscles that synergies drove have their calibrated forces.
     all_of_them = tuple(name for name in entry.subject.undriven_muscles if name not in entry.run.muscles)
-    subject = replace(entry.subject, undriven_muscles=all_of_them)
+    parameters = entry.subject.undriven_parameters
+    subject = replace(
+        entry.subject,
+        undriven_muscles=all_of_them,
+        undriven_parameters=None if parameters is None else parameters.select(all_of_them),
+    )
     nothing = np.zeros((0, trials, frames))
-    none = Undriven("none", (), all_of_them, nothing, nothing, missing, missing)
-    others = other_muscles(subject, entry.run.curves, model_file)[0] if treatment != "none" else None
+    left = Undriven("left", (), all_of_them, nothing, nothing, missing, missing)
+    others = other_muscles(subject, entry.run.curves, model_file)[0] if treatment != "left" else None
     if others is None:
-        return none
+        return left
     active = _strengths(others)
     arm = np.asarray(others.path.moment_arm)
     count = len(others.names)
@@ -278,7 +283,7 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
     )
     activation = shared.activation.reshape(count, trials, frames)
     return replace(
-        none,
+        left,
         treatment=treatment,
         muscles=others.names,
         left_out=tuple(name for name in all_of_them if name not in others.names),
@@ -289,7 +294,7 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
 
 
 def _strengths(others: OtherMuscles) -> Float[np.ndarray, "muscle trial frame"]:
-    """Forces along the tendon at full activation, N, by the model's own parameters.
+    """Forces along the tendon at full activation, N, by parameters that nobody calibrated.
 
     Passive forces are left out: nobody fitted these muscles' slack lengths, and with tendons that do not
     stretch a few millimetres too little make hundreds of newtons.

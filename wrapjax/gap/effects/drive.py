@@ -43,7 +43,8 @@ class AddedExcitation(MuscleAlteration):
 def missing_drive(context: Context) -> Effect | NotTestable:
     """Drive a group of muscles that have no channel, by a sum of bumps round the cycle.
 
-    Muscles keep the model's own parameters; their passive force is not counted. Shapes: the groups.
+    Muscles have the parameters that the subject gives them; their passive force is not counted. Shapes: the
+    groups.
     """
     if context.others is None:
         return NotTestable("missing_drive", context.no_others)

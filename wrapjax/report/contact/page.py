@@ -220,8 +220,9 @@ def _undriven_sentence(run: RunContact) -> str:
         said.append(
             f"{counted(len(own.muscles), 'muscle')} without EMG got the activations whose squares sum to the "
             "least while closing the joint moments that driven muscles leave, frame by frame (static "
-            f"optimization; {RESIDUAL_SCALE:g} N m left over weigh as one fully active muscle; the model's "
-            "own fiber and tendon lengths, active force alone)."
+            f"optimization; {RESIDUAL_SCALE:g} N m left over weigh as one fully active muscle; strength, "
+            "fiber and tendon lengths of the subject's table of muscle parameters, else of its model; active "
+            "force alone)."
         )
     if own.left_out:
         said.append(
