@@ -3,12 +3,15 @@
 import csv
 import json
 import math
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from wrapjax import InputError
-from wrapjax.model import QUANTITIES
+from wrapjax.model import QUANTITIES, FreedPaths
 from wrapjax.nmsm import OSIMX_QUANTITIES, read_osimx
 from wrapjax.report import run_folder
 from wrapjax.report.run_folder import write_run
@@ -62,6 +65,42 @@ def test_the_nmsm_pipeline_finds_the_same_parameters(run, result):
         assert set(muscle.values) == set(OSIMX_QUANTITIES)
         for name, value in muscle.values.items():
             assert value == pytest.approx(float(getattr(result.parameters, name)[row]), rel=1e-14)
+
+
+def _associated_model(run):
+    root = ElementTree.parse(run / "calibrated.osimx").getroot()
+    assert root.find("OsimxModel").get("name") == "scaled"
+    return run / root.findtext("OsimxModel/associated_osim_model")
+
+
+def test_the_nmsm_pipeline_finds_the_model_after_both_have_moved_too(subject, result, tmp_path):
+    for leg in ("left", "right"):
+        (tmp_path / "all" / leg).mkdir(parents=True)
+        (tmp_path / "all" / leg / "scaled.osim").write_text(leg)
+    legs = [
+        (replace(subject, model_file=tmp_path / "all" / leg / "scaled.osim"), result)
+        for leg in ("left", "right")
+    ]
+    write_run(legs, tmp_path / "all" / "runs" / "NGA")
+    for moved in ("all", "elsewhere"):
+        if moved != "all":
+            (tmp_path / "all").rename(tmp_path / moved)
+        run = tmp_path / moved / "runs" / "NGA"
+        assert _associated_model(run).read_text() == "left"
+        assert _associated_model(run / "other_leg").read_text() == "right"
+
+
+@pytest.mark.parametrize("method", ["SGA", "LSGA"])
+def test_muscle_parameters_say_what_geometry_they_cannot_carry(method, run, subject, result, tmp_path):
+    """They hold along the calibrated polynomials alone, which no model and no .osimx can have."""
+    free = FreedPaths(np.array([[True], [False]]), 15.0)
+    changed = replace(result, method=method, freedom=replace(result.freedom, paths=free))
+    write_run([(subject, changed)], tmp_path / "changed")
+    text = (tmp_path / "changed" / "calibrated.osimx").read_text()
+    (remark,) = re.findall("<!--(.*?)-->", text, re.DOTALL)
+    assert f"{method} changed muscle geometry" in remark and "paths.npz" in remark
+    assert read_osimx(tmp_path / "changed" / "calibrated.osimx") == read_osimx(run / "calibrated.osimx")
+    assert "<!--" not in (run / "calibrated.osimx").read_text(), "NGA changed none"
 
 
 def test_curves_read_back_as_they_were(run, result):

@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Comment, Element, SubElement
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def _values(element: Element, muscle: str, path: Path, problems: list[Problem]) 
     return found
 
 
-def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle]) -> str:
+def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle], remark: str = "") -> str:
     """Write muscles as the text of an ``.osimx`` file.
 
     Parameters
@@ -97,11 +97,15 @@ def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle]) -> st
     name
         Of the model.
     model_file
-        Name of the model's file, which must lie beside this one.
+        The model's file, from the folder of this one.
     muscles
         In SI units.
+    remark
+        What a reader has to know of them, as a comment at the top; without two hyphens in a row.
     """
     root = Element(ROOT, Version=_VERSION)
+    if remark:
+        root.append(Comment(f" {remark} "))
     model = SubElement(root, "OsimxModel", name=name)
     SubElement(model, "associated_osim_model").text = model_file
     objects = SubElement(SubElement(model, "RCNLMuscleSet"), "objects")

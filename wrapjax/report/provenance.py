@@ -46,14 +46,14 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "subject": {
             "name": subject.name,
-            "folder": _path_from(run, subject.folder),
-            "model_file": _path_from(run, subject.model_file),
+            "folder": path_from(run, subject.folder),
+            "model_file": path_from(run, subject.model_file),
             # None where the file is gone by now.
             "model_hash": content_hash(subject.model_file) if subject.model_file.is_file() else None,
             "mass_kg": subject.mass_kg,
             "side": subject.side,
             "paretic": subject.paretic,
-            "other_leg": None if subject.other_leg is None else _path_from(run, subject.other_leg),
+            "other_leg": None if subject.other_leg is None else path_from(run, subject.other_leg),
         },
         "method": result.method,
         "curves": result.curves,
@@ -150,7 +150,7 @@ def _options(options: Any) -> dict[str, Any]:
     }
 
 
-def _path_from(run: Path, target: Path) -> str:
+def path_from(run: Path, target: Path) -> str:
     """Give a relative path, so that a run and its subject can move together."""
     try:
         return Path(os.path.relpath(target.resolve(), run.resolve())).as_posix()

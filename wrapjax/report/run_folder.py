@@ -13,7 +13,7 @@ from wrapjax.calibrate import CalibrationResult, LegSpread
 from wrapjax.files import new_folder, write_json, write_text, write_whole
 from wrapjax.report.html import render_report
 from wrapjax.report.moved_paths import MovedPath, moved_paths
-from wrapjax.report.provenance import describe_settings
+from wrapjax.report.provenance import describe_settings, path_from
 from wrapjax.report.spread_summary import describe_spread, spread_content
 from wrapjax.report.starts import starts_csv
 from wrapjax.report.summary import file_stems, summarize
@@ -96,7 +96,8 @@ def _write_leg(
     write_json(run / "summary.json", summary)
     write_json(run / "settings.json", settings)
     write_text(run / "parameters.csv", parameters_csv(result, spread))
-    model = subject.model_file.name if result.freedom.wraps is None else PERSONALISED_MODEL
+    # A nominal model stays where it is: as from settings.json, it is found while both move together.
+    model = path_from(run, subject.model_file) if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
     if result.calibrated_paths is not None:

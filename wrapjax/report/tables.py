@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Sequence
+from pathlib import PurePosixPath
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +20,12 @@ from wrapjax.subject import Storage
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
 #: Where spreads were asked for.
 SPREAD_COLUMNS = ("sd", "low_90", "high_90")
+#: Said in an ``.osimx`` file of muscles whose paths changed.
+CHANGED_PATHS = (
+    "{method} changed muscle geometry as well, by coefficients of polynomials, which neither this file nor a "
+    "model can carry: along the paths of the model named here these parameters do not give the calibrated "
+    "moments. parameters.csv and paths.npz of the run have the coefficients."
+)
 
 
 def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -> str:
@@ -73,21 +80,25 @@ def band_table(result: CalibrationResult, spread: LegSpread, trial: int) -> Stor
 
 
 def osimx_of(result: CalibrationResult, model_file: str) -> str:
-    """Write the muscles' parameters as the NMSM Pipeline takes them on; it has no place for cylinders.
+    """Write the muscles' parameters as the NMSM Pipeline takes them on.
+
+    It has no place for geometry: cylinders that moved are in the model that it names, polynomials that
+    changed are nowhere in it, and it says so.
 
     Parameters
     ----------
     result
         Of one leg.
     model_file
-        Name of the model that they belong to.
+        The model that they belong to, from the folder that this is written to.
     """
     columns = {name: np.asarray(getattr(result.parameters, name)) for name in OSIMX_QUANTITIES}
     muscles = [
         OsimxMuscle(muscle, {name: float(column[row]) for name, column in columns.items()})
         for row, muscle in enumerate(result.muscles)
     ]
-    return osimx_text(model_file.removesuffix(".osim"), model_file, muscles)
+    remark = "" if result.freedom.paths is None else CHANGED_PATHS.format(method=result.method)
+    return osimx_text(PurePosixPath(model_file).stem, model_file, muscles, remark)
 
 
 def _synergy_weights(result: CalibrationResult) -> Iterator[tuple[str, str, float, float]]:
