@@ -22,7 +22,7 @@ class Undriven:
     Parameters
     ----------
     treatment
-        ``none``: without force; ``static-optimization``.
+        ``left``: without force; ``static-optimization``.
     muscles
         That were given a force.
     left_out
@@ -93,8 +93,8 @@ class ContactResult:
     trials, uses, time
         Cycles; s.
     phase
-        Of every frame in the gait cycle, %: from the foot's strike where ground forces tell it, else from
-        the cycle's first frame. Beyond 100 after the next strike.
+        Of every frame in the gait cycle, %, as `wrapjax.contact.gait_phase.gait_phases` counts it: from the
+        foot's strike, beyond 100 after the next one.
     runs
         In the order given.
     condyle_distance

@@ -17,7 +17,7 @@ from wrapjax.api.runs.datasets import contact_dataset
 from wrapjax.api.runs.run_curves import RunCurves, read_curves
 from wrapjax.api.runs.stored_run import Run
 from wrapjax.contact.compartments import NARROWEST, WIDEST, knee_compartments
-from wrapjax.contact.gait_phase import evenly, phase_from_strikes
+from wrapjax.contact.gait_phase import gait_phases
 from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
 from wrapjax.contact.result import JOINT_REACTION, MUSCLE_SHARE, ContactResult, RunContact, Undriven
 from wrapjax.contact.static_optimization import share_moments
@@ -184,19 +184,14 @@ def _undivided(joints: Collection[str], *, whole: bool, asked: bool) -> str:
 
 
 def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial frame"]:
-    """Count frames from strikes of this leg's foot; evenly over a cycle whose strikes are not recorded."""
+    """Count frames from strikes of this leg's foot, %."""
     trials = subject.trials
     strikes = {trial.name: np.zeros(0) for trial in subject.recordings}
     for trial in subject.recordings if loaded else ():
         loads = read_ground_loads(trial)
         rows = [row for row, body in enumerate(loads.bodies) if body in loaded]
         strikes[trial.name] = find_contacts(loads.time, loads.wrench[rows, 4].sum(axis=0)).strikes
-    found = [
-        phase_from_strikes(time, strikes[name])
-        for time, name in zip(trials.time, trials.recordings, strict=True)
-    ]
-    even = evenly(trials.time.shape[1])
-    return np.array([even if phase is None else phase for phase in found])
+    return gait_phases(trials.time, [strikes[name] for name in trials.recordings])
 
 
 def _check_alike(one: RunCurves, other: RunCurves) -> None:
