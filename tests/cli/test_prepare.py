@@ -236,6 +236,12 @@ def _elsewhere(settings):
     _text(settings, ('body = "calcn_r"', 'body = "calc_r"'))
 
 
+def _right_alone(settings):
+    text = settings.read_text()
+    start, end = text.index("[forces.l]"), text.index("[forces.r]")
+    settings.write_text(text[:start] + text[end:])
+
+
 def _plates(settings):
     _text(settings, ('force = "right_v"\npoint = "right_p"', "plates = [2]"))
 
@@ -264,6 +270,10 @@ PLANTED = {
     "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
     "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
     "plates of a file without": (_plates, ["[forces.r]", "expected force, by which"]),
+    "the other foot's forces alone": (
+        _right_alone,
+        ["[forces]: expected [forces.l]", "own foot, found none"],
+    ),
     "unknown body": (_elsewhere, ["[forces.r] body", "did you mean 'calcn_r'?"]),
 }
 
@@ -297,6 +307,84 @@ def test_accepted_channels_are_used_with_their_faults(run, solved):
     _copied(solved)
     _text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
     assert run("prepare", solved, "--out", solved.parent / "out").status == 0
+
+
+def _stepped(settings, **spans):
+    """Leave of each foot what it did between two times: its other steps were beside the plates."""
+
+    def change(time, columns):
+        for foot, (start, end) in spans.items():
+            off = (time < start) | (time > end)
+            for axis in "xyz":
+                columns[f"{foot}_v{axis}"][off] = 0.0
+        return time, columns
+
+    _table(settings, "forces.mot", change)
+    _text(settings, ('use = "calibration"', 'use = "calibration"\ncycles = [[1.566, 2.65]]'))
+
+
+def _left_alone(settings):
+    """Of the steps only the left foot's at 1.55 s was measured."""
+    _stepped(settings, left=(1.5, 2.3), right=(0.0, 0.0))
+    text = settings.read_text()
+    start, end = text.index("[forces.r]"), text.index("[emg]")
+    settings.write_text(text[:start] + text[end:])
+
+
+@pytest.mark.parametrize("right", [(2.0, 2.85), (0.9, 1.75)], ids=["left foot first", "right foot first"])
+def test_one_step_on_each_plate_is_enough(run, solved, right):
+    _stepped(solved, left=(1.5, 2.3), right=right)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 0, outcome.progress
+    assert "forces fit motion best" in outcome.output
+
+
+def test_one_measured_foot_is_enough(run, solved):
+    _left_alone(solved)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 0, outcome.progress
+    assert "while one foot bears them alone" in outcome.output
+
+
+@pytest.mark.parametrize(("plant", "said"), [(_late, "ms late"), (_early, "ms early")])
+@pytest.mark.parametrize("measured", ["one step a plate", "one foot"])
+def test_a_shift_is_told_by_few_steps_too(run, solved, measured, plant, said):
+    if measured == "one foot":
+        _left_alone(solved)
+    else:
+        _stepped(solved, left=(1.5, 2.3), right=(2.0, 2.85))
+    plant(solved)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2, outcome.output
+    assert "timing of forces" in outcome.progress and said in outcome.progress
+
+
+def test_steps_of_the_own_foot_beside_the_plates_are_told(run, solved):
+    def change(time, columns):
+        for axis in "xyz":
+            columns[f"left_v{axis}"][(time > 1.5) & (time < 2.3)] = 0.0
+        return time, columns
+
+    _table(solved, "forces.mot", change)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2
+    assert "steps of the left foot" in outcome.progress and "list as cycles" in outcome.progress
+
+
+def test_the_way_out_of_a_light_force_is_named_and_leads_out(run, solved):
+    """The other foot's plate measured half of what it should."""
+
+    def change(time, columns):
+        return time, {name: 0.5 * v if name.startswith("right_v") else v for name, v in columns.items()}
+
+    _table(solved, "forces.mot", change)
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2 and "leave out that foot's forces" in outcome.progress
+    text = solved.read_text()
+    start, end = text.index("[forces.r]"), text.index("[emg]")
+    solved.write_text(text[:start] + text[end:])
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 0, outcome.progress
 
 
 def test_a_generic_model_is_scaled_on_the_way(run, solved):

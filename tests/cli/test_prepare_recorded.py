@@ -63,6 +63,19 @@ def test_forces_50_ms_late_are_refused_with_the_lag(run, overground):
     assert "timing of forces" in line and "best 50 ms late" in line
 
 
+@pytest.mark.parametrize(("shift", "said"), [(0.0, ""), (0.05, "ms late"), (-0.05, "ms early")])
+def test_one_measured_foot_tells_a_shift_of_50_ms(run, overground, shift, said):
+    text = overground.read_text()
+    start, end = text.index("[forces.l]"), text.index("[forces.r]")
+    overground.write_text(text[:start] + text[end:])
+    file = overground.parent / "ground_forces.mot"
+    forces = read_storage(file)
+    write_storage(file, replace(forces, time=forces.time + shift))
+    outcome = run("prepare", overground, "--out", overground.parent / "out")
+    assert outcome.status == (2 if said else 0), outcome.progress
+    assert said in outcome.progress and ("timing of forces" in outcome.progress) == bool(said)
+
+
 def test_swapped_legs_are_refused(run, overground):
     text = overground.read_text()
     for old, new in (("_r_", "_?_"), ("_l_", "_r_"), ("_?_", "_l_")):

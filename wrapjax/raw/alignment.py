@@ -1,19 +1,21 @@
 """Do motion, forces and EMG belong together: in time, by leg, in unit? Each check gives its numbers.
 
 Forces belong to motion by Newton's law: what the ground pushes up with is the mass of all bodies times the
-acceleration of their common center, gravity included. That tells a shift of 50 ms and a wrong unit without
-any assumption on gait. The feet tell whose force is whose.
+acceleration of their common center, gravity included. That tells a shift of 50 ms and a wrong unit, as long
+as all steps were on plates, or while one foot that was bears the body alone. The feet tell whose force is
+whose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from wrapjax.raw.forces import SIDES, FootForces, centers_of_pressure
+from wrapjax.raw.measured_steps import LONGEST_SWING, all_measured, measured_steps
 
 #: Largest time in s by which forces may be late or early: two frames of slow cameras. On recorded walking of
 #: two healthy adults, at 50 and 1000 frames a second, the estimate is within 5 ms.
@@ -24,6 +26,15 @@ LAGS = np.arange(-0.250, 0.2501, 0.005)
 BETTER = 0.9
 #: By how much the mean vertical force may differ from the model's weight.
 MOST_WEIGHT_ERROR = 0.15
+#: Of one foot that bears the body alone this tells no more than a unit: a hand on a rail bears some, too.
+LEAST_ALONE, MOST_ALONE = 0.5, 2.0
+#: And there a lag is real only if unshifted forces are off by so much of the weight (standard deviation):
+#: below that, in slow walking, forces change too little in the middle of a stance to tell.
+LEAST_MISFIT_ALONE = 0.03
+#: Share of a stance that the leg's own foot must be on its plates in every cycle.
+LEAST_STANCE = 0.5
+#: Frames from which forces are compared with motion.
+LEAST_FRAMES = 10
 #: Share of the model's weight that must be borne by a foot for its center of pressure to be judged.
 LOADED = 0.3
 #: Farthest that a foot's center of pressure may be from its own body's origin (the heel), m, by the median.
@@ -61,12 +72,54 @@ class Check:
     hint: str = ""
 
 
+def own_steps_measured(
+    forces: FootForces, side: str, cycles: Sequence[tuple[float, float]]
+) -> Iterator[Check]:
+    """Look for steps of the leg's own foot beside the plates, whose moments would be wrong.
+
+    Parameters
+    ----------
+    forces
+        Filtered, of one foot or both.
+    side
+        Of the leg, one of those measured.
+    cycles
+        Start and end of each gait cycle in s.
+
+    Yields
+    ------
+    Check
+        One, of all cycles.
+    """
+    steps = measured_steps(forces)[side]
+    foot = f"the {SIDES[side]} foot"
+    off = {cycle: steps.times_off(*cycle) for cycle in cycles}
+    longest = {cycle: float(times.max()) for cycle, times in off.items()}
+    # Without any step a stance is NaN, and nothing is less than that.
+    missed = [
+        (start, end)
+        for (start, end), times in off.items()
+        if not times.max() <= LONGEST_SWING * steps.stance
+        or not end - start - times.sum() >= LEAST_STANCE * steps.stance
+    ]
+    found = f"{foot} is off its plates for at most {max(longest.values()):.3g} s of a cycle"
+    found += f", and on them for {steps.stance:.3g} s a step" if steps.strikes.size else ""
+    fault = hint = ""
+    if missed:
+        start, end = missed[0]
+        fault = f"expected {foot} on its plates in every cycle, found it off them for"
+        fault = f"{fault} {longest[start, end]:.3g} s of the cycle from {start:.4g} to {end:.4g} s"
+        upward = forces.vertical(side).sum() > 0.0
+        hint = "list as cycles those whose steps were on plates" if upward else _unit_hint(0.0)
+    yield Check(f"steps of the {SIDES[side]} foot", found, fault, hint)
+
+
 def forces_against_motion(
     time: Float[np.ndarray, " frame"],
     required: Float[np.ndarray, " frame"],
     forces: FootForces,
 ) -> Iterator[Check]:
-    """Compare the whole vertical force with what the moving bodies need.
+    """Compare the whole vertical force with what the moving bodies need, while plates measured all of it.
 
     Parameters
     ----------
@@ -75,23 +128,32 @@ def forces_against_motion(
     required
         Vertical force that carries and accelerates all bodies of the model, N.
     forces
-        Filtered as motion was, both feet.
+        Filtered as motion was, upward positive in N; of one foot or both.
 
     Yields
     ------
     Check
-        Of the weight, then of the timing.
+        Of the weight, then of the timing; or one that says why neither can be told.
     """
     total = forces.wrench[:, 4].sum(axis=0)
-    inside = (time + LAGS[0] >= forces.time[0]) & (time + LAGS[-1] <= forces.time[-1])
-    inside = inside if inside.sum() >= 10 else np.ones(time.size, bool)
+    steps = [foot for foot in measured_steps(forces).values() if foot.strikes.size]
+    # Without any step something else is amiss, which the mean force tells.
+    whole = all_measured(time, steps) if steps else np.ones(time.size, bool)
+    inside = whole & (time + LAGS[0] >= forces.time[0]) & (time + LAGS[-1] <= forces.time[-1])
+    inside = inside if inside.sum() >= LEAST_FRAMES else whole
+    if inside.sum() < LEAST_FRAMES:
+        found = "forces are not compared with motion, since there are hardly any frames in which all steps"
+        yield Check("weight and timing of forces", f"{found} are known to have been on plates")
+        return
     at, needed = time[inside], required[inside]
+    alone = len(steps) == 1
 
     measured = float(np.interp(at, forces.time, total).mean())
     ratio = measured / float(needed.mean())
     found = f"the ground's vertical force is {measured:.4g} N on average, {ratio:.3g} times the"
     found = f"{found} {needed.mean():.4g} N that the model's bodies need in this motion"
-    heavy = abs(ratio - 1.0) > MOST_WEIGHT_ERROR
+    found += " while one foot bears them alone" if alone else ""
+    heavy = not LEAST_ALONE < ratio < MOST_ALONE if alone else abs(ratio - 1.0) > MOST_WEIGHT_ERROR
     yield Check(
         "weight",
         found,
@@ -115,6 +177,8 @@ def forces_against_motion(
         found = f"forces fit motion best {by} ms {late}: as recorded the vertical force is {away}, and then"
         found = f"{found} {least:.3g} N"
     shifted = abs(lag) > MOST_LAG + 1e-9 and least < BETTER * unshifted
+    if alone:
+        shifted &= unshifted > LEAST_MISFIT_ALONE * float(needed.mean())
     yield Check(
         "timing of forces",
         found,
@@ -131,7 +195,10 @@ def _unit_hint(ratio: float) -> str:
     for factor, words in ((1000.0, "N, not mN"), (0.001, "N, not kN"), (1 / 9.81, "N, not kg")):
         if abs(ratio / factor - 1.0) < 0.3:
             return f"give forces in {words}"
-    return "check the gain of the plates, and whether the model weighs what the person does"
+    hint = (
+        "check the gain of the plates, and whether the model weighs what the person does; were steps of the"
+    )
+    return f"{hint} other foot beside its plates, or a hand on a rail? Then leave out that foot's forces"
 
 
 def legs_of_forces(

@@ -139,7 +139,7 @@ def read_raw_settings(file: Path) -> RawSettings:
     weights = _weights(markers, problems)
     markers.finish()
 
-    feet = _feet(top, file, problems)
+    feet = _feet(top, file, side, problems)
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     unit = emg.text("unit", choices=tuple(VOLTS))
@@ -201,7 +201,7 @@ def _weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
     return {name: weight for name, weight in found.items() if weight is not None}
 
 
-def _feet(top: TableReader, file: Path, problems: list[Problem]) -> dict[str, ForceColumns]:
+def _feet(top: TableReader, file: Path, own: str, problems: list[Problem]) -> dict[str, ForceColumns]:
     reader = TableReader(top.table("forces"), file, "[forces]", problems)
     feet = {}
     for side in SIDES:
@@ -223,9 +223,9 @@ def _feet(top: TableReader, file: Path, problems: list[Problem]) -> dict[str, Fo
             force, point = foot.text("force") or "", foot.text("point") or ""
             feet[side] = ForceColumns(body, force, point, foot.text("torque", required=False) or "")
         foot.finish()
+    if own and not reader.has(own) and not reader.silent:
+        reader.problem("", f"expected [forces.{own}], what the ground does to the leg's own foot, found none")
     reader.finish()
-    if not feet and not reader.silent:
-        reader.problem("", "expected [forces.l] or [forces.r] or both, found neither")
     return feet
 
 

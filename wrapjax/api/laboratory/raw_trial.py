@@ -22,6 +22,7 @@ from wrapjax.raw.alignment import (
     forces_against_motion,
     legs_of_forces,
     markers_followed,
+    own_steps_measured,
 )
 from wrapjax.raw.angles import Motion, read_motion
 from wrapjax.raw.c3d import read_c3d_analog, read_c3d_markers, read_plates
@@ -99,7 +100,7 @@ def prepare_trial(
     forces = forces.filtered(cutoff).during(motion.time[0] - MOTION_MARGIN, motion.time[-1] + MOTION_MARGIN)
     _refuse(trial, trial.motion, checks)
     posed_at, mechanics = _moving_bodies(motion, settings, model)
-    mechanical = tuple(_mechanical_checks(posed_at, mechanics, forces, settings, notes))
+    mechanical = tuple(_mechanical_checks(posed_at, mechanics, forces, cycles, settings))
     _refuse(trial, trial.forces, mechanical)
     tell(f"{trial.name}: inverse dynamics")
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
@@ -216,9 +217,6 @@ def _cycles(
             message = f"expected cycles that all recordings cover ({covered}), found {list(outside[0])} s"
             raise InputError(Problem(str(settings.file), message, place))
         return trial.cycles
-    if settings.side not in forces.sides:
-        message = f"has no [forces.{settings.side}], by which gait cycles are found"
-        raise InputError(Problem(str(settings.file), message, place, "list them as cycles"))
     contacts = find_contacts(forces.time, forces.vertical(settings.side))
     cycles = contacts.cycles(start, end)
     if not cycles:
@@ -291,16 +289,14 @@ def _mechanical_checks(
     time: Float[np.ndarray, " frame"],
     mechanics: Mechanics,
     forces: FootForces,
+    cycles: Sequence[tuple[float, float]],
     settings: RawSettings,
-    notes: list[str],
 ) -> Iterator[Check]:
     """Check weight, timing and legs of the forces by the bodies' motion."""
     feet = {side: mechanics.origin[mechanics.bodies.index(foot.body)] for side, foot in settings.feet.items()}
     yield from legs_of_forces(time, feet, forces, 9.81 * settings.mass_kg)
-    if len(forces.sides) == 2:
-        yield from forces_against_motion(time, _needed(mechanics), forces)
-    else:
-        notes.append("timing of forces: not checked, since one foot's force alone does not bear the body")
+    yield from own_steps_measured(forces, settings.side, cycles)
+    yield from forces_against_motion(time, _needed(mechanics), forces)
 
 
 def _calf_checks(
