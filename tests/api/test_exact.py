@@ -2,12 +2,18 @@
 
 import jax
 import numpy as np
+import opensim
 import pytest
 
 from tests.api.hidden_cylinders import errors_of_told_arms, hidden
 from tests.api.round_trip import assert_reproduces_itself
-from tests.subject.synthetic import write_subject, write_wrapped_subject
-from wrapjax.api import calibrate, exact_geometry, load_subject, prepare
+from tests.subject.synthetic import (
+    add_muscle,
+    add_muscle_parameters,
+    write_subject,
+    write_wrapped_subject,
+)
+from wrapjax.api import calibrate, exact_geometry, load_run, load_subject, prepare
 from wrapjax.api.calibrating.problem import stages
 from wrapjax.calibrate import Status
 from wrapjax.cli import main
@@ -17,15 +23,25 @@ from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.geometry.wrap_boxes import NARROWER, WIDER
 from wrapjax.osim import analyse_muscles, describe_model
 
+#: What the subject's table says of its muscles, none of which is as strong in its model: N, m, m, rad.
+TABLE = {
+    "recfem_l": (1712.25, 0.1, 0.3, 0.34),
+    "semiten_l": (812.5, 0.15, 0.25, 0.0),
+    "vasint_l": (655.0, 0.093, 0.311, 0.21),
+}
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return write_wrapped_subject(tmp_path_factory.mktemp("wrapped") / "synthetic")
+    person = write_wrapped_subject(tmp_path_factory.mktemp("wrapped") / "synthetic")
+    add_muscle(person, "vasint_l", 0.04)
+    add_muscle_parameters(person, *((name, *values) for name, values in TABLE.items()))
+    return person
 
 
 @pytest.fixture(scope="module")
 def subject(folder):
-    """Two muscles, one of them over a cylinder behind the knee."""
+    """Three muscles, one of them over a cylinder behind the knee, another without an electrode."""
     return load_subject(folder)
 
 
@@ -123,6 +139,28 @@ def test_personalised_model_has_the_paths_of_the_calibration(subject, geometry, 
     # And it is another model: with the nominal cylinder lengths are not these.
     nominal = analyse_muscles(subject.model_file, ("semiten_l",), coordinates, poses)
     assert np.abs(nominal.length - written.length).max() > 1e-4
+
+
+def test_personalised_model_has_the_muscles_of_the_calibration(subject, run):
+    """Read by OpenSim; the table goes before the model, for muscles without an electrode too."""
+    model, found = opensim.Model(str(run / "model_personalized.osim")), {}
+    for muscle in map(model.getMuscles().get, range(model.getMuscles().getSize())):
+        found[muscle.getName()] = (
+            muscle.get_max_isometric_force(),
+            muscle.get_optimal_fiber_length(),
+            muscle.get_tendon_slack_length(),
+            muscle.get_pennation_angle_at_optimal(),
+        )
+    calibrated = load_run(run)
+    names = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length", "pennation_angle")
+    table = np.array([calibrated.values[name] for name in names]).T.tolist()
+    expected = dict(zip(calibrated.muscles, map(tuple, table), strict=True))
+    for muscle, values in expected.items():
+        strength, fiber, tendon, pennation = TABLE[muscle]
+        assert (values[0], values[3]) == (strength, pennation), "held"
+        assert values[1] != fiber and values[2] != tendon, "calibrated"
+    assert subject.undriven_muscles == ("vasint_l",)
+    assert found == {**expected, "vasint_l": TABLE["vasint_l"]}
 
 
 def test_same_paths_as_polynomials_give_the_same_calibration(subject, geometry):

@@ -1,4 +1,4 @@
-"""Defends: a personalised model is the old one with other cylinders and muscle lengths, and nothing else."""
+"""Defends: a personalised model is the old one with other cylinders and muscles, and nothing else."""
 
 import resource
 from xml.etree import ElementTree
@@ -9,15 +9,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError
-from wrapjax.osim import describe_model, write_personalised_model
+from wrapjax.osim import MuscleConstants, describe_model, write_personalised_model
 from wrapjax.osim.cylinders import NOMINAL
 from wrapjax.osim.loading import load_model
 from wrapjax.osim.path_engine import PathEngine
 
 #: Where the odd model's cylinder goes, which hangs on an offset frame.
 MOVED = {"condyles": (0.004, -0.007, 0.002, 0.15, -0.22, 1.15)}
-#: The odd model's only muscle on it gets other lengths (m), one with all the digits that a float has.
-LENGTHS = {"flexor": (0.0123456789012345, 0.31)}
+#: The odd model's only muscle on it gets other constants, one with all the digits that a float has.
+CONSTANTS = {"flexor": MuscleConstants(0.0123456789012345, 0.31, 1234.5, 0.123)}
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 
 
@@ -43,12 +43,12 @@ def placed(file, name, parameters):
     return rotation @ turn, origin + rotation @ parameters[:3], radius * parameters[5], length
 
 
-def lengths_of(file):
-    """Every muscle's constants."""
+def constants_of(file):
+    """Every muscle's, read by OpenSim."""
     model, _ = load_model(file)
     muscles = [model.getMuscles().get(index) for index in range(model.getMuscles().getSize())]
     return {
-        muscle.getName(): (
+        muscle.getName(): MuscleConstants(
             muscle.get_optimal_fiber_length(),
             muscle.get_tendon_slack_length(),
             muscle.get_max_isometric_force(),
@@ -74,7 +74,7 @@ def edited_away(file, elements, tags):
 @pytest.fixture(scope="module")
 def odd_written(odd_model, tmp_path_factory):
     file = tmp_path_factory.mktemp("written") / "new" / "odd.osim"
-    write_personalised_model(odd_model, file, MOVED, LENGTHS)
+    write_personalised_model(odd_model, file, MOVED, CONSTANTS)
     return file
 
 
@@ -108,15 +108,16 @@ def test_cylinder_turned_to_where_body_fixed_angles_are_ambiguous(tmp_path, odd_
         np.testing.assert_allclose(rotation, expected, rtol=0, atol=1e-12)
 
 
-def test_muscle_lengths_are_written_to_the_last_digit_and_others_kept(odd_model, odd_written):
-    before, after = lengths_of(odd_model), lengths_of(odd_written)
-    assert after.pop("flexor") == (*LENGTHS["flexor"], *before.pop("flexor")[2:])
+def test_muscle_constants_are_written_to_the_last_digit_and_others_kept(odd_model, odd_written):
+    before, after = constants_of(odd_model), constants_of(odd_written)
+    assert not set(before.pop("flexor")) & set(CONSTANTS["flexor"])
+    assert after.pop("flexor") == CONSTANTS["flexor"]
     assert after == before
 
 
 def test_everything_else_is_the_same_document(odd_model, odd_written, tmp_path):
-    tags = ("translation", "xyz_body_rotation", "radius", "optimal_fiber_length", "tendon_slack_length")
-    names = {*MOVED, *LENGTHS}
+    tags = ("translation", "xyz_body_rotation", "radius", *MuscleConstants._fields)
+    names = {*MOVED, *CONSTANTS}
     assert edited_away(odd_written, names, tags) == edited_away(odd_model, names, tags)
     assert edited_away(odd_written, (), ()) != edited_away(odd_model, (), ())
     # With nothing to change, nothing changes.
@@ -128,9 +129,9 @@ def test_a_remark_before_the_model_survives(odd_model, tmp_path):
     noted = tmp_path / "noted.osim"
     first, rest = odd_model.read_text().split("\n", 1)
     noted.write_text(f"{first}\n<!-- Measured on a Tuesday: \N{GREEK SMALL LETTER ALPHA} -->\n{rest}")
-    write_personalised_model(noted, noted, MOVED, LENGTHS)
+    write_personalised_model(noted, noted, MOVED, CONSTANTS)
     assert "<!-- Measured on a Tuesday: \N{GREEK SMALL LETTER ALPHA} -->" in noted.read_text("utf-8")
-    assert lengths_of(noted)["flexor"][:2] == LENGTHS["flexor"]
+    assert constants_of(noted)["flexor"] == CONSTANTS["flexor"]
 
 
 def test_properties_that_the_file_leaves_at_their_defaults_are_added(odd_model, tmp_path):
@@ -164,7 +165,9 @@ def test_paths_of_a_leg_are_those_of_placing(s1_left, tmp_path):
     random = np.random.default_rng(2)
     low, high = (-0.01, -0.01, -0.01, -0.35, -0.35, 0.8), (0.01, 0.01, 0.01, 0.35, 0.35, 1.2)
     wraps = {name: random.uniform(low, high) for name in names[1:]}
-    write_personalised_model(model_file, tmp_path / "new.osim", wraps, {"soleus_l": (0.05, 0.25)})
+    write_personalised_model(
+        model_file, tmp_path / "new.osim", wraps, {"soleus_l": MuscleConstants(0.05, 0.25, 6000.0, 0.5)}
+    )
     spans = {
         name: tuple(entry for entry in description.spanned_by(name) if entry in COORDINATES)
         for name in muscles
@@ -187,12 +190,17 @@ def assert_paths_agree(model_file, written, coordinates, spans, poses, wraps):
 
 def test_everything_wrong_is_named_at_once(odd_model, tmp_path):
     wraps = {"condyle": NOMINAL, "brim": NOMINAL, "condyles": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)}
-    muscles = {"Flexor": (0.1, 0.2), "extensor": (0.1, float("nan")), "moving": (0.0, 0.2)}
+    muscles = {
+        "Flexor": MuscleConstants(0.1, 0.2, 500.0, 0.1),
+        "extensor": MuscleConstants(0.1, float("nan"), 500.0, 0.1),
+        "moving": MuscleConstants(0.0, 0.2, 500.0, 0.1),
+        "hip_flexor": MuscleConstants(0.1, 0.2, 500.0, np.pi / 2),
+    }
     with pytest.raises(InputError) as caught:
         write_personalised_model(odd_model, tmp_path / "new.osim", wraps, muscles)
     problems = caught.value.problems
     assert [problem.place for problem in problems] == [
-        *("condyle", "brim", "Flexor", "condyles", "extensor", "moving")
+        *("condyle", "brim", "Flexor", "condyles", "extensor", "moving", "hip_flexor")
     ]
     assert problems[0].hint == "did you mean 'condyles'?"
     assert problems[2].hint == "did you mean 'flexor'?"
@@ -227,7 +235,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(odd_model, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))
     try:
         with pytest.raises(OSError, match="File too large"):
-            write_personalised_model(odd_model, file, MOVED, LENGTHS)
+            write_personalised_model(odd_model, file, MOVED, CONSTANTS)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert list(tmp_path.iterdir()) == [file]

@@ -8,5 +8,6 @@ from wrapjax.osim.model import spanned_coordinates as spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry as PathGeometry
 from wrapjax.osim.muscle_analysis import analyse_muscles as analyse_muscles
 from wrapjax.osim.muscle_analysis import touching_muscles as touching_muscles
+from wrapjax.osim.personalise import MuscleConstants as MuscleConstants
 from wrapjax.osim.personalise import write_personalised_model as write_personalised_model
 from wrapjax.osim.placed_analysis import analyse_placements as analyse_placements

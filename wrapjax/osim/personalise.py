@@ -1,4 +1,4 @@
-"""Write a model with other wrap cylinders and other muscle lengths, and nothing else changed.
+"""Write a model with other wrap cylinders and other muscle constants, and nothing else changed.
 
 OpenSim computes where the cylinders go; the file itself is edited as XML. Had OpenSim written it, every
 default would be spelled out, old documents upgraded and comments replaced.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.dom import minidom
 
 import numpy as np
@@ -23,13 +23,38 @@ from wrapjax.osim.model import elements, unknown_names
 _Edit = tuple[str, str, dict[str, str]]
 
 
+class MuscleConstants(NamedTuple):
+    """What makes one muscle's force beside its path, by OpenSim's names.
+
+    Parameters
+    ----------
+    optimal_fiber_length, tendon_slack_length
+        m, above 0.
+    max_isometric_force
+        N, above 0.
+    pennation_angle_at_optimal
+        rad, from 0 and below a right angle.
+    """
+
+    optimal_fiber_length: float
+    tendon_slack_length: float
+    max_isometric_force: float
+    pennation_angle_at_optimal: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether a muscle can have them."""
+        *above_zero, pennation = self
+        return bool(np.isfinite(self).all() and min(above_zero) > 0.0 and 0.0 <= pennation < np.pi / 2)
+
+
 def write_personalised_model(
     model_file: Path | str,
     out_file: Path | str,
     wraps: Mapping[str, WrapParameters],
-    muscles: Mapping[str, tuple[float, float]],
+    muscles: Mapping[str, MuscleConstants],
 ) -> None:
-    """Write a model's file again with cylinders moved and muscle lengths changed.
+    """Write a model's file again with cylinders moved and muscle constants changed.
 
     Parameters
     ----------
@@ -43,13 +68,13 @@ def write_personalised_model(
         about its x and then its own y axis, and the radius as a multiple of the nominal one. What is
         nominal, ``model_file`` says.
     muscles
-        Muscle to optimal fiber length and tendon slack length, m.
+        Muscle to its constants; muscles that are not named keep theirs.
 
     Raises
     ------
     InputError
         If OpenSim cannot load the model, it does not have all that is named (each name but once), or a
-        radius factor or length is not positive and finite.
+        radius factor or constant of a muscle is impossible.
 
     Examples
     --------
@@ -57,7 +82,7 @@ def write_personalised_model(
     ...     "model.osim",
     ...     "model_personalized.osim",
     ...     wraps={"PS_at_brim_l": (0.002, 0.0, -0.001, 0.1, 0.0, 1.1)},
-    ...     muscles={"psoas_l": (0.11, 0.10)},
+    ...     muscles={"psoas_l": MuscleConstants(0.11, 0.10, 2500.0, 0.2)},
     ... )  # doctest: +SKIP
     """
     opensim = import_opensim()
@@ -72,7 +97,7 @@ def write_personalised_model(
         raise InputError(problems)
 
     edits = [_cylinder_edit(opensim, cylinders[name], parameters) for name, parameters in wraps.items()]
-    edits += [_muscle_edit(kinds[name], name, *lengths) for name, lengths in muscles.items()]
+    edits += [_muscle_edit(kinds[name], name, constants) for name, constants in muscles.items()]
     document = minidom.parse(file)
     problems = [problem for edit in edits for problem in _apply(file, document, edit)]
     if problems:
@@ -86,16 +111,19 @@ def write_personalised_model(
 
 
 def _impossible_values(
-    file: str, wraps: Mapping[str, WrapParameters], muscles: Mapping[str, tuple[float, float]]
+    file: str, wraps: Mapping[str, WrapParameters], muscles: Mapping[str, MuscleConstants]
 ) -> Iterator[Problem]:
     for name, parameters in wraps.items():
         if not (len(parameters) == len(NOMINAL) and np.isfinite(parameters).all() and parameters[-1] > 0.0):
             message = "six finite wrap parameters, the last one positive, were expected"
             yield Problem(file, f"{message}, and '{_text(parameters)}' found", place=name)
-    for name, lengths in muscles.items():
-        if not (np.isfinite(lengths).all() and min(lengths) > 0.0):
-            message = "a positive optimal fiber length and tendon slack length were expected"
-            yield Problem(file, f"{message}, and '{_text(lengths)}' found", place=name)
+    for name, constants in muscles.items():
+        if not constants.possible:
+            message = (
+                "a positive optimal fiber length, tendon slack length and maximum isometric force, and a "
+                "pennation angle from 0 to below a right angle were expected"
+            )
+            yield Problem(file, f"{message}, and '{_text(constants)}' found", place=name)
 
 
 def _cylinder_edit(opensim: Any, nominal: NominalCylinder, parameters: WrapParameters) -> _Edit:
@@ -110,12 +138,8 @@ def _cylinder_edit(opensim: Any, nominal: NominalCylinder, parameters: WrapParam
     return cylinder.getConcreteClassName(), cylinder.getName(), texts
 
 
-def _muscle_edit(kind: str, name: str, optimal_fiber_length: float, tendon_slack_length: float) -> _Edit:
-    texts = {
-        "optimal_fiber_length": _text([optimal_fiber_length]),
-        "tendon_slack_length": _text([tendon_slack_length]),
-    }
-    return kind, name, texts
+def _muscle_edit(kind: str, name: str, constants: MuscleConstants) -> _Edit:
+    return kind, name, {tag: _text([value]) for tag, value in constants._asdict().items()}
 
 
 def _text(values: Iterable[float] | WrapParameters) -> str:
