@@ -28,12 +28,14 @@ def test_the_command_line_goes_before_the_file(run, asked, tmp_path):
     assert run("calibrate", "anna", "--settings", file, "--starts", "2", "--out", out).status == DONE
     (options,) = asked
     assert (options.method, options.starts, options.curves) == ("PGA", 2, "paper")
+    assert options.tendon == "rigid"
     assert options.fit == tmp_path / "fits" / "one", "paths are relative to the file"
 
 
 def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
     first, second = tmp_path / "first", tmp_path / "elsewhere" / "second"
     words = ("--method", "LSGA", "--fit", tmp_path / "fit", "--seed", "3", "--max-iterations", "9")
+    words += ("--tendon", "compliant")
     assert run("calibrate", "anna", *words, "--out", first).status == DONE
     assert run("calibrate", "anna", "--settings", first / "settings.toml", "--out", second).status == DONE
     one, other = (vars(options) | {"out": None, "settings": None} for options in asked)
@@ -41,6 +43,7 @@ def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
     assert one == other
     kept = (second / "settings.toml").read_text()
     assert 'fit = "../../fit"' in kept and "force" not in kept and "out" not in kept.replace("without", "")
+    assert 'tendon = "compliant"' in kept
 
 
 @pytest.mark.parametrize(

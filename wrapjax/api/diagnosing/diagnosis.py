@@ -16,6 +16,7 @@ from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.api.runs.datasets import gap_dataset
 from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
+from wrapjax.errors import InputError, Problem
 from wrapjax.gap import catalogue
 from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.gap.conclude.verdict import Tuning
@@ -166,9 +167,19 @@ def diagnose_calibrated(
     tell: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
 ) -> Diagnosis:
-    """Say what a calibrated model of one leg still lacks; see `diagnose`."""
+    """Say what a calibrated model of one leg still lacks; see `diagnose`.
+
+    Raises
+    ------
+    InputError
+        If the calibration had compliant tendons, or ``without`` names no effect.
+    """
     if calibration.result.tendon != "rigid":
-        raise ValueError("a diagnosis starts from rigid tendons: that they stretch is one of its effects")
+        message = (
+            "has tendons that stretch, where rigid ones were expected: stretch is one of a diagnosis' effects"
+        )
+        where = f"the calibration of {calibration.subject.name}"
+        raise InputError(Problem(where, message, hint='calibrate with tendon="rigid"'))
     began = time.perf_counter()
     case = investigation(calibration, without)
     known = dict(seconds or {}, context=time.perf_counter() - began)
