@@ -156,7 +156,7 @@ def _c3d(finished: Path, place: Path) -> Prepared:
     from wrapjax.raw.forces import ForceColumns
 
     valid, file = place / "valid.c3d", place / "input.c3d"
-    c3d_file.write(str(valid), 1.0)
+    c3d_file.write(str(valid), 1.0, "mm")
 
     def read() -> None:
         read_c3d_markers(file)
