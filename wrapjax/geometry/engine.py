@@ -1,8 +1,11 @@
 """The exact path engine: lengths and moment arms of wrapping paths, without OpenSim.
 
 Two ways of wrapping. `GEODESIC` lays paths the shortest way, so that moment arms are exactly -dL/dq;
-whatever moves cylinders uses it, directly or through surrogates. `PARITY` does what OpenSim 4.6 does, to round-off and with its
-defects: it says what a model will do in OpenSim, and is what the engine is tested by.
+whatever moves cylinders uses it, directly or through surrogates. `PARITY` does what OpenSim 4.6 does, to
+round-off and with its defects: it says what a model will do in OpenSim, and is what the engine is tested
+by. Both can be differentiated by poses and cylinders in forward mode, and in reverse mode too, but for
+`PARITY` round several cylinders: OpenSim goes round them as often as it takes, and a loop of unknown
+length cannot be gone back.
 """
 
 from __future__ import annotations
