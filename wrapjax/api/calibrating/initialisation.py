@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from wrapjax.api.calibrating.undriven import acting_muscles
 from wrapjax.api.paths.exact import recorded
+from wrapjax.api.runs.datasets import initialisation_dataset
 from wrapjax.calibrate import ProjectedLM, Status
 from wrapjax.calibrate.initial_lengths import InitialLengths, LengthErrors
 from wrapjax.files import new_folder, write_json, write_text
@@ -30,6 +31,8 @@ from wrapjax.subject.muscles import CSV_COLUMNS
 from wrapjax.subject.passive import PassiveTrial
 
 if TYPE_CHECKING:
+    from xarray import Dataset
+
     from wrapjax.report.initialisation.figures import PassiveCurves
 
 #: The file that ``subject.toml`` can name as ``[model] muscle_parameters``.
@@ -81,6 +84,11 @@ class Initialisation:
             for row, (name, own) in enumerate(zip(self.subject.trials.moment_coordinates, known, strict=True))
             if own.any()
         }
+
+    @property
+    def dataset(self) -> Dataset:
+        """Lengths before and after, and passive moments, as an `xarray.Dataset` with units."""
+        return initialisation_dataset(self)
 
     @property
     def notes(self) -> tuple[str, ...]:

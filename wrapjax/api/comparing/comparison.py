@@ -14,6 +14,7 @@ from wrapjax.api.calibrating.problem import METHODS, method_freedom, source_for,
 from wrapjax.api.comparing.persons import file_name, labels_of, persons_of
 from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
 from wrapjax.api.paths.fitting import Fit
+from wrapjax.api.runs.datasets import comparison_dataset
 from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder
@@ -22,6 +23,8 @@ from wrapjax.progress import say
 from wrapjax.subject import Subject, read_legs
 
 if TYPE_CHECKING:
+    from xarray import Dataset
+
     from wrapjax.report.comparison.numbers import Row
     from wrapjax.report.comparison.samples import ComparedLeg
 
@@ -93,6 +96,11 @@ class Comparison:
         from wrapjax.report.comparison.numbers import comparison_rows
 
         return comparison_rows(self.legs, self.methods)
+
+    @property
+    def dataset(self) -> Dataset:
+        """Moments, their errors and parameters by method, as an `xarray.Dataset` with units."""
+        return comparison_dataset(self.legs, self.methods)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``<subject>/<METHOD>/`` for every calibration, ``comparison.json``, tables and report."""

@@ -2,25 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from wrapjax.calibrate import CalibrationResult
 from wrapjax.contact.compartments import COMPARTMENTS
 from wrapjax.contact.result import ContactResult
 from wrapjax.gap.result import GapResult
+from wrapjax.geometry.surfaces import NOMINAL
 from wrapjax.model import QUANTITIES
+from wrapjax.subject import Trials
+from wrapjax.subject.legs import name_without_side
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+    from wrapjax.api.calibrating.initialisation import Initialisation
+    from wrapjax.report.comparison.samples import ComparedLeg
 
 #: Axes, unit, meaning and values of a variable.
 _Column = tuple[tuple[str, ...], str, str, Any]
 
 _MOMENT = ("trial", "coordinate", "frame")
 _CURVE = ("trial", "muscle", "frame")
+_USE = "calibration or validation"
+#: Not ``method``, which `sel` of xarray takes for its own option.
+_METHOD = "calibration_method"
+_ERROR = (
+    ("trial", "coordinate"),
+    "N m",
+    "mean over frames of the absolute difference of modelled and measured moment",
+)
+#: By the first part of its name, what a cylinder's parameter is.
+_WRAP_MEANINGS = {
+    "translation": "shift of the cylinder along its nominal frame",
+    "rotation": "turn of the cylinder about its frame, first x and then its own y axis",
+    "radius": "radius over the nominal one",
+}
 
 
 def calibration_dataset(result: CalibrationResult) -> Dataset:
@@ -35,7 +56,8 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
     -------
     Dataset
         SI units, which ``attrs`` of each variable say. Forces are along the tendon, in N; moments in N m,
-        with the signs of the model's coordinates.
+        with the signs of the model's coordinates. Where cylinders were free, their parameters by ``wrap``;
+        where synergies drove muscles, ``synergy_weight`` by ``extrapolated_excitation`` and ``command``.
     """
     states = result.states
 
@@ -73,13 +95,33 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
     }
     for name, quantity in QUANTITIES.items():
         columns[name] = (("muscle",), quantity.unit, quantity.meaning, getattr(result.parameters, name))
-    labels = {
+    labels: dict[str, Any] = {
         "trial": result.trials,
         "coordinate": result.coordinates,
         "muscle": result.muscles,
         "frame": np.arange(result.time.shape[1]),
     }
-    attributes = {"method": result.method, "curves": result.curves, "status": result.solution.status.value}
+    wraps, synergies = result.freedom.wraps, result.freedom.synergies
+    if wraps is not None:
+        labels["wrap"] = wraps.names
+        values = NOMINAL + wraps.changes_of(np.asarray(result.parameters.path_changes))
+        for name, unit, column in zip(wraps.quantities, wraps.units, values.T, strict=True):
+            columns[name] = (("wrap",), unit, _WRAP_MEANINGS[name.split("_")[0]], column)
+    if synergies is not None:
+        labels |= {"extrapolated_excitation": synergies.names, "command": synergies.labels}
+        rows = [int(np.argmax(synergies.places == number)) for number in range(len(synergies.names))]
+        columns["synergy_weight"] = (
+            ("extrapolated_excitation", "command"),
+            "1",
+            "weight of a synergy's command in an excitation that nobody measured, the last of a constant",
+            np.asarray(result.parameters.synergy_weights)[rows],
+        )
+    attributes = {
+        "method": result.method,
+        "curves": result.curves,
+        "tendon": result.tendon,
+        "status": result.solution.status.value,
+    }
     return _dataset(columns, labels, _of_trials(result), attributes)
 
 
@@ -178,17 +220,193 @@ def contact_dataset(result: ContactResult) -> Dataset:
         "frame": np.arange(result.time.shape[1]),
     }
     of_trials: dict[str, _Column] = {
-        "use": (("trial",), "", "calibration or validation", list(result.uses)),
+        "use": (("trial",), "", _USE, list(result.uses)),
         "time": (("trial", "frame"), "s", "time in the recording", result.time),
+        "gait_phase": (
+            ("trial", "frame"),
+            "%",
+            "of the gait cycle, from the foot's strike, beyond 100 after the next one",
+            result.phase,
+        ),
     }
     attributes = {"kind": result.kind, "reason": result.reason, "bodyweight_N": f"{result.bodyweight:.6g}"}
     return _dataset(columns, labels, of_trials, attributes)
 
 
-def _of_trials(result: CalibrationResult | GapResult) -> dict[str, _Column]:
+def evaluation_dataset(
+    trials: Trials,
+    modelled: Float[np.ndarray, "trial coordinate frame"],
+    attributes: Mapping[str, str],
+) -> Dataset:
+    """Label what a finished calibration predicts on a subject's cycles, beside what was measured.
+
+    Parameters
+    ----------
+    trials
+        The cycles.
+    modelled
+        Joint moments in N m, with the signs of the model's coordinates.
+    attributes
+        What is known of both: whose, and by which run.
+    """
+    columns: dict[str, _Column] = {
+        "measured_moment": (_MOMENT, "N m", "joint moment by inverse dynamics", trials.moments),
+        "modelled_moment": (_MOMENT, "N m", "joint moment by the finished calibration", modelled),
+        "mean_absolute_error": (*_ERROR, np.abs(modelled - trials.moments).mean(axis=2)),
+    }
+    labels = {
+        "trial": trials.names,
+        "coordinate": trials.moment_coordinates,
+        "frame": np.arange(trials.time.shape[1]),
+    }
+    return _dataset(columns, labels, _of_trials(trials), attributes)
+
+
+def comparison_dataset(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> Dataset:
+    """Label moments and parameters of several legs by several methods.
+
+    Parameters
+    ----------
+    legs
+        Every calibrated leg.
+    methods
+        The first is the one that others are compared with.
+
+    Returns
+    -------
+    Dataset
+        Cycles of all legs stand one after the other along ``trial``, as ``<leg>/<cycle>``; coordinates and
+        muscles go by their names without ``_l`` and ``_r``, with NaN where a leg lacks one. Moments in N m,
+        parameters in SI units.
+    """
+    coordinates = _united([leg.recorded.coordinates for leg in legs])
+    muscles = _united([leg.recorded.muscles for leg in legs])
+    cycles = [(leg, trial) for leg in legs for trial in range(len(leg.recorded.trials))]
+
+    def moments(of: str, method: str | None = None) -> np.ndarray:
+        filled = []
+        for leg, trial in cycles:
+            result = leg.recorded if method is None else leg.results[method]
+            filled.append(_placed(getattr(result, of)[trial], result.coordinates, coordinates))
+        return np.stack(filled)
+
+    measured = moments("measured")
+    modelled = np.stack([moments("modelled", method) for method in methods])
+    columns: dict[str, _Column] = {
+        "measured_moment": (_MOMENT, "N m", "joint moment by inverse dynamics", measured),
+        "modelled_moment": ((_METHOD, *_MOMENT), "N m", "joint moment by the calibrated model", modelled),
+        "mean_absolute_error": (
+            (_METHOD, *_ERROR[0]),
+            *_ERROR[1:],
+            np.abs(modelled - measured).mean(axis=3),
+        ),
+    }
+    for name, quantity in QUANTITIES.items():
+        values = [
+            [
+                _placed(
+                    np.asarray(getattr(leg.results[method].parameters, name)), leg.recorded.muscles, muscles
+                )
+                for leg in legs
+            ]
+            for method in methods
+        ]
+        columns[name] = ((_METHOD, "leg", "muscle"), quantity.unit, quantity.meaning, values)
+    labels = {
+        _METHOD: methods,
+        "leg": [leg.label for leg in legs],
+        "trial": [f"{leg.label}/{leg.recorded.trials[trial]}" for leg, trial in cycles],
+        "coordinate": coordinates,
+        "muscle": muscles,
+        "frame": np.arange(measured.shape[2]),
+    }
+    of_trials: dict[str, _Column] = {
+        "leg_of_trial": (("trial",), "", "leg that walked it", [leg.label for leg, _ in cycles]),
+        "use": (("trial",), "", _USE, [leg.recorded.uses[trial] for leg, trial in cycles]),
+        "speed": (("trial",), "m/s", "walking speed", [leg.recorded.speeds[trial] for leg, trial in cycles]),
+        "time": (
+            ("trial", "frame"),
+            "s",
+            "time in the recording",
+            np.stack([leg.recorded.time[trial] for leg, trial in cycles]),
+        ),
+    }
+    return _dataset(columns, labels, of_trials, {})
+
+
+def initialisation_dataset(found: Initialisation) -> Dataset:
+    """Label lengths to start from, where fibers then work in walking, and passive moments.
+
+    Returns
+    -------
+    Dataset
+        ``stage`` is before, then after. Lengths in m; passive moments in N m, with the signs of the model's
+        coordinates, NaN where none was recorded, the samples of all passive trials one after the other.
+    """
+    stages = (found.before, found.after)
+    by_muscle = ("stage", "muscle")
+    columns: dict[str, _Column] = {
+        name: (
+            by_muscle,
+            QUANTITIES[name].unit,
+            QUANTITIES[name].meaning,
+            [getattr(one, name) for one in stages],
+        )
+        for name in ("optimal_fiber_length", "tendon_slack_length")
+    }
+    for place, end in enumerate(("shortest", "longest")):
+        meaning = f"{end} fiber length in walking over its optimum"
+        columns[f"{end}_normalized_fiber_length"] = (by_muscle, "1", meaning, found.ranges[:, :, place])
+    measured, *modelled = found.passive
+    columns |= {
+        "measured_passive_moment": (
+            ("coordinate", "sample"),
+            "N m",
+            "joint moment recorded with muscles at rest",
+            measured,
+        ),
+        "modelled_passive_moment": (
+            ("stage", "coordinate", "sample"),
+            "N m",
+            "joint moment by passive muscle forces",
+            np.stack(modelled),
+        ),
+    }
+    trials = [trial.name for trial in found.subject.passive for _ in range(trial.moments.shape[1])]
+    labels = {
+        "stage": ("before", "after"),
+        "muscle": found.after.names,
+        "coordinate": found.subject.trials.moment_coordinates,
+        "sample": np.arange(measured.shape[1]),
+    }
+    of_samples: dict[str, _Column] = {
+        "passive_trial": (
+            ("sample",),
+            "",
+            "passive trial that the sample is from",
+            np.array(trials, dtype=str),
+        )
+    }
+    attributes = {"subject": found.subject.name, "status": found.status.value}
+    return _dataset(columns, labels, of_samples, attributes)
+
+
+def _united(names: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """List all names without their sides, each once, in the order in which they come."""
+    return tuple(dict.fromkeys(name_without_side(name) for own in names for name in own))
+
+
+def _placed(values: np.ndarray, names: Sequence[str], places: Sequence[str]) -> np.ndarray:
+    """Put rows where their names without sides have their places; NaN elsewhere."""
+    filled = np.full((len(places), *values.shape[1:]), np.nan)
+    filled[[places.index(name_without_side(name)) for name in names]] = values
+    return filled
+
+
+def _of_trials(result: CalibrationResult | GapResult | Trials) -> dict[str, _Column]:
     """What is known of each cycle."""
     return {
-        "use": (("trial",), "", "calibration or validation", list(result.uses)),
+        "use": (("trial",), "", _USE, list(result.uses)),
         "speed": (("trial",), "m/s", "walking speed", result.speeds),
         "time": (("trial", "frame"), "s", "time in the recording", result.time),
     }

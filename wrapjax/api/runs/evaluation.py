@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from wrapjax.api.calibrating.assembly import recording, surrogate_paths
 from wrapjax.api.calibrating.extrapolation import driven_by
 from wrapjax.api.paths.exact import WRAPPINGS, engine_of, recorded
+from wrapjax.api.runs.datasets import evaluation_dataset
 from wrapjax.api.runs.stored_run import Run
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import content_hash, new_folder
@@ -24,6 +25,9 @@ from wrapjax.model import ModelParameters, muscle_states, tendon_alterations
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
 from wrapjax.subject import Subject, Trials
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: Angles so far beyond those that polynomials were fitted on, in half ranges, are told of.
 _BEYOND = 0.1
@@ -52,6 +56,19 @@ class Evaluation:
     def trials(self) -> Trials:
         """The cycles."""
         return self.subject.trials
+
+    @property
+    def dataset(self) -> Dataset:
+        """Moments measured and predicted, and their errors, as an `xarray.Dataset` with units."""
+        attributes = {
+            "subject": self.subject.name,
+            "run_subject": self.run.subject,
+            "method": self.run.method,
+            "curves": self.run.curves,
+            "tendon": self.run.tendon,
+            "notes": "\n".join(self.notes),
+        }
+        return evaluation_dataset(self.trials, self.modelled, attributes)
 
     def content(self) -> dict[str, Any]:
         """Describe it in plain values: what ``evaluation.json`` holds, errors as in ``summary.json``."""
