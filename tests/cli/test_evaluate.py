@@ -28,6 +28,7 @@ def test_json_is_what_the_folder_holds(run, calibrated, subject, tmp_path):
         "moments/walk_a_02.sto",
         "moments/walk_b.sto",
         "report.html",
+        "settings.toml",
     ]
     assert_only_errors(run("evaluate", calibrated[1], subject, "--out", out), out)
 

@@ -52,6 +52,12 @@ def test_the_folder_is_a_subject(run, prepared):
     assert len(subject.trials.time) == 3 and subject.mass_kg == walker.MASS
 
 
+def test_what_was_asked_for_is_kept_word_for_word(laboratory, prepared):
+    folder = prepared[1]
+    assert (folder / "prepared_from.toml").read_text() == laboratory.read_text()
+    assert "by prepared_from.toml" in (folder / "subject.toml").read_text().splitlines()[0]
+
+
 def test_cycles_begin_when_the_left_foot_bears_weight(prepared):
     starts = load_subject(prepared[1]).trials.time[:, 0]
     # The made-up foot bears 30 N only 16 ms after its strike.

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from wrapjax.commands.common import DONE, AddCommand, print_json
+from wrapjax.commands.settings import add_settings
 from wrapjax.files import plain_values, refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
@@ -17,6 +18,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     evaluate.add_argument("subject", type=Path, metavar="SUBJECT", help="with the run's muscles")
     evaluate.add_argument("--out", type=Path, metavar="DIR", help="write moments and a report, too")
     evaluate.add_argument("--force", action="store_true", help="replace the folder if it exists")
+    add_settings(evaluate)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, print_json
+from wrapjax.commands.settings import add_settings
 from wrapjax.files import plain_values, refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
@@ -21,6 +22,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     initialise.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     initialise.add_argument("--force", action="store_true", help="replace the folder if it exists")
     initialise.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    add_settings(initialise)
 
 
 def run(options: argparse.Namespace) -> int:

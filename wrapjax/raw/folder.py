@@ -22,6 +22,8 @@ from wrapjax.subject.toml_text import quoted, quoted_list
 
 MODEL_FILE = "model.osim"
 PARAMETERS_FILE = "muscle_parameters.csv"
+#: What the laboratory's settings said, word for word; paths in it start from where they were.
+PREPARED_FROM = "prepared_from.toml"
 
 
 @dataclass(frozen=True)
@@ -69,13 +71,14 @@ class PreparedTrial:
 def write_folder(
     folder: Path, settings: RawSettings, model_file: Path, trials: Sequence[PreparedTrial]
 ) -> None:
-    """Fill an empty folder: settings, model, trials."""
+    """Fill an empty folder: settings, what they were made of, model, trials."""
     shutil.copyfile(model_file, folder / MODEL_FILE)
     if settings.muscle_parameters is not None:
         shutil.copyfile(settings.muscle_parameters, folder / PARAMETERS_FILE)
     for prepared in trials:
         _write_trial(folder / "trials" / prepared.trial.name, settings, prepared)
     write_text(folder / SETTINGS_FILE, _settings_text(settings, trials))
+    write_text(folder / PREPARED_FROM, settings.text)
 
 
 def _write_trial(folder: Path, settings: RawSettings, prepared: PreparedTrial) -> None:
@@ -98,7 +101,7 @@ def _write_trial(folder: Path, settings: RawSettings, prepared: PreparedTrial) -
 
 def _settings_text(settings: RawSettings, trials: Sequence[PreparedTrial]) -> str:
     lines = [
-        "# Written by 'wrapjax prepare'; what was checked is in preparation.json.",
+        f"# Written by 'wrapjax prepare' by {PREPARED_FROM}; what was checked is in preparation.json.",
         "[subject]",
         f"name = {quoted(settings.name)}",
         f"mass_kg = {settings.mass_kg!r}",

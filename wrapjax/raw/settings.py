@@ -11,7 +11,7 @@ from wrapjax.raw.forces import SIDES, ForceColumns
 from wrapjax.subject.channels import read_channels
 from wrapjax.subject.schema import TableReader, describe_value
 from wrapjax.subject.settings import TrialSettings, read_cycles
-from wrapjax.subject.toml_file import read_toml
+from wrapjax.subject.toml_file import parse_toml, read_toml_text
 
 #: Volts in each unit of EMG.
 VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
@@ -57,8 +57,8 @@ class RawSettings:
 
     Parameters
     ----------
-    file
-        The settings' own file.
+    file, text
+        The settings' own file, and what it says.
     name, mass_kg, side, paretic
         The person and the leg.
     model_file, coordinates, muscle_parameters
@@ -82,6 +82,7 @@ class RawSettings:
     """
 
     file: Path
+    text: str
     name: str
     mass_kg: float
     side: str
@@ -111,7 +112,8 @@ def read_raw_settings(file: Path) -> RawSettings:
     """
     file = Path(file)
     problems: list[Problem] = []
-    top = TableReader(read_toml(file), file, "", problems)
+    text = read_toml_text(file)
+    top = TableReader(parse_toml(text, file), file, "", problems)
 
     subject = TableReader(top.table("subject"), file, "[subject]", problems)
     name = subject.text("name") or ""
@@ -156,6 +158,7 @@ def read_raw_settings(file: Path) -> RawSettings:
     assert mass is not None and model_file is not None and unit is not None
     return RawSettings(
         file=file,
+        text=text,
         name=name,
         mass_kg=mass,
         side=side,

@@ -21,15 +21,35 @@ def read_toml(file: Path) -> dict[str, Any]:
     InputError
         If there is no such file, or it is not TOML.
     """
+    return parse_toml(read_toml_text(file), file)
+
+
+def read_toml_text(file: Path) -> str:
+    """Read the text of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is not text.
+    """
     try:
-        text = read_content(file, "a TOML file of settings", most_bytes=MOST_BYTES).decode("utf-8-sig")
-        return tomllib.loads(text)
+        return read_content(file, "a TOML file of settings", most_bytes=MOST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(Problem(str(file), "is not text in UTF-8, where TOML was expected")) from None
+
+
+def parse_toml(text: str, file: Path) -> dict[str, Any]:
+    """Parse the text of a TOML file.
+
+    Raises
+    ------
+    InputError
+        If it is not TOML.
+    """
+    try:
+        return tomllib.loads(text)
     except RecursionError:
         raise InputError(Problem(str(file), "is not valid TOML (lists within lists without end)")) from None
     except ValueError as error:
         # Beside errors of syntax: whole numbers of thousands of digits.
-        if isinstance(error, InputError):
-            raise
         raise InputError(Problem(str(file), f"is not valid TOML ({error})")) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -107,6 +108,7 @@ class ProjectPreparation:
         folder = Path(folder)
         with new_folder(folder, force=force) as temporary, _called(temporary, folder):
             fill_subject_folder(self.project, temporary, folder.name)
+            shutil.copyfile(self.project.settings.file, temporary / "prepared_from.xml")
             write_json(temporary / "preparation.json", self.summary())
             _write_page(temporary, self.tables(), "a project of the NMSM Pipeline")
 

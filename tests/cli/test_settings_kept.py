@@ -1,0 +1,58 @@
+"""Every command that takes options and writes a folder keeps them in it, and takes them from such a file."""
+
+import argparse
+
+import pytest
+
+import wrapjax.commands.evaluate
+import wrapjax.commands.initialise
+from wrapjax.cli import _parser
+from wrapjax.commands.common import DONE
+
+#: Those whose folder is a subject's or an index: what they were asked for is not their options.
+WITHOUT = {"prepare", "fetch", "report", "check"}
+
+
+def test_all_commands_that_write_take_settings():
+    _, commands = _parser()
+    writing = {
+        name
+        for name, parser in commands.items()
+        if any("--out" in action.option_strings for action in parser._actions)
+    }
+    taking = {name for name, parser in commands.items() if "--settings" in parser._option_string_actions}
+    assert taking == writing - WITHOUT
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Options that were asked with; folders are made, and nothing else is done."""
+    seen: list[argparse.Namespace] = []
+
+    def answer(options):
+        seen.append(options)
+        if options.out:
+            options.out.mkdir()
+        return DONE
+
+    for module in (wrapjax.commands.evaluate, wrapjax.commands.initialise):
+        monkeypatch.setattr(module, "run", answer)
+    return seen
+
+
+def test_initialise_keeps_its_options_and_takes_them_back(run, asked, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert run("initialise", "anna", "--curves", "opensim", "--out", first).status == DONE
+    assert 'curves = "opensim"' in (first / "settings.toml").read_text()
+    assert run("initialise", "bert", "--settings", first / "settings.toml", "--out", second).status == DONE
+    assert [options.curves for options in asked] == ["opensim", "opensim"]
+
+
+def test_evaluate_keeps_settings_where_it_writes(run, asked, tmp_path):
+    out = tmp_path / "out"
+    assert run("evaluate", "run", "anna", "--out", out).status == DONE
+    assert 'command = "evaluate"' in (out / "settings.toml").read_text()
+    assert run("evaluate", "run", "anna", "--settings", out / "settings.toml").status == DONE
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["out", "settings.toml"]
+    outcome = run("initialise", "anna", "--settings", out / "settings.toml", "--out", tmp_path / "other")
+    assert outcome.status == 2 and "is of 'wrapjax evaluate'" in outcome.progress
