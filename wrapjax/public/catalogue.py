@@ -44,6 +44,9 @@ class PublicRecording:
         What it may be used under.
     files
         All that is needed of it.
+    added
+        Files of the project's own beside this one, and their places in the subject folder: what was known
+        of the recording, but not published with it.
     """
 
     name: str
@@ -51,11 +54,14 @@ class PublicRecording:
     place: str
     licence: str
     files: tuple[PublicFile, ...]
+    added: tuple[tuple[str, str], ...] = ()
 
     @property
-    def settings(self) -> str:
-        """The subject's ``subject.toml``: the project's own reading of the recording."""
-        return files("wrapjax.public").joinpath(f"{self.name}.toml").read_text(encoding="utf-8")
+    def own_files(self) -> dict[str, str]:
+        """The project's own reading of the recording, by place in the folder: ``subject.toml`` first."""
+        own = files("wrapjax.public")
+        sources = ((f"{self.name}.toml", "subject.toml"), *self.added)
+        return {target: own.joinpath(source).read_text(encoding="utf-8") for source, target in sources}
 
     @property
     def origin(self) -> str:
@@ -66,7 +72,7 @@ class PublicRecording:
             f"{self.about}.\n\n"
             f"Downloaded from github.com/{repository}, commit {commit},\n"
             f"folder {'/'.join(self.place.split('/')[3:])}; licence {self.licence}.\n"
-            "subject.toml is wrapjax's own. Files were renamed, also where one names another;\n"
+            f"wrapjax's own: {', '.join(self.own_files)}. Files were renamed, also where one names another;\n"
             "nothing else was changed.\n"
         )
 
@@ -145,6 +151,8 @@ _TREADMILL = PublicRecording(
             "1c7541c3b9565f0ebf9e2db9cc0221935c23b0715512c8baf323c08a3d44614c",
         ),
     ),
+    # Whose columns are whose: inverse dynamics by it give the published moments.
+    added=(("healthy_treadmill_external_loads.xml", "trials/walk/external_loads.xml"),),
 )
 
 #: By name.
