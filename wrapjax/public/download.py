@@ -56,8 +56,8 @@ def write_public_subject(
                 target.write_bytes(content)
                 advance(number)
         write_text(place / "ORIGIN.txt", recording.origin)
-        for target, text in recording.own_files.items():
-            write_text(place / target, text)
+        for own, text in recording.own_files.items():
+            write_text(place / own, text)
 
 
 def _download(recording: PublicRecording, file: PublicFile, server: str) -> Path:
