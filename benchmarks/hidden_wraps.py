@@ -63,7 +63,7 @@ class Asked:
     starts
         Of each calibration.
     prior
-        Deviation of the prior on cylinders, in half widths of their boxes; None: the package's own.
+        Deviation of the prior on where cylinders are, m along each axis; None: the package's own.
     """
 
     seed: int
@@ -157,11 +157,12 @@ def answer(asked: Asked, place: Path) -> dict[str, Any]:
     return dict(json.loads((place / asked.result).read_text(encoding="utf-8")))
 
 
-def with_prior(wraps: FreedWraps | None, half_widths: float) -> FreedWraps:
-    """Expect cylinders within so many half widths of their boxes."""
+def with_prior(wraps: FreedWraps | None, distance: float) -> FreedWraps:
+    """Expect cylinders within so many m of where they are, along each axis; turns and radii as they were."""
     if wraps is None:
         raise ValueError("no cylinder is free")
-    return replace(wraps, prior_sd=half_widths * 0.5 * (wraps.upper - wraps.lower))
+    along = [name.startswith("translation") for name in wraps.quantities]
+    return replace(wraps, prior_sd=np.where(along, distance, wraps.prior_sd))
 
 
 def moment_errors(done: Calibration) -> dict[str, float]:
@@ -344,7 +345,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--curves", choices=CURVES, default=CURVES[0], help=f"default: {CURVES[0]}")
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="of each calibration (default: 1)")
     parser.add_argument(
-        "--prior", type=float, metavar="HALF_WIDTHS", help="on cylinders (default: the package's)"
+        "--prior", type=float, metavar="M", help="deviation of cylinders' places (default: the package's)"
     )
     parser.add_argument("--place", type=Path, metavar="DIR", help="where people and results are kept")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")

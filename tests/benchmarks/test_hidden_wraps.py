@@ -183,6 +183,6 @@ def test_a_person_who_was_answered_is_not_asked_again(monkeypatch, tmp_path, cap
     people = [Asked(0, 0.1), Asked(1, 0.1)]
     answer_all(people[:1], tmp_path)
     assert len(answer_all(people, tmp_path)) == 2
-    answer_all([Asked(1, 0.1, prior=0.5)], tmp_path)
-    assert asked == [people[0].result, people[1].result, Asked(1, 0.1, prior=0.5).result]
+    answer_all([Asked(1, 0.1, prior=0.005)], tmp_path)
+    assert asked == [people[0].result, people[1].result, Asked(1, 0.1, prior=0.005).result]
     assert "1/2 seed 0: told 2 arms 2.00 -> 1.00 mm (0.50)" in capsys.readouterr().err
