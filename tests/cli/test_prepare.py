@@ -16,6 +16,7 @@ from wrapjax.api import load_subject
 from wrapjax.osim import describe_model
 from wrapjax.report import markup
 from wrapjax.subject import read_storage, write_storage
+from wrapjax.subject.emg import envelopes_of_raw
 from wrapjax.subject.storage import Storage
 
 
@@ -391,6 +392,59 @@ def test_the_way_out_of_a_light_force_is_named_and_leads_out(run, solved):
     solved.write_text(text[:start] + text[end:])
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
+
+
+def test_envelopes_are_refused_as_raw_emg_and_what_that_says_of_them_works(run, solved):
+    table = read_storage(solved.parent / "emg.sto")
+    envelopes = envelopes_of_raw(table.values.T, walker.EMG_RATE, walker.PERIOD)
+    envelopes /= envelopes.max(axis=1, keepdims=True)
+    _table(solved, "emg.sto", lambda time, columns: (time, dict(zip(columns, envelopes, strict=True))))
+    folder = solved.parent / "out"
+    outcome = run("prepare", solved, "--out", folder)
+    assert outcome.status == 2
+    assert 'write kind = "envelope" in [emg], in place of unit and gain' in outcome.progress
+    _text(solved, ('unit = "V"', 'kind = "envelope"'))
+    outcome = run("prepare", solved, "--out", folder)
+    assert outcome.status == 0, outcome.progress
+    assert "'Sol' is active" in outcome.output
+    assert 'kind = "envelope"' in (folder / "subject.toml").read_text()
+    kept = read_storage(folder / "trials" / "walk" / "emg.sto")
+    expected = [np.interp(kept.time, table.time, row) for row in envelopes]
+    np.testing.assert_allclose(kept.values.T, expected, atol=1e-6)
+    assert load_subject(folder).trials.emg.max() == pytest.approx(1.0, abs=0.05)
+
+
+ENVELOPES = {
+    "dead": (lambda own: 0.0 * own, "is dead"),
+    "raw": (lambda own: own - own.mean(), "is raw: expected an envelope"),
+    "percent": (lambda own: 100.0 * np.abs(own), "expected an envelope normalised to about 1"),
+}
+
+
+@pytest.mark.parametrize("fault", ENVELOPES)
+def test_channels_that_are_no_envelopes_are_named(run, solved, fault):
+    spoil, said = ENVELOPES[fault]
+
+    def change(time, columns):
+        shape = {name: np.abs(np.sin((3.0 + row) * time)) for row, name in enumerate(columns)}
+        return time, shape | {"RF": spoil(np.sin(7.0 * time))}
+
+    _table(solved, "emg.sto", change)
+    _text(solved, ('unit = "V"', 'kind = "envelope"'))
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2 and said in outcome.progress and "channel RF" in outcome.progress
+
+
+def test_envelopes_have_no_unit(run, solved):
+    _text(solved, ('unit = "V"', 'unit = "V"\nkind = "envelope"'))
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2 and "expected no unit and no gain of envelopes" in outcome.progress
+
+
+def test_what_emg_may_say_is_listed_whole(run, solved):
+    _text(solved, ('unit = "V"', 'unit = "V"\nrate = 5'))
+    outcome = run("prepare", solved, "--out", solved.parent / "out")
+    assert outcome.status == 2 and "known: kind, unit, gain, accept, channels" in outcome.progress
 
 
 def test_a_generic_model_is_scaled_on_the_way(run, solved):

@@ -1,4 +1,4 @@
-"""Raw EMG channels that are none: dead, clipped, copies of each other, in another unit, already processed."""
+"""EMG channels that are none: dead, clipped, copies of each other, in another unit, processed or not."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.signal import butter, sosfiltfilt, welch
 
 from wrapjax.subject.emg import HIGH_PASS_HZ
+from wrapjax.subject.recordings import MOST_ENVELOPE
 
 #: A channel with less than this share of the median channel's power of muscle (as amplitude) is dead.
 DEAD_SHARE = 0.01
@@ -66,6 +67,33 @@ def emg_faults(
             yield (name, *fault)
 
 
+def envelope_faults(
+    channels: Sequence[str], envelopes: Float[np.ndarray, "channel sample"]
+) -> Iterator[tuple[str, str, str]]:
+    """Name channels that are no envelopes.
+
+    Parameters
+    ----------
+    channels
+        Names.
+    envelopes
+        Normalised to about 1, without unit.
+
+    Yields
+    ------
+    channel, message, hint
+        As `emg_faults`.
+    """
+    moving = envelopes - envelopes.mean(axis=1, keepdims=True)
+    copies = _copies(moving, np.ptp(envelopes, axis=1) > 0.0)
+    for row, name in enumerate(channels):
+        fault = (
+            _constant(envelopes[row], "") or _no_envelope(envelopes[row]) or _copied(row, copies, channels)
+        )
+        if fault:
+            yield (name, *fault)
+
+
 Fault = tuple[str, str] | None
 
 
@@ -73,9 +101,22 @@ def _is_flat(signal: Float[np.ndarray, " sample"]) -> bool:
     return float(np.mean(np.diff(signal) == 0.0)) > STUCK_SHARE
 
 
-def _constant(signal: Float[np.ndarray, " sample"]) -> Fault:
+def _constant(signal: Float[np.ndarray, " sample"], unit: str = " V") -> Fault:
     if np.ptp(signal) == 0.0:
-        return f"is dead: expected EMG, found {signal[0]:.3g} V throughout", _LEAVE_OUT
+        return f"is dead: expected EMG, found {signal[0]:.3g}{unit} throughout", _LEAVE_OUT
+    return None
+
+
+def _no_envelope(signal: Float[np.ndarray, " sample"]) -> Fault:
+    low, peak = float(signal.min()), float(signal.max())
+    # What filters ring below zero is little; raw EMG goes as far down as up.
+    if low < -0.5 * peak:
+        return f"is raw: expected an envelope, found values from {low:.3g} to {peak:.3g}", _IS_RAW
+    if peak > MOST_ENVELOPE:
+        message = (
+            f"is in another unit: expected an envelope normalised to about 1, found a peak of {peak:.4g}"
+        )
+        return message, "divide each channel by its maximum"
     return None
 
 
@@ -96,12 +137,12 @@ def _quiet(level: float, usual: float) -> Fault:
 def _processed(signal: Float[np.ndarray, " sample"], rate: float) -> Fault:
     if signal.min() >= 0.0:
         message = "is rectified: expected raw EMG of both signs, found no negative sample"
-        return message, 'is this an envelope? Then write kind = "envelope"'
+        return message, _IS_ENVELOPE
     frequency, power = welch(signal, rate, nperseg=min(signal.size, int(rate)))
     share = float(power[frequency > HIGH_PASS_HZ].sum() / power.sum())
     if share < LEAST_FAST_SHARE:
         message = f"is smoothed: expected raw EMG, found {share:.1%} of its power above {HIGH_PASS_HZ:g} Hz"
-        return message, 'is this an envelope? Then write kind = "envelope"; else look for movement of cables'
+        return message, f"{_IS_ENVELOPE}; else look for movement of cables"
     return None
 
 
@@ -150,4 +191,6 @@ def _wrong_unit(level: float, usual: float) -> Fault:
     return None
 
 
+_IS_ENVELOPE = 'are these envelopes? Then write kind = "envelope" in [emg], in place of unit and gain'
+_IS_RAW = 'is this raw EMG? Then write unit in [emg], in place of kind = "envelope"'
 _LEAVE_OUT = "leave it out of [emg.channels], or name it in accept"

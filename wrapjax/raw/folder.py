@@ -47,7 +47,8 @@ class PreparedTrial:
     needed_time, needed_force
         s; upward force that bears and accelerates all bodies of the model in this motion, N.
     emg_time, volts
-        s; raw EMG at the electrode, one row a channel in the order of the settings.
+        s; raw EMG at the electrode (V), or envelopes without unit, one row a channel in the order of the
+        settings.
     checks
         What was compared, with numbers.
     notes
@@ -94,7 +95,8 @@ def _write_trial(folder: Path, settings: RawSettings, prepared: PreparedTrial) -
         np.array(list(prepared.moments.values())).T,
     )
     write_storage(folder / "moments.sto", moments)
-    volts = Storage("raw EMG in V", tuple(settings.channels), prepared.emg_time, prepared.volts.T)
+    title = "raw EMG in V" if settings.emg_kind == "raw" else "EMG envelopes"
+    volts = Storage(title, tuple(settings.channels), prepared.emg_time, prepared.volts.T)
     write_storage(folder / "emg.sto", volts)
     write_forces(folder, prepared.forces, settings.feet)
 
@@ -114,7 +116,7 @@ def _settings_text(settings: RawSettings, trials: Sequence[PreparedTrial]) -> st
         *([f'muscle_parameters = "{PARAMETERS_FILE}"'] if settings.muscle_parameters else []),
         "",
         "[emg]",
-        'kind = "raw"',
+        f'kind = "{settings.emg_kind}"',
         "[emg.channels]",
         *(f"{quoted(channel)} = {quoted_list(muscles)}" for channel, muscles in settings.channels.items()),
     ]

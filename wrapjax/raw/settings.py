@@ -73,8 +73,8 @@ class RawSettings:
         Which forces are whose.
     channels
         The muscles that each EMG channel drives.
-    volts
-        Volts at the electrode in one unit of the files: unit over gain.
+    emg_kind, volts
+        ``raw`` or ``envelope``; volts at the electrode in one unit of raw EMG's files: unit over gain.
     accepted
         Channels used whatever their faults.
     trials
@@ -97,6 +97,7 @@ class RawSettings:
     marker_weights: dict[str, float]
     feet: dict[str, ForceColumns]
     channels: dict[str, tuple[str, ...]]
+    emg_kind: str
     volts: float
     accepted: tuple[str, ...]
     trials: tuple[RawTrial, ...]
@@ -137,16 +138,21 @@ def read_raw_settings(file: Path) -> RawSettings:
     laboratory.finish()
 
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
-    ignored = markers.names("ignore") if markers.has("ignore") else ()
+    ignored = markers.names("ignore", required=False)
     weights = _weights(markers, problems)
     markers.finish()
 
     feet = _feet(top, file, side, problems)
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
-    unit = emg.text("unit", choices=tuple(VOLTS))
+    kind = emg.text("kind", required=False, choices=("raw", "envelope")) or "raw"
+    unit = emg.text("unit", required=kind == "raw", choices=tuple(VOLTS))
     gain = emg.number("gain", lowest=1e-3, highest=1e7, unit="", required=False)
-    accepted = emg.names("accept") if emg.has("accept") else ()
+    if kind == "envelope" and (emg.has("unit") or emg.has("gain")):
+        emg.problem(
+            "", "expected no unit and no gain of envelopes, which are normalised to about 1, found one"
+        )
+    accepted = emg.names("accept", required=False)
     channels = read_channels(emg.table("channels"), file, problems)
     emg.finish()
 
@@ -155,7 +161,7 @@ def read_raw_settings(file: Path) -> RawSettings:
     top.finish()
     if problems:
         raise InputError(problems)
-    assert mass is not None and model_file is not None and unit is not None
+    assert mass is not None and model_file is not None and (unit is not None or kind == "envelope")
     return RawSettings(
         file=file,
         text=text,
@@ -173,7 +179,8 @@ def read_raw_settings(file: Path) -> RawSettings:
         marker_weights=weights,
         feet=feet,
         channels=channels,
-        volts=VOLTS[unit] / (gain or 1.0),
+        emg_kind=kind,
+        volts=1.0 if unit is None else VOLTS[unit] / (gain or 1.0),
         accepted=accepted or (),
         trials=tuple(trial for trial in trials if trial is not None),
     )

@@ -118,10 +118,10 @@ class TableReader:
             return None
         return value
 
-    def names(self, key: str) -> tuple[str, ...] | None:
+    def names(self, key: str, *, required: bool = True) -> tuple[str, ...] | None:
         """Take a list of different names, at least one."""
         expected = "a list of names"
-        value = self._take(key, True, expected)
+        value = self._take(key, required, expected)
         if value is None:
             return None
         if (

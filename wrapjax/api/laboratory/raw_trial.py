@@ -26,7 +26,7 @@ from wrapjax.raw.alignment import (
 )
 from wrapjax.raw.angles import Motion, read_motion
 from wrapjax.raw.c3d import read_c3d_analog, read_c3d_markers, read_plates
-from wrapjax.raw.emg_quality import emg_faults
+from wrapjax.raw.emg_quality import emg_faults, envelope_faults
 from wrapjax.raw.filters import MOTION_HARMONIC, laboratory_axes, low_pass
 from wrapjax.raw.folder import PreparedTrial
 from wrapjax.raw.forces import SIDES, FootForces, read_force_columns, write_forces
@@ -172,7 +172,7 @@ def _recorded(trial: RawTrial, settings: RawSettings, model: RawModel, notes: li
 def _emg(
     trial: RawTrial, settings: RawSettings
 ) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "channel sample"]]:
-    """Read raw EMG in volts at the electrode, and refuse channels that are none."""
+    """Read raw EMG in volts at the electrode, or envelopes, and refuse channels that are none."""
     path = trial.emg
     table: Storage = read_c3d_analog(path) if _is_c3d(path) else read_storage(path, trust_row_count=False)
     missing = [name for name in settings.channels if name not in table.columns]
@@ -181,16 +181,19 @@ def _emg(
         for name in missing
     ]
     rate = sampling_rate(table.time)
-    if rate < LEAST_RAW_RATE:
+    raw = settings.emg_kind == "raw"
+    if raw and rate < LEAST_RAW_RATE:
         message = f"expected raw EMG at {LEAST_RAW_RATE:g} Hz or more, found {rate:.4g} Hz"
-        problems.append(Problem(str(path), message))
+        problems.append(Problem(str(path), message, hint='are these envelopes? Write kind = "envelope"'))
     if problems:
         raise InputError(problems)
     columns = [table.columns.index(name) for name in settings.channels]
     time, volts = even_samples(table.time, table.values.T[columns] * settings.volts)
+    names = tuple(settings.channels)
+    found = emg_faults(names, volts, rate) if raw else envelope_faults(names, volts)
     faults = [
         Problem(str(path), message, f"channel {channel}", hint)
-        for channel, message, hint in emg_faults(tuple(settings.channels), volts, rate)
+        for channel, message, hint in found
         if channel not in settings.accepted
     ]
     if faults:
@@ -320,7 +323,9 @@ def _calf_checks(
         return
     inside = (motion.time >= cycles[0][0]) & (motion.time <= cycles[-1][1])
     duration = float(np.mean([end - start for start, end in cycles]))
-    envelopes = envelopes_of_raw(volts[calf], sampling_rate(emg_time), duration)
+    envelopes = volts[calf]
+    if settings.emg_kind == "raw":
+        envelopes = envelopes_of_raw(envelopes, sampling_rate(emg_time), duration)
     names = tuple(settings.channels)
     for row, envelope in zip(calf, envelopes, strict=True):
         yield calf_against_moment(
