@@ -55,6 +55,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         place = error.filename or "file"
         print(f"error: {place}: {error.strerror or error}; nothing was written.", file=sys.stderr)
         return BAD_INPUT
+    except RuntimeError as error:
+        # As XLA says it, whose own errors can be caught by name only with JAX loaded.
+        if not str(error).startswith("RESOURCE_EXHAUSTED"):
+            raise
+        print("error: there is not enough memory for this; nothing was written.", file=sys.stderr)
+        return NOT_CONVERGED
     except KeyboardInterrupt:
         print("interrupted; nothing was written.", file=sys.stderr)
         return NOT_CONVERGED

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jax.errors import JaxRuntimeError
 
 from tests.cli.folders import METHOD, content
 from tests.cli.test_check import assert_only_errors
@@ -115,6 +116,7 @@ def test_full_disk_is_a_sentence(run, subject, fitted, tmp_path, monkeypatch):
     ("error", "words"),
     [
         (MemoryError(), "there is not enough memory for this"),
+        (JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "there is not enough memory for this"),
         (WorkError("a worker process died: killed, or out of memory"), "a worker process died: killed"),
     ],
 )
