@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tests.subject.synthetic import SETTINGS, write_subject
+from tests.subject.synthetic import MODEL, SETTINGS, write_subject
 from wrapjax.errors import MOST_LETTERS, InputError, Problem, nearest_name
 from wrapjax.nmsm import read_osimx, read_tool_settings
 from wrapjax.raw.c3d import read_c3d_markers
@@ -145,6 +145,13 @@ def test_entities_are_refused_by_every_reader_of_xml(tmp_path, name, declared):
     # In an encoding in which the declaration has other bytes.
     file.write_bytes(file.read_text().replace('"1.0"', '"1.0" encoding="UTF-16"').encode("utf-16"))
     assert "UTF-8 was expected" in refusal(READERS[name], file)
+
+
+def test_models_whose_parts_lie_in_other_files_are_refused(tmp_path):
+    """OpenSim reads such a part from wherever it is: any file of this machine, for somebody else."""
+    file = tmp_path / "a.osim"
+    file.write_text(MODEL.replace("<Model ", '<Model file="/etc/outside.xml" ', 1))
+    assert "<Model> is to be read from another file, '/etc/outside.xml'" in refusal(read_model_file, file)
 
 
 def test_files_without_end_are_refused(tmp_path):

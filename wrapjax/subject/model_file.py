@@ -136,7 +136,12 @@ def read_model_file(path: str | Path) -> ModelFile:
     model = root.find("Model")
     if model is None:
         raise InputError(Problem(str(path), "expected a <Model> in the OpenSim document, found none"))
-    problems: list[Problem] = []
+    # OpenSim would read it, wherever it is: a model's parts are to be in the model.
+    problems = [
+        Problem(str(path), f"<{one.tag}> is to be read from another file, '{other}'", hint="put it in here")
+        for one in model.iter()
+        if (other := one.get("file")) is not None
+    ]
     defaults = _remove_defaults(model)
     muscles = _read_muscles(model, defaults, path, problems)
     coordinates = _read_coordinates(model, defaults, path, problems)
