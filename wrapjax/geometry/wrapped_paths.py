@@ -18,7 +18,7 @@ from wrapjax.geometry.wrapping import StraightPath, WrappedPath
 
 _PER_WRAP = len(WRAP_PARAMETERS)
 # Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
-# the second figure in any frame, they are taken to cross anyway.
+# the second figure in any frame of a cycle, they are taken to cross in that cycle anyway.
 _ROOM, _CROSSED = 1e-3, 1e-4
 # Walls stand so far (m) before a jump, or half as far as nominal paths are from it if that is less: other
 # walking comes a little nearer.
@@ -34,9 +34,10 @@ _Tree = TypeVar("_Tree")
 class _Walls(eqx.Module):
     """What a path must not get over: clearances to keep, and cylinders to stay in touch with (m)."""
 
-    limit: Float[Array, "*muscle wall"]
+    #: The same in all poses of a cycle.
+    limit: Float[Array, "*muscle pose wall"]
     #: Clearance beyond the limit at which closeness is one.
-    room: Float[Array, "*muscle wall"]
+    room: Float[Array, "*muscle pose wall"]
     #: Longest stretch on each cylinder, over all poses, at which closeness is one; zero for one that the
     #: nominal path does not touch.
     grip: Float[Array, "*muscle wrap"]
@@ -48,12 +49,9 @@ class _Walls(eqx.Module):
 
         To touch a cylinder in no pose is a wall to all of them.
         """
-        left = jnp.append(
-            clearances - self.limit[None],
-            jnp.broadcast_to(jnp.max(on_surface, axis=0), on_surface.shape),
-            axis=-1,
-        )
-        room = jnp.append(self.room, self.grip)[None]
+        longest = jnp.broadcast_to(jnp.max(on_surface, axis=0), on_surface.shape)
+        left = jnp.append(clearances - self.limit, longest, axis=-1)
+        room = jnp.append(self.room, jnp.broadcast_to(self.grip, on_surface.shape), axis=-1)
         open_to = (left > 0.0) | (room == 0.0)
         inverse = room / jnp.where(left > 0.0, left, 1.0)
         within = jnp.sqrt(jnp.sum(inverse**4, axis=-1))
@@ -169,9 +167,11 @@ def _changes_of(group: _Alike) -> int:
     return _PER_WRAP * group.posed.surfaces.radius.shape[1]
 
 
-def _walls(nominal: WrappedPath) -> _Walls:
-    """Set up walls where the nominal paths leave room; where they cross one, a little further on."""
-    least = jnp.min(nominal.clearances, axis=1)
+def _walls(nominal: WrappedPath, frames: int) -> _Walls:
+    """Set up walls where nominal paths leave room; in cycles where they cross one, a little further on."""
+    muscles, poses, walls = nominal.clearances.shape
+    by_cycle = nominal.clearances.reshape(muscles, poses // frames, frames, walls)
+    least = jnp.repeat(jnp.min(by_cycle, axis=2), frames, axis=1)
     free = least > _CROSSED
     limit = jnp.where(free, jnp.minimum(0.5 * least, _KEPT), least - _ROOM)
     longest = jnp.max(nominal.on_surface, axis=1)
@@ -261,7 +261,7 @@ def wrapped_paths(
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
-        walls = _walls(wrapped)
+        walls = _walls(wrapped, angles.shape[2])
         rows = [engine.muscles.index(name) for name in kind]
         touching[rows, : wrapped.touching.shape[-1]] = np.asarray(wrapped.touching).any(axis=1)
         order += rows
