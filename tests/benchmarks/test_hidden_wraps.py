@@ -21,7 +21,17 @@ from benchmarks.blind.hidden_wraps import (
 )
 from benchmarks.blind.hidden_wraps import hidden_wraps as somebody
 from benchmarks.blind.opensim_leg import muscle_paths
-from benchmarks.hidden_wraps import Asked, answer_all, arm_errors, arms_that_count, fallen, lines, summary
+from benchmarks.hidden_wraps import (
+    Asked,
+    answer_all,
+    arm_errors,
+    arms_that_count,
+    fallen,
+    lines,
+    summary,
+    with_prior,
+)
+from wrapjax.api.paths.cylinders import freed_wraps
 from wrapjax.subject import read_subject
 
 WRAPPED = ("iliacus_r", "psoas_r", "recfem_r", "vasmed_r", "vaslat_r", "gasmed_r", "gaslat_r")
@@ -115,6 +125,12 @@ def test_a_cylinder_that_swallows_a_point_is_told():
     (hip, *_) = leg.cylinders
     assert clearance(leg, hip) > 0.0
     assert clearance(leg, replace(hip, radius=2.0 * hip.radius)) < 0.0
+
+
+def test_another_prior_is_of_places_alone_whatever_their_boxes():
+    wraps = freed_wraps([["wide", "narrow"]], {"wide": 0.02, "narrow": 0.005})
+    asked = with_prior(wraps, 0.015).prior_sd
+    assert (asked[:, :3] == 0.015).all() and (asked[:, 3:] == wraps.prior_sd[:, 3:]).all()
 
 
 def arms(*values):
