@@ -5,6 +5,7 @@ import json
 import numpy as np
 
 from tests.cli.folders import COORDINATES, MUSCLES, names, stored
+from wrapjax.commands.fit import THRESHOLDS
 
 
 def test_fit_prints_a_table_and_says_where_it_is(fitted):
@@ -40,6 +41,23 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
     assert (outcome.status, outcome.progress) == (0, "")
     assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
     assert stored(tmp_path / "fit" / "fit.json") == stored(fitted[1] / "fit.json")
+
+
+def test_thresholds_are_settings(run, subject, fitted, tmp_path):
+    """Of what counts as physiological; the defaults that the help tells are those of the fit."""
+    defaults = stored(fitted[1] / "fit.json")["thresholds"]
+    assert list(defaults) == list(THRESHOLDS)
+    assert all(f"(default: {defaults[name]:g})" in what for name, what in THRESHOLDS.items())
+    arguments = ("--out", tmp_path / "fit", "--length-step", "0.002", "--variability", "4", "--quiet")
+    assert run("fit", subject, *arguments).status == 0
+    expected = defaults | {"length_step": 0.002, "variability": 4.0}
+    assert stored(tmp_path / "fit" / "fit.json")["thresholds"] == expected
+    assert "length_step = 0.002" in (tmp_path / "fit" / "settings.toml").read_text()
+    settings = ("--settings", tmp_path / "fit" / "settings.toml")
+    assert run("fit", subject, "--out", tmp_path / "again", *settings, "--quiet").status == 0
+    assert stored(tmp_path / "again" / "fit.json")["thresholds"] == expected
+    refused = run("fit", subject, "--out", tmp_path / "no", "--length-step", "-1")
+    assert refused.status == 2 and "expected a number above 0, found '-1'" in refused.progress
 
 
 def test_seed_decides_the_poses(run, subject, fitted, tmp_path):
