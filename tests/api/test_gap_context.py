@@ -24,7 +24,12 @@ from wrapjax.skeleton.misplacement import with_moved_ends
 @pytest.fixture(scope="module")
 def gathered(calibrated):
     # A muscle that has EMG stands in for one that has none.
-    subject = dataclasses.replace(calibrated.subject, undriven_muscles=("semiten_l",))
+    without = ("semiten_l",)
+    subject = dataclasses.replace(
+        calibrated.subject,
+        undriven_muscles=without,
+        undriven_parameters=calibrated.subject.muscles.select(without),
+    )
     return gap_context(dataclasses.replace(calibrated, subject=subject))
 
 
