@@ -30,6 +30,7 @@ from wrapjax.api.runs.evaluation import Evaluation as Evaluation
 from wrapjax.api.runs.evaluation import evaluate as evaluate
 from wrapjax.api.runs.stored_run import Run as Run
 from wrapjax.api.runs.stored_run import load_run as load_run
+from wrapjax.geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
 from wrapjax.subject import read_subject as load_subject
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "ExactGeometry",
     "Fit",
     "Initialisation",
+    "PhysiologicalThresholds",
     "Preparation",
     "Run",
     "Uncertainty",

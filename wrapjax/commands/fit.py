@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 from wrapjax.commands.common import DONE, AddCommand, add_drive, positive_number, show
@@ -42,10 +41,9 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.api import fit, fit_wraps, load_subject
+    from wrapjax.api import PhysiologicalThresholds, fit, fit_wraps, load_subject
     from wrapjax.api.calibrating.extrapolation import drive
     from wrapjax.api.tables.calibration import fit_table, wrap_table
-    from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS
     from wrapjax.progress import say
 
     refuse_existing(options.out, options.force)
@@ -53,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     how = {"processes": options.threads, "quiet": options.quiet}
     given = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
     fitted = fit(subject, options.geometry, seed=options.seed, **how)
-    result = fit_wraps(subject, fitted, thresholds=replace(DEFAULT_THRESHOLDS, **given), **how)
+    result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**given), **how)
     say("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
 
