@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.kills.inspection import half_written, largest_difference, left_over
+from benchmarks.kills.walker import write_walker
 from benchmarks.machine import pin_threads
 
 COMMANDS = ("fit", "calibrate", "diagnose", "cohort")
@@ -87,10 +88,8 @@ def _row(command: str, tally: Tally) -> str:
 
 
 def _subjects(place: Path) -> tuple[Path, ...]:
-    """Make up two persons: those that the tests begin with, of two muscles and three cycles."""
-    from tests.subject.synthetic import write_subject
-
-    return tuple(write_subject(place / name) for name in ("anna", "ben"))
+    """Make up two persons of two muscles each, with as many cycles as a diagnosis asks for."""
+    return tuple(write_walker(place / name, seed) for seed, name in enumerate(("anna", "ben")))
 
 
 def _words(case_command: str, subjects: Sequence[Path], out: Path) -> list[str]:
@@ -102,7 +101,7 @@ def _words(case_command: str, subjects: Sequence[Path], out: Path) -> list[str]:
         "fit": ["fit", first],
         "calibrate": ["calibrate", first, "--method", "NGA", "--starts", "3"],
         "diagnose": ["diagnose", first, "--starts", "2", "--without", *without],
-        "cohort": ["cohort", *map(str, subjects), "--starts", "2", "--workers", "1"],
+        "cohort": ["cohort", *map(str, subjects), "--diagnose", "--starts", "2", "--workers", "1"],
     }[case_command]
     return [sys.executable, "-m", "wrapjax", *words, "--out", str(out), "--quiet", "--threads", "1"]
 

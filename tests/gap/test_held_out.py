@@ -99,7 +99,7 @@ def from_one_start(leg):
     problem, start, predict = leg
     seen = []
 
-    def fit(problem, _, used=None):
+    def fit(problem, _, used=None, kept=None):
         seen.append(None if used is None else used.tolist())
         return fit_jointly(problem, start, used)
 

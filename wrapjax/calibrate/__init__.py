@@ -6,6 +6,8 @@ from wrapjax.calibrate.augmented_lagrangian import LagrangianState as Lagrangian
 from wrapjax.calibrate.identifiability import laplace_deviation as laplace_deviation
 from wrapjax.calibrate.identifiability import moment_arm_deviation as moment_arm_deviation
 from wrapjax.calibrate.journal import Journal as Journal
+from wrapjax.calibrate.kept_solves import KeptSolves as KeptSolves
+from wrapjax.calibrate.kept_solves import name_of_solve as name_of_solve
 from wrapjax.calibrate.lbfgs import BoundedLBFGS as BoundedLBFGS
 from wrapjax.calibrate.legs import join_legs as join_legs
 from wrapjax.calibrate.legs import solution_of_leg as solution_of_leg

@@ -38,7 +38,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--starts", type=positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
     )
     diagnose.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted calibration (done in any case)"
+        "--resume", action="store_true", help="go on with an interrupted diagnosis (done in any case)"
     )
 
 

@@ -45,7 +45,7 @@ def look(case: Investigation, watch: Stopwatch) -> Look:
     plan, problem = case.plan, case.problem
     with watch.during("plain_model", "fitting the plain model to parts of the cycles"):
         start = joint_problem(problem, Effects(()), case.variables, np.zeros(0), 0.0)
-        plain = cross_fit(start, case.variables, plan, case.speeds, case.predict(Effects(())))
+        plain = cross_fit(start, case.variables, plan, case.speeds, case.predict(Effects(())), case.kept)
         residual = case.measured - plain.predicted
         frames = phase_frames(residual.shape[-1])
         spread = cycle_noise(residual[plan.calibration][..., frames], plan.speeds)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from wrapjax.calibrate import Objective, Outcome
+from wrapjax.calibrate import KeptSolves, Objective, Outcome
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects, NotTestable
@@ -49,6 +49,8 @@ class Investigation:
         Their moments, N m.
     inputs
         What may drive differences between cycles, any units.
+    kept
+        Fits that were done before; without it none is kept.
     """
 
     problem: Objective
@@ -63,6 +65,7 @@ class Investigation:
     time: Float[np.ndarray, "cycle frame"]
     measured: Float[np.ndarray, "cycle coordinate frame"]
     inputs: Float[np.ndarray, "cycle input frame"]
+    kept: KeptSolves | None = None
 
     @property
     def speeds(self) -> Int[np.ndarray, " cycle"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.metadata import version
 
 from wrapjax.api.calibrating.extrapolation import STRATEGIES, drive, with_weights
 from wrapjax.api.calibrating.problem import method_freedom, source_for, source_like
@@ -60,7 +61,7 @@ class Law:
 
 def question_of(legs: list[Leg], solver: AugmentedLagrangian, law: Law, starts: int, seed: int) -> str:
     """Name a calibration by all that decides where it goes."""
-    return content_hash(*map(_question, legs), repr((solver, law, starts, seed)))
+    return content_hash(version("wrapjax"), *map(_question, legs), repr((solver, law, starts, seed)))
 
 
 def _question(leg: Leg) -> str:

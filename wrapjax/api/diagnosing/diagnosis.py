@@ -15,8 +15,9 @@ from wrapjax.api.diagnosing.gap_context import gap_context
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.api.runs.datasets import gap_dataset
-from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, Objective, Status, Watch
+from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, KeptSolves, Objective, Status, Watch
 from wrapjax.errors import InputError, Problem
+from wrapjax.files import cache_folder
 from wrapjax.gap import catalogue
 from wrapjax.gap.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.gap.conclude.verdict import Tuning
@@ -137,7 +138,8 @@ def diagnose(
     InputError
         If ``without`` names no effect.
     KeyboardInterrupt
-        If calibrating was interrupted; the next time it goes on where it stopped.
+        If it was interrupted; the next time it goes on where it stopped, and the fits that it had done are
+        recalled.
     """
     refuse_unknown(without)
     began = time.perf_counter()
@@ -226,6 +228,7 @@ def investigation(calibration: Calibration, without: Sequence[str] = ()) -> Inve
         time=trials.time,
         measured=trials.moments,
         inputs=np.concatenate(inputs, axis=1),
+        kept=KeptSolves(cache_folder("diagnoses")),
     )
 
 

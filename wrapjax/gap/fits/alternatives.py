@@ -55,9 +55,9 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     start = np.clip(amounts, seen.lower, seen.upper)
     plain = scene.look.plain.full.calibrated
     first = joint_problem(case.problem, seen, plain, start, scene.look.amount_weight)
-    near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST)
+    near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST, kept=case.kept)
     problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.look.amount_weight)
-    return Refitted(ids, seen, whole, fit_jointly(problem, near.variables))
+    return Refitted(ids, seen, whole, fit_jointly(problem, near.variables, kept=case.kept))
 
 
 def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, float]:
@@ -109,7 +109,7 @@ def alternative(scene: Scene, refitted: Refitted) -> Alternative:
     """Say what an effect takes away on cycles that its fits have not seen, and what it released."""
     case, plain = scene.case, scene.look.plain
     start, everywhere = refitted.fit, case.predict(refitted.everywhere)
-    fit = cross_fit(start.problem, start.variables, case.plan, case.speeds, everywhere)
+    fit = cross_fit(start.problem, start.variables, case.plan, case.speeds, everywhere, case.kept)
     measured, speeds, floor = case.measured, case.speeds, scene.look.place.floor
     before, after = (cycle_errors(measured - one.predicted) for one in (plain, fit))
     held = np.array([use != "calibration" for use in case.uses]) & ~case.plan.new_speed

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from wrapjax.calibrate import KeptSolves
 from wrapjax.gap.fits.refit import JointProblem, Refit, fit_jointly
 
 #: From five cycles a speed on, one of each is left out at a time; below, single cycles are.
@@ -99,6 +100,7 @@ def cross_fit(
     plan: Plan,
     speeds: Int[np.ndarray, " cycle"],
     predict: Predict,
+    kept: KeptSolves | None = None,
 ) -> CrossFit:
     """Fit to all cycles, and to all but each block, and but each speed; starts are the whole fit's end.
 
@@ -112,13 +114,15 @@ def cross_fit(
         Speeds are those of all cycles, counted from 0.
     predict
         Of the same model.
+    kept
+        As of `fit_jointly`.
     """
-    full = fit_jointly(problem, start)
+    full = fit_jointly(problem, start, kept=kept)
     predicted = np.array(_predicted(full, predict))
     everything = np.arange(len(plan.calibration))
 
     def fitted_to(used: Bool[np.ndarray, " seen"]) -> Refit:
-        return fit_jointly(problem, full.variables, used)
+        return fit_jointly(problem, full.variables, used, kept=kept)
 
     for block in plan.blocks if len(plan.blocks) > 1 else ():
         left_out = plan.calibration[block]

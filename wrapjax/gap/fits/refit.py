@@ -14,10 +14,12 @@ from jaxtyping import Array, Bool, Float
 from wrapjax.calibrate import (
     MOMENT_ERROR,
     AbstractLeastSquares,
+    KeptSolves,
     Linearization,
     Objective,
     ProjectedLM,
     Status,
+    name_of_solve,
 )
 from wrapjax.gap.effect import Effects, split_amounts
 from wrapjax.gap.prediction import Amounts, Forms, carry_out, signatures
@@ -229,6 +231,7 @@ def fit_jointly(
     start: Float[np.ndarray, " variable"],
     used: Bool[np.ndarray, " trial"] | None = None,
     solver: ProjectedLM = SOLVER,
+    kept: KeptSolves | None = None,
 ) -> Refit:
     """Fit calibrated parameters and amounts together.
 
@@ -242,9 +245,26 @@ def fit_jointly(
         Cycles whose moments count; all if not given. Their EMG and angles are looked at either way.
     solver
         With its tolerances.
+    kept
+        Fits that were done before; what is among them is not done again.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If the user stops it: nothing may be concluded from half a fit.
     """
     own = replace(problem, plain=replace(problem.plain, moment_error=allowed_errors(problem.plain, used)))
+    name = name_of_solve(own, start, solver) if kept else ""
+    known = kept.read(name) if kept else None
+    if known is not None:
+        variables, status = known
+        model = own.linearized_at(jnp.asarray(variables))
+        return Refit(own, variables, float(model.cost), model, status)
     solution = solver.solve(own, start)
+    if solution.status is Status.interrupted:
+        raise KeyboardInterrupt
+    if kept:
+        kept.write(name, solution.variables, solution.status)
     return Refit(own, solution.variables, solution.cost, solution.linearization, solution.status)
 
 
