@@ -53,13 +53,16 @@ def full_disk():
 def test_a_full_disk_leaves_the_old_file_and_no_part_of_the_new_one(tmp_path, full_disk):
     file = tmp_path / "result.json"
     write_json(file, {"kept": 1})
-    with pytest.raises(OSError):
+    with pytest.raises(OSError) as of_text:
         write_json(file, list(range(1000)))
-    with pytest.raises(OSError):
+    with pytest.raises(OSError) as of_arrays:
         write_whole(tmp_path / "arrays.npz", lambda path: np.savez(path, a=np.zeros(1000)))
-    with pytest.raises(OSError), new_folder(tmp_path / "run") as folder:
+    with pytest.raises(OSError) as of_folder, new_folder(tmp_path / "run") as folder:
         write_text(folder / "small", "small")
         write_json(folder / "large", list(range(1000)))
+    # Errors name what was to be written, not what has gone again.
+    found = [one.value.filename for one in (of_text, of_arrays, of_folder)]
+    assert found == [str(file), str(tmp_path / "arrays.npz"), str(tmp_path / "run")]
     assert json.loads(file.read_text()) == {"kept": 1}
     assert names(tmp_path) == ["result.json"]
 

@@ -5,8 +5,10 @@ import math
 import operator
 import os
 import select
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,6 +28,16 @@ def test_one_failure_stops_no_other():
     assert found["four"] == (2.0, "") and found["nine"] == (3.0, "")
     value, failure = found["below zero"]
     assert value is None and failure.startswith("ValueError: ")
+
+
+def test_a_file_that_cannot_be_written_is_named():
+    found = collected(operator.methodcaller("__call__"), {"full": Full()}, workers=1)
+    assert found["full"] == (None, "/results/anna: No space left on device")
+
+
+class Full:
+    def __call__(self):
+        raise OSError(28, "No space left on device", "/results/anna")
 
 
 def test_a_worker_that_dies_is_replaced():
@@ -99,8 +111,58 @@ def test_no_scheduler(monkeypatch):
         collected(math.sqrt, {"four": 4.0}, scheduler="tcp://127.0.0.1:9")
 
 
+def test_workers_of_a_scheduler_that_is_there():
+    """By its address, as somebody else started it; it is still there afterwards."""
+    from distributed import Client, LocalCluster
+
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        found = collected(
+            math.sqrt, {"four": 4.0, "below zero": -1.0}, scheduler=cluster.scheduler_address, workers=7
+        )
+        assert found["four"] == (2.0, "") and found["below zero"][0] is None
+        with Client(cluster.scheduler_address) as client:
+            assert len(client.scheduler_info()["workers"]) == 1
+
+
+def test_slurm_makes_jobs_of_one_thread(monkeypatch):
+    """With a stand-in for the cluster, whose jobs are processes here."""
+    from distributed import LocalCluster
+
+    made = []
+
+    class SLURMCluster(LocalCluster):
+        def __init__(self, job_script_prologue):
+            made.append(self)
+            self.prologue, self.asked = job_script_prologue, []
+            super().__init__(n_workers=0, threads_per_worker=1, dashboard_address=None)
+
+        def scale(self, count):
+            self.asked.append(count)
+            super().scale(count)
+
+    stand_in(monkeypatch, SLURMCluster)
+    found = collected(operator.methodcaller("__call__"), {"a": Life(), "b": Life()}, scheduler=SLURM)
+    assert {failure for _, failure in found.values()} == {""}
+    (cluster,) = made
+    assert cluster.asked[0] == 2 and cluster.status.name == "closed"
+    assert "export OMP_NUM_THREADS=1" in cluster.prologue
+
+
+def test_slurm_without_settings(monkeypatch):
+    def cluster(job_script_prologue):
+        raise ValueError("You must specify how many cores to use per job")
+
+    stand_in(monkeypatch, cluster)
+    with pytest.raises(InputError, match=r"slurm: .*how many cores.*; describe a job in ~/.config/dask"):
+        collected(math.sqrt, {"four": 4.0}, scheduler=SLURM)
+
+
+def stand_in(monkeypatch, cluster):
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", SimpleNamespace(SLURMCluster=cluster))
+
+
 def test_slurm_without_its_package(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "dask_jobqueue", None)
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
     with pytest.raises(InputError, match="needs dask-jobqueue, which is not installed"):
         collected(math.sqrt, {"four": 4.0}, scheduler=SLURM)
 

@@ -42,11 +42,24 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     os.close(handle)
     temporary = Path(name)
     try:
-        write(temporary)
+        with _named(path, temporary):
+            write(temporary)
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path, temporary: Path) -> Iterator[None]:
+    """Let an error name what was to be written: of a full disk it names nothing, else what goes again."""
+    try:
+        yield
+    except OSError as error:
+        ours = error.filename is None or str(error.filename).startswith(str(temporary))
+        if ours and error.errno is not None:
+            raise OSError(error.errno, error.strerror or "cannot be written", str(path)) from error
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
@@ -108,7 +121,8 @@ def _new_folder(path: Path, force: bool) -> Iterator[Path]:
     except OSError as error:
         raise InputError(Problem(str(path), f"cannot be created ({error.strerror})")) from error
     try:
-        yield temporary
+        with _named(path, temporary):
+            yield temporary
         os.chmod(temporary, 0o755)
         if path.exists():
             old = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=_REPLACED, dir=path.parent))

@@ -100,6 +100,8 @@ def _sentence(future: Any) -> str:
     error = future.exception() if future.status == "error" else None
     if isinstance(error, KilledWorker):
         return f"its worker process died {RETRIES + 1} times: killed, or out of memory"
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}"
     return "it was cancelled" if error is None else f"{type(error).__name__}: {error}"
 
 

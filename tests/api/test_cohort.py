@@ -178,6 +178,26 @@ def test_a_process_of_its_own_says_what_is_wrong(subjects, tmp_path):
     assert stored(tmp_path / "out" / "cohort.json")["subjects"]["broken"]["state"] == "failed"
 
 
+def test_a_full_disk_says_where_and_keeps_what_is_done(here, subjects, tmp_path, monkeypatch):
+    from wrapjax.report.cohort import folder
+
+    written = []
+
+    def write(content, place, write=folder.write_content):
+        written.append(place)
+        if len(written) == 3:
+            raise OSError(28, "No space left on device", str(place / "cohort.json"))
+        write(content, place)
+
+    monkeypatch.setattr(folder, "write_content", write)
+    place = tmp_path / "out"
+    outcome = run("cohort", subjects[0], subjects[2], "--out", place, "--starts", "1")
+    assert outcome.status == 2
+    assert f"{place / 'cohort.json'}: No space left on device; go on where it stopped" in outcome.progress
+    assert "nothing was written" not in outcome.progress
+    assert stored(place / "cohort.json")["subjects"]["anna"]["state"] == "done"
+
+
 @pytest.mark.slow
 def test_command_with_processes_of_its_own(subjects, tmp_path):
     outcome = run("cohort", *subjects, "--out", tmp_path / "out", "--starts", "1", "--workers", "2")

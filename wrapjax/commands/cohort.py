@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, positive, print_json, stored
+from wrapjax.commands.common import BAD_INPUT, DONE, NOT_CONVERGED, AddCommand, positive, print_json, stored
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
@@ -54,6 +54,13 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
+    except OSError as error:
+        if not (options.out / "cohort.json").exists():
+            raise
+        # Subjects that are done stay: nothing of them has to be done again.
+        place = error.filename or options.out
+        say(f"error: {place}: {error.strerror or error}; go on where it stopped with --resume", quiet=False)
+        return BAD_INPUT
     if options.json:
         print_json(stored(options.out / "cohort.json"))
     else:
