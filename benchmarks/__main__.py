@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 GROUPS = (
     *("kernels", "compile", "solve", "recompilation", "growth", "roofline"),
-    *("paths", "surrogate", "engine"),
+    *("paths", "surrogate", "engine", "devices"),
 )
 
 
@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
     import wrapjax
-    from benchmarks import calibration, engine, recompilation, solving, surrogate
+    from benchmarks import calibration, devices, engine, recompilation, solving, surrogate
     from benchmarks.case import nga_case
     from benchmarks.paths import path_methods
     from wrapjax.progress import say
@@ -96,6 +96,7 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
         "paths": lambda: path_methods(subject, wrapjax.fit(subject), quick=options.quick),
         "surrogate": lambda: surrogate.surrogates(subject, muscles, quick=options.quick),
         "engine": lambda: engine.engine_speed(subject, quick=options.quick, full=options.full),
+        "devices": lambda: devices.devices(subject, case()),
     }
     for name in GROUPS:
         if name in options.only:
