@@ -209,15 +209,21 @@ class TestNames:
         assert len(calls) == 2
 
 
-def test_what_feeds_what(wrapped, calibrated, monkeypatch):
-    """By the engine NGA and PGA have exact paths; SGA and LSGA change polynomials and must have those."""
-    fed = {}
+@pytest.fixture
+def fed(calibrated, monkeypatch):
+    """What each method is given of paths; nothing is calibrated."""
+    given = {}
 
     def note(subject, method, fit, **options):
-        fed[method] = fit
+        given[method] = fit
         return replace(calibrated, fit=fit)
 
     monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", note)
+    return given
+
+
+def test_what_feeds_what(wrapped, fed):
+    """By the engine NGA and PGA have exact paths; SGA and LSGA change polynomials and must have those."""
     compared = compare([wrapped], METHODS, geometry="engine")
     assert {method: type(fit) for method, fit in fed.items()} == {
         "NGA": ExactGeometry,
@@ -237,15 +243,8 @@ def test_what_feeds_what(wrapped, calibrated, monkeypatch):
     assert {fed[method].geometry for method in WITHOUT_CYLINDERS} == {"opensim"}
 
 
-def test_polynomials_of_pga_serve_all_that_it_is_compared_with(wrapped, calibrated, monkeypatch):
+def test_polynomials_of_pga_serve_all_that_it_is_compared_with(wrapped, fed, monkeypatch):
     """Or a difference between methods would be one between OpenSim's paths and the engine's."""
-    fed = {}
-
-    def note(subject, method, fit, **options):
-        fed[method] = fit
-        return replace(calibrated, fit=fit)
-
-    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", note)
     problem = "wrapjax.api.calibrating.problem"
     monkeypatch.setattr(f"{problem}.fit_wraps", lambda subject, fit, **_: replace(fit, key="sampled"))
     monkeypatch.setattr("wrapjax.api.comparing.comparison.method_freedom", lambda *_: None)
