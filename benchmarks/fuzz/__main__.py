@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -39,7 +40,7 @@ def main() -> int:
         total = sum(READERS[name].share for name in chosen)
         rows = {}
         for name in chosen:
-            count = max(1, round(options.inputs * READERS[name].share / total))
+            count = math.ceil(options.inputs * READERS[name].share / total)
             rows[name] = _fed(name, count, finished, options, Path(made))
             print(_line(name, rows[name]), flush=True)
     sums = {

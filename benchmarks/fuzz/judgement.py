@@ -69,6 +69,7 @@ def judge_apart(read: Callable[[], object]) -> Judgement:
     if process == 0:
         os.close(receiving)
         with contextlib.suppress(BaseException):
+            limit_memory()
             found = judge(read)
             os.write(sending, f"{found.outcome}\n{found.detail}"[:60_000].encode(errors="replace"))
         os._exit(0)
