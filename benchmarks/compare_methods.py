@@ -1,6 +1,7 @@
-"""Calibrate a subject by NGA, SGA, LSGA and PGA: errors in the layout of the paper's Table I, and times.
+"""Calibrate subjects by NGA, SGA, LSGA and PGA: errors in the layout of the paper's Table I, and times.
 
-``python -m benchmarks.compare_methods [SUBJECT]`` prints Markdown, ``--out FILE.json`` writes JSON.
+``python -m benchmarks.compare_methods [SUBJECT ...]`` prints Markdown, ``--out FILE.json`` writes JSON. From
+three legs on means and deviations are over legs, below that over gait cycles; the tables say which.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +20,7 @@ from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.api import Comparison
+    from wrapjax.report.comparison.samples import ComparedLeg
 
 _METHODS = ("NGA", "SGA", "LSGA", "PGA")
 
@@ -31,9 +34,10 @@ def main() -> int:
     from wrapjax.api.tables.calibration import iteration_printer
     from wrapjax.files import write_json
 
-    with default_subject(options.subject) as folder:
+    with ExitStack() as made:
+        folders = options.subjects or [made.enter_context(default_subject(None))]
         done = wrapjax.compare(
-            [wrapjax.load_subject(folder)],
+            [wrapjax.load_subject(folder) for folder in folders],
             options.methods,
             geometry=options.geometry,
             starts=options.starts,
@@ -45,57 +49,71 @@ def main() -> int:
             about = {
                 "schema": 1,
                 "date": datetime.now(UTC).isoformat(timespec="seconds"),
-                "subject": folder.name,
+                "subjects": [folder.name for folder in folders],
                 "geometry": options.geometry,
                 "commit": commit(),
                 "machine": describe_machine(),
                 "versions": versions(),
             }
-            write_json(options.out, about | {"methods": describe(done)})
+            write_json(options.out, about | describe(done))
     return 0 if done.converged else 1
 
 
 def describe(done: Comparison) -> dict[str, Any]:
-    """Give errors, change of geometry, size and seconds of every method; SI units, N m."""
-    (leg, *_) = done.legs
-    found = {}
-    for method, result in leg.results.items():
-        solution = result.solution
-        found[method] = {
-            "geometry": leg.geometry[method],
-            "converged": solution.status.converged,
-            "message": solution.status.value,
-            "starts": len(result.outcomes),
-            "iterations": solution.iterations,
-            "n_variables": len(result.labels),
-            "cost": solution.cost,
-            "max_constraint_violation": solution.max_violation,
-            "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
-            "mae_Nm": [
-                {"use": row.use, "speed": row.speed, "coordinate": row.item, "n": row.n}
-                | vars(row.spreads[method])
-                for row in done.rows
-                if row.quantity == "moment_error"
-            ],
-            "geometry_change_m": [
-                {"quantity": row.quantity, "coordinate": row.item, "n": row.n} | vars(row.spreads[method])
-                for row in done.rows
-                if row.quantity in ("length_change", "moment_arm_change")
-            ],
-        }
-    return found
+    """Give errors and change of geometry of every method, and how each calibration ended; SI units, N m."""
+    from wrapjax.report.comparison.samples import unit_of_analysis
+
+    return {
+        "unit_of_analysis": unit_of_analysis(done.legs, "cycle"),
+        "methods": {method: _of_method(done, method) for method in done.methods},
+        "legs": {leg.label: {method: _ending(leg, method) for method in done.methods} for leg in done.legs},
+    }
+
+
+def _of_method(done: Comparison, method: str) -> dict[str, Any]:
+    return {
+        "mae_Nm": [
+            {"use": row.use, "speed": row.speed, "coordinate": row.item, "n": row.n}
+            | vars(row.spreads[method])
+            for row in done.rows
+            if row.quantity == "moment_error"
+        ],
+        "geometry_change_m": [
+            {"quantity": row.quantity, "coordinate": row.item, "n": row.n} | vars(row.spreads[method])
+            for row in done.rows
+            if row.quantity in ("length_change", "moment_arm_change")
+        ],
+    }
+
+
+def _ending(leg: ComparedLeg, method: str) -> dict[str, Any]:
+    result = leg.results[method]
+    solution = result.solution
+    return {
+        "geometry": leg.geometry[method],
+        "converged": solution.status.converged,
+        "message": solution.status.value,
+        "starts": len(result.outcomes),
+        "iterations": solution.iterations,
+        "n_variables": len(result.labels),
+        "cost": solution.cost,
+        "max_constraint_violation": solution.max_violation,
+        "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
+    }
 
 
 def markdown(done: Comparison) -> Iterator[str]:
     """Write tables: errors by speed, change of geometry, how each calibration ended."""
     for quantity, title, factor in (
-        ("moment_error", "Mean absolute moment error, N m: mean ± standard deviation over cycles", 1.0),
+        ("moment_error", "Mean absolute moment error, N m", 1.0),
         ("length_change", "Mean absolute change of muscle-tendon lengths, mm", 1e3),
         ("moment_arm_change", "Mean absolute change of moment arms, mm", 1e3),
     ):
         rows = [row for row in done.rows if row.quantity == quantity]
+        if not rows:
+            continue
         items = list(dict.fromkeys(row.item for row in rows))
-        yield from ("", title, "")
+        yield from ("", f"{title}: mean ± standard deviation over {rows[0].unit_of_analysis}s", "")
         yield from _head(["cycles", "method", *items])
         for use, speed in dict.fromkeys((row.use, row.speed) for row in rows):
             cells = {row.item: row for row in rows if (row.use, row.speed) == (use, speed)}
@@ -103,18 +121,29 @@ def markdown(done: Comparison) -> Iterator[str]:
                 own = (cells[item].spreads[method] if item in cells else None for item in items)
                 shown = ["" if one is None else _mean_and_sd(one.mean, one.sd, factor) for one in own]
                 yield _line([f"{use}, {speed}", method, *shown])
-    names = ["method", "paths from", "variables", "iterations", "compile (s)", "solve (s)", "converged"]
+    names = [
+        "leg",
+        "method",
+        "paths from",
+        "variables",
+        "iterations",
+        "compile (s)",
+        "solve (s)",
+        "converged",
+    ]
     yield from ("", "How each calibration ended; iterations are of the start that was taken", "")
     yield from _head([*names, "largest violation"])
-    for method, one in describe(done).items():
-        seconds = one["seconds"]
-        yield _line(
-            [
-                *(method, one["geometry"], str(one["n_variables"]), str(one["iterations"])),
-                *(f"{seconds['compile']:.1f}", f"{seconds['solve']:.1f}"),
-                *("yes" if one["converged"] else "no", f"{one['max_constraint_violation']:.0e}"),
-            ]
-        )
+    for leg in done.legs:
+        for method in done.methods:
+            one = _ending(leg, method)
+            seconds = one["seconds"]
+            yield _line(
+                [
+                    *(leg.label, method, one["geometry"], str(one["n_variables"]), str(one["iterations"])),
+                    *(f"{seconds['compile']:.1f}", f"{seconds['solve']:.1f}"),
+                    *("yes" if one["converged"] else "no", f"{one['max_constraint_violation']:.0e}"),
+                ]
+            )
 
 
 def _mean_and_sd(mean: float, sd: float, factor: float) -> str:
@@ -134,11 +163,11 @@ def _line(cells: Sequence[str]) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.compare_methods", description=__doc__)
     parser.add_argument(
-        "subject",
+        "subjects",
         type=Path,
-        nargs="?",
+        nargs="*",
         metavar="SUBJECT",
-        help="subject folder (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+        help="subject folders (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
     )
     parser.add_argument(
         "--methods", nargs="+", choices=_METHODS, default=_METHODS, metavar="NAME", help="default: all four"
