@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from typing import Any
 
@@ -29,6 +30,7 @@ def fit_feasibility(
     *,
     usable: Bool[np.ndarray, " sample"] | None = None,
     seed: int = 0,
+    threads: int | None = None,
 ) -> Feasibility | None:
     """Fit a support vector machine of cubic kernel, and the sigmoid that makes its score a probability.
 
@@ -50,6 +52,8 @@ def fit_feasibility(
         What the exact engine's margins allow; everything if not given.
     seed
         Decides which samples are left out together. The same seed gives the same bits.
+    threads
+        Of cross-validation; by default a few more than there are cores.
 
     Returns
     -------
@@ -69,7 +73,7 @@ def fit_feasibility(
     center, half_range = 0.5 * (upper + lower), 0.5 * (upper - lower)
     scaled = (samples - center) / half_range
     penalty, gamma, scores = _cross_validated(
-        scaled, physiological, np.ones_like(physiological) if usable is None else usable, seed
+        scaled, physiological, np.ones_like(physiological) if usable is None else usable, seed, threads
     )
     machine = _machine(penalty, gamma).fit(scaled, ~physiological)
     slope, intercept = fit_sigmoid(scores, ~physiological)
@@ -136,17 +140,25 @@ def _cross_validated(
     physiological: Bool[np.ndarray, " sample"],
     usable: Bool[np.ndarray, " sample"],
     seed: int,
+    threads: int | None,
 ) -> tuple[float, float, Float[np.ndarray, " sample"]]:
     """Choose C and gamma; return them and the score of each sample by the machine that left it out."""
     from sklearn.model_selection import StratifiedKFold
 
     folds = list(StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(scaled, physiological))
-    best, chosen = -1.0, None
-    for penalty, gamma in product(PENALTIES, GAMMAS):
+    grid = list(product(PENALTIES, GAMMAS))
+
+    def of_others(choice: tuple[float, float]) -> Float[np.ndarray, " sample"]:
         scores = np.zeros(len(scaled))
         for others, left_out in folds:
-            machine = _machine(penalty, gamma).fit(scaled[others], ~physiological[others])
+            machine = _machine(*choice).fit(scaled[others], ~physiological[others])
             scores[left_out] = machine.decision_function(scaled[left_out])
+        return scores
+
+    best, chosen = -1.0, None
+    with ThreadPoolExecutor(threads) as pool:  # libsvm lets go of the interpreter
+        each = pool.map(of_others, grid)
+    for (penalty, gamma), scores in zip(grid, each, strict=True):
         accuracy = balanced_accuracy(usable & (scores <= 0.0), physiological)
         if accuracy > best:
             best, chosen = accuracy, (penalty, gamma, scores)

@@ -53,7 +53,7 @@ def fit_wraps(
     thresholds
         What counts as physiological.
     processes
-        Worker processes for OpenSim; by default one a core.
+        Worker processes for OpenSim, and threads of scikit-learn; by default one a core or more.
     quiet
         Print no progress.
 
@@ -124,7 +124,7 @@ def _fit_wraps(
         samples, others = (plan.together.moved[wrap] for plan in (training, validation))
         usable, also_usable = (usable_by_all(engine, near, wrap, own) for own in (samples, others))
         feasibility[wrap] = fit_feasibility(
-            samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed
+            samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
         )
         judged = feasibility_quality(feasibility[wrap], others, unseen, also_usable)
         quality[wrap] = WrapQuality(float(unseen.mean()), **vars(judged))
