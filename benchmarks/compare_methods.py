@@ -28,7 +28,7 @@ _METHODS = ("NGA", "SGA", "LSGA", "PGA")
 def main() -> int:
     options = _parser().parse_args()
     # Before JAX and NumPy are loaded, which read it once.
-    pin_threads()
+    pin_threads(options.threads)
     set_up_jax()
     import wrapjax
     from wrapjax.api.tables.calibration import iteration_printer
@@ -179,6 +179,9 @@ def _parser() -> argparse.ArgumentParser:
         help="what NGA and PGA take paths from",
     )
     parser.add_argument("--starts", type=int, default=1, metavar="N", help="of each calibration (default: 1)")
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="of the numerical libraries (default: 1)"
+    )
     parser.add_argument("--quiet", action="store_true", help="print no progress")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
     return parser

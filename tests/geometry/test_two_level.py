@@ -125,7 +125,7 @@ def test_slopes_and_curvature_are_those_of_the_paths(paths, changes):
         return jax.tree.reduce(jnp.add, products)
 
     hessian = jax.jit(jax.hessian(total))(changes)
-    curvature = jax.jit(lambda at: paths.curvature(at, weights))(changes)
+    curvature = jax.jit(lambda at: paths.curvature(at, weights, paths.linearized(at)))(changes)
     for muscle in range(4):
         for other in range(4):
             for own, all_of_them in zip(jax.tree.leaves(slopes), jax.tree.leaves(dense), strict=True):

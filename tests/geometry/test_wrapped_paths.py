@@ -111,7 +111,7 @@ def test_second_derivatives_equal_differences_of_first_ones(s1_left, motion):
     moved = jnp.zeros((2, 6)).at[0].set(jnp.array([1e-3, -1e-3, 1e-3, 0.02, -0.02, 0.02]))
     generator = np.random.default_rng(5)
     weights = jax.tree.map(lambda leaf: jnp.asarray(generator.normal(size=leaf.shape)), paths.nominal)
-    curvature = jax.jit(lambda changes: paths.curvature(changes, weights))(moved)
+    curvature = jax.jit(lambda at: paths.curvature(at, weights, paths.linearized(at)))(moved)
 
     @jax.jit
     def slope(changes):
@@ -130,12 +130,20 @@ def test_second_derivatives_equal_differences_of_first_ones(s1_left, motion):
     np.testing.assert_array_equal(curvature[1], 0.0)
 
 
-def test_second_derivatives_of_paths_round_several_are_left_out(paths, moved):
+def test_of_paths_round_several_only_walls_bend(paths, moved):
+    """Towards the wall that is nearest, about as differences of slopes say; all else is left out."""
+    muscle = MUSCLES.index("gasmed_l")
+    several = replace(paths, alike=tuple(group for group in paths.alike if muscle in group.muscles))
+    linearized = jax.jit(lambda at: several.linearized(at))
     weights = jax.tree.map(jnp.ones_like, paths.nominal)
-    several = replace(
-        paths, alike=tuple(group for group in paths.alike if MUSCLES.index("gasmed_l") in group.muscles)
-    )
-    np.testing.assert_array_equal(several.curvature(moved, weights), 0.0)
+    blind = replace(weights, closeness=jnp.zeros_like(weights.closeness))
+    np.testing.assert_array_equal(several.curvature(moved, blind, linearized(moved)), 0.0)
+    # Two millimeters before the cylinder is where the wall stands.
+    near, step = moved.at[muscle, 1].add(-0.016), 1e-6
+    assert 5.0 < linearized(near)[0].closeness[muscle].max() < 50.0
+    here = several.curvature(near, weights, linearized(near))[muscle, 1, 1]
+    ends = [linearized(near.at[muscle, 1].add(by))[1].closeness[muscle, 1].sum() for by in (step, -step)]
+    np.testing.assert_allclose(here, (ends[0] - ends[1]) / (2.0 * step), rtol=0.2)
 
 
 def test_closeness_grows_without_bound_towards_a_wall(paths):
@@ -210,7 +218,7 @@ def test_second_derivatives_of_guarded_paths_equal_differences_of_first_ones(gua
     weights = jax.tree.map(lambda leaf: jnp.asarray(generator.normal(size=leaf.shape)), moving.nominal)
     # As a sum of squares has it: the root alone has a kink where nothing is near and nothing strays.
     weights = replace(weights, closeness=jax.jit(lambda changes: moving.at(changes))(changes).closeness)
-    curvature = jax.jit(lambda changes: moving.curvature(changes, weights))(changes)
+    curvature = jax.jit(lambda at: moving.curvature(at, weights, moving.linearized(at)))(changes)
 
     @jax.jit
     def slope(changes):

@@ -275,9 +275,12 @@ class Objective(AbstractCalibration):
             return jax.grad(weighted)(path)
 
         changes = self.variables.unpack(variables).path_changes
-        curvature = self.recording.path.curvature(changes, jax.vmap(of_one)(multipliers, *inputs))
         scale = jnp.asarray(self.variables.scale)[:, count:]
         modes = scale.shape[1]
+        _, path, unit_modes, *_ = inputs
+        by_change = jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->mk...", 1.0 / scale, leaf), unit_modes)
+        by_path = jax.vmap(of_one)(multipliers, *inputs)
+        curvature = self.recording.path.curvature(changes, by_path, (path, by_change))
         block = scale[:, :, None] * curvature[:, :modes, :modes] * scale[:, None, :]
         return jnp.zeros((len(scale), count + modes, count + modes)).at[:, count:, count:].set(block)
 

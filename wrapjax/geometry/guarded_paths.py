@@ -59,7 +59,10 @@ class GuardedPaths(AbstractPath):
         return jax.vmap(along, in_axes=1, out_axes=(None, 1))(slopes, exact_slopes)
 
     def curvature(
-        self, changes: Float[Array, "muscle mode"], weights: PathState
+        self,
+        changes: Float[Array, "muscle mode"],
+        weights: PathState,
+        expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
         """Differentiate the paths twice, the closeness included.
 
@@ -89,7 +92,8 @@ class GuardedPaths(AbstractPath):
         of_guard = jax.tree.reduce(jnp.add, products)
         by_state, by_exact = by_paths(state, exact)
         of_state = jax.tree.map(jnp.add, replace(weights, closeness=None), by_state)
-        return of_guard + self.paths.curvature(changes, of_state) + self.exact.curvature(changes, by_exact)
+        of_paths = self.paths.curvature(changes, of_state, (state, slopes))
+        return of_guard + of_paths + self.exact.curvature(changes, by_exact, (exact, exact_slopes))
 
     def _guarded(self, state: PathState, exact: PathState) -> PathState:
         """Add the closeness; it is held from one frame in which it is known to the next."""

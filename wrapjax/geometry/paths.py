@@ -58,11 +58,21 @@ class AbstractPath(eqx.Module):
 
     @abc.abstractmethod
     def curvature(
-        self, changes: Float[Array, "muscle mode"], weights: PathState
+        self,
+        changes: Float[Array, "muscle mode"],
+        weights: PathState,
+        expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
         """Differentiate each path twice by its own changes, and sum with these weights.
 
         What costs more than it helps may be left out: a solver gets to the same end without.
+
+        Parameters
+        ----------
+        changes, weights
+            Where, and one number for each of the paths'.
+        expansion
+            What `linearized` gives there.
         """
 
 
@@ -97,7 +107,10 @@ class AdjustablePath(AbstractPath):
         return self.at(changes), self.modes
 
     def curvature(
-        self, changes: Float[Array, "muscle mode"], weights: PathState
+        self,
+        changes: Float[Array, "muscle mode"],
+        weights: PathState,
+        expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
         """Zero: paths are linear in their modes."""
         return jnp.zeros((*changes.shape, changes.shape[1]))

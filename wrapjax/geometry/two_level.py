@@ -111,7 +111,10 @@ class TwoLevelPaths(AbstractPath):
         return self.at(changes), self.slopes(changes)
 
     def curvature(
-        self, changes: Float[Array, "muscle mode"], weights: PathState
+        self,
+        changes: Float[Array, "muscle mode"],
+        weights: PathState,
+        expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
         """Differentiate each path twice by its own changes, and sum with these weights."""
         own = jax.tree.map(lambda leaf: leaf[self.moving], replace(weights, infeasibility=None))

@@ -119,11 +119,14 @@ class WrappedPaths(AbstractPath):
         return state, slopes
 
     def curvature(
-        self, changes: Float[Array, "muscle mode"], weights: PathState
+        self,
+        changes: Float[Array, "muscle mode"],
+        weights: PathState,
+        expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
         """Differentiate paths round one cylinder twice by its parameters, and sum with these weights.
 
-        Paths round several are left out: to compile their second derivatives takes minutes.
+        Of paths round several only how walls bend is told: to compile their second derivatives takes minutes.
         """
 
         def of_one(
@@ -141,11 +144,12 @@ class WrappedPaths(AbstractPath):
         count = changes.shape[1]
         curvature = jnp.zeros((changes.shape[0], count, count))
         for group in self.alike:
-            if not isinstance(group.posed.path, StraightPath):
-                continue
             rows, size = group.muscles, _changes_of(group)
-            own = jax.tree.map(lambda leaf, rows=rows: leaf[rows], weights)
-            found = jax.vmap(of_one)(group.posed, group.walls, changes[rows, :size], own)
+            own, state, slopes = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (weights, *expansion))
+            if isinstance(group.posed.path, StraightPath):
+                found = jax.vmap(of_one)(group.posed, group.walls, changes[rows, :size], own)
+            else:
+                found = _bent_by_walls(own.closeness, state.closeness, slopes.closeness[:, :size])
             curvature = curvature.at[rows, :size, :size].set(found)
         return curvature
 
@@ -161,6 +165,22 @@ class WrappedPaths(AbstractPath):
             return jax.jvp(lambda at: self._path(posed, walls, at), (changes,), (direction,))
 
         return jax.vmap(along, out_axes=(None, 0))(jnp.eye(changes.size))
+
+
+def _bent_by_walls(
+    weights: Float[Array, "muscle trial frame"],
+    closeness: Float[Array, "muscle trial frame"],
+    slopes: Float[Array, "muscle mode trial frame"],
+) -> Float[Array, "muscle mode mode"]:
+    """Differentiate closeness twice as if one wall stood in each frame, which its slopes tell all of.
+
+    As ``(room / clearance)**2`` it bends by 1.5 times its squared slope over itself, apart from how the
+    clearance bends. Near a wall that is more than slopes alone show a solver of least squares, which would
+    step too far and zigzag along it.
+    """
+    near = closeness > 0.0
+    factor = 1.5 * weights * jnp.where(near, 1.0 / jnp.where(near, closeness, 1.0), 0.0)
+    return jnp.einsum("mtf,mitf,mjtf->mij", factor, slopes, slopes)
 
 
 def _changes_of(group: _Alike) -> int:
