@@ -12,24 +12,21 @@ import numpy as np
 
 from benchmarks.batching import batched
 from benchmarks.case import Case
-from benchmarks.engine import SAMPLES, samples_in_the_box
+from benchmarks.engine import POSES, SAMPLES, samples_in_the_box, wrapping_muscles
 from benchmarks.metric import Metric
 from benchmarks.tiled import another_person
 from benchmarks.timing import median_seconds
 from wrapjax.calibrate import Objective
-from wrapjax.geometry import random_poses
-from wrapjax.geometry.engine import ExactPaths, PosedPath, wrap_at_samples
-from wrapjax.osim import describe_model
+from wrapjax.geometry.engine import PosedPath, wrap_at_samples
 from wrapjax.subject import Subject
 
-#: People of one shape in one batch, and poses of each path.
-PEOPLE, POSES = 32, 500
+#: People of one shape in one batch.
+PEOPLE = 32
 #: How far a GPU may be from the processor, relative to the largest number of each array.
 TARGET = 1e-9
 #: How many times as fast a batch on a GPU is as one after the other.
 BATCH_TARGET = 3
 _REPEATS = 5
-_SEED = 20
 
 
 def devices(subject: Subject, case: Case) -> list[Metric]:
@@ -42,7 +39,9 @@ def devices(subject: Subject, case: Case) -> list[Metric]:
     case
         Its NGA problem.
     """
-    paths = _posed(subject)
+    engine, poses = wrapping_muscles(subject)
+    posed = engine.posed(poses)
+    paths = [posed[name] for name in engine.muscles if len(engine.wraps_of(name)) == 1]
     kinds = {"cpu": jax.devices("cpu")[0]}
     try:
         kinds["gpu"] = jax.devices("gpu")[0]
@@ -69,18 +68,6 @@ def devices(subject: Subject, case: Case) -> list[Metric]:
 def on_device(device: jax.Device, tree: Any) -> Any:
     """Put all arrays of a tree on a device."""
     return jax.tree.map(lambda leaf: jax.device_put(leaf, device) if eqx.is_array_like(leaf) else leaf, tree)
-
-
-def _posed(subject: Subject) -> list[PosedPath]:
-    trials = subject.trials
-    coordinates = trials.moment_coordinates
-    angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
-    model = describe_model(subject.model_file)
-    wrapped = [name for name in subject.muscles.names if model.muscle(name).wraps]
-    engine = ExactPaths(model, wrapped, coordinates)
-    single = [name for name in wrapped if len(engine.wraps_of(name)) == 1]
-    posed = engine.posed(random_poses(angles, POSES, np.random.default_rng(_SEED)))
-    return [posed[name] for name in single]
 
 
 def _on(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[dict[str, Any], list[Metric]]:

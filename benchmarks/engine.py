@@ -62,13 +62,8 @@ def engine_speed(subject: Subject, *, quick: bool = False, full: bool = False) -
     full
         Do all analyses, rather than conclude from fewer how long they would take.
     """
-    trials = subject.trials
-    coordinates = trials.moment_coordinates
-    angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
-    poses = random_poses(angles, POSES, np.random.default_rng(SEED))
-    model = describe_model(subject.model_file)
-    wrapped = [name for name in subject.muscles.names if model.muscle(name).wraps]
-    engine = ExactPaths(model, wrapped, coordinates)
+    engine, poses = wrapping_muscles(subject)
+    wrapped = engine.muscles
     began = time.perf_counter()
     posed = engine.posed(poses)
     posing = time.perf_counter() - began
@@ -105,6 +100,17 @@ def engine_speed(subject: Subject, *, quick: bool = False, full: bool = False) -
             f"target below {MEMORY_TARGET_GB}",
         ),
     ]
+
+
+def wrapping_muscles(subject: Subject) -> tuple[ExactPaths, Poses]:
+    """Give the engine of a subject's wrapped muscles, and poses of its gait."""
+    trials = subject.trials
+    coordinates = trials.moment_coordinates
+    angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
+    model = describe_model(subject.model_file)
+    wrapped = [name for name in subject.muscles.names if model.muscle(name).wraps]
+    poses = random_poses(angles, POSES, np.random.default_rng(SEED))
+    return ExactPaths(model, wrapped, coordinates), poses
 
 
 def samples_in_the_box(count: int) -> Samples:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.batching import batched
+from benchmarks.devices import on_device
 from benchmarks.tiled import another_person
 from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
@@ -24,10 +25,6 @@ def gpu():
         pytest.skip("no GPU")
 
 
-def on(device, tree):
-    return jax.tree.map(lambda leaf: jax.device_put(leaf, device) if eqx.is_array(leaf) else leaf, tree)
-
-
 def assert_alike(found, expected):
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         largest = np.abs(np.asarray(other)).max(initial=0.0)
@@ -40,10 +37,10 @@ def test_linearizations_agree(make):
     device, problem = gpu(), make()
     point = problem.start(problem.initial)
     linearize = eqx.filter_jit(lambda problem, x: problem.linearize(x))
-    there = linearize(on(device, problem), on(device, point))
+    there = linearize(on_device(device, problem), on_device(device, point))
     assert there.gauss_newton.devices() == {device}
     cpu = jax.devices("cpu")[0]
-    assert_alike(there, linearize(on(cpu, problem), on(cpu, point)))
+    assert_alike(there, linearize(on_device(cpu, problem), on_device(cpu, point)))
 
 
 @pytest.mark.gpu
@@ -52,9 +49,9 @@ def test_solves_end_in_the_same_place():
     point = problem.start(problem.initial)
     cpu = jax.devices("cpu")[0]
     with jax.default_device(device):
-        there = ProjectedLM().solve(on(device, problem), on(device, point))
+        there = ProjectedLM().solve(on_device(device, problem), on_device(device, point))
     with jax.default_device(cpu):
-        here = ProjectedLM().solve(on(cpu, problem), on(cpu, point))
+        here = ProjectedLM().solve(on_device(cpu, problem), on_device(cpu, point))
     assert there.cost == pytest.approx(here.cost, rel=TOLERANCE)
 
 
@@ -69,7 +66,7 @@ def test_paths_agree(wrapping, tmp_path):
     low, high = [-0.01, -0.01, -0.01, -0.3, -0.3, 0.8], [0.01, 0.01, 0.01, 0.3, 0.3, 1.2]
     samples = generator.uniform(low, high, (10, 1, 6))
     with jax.default_device(device):
-        there = wrap_at_samples(on(device, posed), samples, wrapping)
+        there = wrap_at_samples(on_device(device, posed), samples, wrapping)
     with jax.default_device(jax.devices("cpu")[0]):
         here = wrap_at_samples(posed, samples, wrapping)
     assert_alike(there, here)
@@ -81,7 +78,7 @@ def test_people_in_one_program_agree():
     people = [another_person(problem, seed) for seed in range(3)]
     points = np.stack([person.variables.start() for person in people])
     with jax.default_device(device):
-        there = batched(lambda one, x: one.linearize(x), on(device, people))(on(device, points))
+        there = batched(lambda one, x: one.linearize(x), on_device(device, people))(on_device(device, points))
     for number, person in enumerate(people):
         here = eqx.filter_jit(lambda one, x: one.linearize(x))(person, points[number])
         assert_alike(jax.tree.map(lambda leaf, number=number: leaf[number], there), here)
