@@ -25,8 +25,9 @@ _WIDTH = 0.10
 def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     """Record angles that bones did not have: at a part of the cycle, and in proportion to the angles.
 
-    Muscles took the paths of the bones' angles, to first order, moment arms included; inverse dynamics made
-    of the others what they did, where ground forces were recorded. Shapes: when in the cycle.
+    Muscles took the paths of the bones' angles, to first order, moment arms included. Shapes: when in the
+    cycle; and, where ground forces were recorded, whether inverse dynamics moved the joints with the angles,
+    or had these where they were, as where the markers of all segments are matched together.
     """
     if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
@@ -57,20 +58,14 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         )
         for name in context.coordinates
     ]
-    variants = tuple(
-        Variant(
-            Partial(
-                _misread,
-                context.paths_by_angle,
-                context.paths.moment_arm,
-                *_errors(context, *shape),
-                context.measured_changes.get(change_id("soft_tissue_artifact", when)),
-            ),
-            when,
-        )
-        for when, shape in sliding(context.phase).items()
-    )
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), variants)
+    moved, in_place = [], []
+    for when, shape in sliding(context.phase).items():
+        known = (context.paths_by_angle, context.paths.moment_arm, *_errors(context, *shape))
+        change = context.measured_changes.get(change_id("soft_tissue_artifact", when))
+        moved.append(Variant(Partial(_misread, *known, change), when))
+        if change is not None:
+            in_place.append(Variant(Partial(_misread, *known, None), f"{when}, joints in place"))
+    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), (*moved, *in_place))
 
 
 def sliding(

@@ -84,11 +84,23 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
     ),
     "foot_deformation": (
         "ankle angles off by up to 7.3 degrees, PMC8085108",
-        (("bend", "rad", 0.06, 1, "ankle angle lost to the foot's deformation where it is largest", 0.3),),
+        (
+            (
+                "bend",
+                "rad",
+                0.06,
+                0,
+                "ankle recorded too far in dorsiflexion where the foot is loaded most",
+                0.3,
+            ),
+        ),
     ),
     "wobbling_mass": (
         "0 to 10 % of the cycle",
-        (("impulse", "N m s", 0.5, 0, "impulse of soft tissue at impact", 5.0),),
+        (
+            ("hip_impulse", "N m s", 0.5, 0, "impulse of soft tissue at impact, about hip flexion", 5.0),
+            ("knee_impulse", "N m s", 0.5, 0, "impulse of soft tissue at impact, about the knee", 5.0),
+        ),
     ),
     "device_torque": (
         "the device's log",
