@@ -374,7 +374,7 @@ def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word)
 
 def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     """Where these are known; of each shape what is its own."""
-    amounts = jnp.arange(1.0, 1.0 + 2 * len(CONTEXT.coordinates))
+    amounts = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
     pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
     known = {change_id("soft_tissue_artifact", "loading"): Partial(_summed, pattern)}
     effect = CATALOGUE["soft_tissue_artifact"](dataclasses.replace(CONTEXT, measured_changes=known))
@@ -388,16 +388,19 @@ def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
     """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
     amounts = jnp.array([0.05])
     effect = CATALOGUE["foot_deformation"](CONTEXT)
-    assert [variant.label for variant in effect.variants] == ["whole foot", "forefoot"]
-    whole, forefoot = (variant.form(amounts) for variant in effect.variants)
+    labels = ["whole foot", "forefoot", "forefoot, joints in place"]
+    assert [variant.label for variant in effect.variants] == labels
+    whole, forefoot, in_place = (variant.form(amounts) for variant in effect.variants)
     assert whole.paths is None and whole.moment is not None
     np.testing.assert_array_equal(
         forefoot.moment, CONTEXT.measured_changes["foot_deformation, forefoot"](amounts)
     )
-    paths, slopes = forefoot.paths(CONTEXT.paths), CONTEXT.path_changes["foot_deformation, forefoot"]
-    for field in ("length", "velocity", "moment_arm"):
-        expected = getattr(CONTEXT.paths, field) + 0.05 * getattr(slopes, field)[:, 0]
-        np.testing.assert_allclose(getattr(paths, field), expected)
+    assert in_place.moment is None
+    slopes = CONTEXT.path_changes["foot_deformation, forefoot"]
+    for paths in (forefoot.paths(CONTEXT.paths), in_place.paths(CONTEXT.paths)):
+        for field in ("length", "velocity", "moment_arm"):
+            expected = getattr(CONTEXT.paths, field) + 0.05 * getattr(slopes, field)[:, 0]
+            np.testing.assert_allclose(getattr(paths, field), expected)
 
 
 def _summed(pattern, amounts):

@@ -277,14 +277,18 @@ def test_skin_that_slides_gives_other_moments(recorded):
     for when, (slide, by_phase) in sliding(np.linspace(0.0, 1.0, trials.time.shape[1])).items():
         duration = (trials.time[:, -1] - trials.time[:, 0])[:, None]
         angles, rates = trials.angles.copy(), trials.angular_velocities.copy()
-        angles[:, rows[knee]] += 0.02 * slide + 0.01 * trials.angles[:, rows[knee]]
+        hip = rows[names.index("hip_flexion_r")]
+        angles[:, rows[knee]] += (
+            0.02 * slide + 0.01 * trials.angles[:, rows[knee]] + 0.03 * trials.angles[:, hip]
+        )
         rates[:, rows[knee]] += 0.02 * by_phase / duration + 0.01 * trials.angular_velocities[:, rows[knee]]
+        rates[:, rows[knee]] += 0.03 * trials.angular_velocities[:, hip]
         other = dataclasses.replace(trials, angles=angles, angular_velocities=rates)
         moved, _ = recorded_walk(dataclasses.replace(subject, trials=other))
         before, after = moments_of(walk), moments_of(moved)
         expected = np.stack([after[name] - before[name] for name in names])
-        amounts = np.zeros(2 * len(names))
-        amounts[knee], amounts[len(names) + knee] = 0.02, 0.01
+        amounts = np.zeros(3 * len(names))
+        amounts[knee :: len(names)] = 0.02, 0.01, 0.03
         slope = np.asarray(found[change_id("soft_tissue_artifact", when)](jnp.asarray(amounts)))
         slope = np.moveaxis(slope, 1, 0)
         assert np.abs(expected).max() > 1.0

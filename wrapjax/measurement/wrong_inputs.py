@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.gap.effects.kinematics import sliding
+from wrapjax.gap.effects.kinematics import dragged_by, sliding
 from wrapjax.measurement.walk import CONTACT, Walk
 
 Slopes = Float[np.ndarray, "parameter coordinate pose"]
@@ -194,12 +194,14 @@ def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
     angles = np.zeros((count, trials, frames))
     angles[own] = walk.motion.values[rows].reshape(-1, trials, frames)
     apart = np.eye(count)[:, :, None, None]
-    shares = walk.moments_by_angles(apart * angles)
+    shares = [walk.moments_by_angles(apart * angles)]
+    if neighbours := dragged_by(walk.mechanics.coordinates):
+        shares.append(walk.moments_by_angles(apart * angles[list(neighbours)]))
     slides = {
         when: walk.moments_by_angles(np.broadcast_to(apart * shape, (count, count, trials, frames)))
         for when, (shape, _) in sliding(np.linspace(0.0, 1.0, frames)).items()
     }
-    return {when: np.concatenate([own, shares]) for when, own in slides.items()}
+    return {when: np.concatenate([own, *shares]) for when, own in slides.items()}
 
 
 def _wobbling_mass(walk: Walk) -> dict[str, Slopes]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
@@ -23,7 +25,9 @@ _WIDTH = 0.10
 
 
 def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
-    """Record angles that bones did not have: at a part of the cycle, and in proportion to the angles.
+    """Record angles that bones did not have: at a part of the cycle, and in proportion to angles.
+
+    To the joint's own, and to the neighbour's that drags its skin (see `dragged_by`).
 
     Muscles took the paths of the bones' angles, to first order, moment arms included. Shapes: when in the
     cycle; and, where ground forces were recorded, whether inverse dynamics moved the joints with the angles,
@@ -58,6 +62,20 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         )
         for name in context.coordinates
     ]
+    neighbours = dragged_by(context.coordinates)
+    drags = [
+        EffectParameter(
+            name=f"share_of_{context.coordinates[other]}_in_{name}",
+            unit="1",
+            prior_sd=0.06,
+            sign=0,
+            meaning=f"error of {name} as a share of the angle of {context.coordinates[other]}",
+            source=source,
+            limit=0.3,
+            part=name,
+        )
+        for name, other in zip(context.coordinates, neighbours, strict=bool(neighbours))
+    ]
     moved, in_place = [], []
     for when, shape in sliding(context.phase).items():
         known = (context.paths_by_angle, context.paths.moment_arm, *_errors(context, *shape))
@@ -65,7 +83,22 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         moved.append(Variant(Partial(_misread, *known, change), when))
         if change is not None:
             in_place.append(Variant(Partial(_misread, *known, None), f"{when}, joints in place"))
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares), (*moved, *in_place))
+    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares, *drags), (*moved, *in_place))
+
+
+def dragged_by(coordinates: Sequence[str]) -> tuple[int, ...]:
+    """Number, for each coordinate, the joint that moves its skin most beside itself.
+
+    The knee's flexion drags the skin of thigh and shank, the hip's that over the knee. Empty where either is
+    not among them.
+    """
+    knee, hip = (
+        next((row for row, name in enumerate(coordinates) if name.startswith(stem)), None)
+        for stem in ("knee_angle", "hip_flexion")
+    )
+    if knee is None or hip is None:
+        return ()
+    return tuple(hip if row == knee else knee for row in range(len(coordinates)))
 
 
 def sliding(
@@ -78,11 +111,14 @@ def sliding(
 def _errors(
     context: Context, slide: Float[np.ndarray, " frame"], by_phase: Float[np.ndarray, " frame"]
 ) -> tuple[Array, Array]:
-    """Errors of angles and of their rates for a unit of sliding, then of the share."""
+    """Errors of angles and of their rates for a unit of sliding, then of both shares."""
     shape = context.angles.shape
-    slides = np.broadcast_to(slide, shape)
-    rates = np.broadcast_to(by_phase / context.duration[:, None, None], shape)
-    return jnp.asarray(np.stack([slides, context.angles])), jnp.asarray(np.stack([rates, context.velocities]))
+    angles = [np.broadcast_to(slide, shape), context.angles]
+    rates = [np.broadcast_to(by_phase / context.duration[:, None, None], shape), context.velocities]
+    if neighbours := dragged_by(context.coordinates):
+        angles.append(context.angles[:, neighbours])
+        rates.append(context.velocities[:, neighbours])
+    return jnp.asarray(np.stack(angles)), jnp.asarray(np.stack(rates))
 
 
 def _misread(
