@@ -53,7 +53,7 @@ def test_residual_is_taken_to_where_parameters_were_expected(setting):
     # little that bounds pull.
     known = precision > 0.0
     np.testing.assert_allclose((start - gap.away)[known], np.asarray(free.prior_mean)[known], atol=0.15)
-    slope = np.tensordot(to_expected, gap.slopes, axes=1)
+    slope = np.tensordot(to_expected, gap.recorded_slopes, axes=1)
     np.testing.assert_allclose(gap.residual, gap.fitted - slope, atol=1e-9)
 
     def left(share):

@@ -3,6 +3,10 @@
 A score test looks at the model where calibration left it: how the prediction would change with what was
 calibrated, with as much of each effect as is expected, and with errors of what was recorded. Residuals are
 taken back to where calibrated parameters were expected, since their give is part of the null hypothesis.
+
+Lines are drawn along EMG in the mean of the cycles of a speed. Along the recorded EMG they would hold its
+noise, which residuals hold as well: what is like the bursts of a noisy envelope would then be found in
+everyone (as in any regression on what is measured with error; Fuller 1987, doi:10.1002/9780470316665).
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from wrapjax.gap.evidence.projection import Candidate
 from wrapjax.gap.prediction import secants
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
-from wrapjax.muscle import AbstractCurves
+from wrapjax.muscle import AbstractCurves, EmgSpline
 
 #: Phases of a gait cycle that are looked at: residuals change little between them.
 PHASES = 25
@@ -51,6 +55,8 @@ class LinearGap:
         The same as calibration left it.
     slopes
         By each calibrated variable, in solver units.
+    recorded_slopes
+        The same along the EMG as it was recorded: how the prediction itself changes.
     spread, away
         What is expected of these variables: see `expectations`.
     nuisances
@@ -68,6 +74,7 @@ class LinearGap:
     residual: Float[np.ndarray, "cycle coordinate phase"]
     fitted: Float[np.ndarray, "cycle coordinate phase"]
     slopes: Float[np.ndarray, "variable cycle coordinate phase"]
+    recorded_slopes: Float[np.ndarray, "variable cycle coordinate phase"]
     spread: Float[np.ndarray, "variable sum"]
     away: Float[np.ndarray, " variable"]
     nuisances: Float[np.ndarray, "amount cycle coordinate phase"]
@@ -134,13 +141,16 @@ def linear_gap(
     def at_phases(values: Float[Array | np.ndarray, "*any frame"]) -> Float[np.ndarray, "*any phase"]:
         return np.asarray(values)[..., frames]
 
-    states = muscle_states(curves, parameters, recording)
-    by_variable = moment_slopes(problem, variables, recording, frames)
+    speeds = speed_numbers(context.speeds)
+    quiet = replace(recording, emg=in_the_mean(recording.emg, speeds))
+    states = muscle_states(curves, parameters, quiet)
+    as_recorded = moment_slopes(problem, variables, recording, frames)
+    by_variable = moment_slopes(problem, variables, quiet, frames)
     expected, away = expectations(problem, variables)
-    fitted = at_phases(measured - np.asarray(states.moment.sum(axis=0)))
+    fitted = at_phases(measured - np.asarray(joint_moments(curves, parameters, recording)))
     candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
     for effect in effects:
-        own = _candidate(effect, problem, parameters, recording, frames)
+        own = _candidate(effect, problem, parameters, quiet, frames)
         if effect.nuisance:
             nuisances += [
                 (variant * own.prior_sd[:, None]).reshape(-1, *fitted.shape) for variant in own.variants
@@ -148,19 +158,20 @@ def linear_gap(
         else:
             candidates.append(own)
     return LinearGap(
-        residual=fitted + np.tensordot(away, by_variable, axes=1),
+        residual=fitted + np.tensordot(away, as_recorded, axes=1),
         fitted=fitted,
         slopes=by_variable,
+        recorded_slopes=as_recorded,
         spread=expected,
         away=away,
         nuisances=np.concatenate(nuisances),
         candidates=tuple(candidates),
         input_errors=(
             _emg_errors(problem, variables, by_variable, context),
-            *_angle_errors(problem, parameters, recording, context, frames),
+            *_angle_errors(problem, parameters, quiet, context, frames),
         ),
         muscle_errors=_muscle_errors(states, parameters, frames),
-        speeds=speed_numbers(context.speeds),
+        speeds=speeds,
     ).allowing(background)
 
 
@@ -188,6 +199,13 @@ def expectations(
     covariance = np.linalg.inv(precision)
     away = covariance @ (muscles * np.asarray(own.gradient))
     return np.linalg.cholesky(0.5 * (covariance + covariance.T)), away
+
+
+def in_the_mean(emg: EmgSpline, speeds: Int[np.ndarray, " cycle"]) -> EmgSpline:
+    """Take the mean of every envelope over the cycles of each speed, at the same part of the cycle."""
+    alike = jnp.asarray(speeds[:, None] == speeds[None], dtype=float)
+    mean = jnp.einsum("ct,mtpi->mcpi", alike / alike.sum(axis=1, keepdims=True), emg.coefficients)
+    return replace(emg, coefficients=mean)
 
 
 def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:
