@@ -197,7 +197,7 @@ def test_what_everybody_has_can_be_allowed_for_afterwards(generator):
     residuals = generator.normal(size=(3, 24))
     nothing = np.zeros((0, *rows))
     lines = LinearGap(
-        *(np.zeros(rows), np.zeros(rows), nothing, np.zeros((0, 0)), np.zeros(0), nothing),
+        *(np.zeros(rows), np.zeros(rows), nothing, nothing, np.zeros((0, 0)), np.zeros(0), nothing),
         candidates,
         (),
         MuscleErrors(np.zeros((0, 2, 4, 3)), np.zeros((0, *rows))),

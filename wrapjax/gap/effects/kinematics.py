@@ -29,9 +29,8 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
 
     To the joint's own, and to the neighbour's that drags its skin (see `dragged_by`).
 
-    Muscles took the paths of the bones' angles, to first order, moment arms included. Shapes: when in the
-    cycle; and, where ground forces were recorded, whether inverse dynamics moved the joints with the angles,
-    or had these where they were, as where the markers of all segments are matched together.
+    Muscles took the paths of the bones' angles, to first order, moment arms included; inverse dynamics made
+    of the others what they did, where ground forces were recorded. Shapes: when in the cycle.
     """
     if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
@@ -76,14 +75,20 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         )
         for name, other in zip(context.coordinates, neighbours, strict=bool(neighbours))
     ]
-    moved, in_place = [], []
-    for when, shape in sliding(context.phase).items():
-        known = (context.paths_by_angle, context.paths.moment_arm, *_errors(context, *shape))
-        change = context.measured_changes.get(change_id("soft_tissue_artifact", when))
-        moved.append(Variant(Partial(_misread, *known, change), when))
-        if change is not None:
-            in_place.append(Variant(Partial(_misread, *known, None), f"{when}, joints in place"))
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares, *drags), (*moved, *in_place))
+    variants = tuple(
+        Variant(
+            Partial(
+                _misread,
+                context.paths_by_angle,
+                context.paths.moment_arm,
+                *_errors(context, *shape),
+                context.measured_changes.get(change_id("soft_tissue_artifact", when)),
+            ),
+            when,
+        )
+        for when, shape in sliding(context.phase).items()
+    )
+    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares, *drags), variants)
 
 
 def dragged_by(coordinates: Sequence[str]) -> tuple[int, ...]:

@@ -10,7 +10,6 @@ paths of the person's joints, not of those that the laboratory's model has: by h
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -115,10 +114,6 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
 #: They act on nothing that these recordings hold, and must stay quiet.
 _NEGATIVE_CONTROLS = ("handrail_force",)
 
-#: Errors of angles: inverse dynamics had the joints where they were if markers of all segments were matched
-#: together, and only paths were taken at the wrong angles.
-_OF_ANGLES = ("foot_deformation",)
-
 #: What a recording would need beside ground reaction forces and never has.
 _NEEDS = {
     "belt_acceleration": "no belt speed is recorded",
@@ -136,17 +131,6 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
     if not changes:
         return NotTestable(id, _NEEDS.get(id, context.no_measured_changes))
     source, rows = CHAIN[id]
-    variants = [
-        Variant(Partial(_added, change, context.path_changes.get(change_id(id, shape))), shape)
-        for shape, change in changes.items()
-    ]
-    if id in _OF_ANGLES:
-        in_place = {shape: context.path_changes.get(change_id(id, shape)) for shape in changes}
-        variants += [
-            Variant(Partial(_in_place, slopes), f"{shape}, joints in place")
-            for shape, slopes in in_place.items()
-            if slopes is not None
-        ]
     return Effect(
         id=id,
         family="measurement",
@@ -154,7 +138,10 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
             EffectParameter(name, unit, sd, sign, meaning, source, limit, part=name.split("_")[0])
             for name, unit, sd, sign, meaning, limit in rows
         ),
-        variants=tuple(variants),
+        variants=tuple(
+            Variant(Partial(_added, change, context.path_changes.get(change_id(id, shape))), shape)
+            for shape, change in changes.items()
+        ),
         negative_control=id in _NEGATIVE_CONTROLS,
     )
 
@@ -164,12 +151,8 @@ def _added(
 ) -> Alteration:
     if slopes is None:
         return Alteration(moment=change(amounts))
-    return replace(_in_place(slopes, amounts), moment=change(amounts))
-
-
-def _in_place(slopes: PathState, amounts: Float[Array, " parameter"]) -> Alteration:
     by_amounts = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", amounts, leaf), slopes)
-    return Alteration(paths=Partial(added_to_paths, by_amounts))
+    return Alteration(moment=change(amounts), paths=Partial(added_to_paths, by_amounts))
 
 
 #: From the id to what gives the effect for a subject.
