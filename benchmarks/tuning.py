@@ -1,19 +1,19 @@
-"""What everybody has of each effect, by cases whose truth is known: constants of `wrapjax.gap`'s score.
+"""What everybody has of each effect, and how bold evidence is, by cases whose truth is known.
 
-``python -m benchmarks.tuning --bank BANK --lines LINES`` takes a development bank and its straight lines (see
-`benchmarks.lines`). People differ from any model of them: by how much is estimated by maximum likelihood,
-with an effect that a case is known to have allowed for (MacKay 1992, doi:10.1162/neco.1992.4.3.415). Families
-of force curves take turns: what one half of the people says is tried on the other, and the worse of both is
-printed beside what the shipped constants do. ``--out`` writes constants with those of all cases.
+``python -m benchmarks.tuning --bank BANK --lines LINES`` takes a development bank and its straight lines
+(see `benchmarks.lines`), and gives the constants of `wrapjax.gap`'s score. People differ from any model of
+them: by how much is estimated by maximum likelihood, with an effect that a case is known to have allowed for
+(MacKay 1992, doi:10.1162/neco.1992.4.3.415). Then evidence is tempered (see `benchmarks.tempering`). Families
+of force curves take turns: what one half of the people says is tried on the other, and printed beside what
+the shipped constants do. ``--out`` writes constants with those of all cases.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from jaxtyping import Float
 from scipy.special import softmax
 
 from benchmarks.banks import CLEAR
-from benchmarks.lines import development_lines
+from benchmarks.lines import Lines, development_lines
+from benchmarks.tempering import Scored, surprise, tempered
 from wrapjax.errors import InputError
 from wrapjax.files import content_hash, write_json
 from wrapjax.gap.conclude.verdict import Tuning
@@ -32,7 +33,9 @@ from wrapjax.gap.evidence.score import score_projected
 
 #: Of an effect that a case has, as a share of its prior deviation: larger than any.
 _THERE = 3.0
-_TURNS = 30
+_TURNS = 15
+#: Nats by which a null is less likely than the likeliest.
+_RULED_OUT = 12.0
 #: Shares below this are none, and none is larger than this: an effect that everybody has so much of is no
 #: effect.
 _LEAST, _MOST = 0.05, 1.0
@@ -68,11 +71,11 @@ class Known:
         """Standard deviations of all amounts of all shapes, which share what everybody has."""
         return np.concatenate([shares.get(one.id, 0.0) * one.shared_sd for one in self.candidates])
 
-    def evidence(self, shares: Mapping[str, float]) -> dict[str, float]:
+    def scored(self, shares: Mapping[str, float]) -> Scored:
         """Score effects."""
         allowed = [one.allowing(self.spread(shares)) for one in self.projections]
-        (scored,) = score_projected(allowed, self.candidates)
-        return {one.id: one.evidence for one in scored.scores}
+        (found,) = score_projected(allowed, self.candidates)
+        return Scored(self.truth, {one.id: one.evidence for one in found.scores}, found.structured)
 
 
 def main() -> int:
@@ -88,15 +91,22 @@ def main() -> int:
     for world in worlds:
         others = [case for case in known if case.truth["world"] != world]
         own = [case for case in known if case.truth["world"] == world]
-        found = everybody(others)
-        for name, shares in (("nothing", {}), ("shipped", shipped.background), ("fitted", found)):
-            print(f"  {world}, allowing for {name}: {_judged(own, shares)}", flush=True)
+        for name, tuning in (
+            ("nothing", replace(shipped, background={})),
+            ("shipped", shipped),
+            ("fitted", tuned(others, shipped)),
+        ):
+            print(f"  {world}, allowing for {name}: {_judged(own, tuning)}", flush=True)
     if options.out:
-        shares = {name: round(share, 2) for name, share in everybody(known).items()}
         bank = content_hash(options.bank / "manifest.json")
-        content = dataclasses.asdict(shipped) | {"sha256": bank, "background": shares}
-        write_json(options.out, content)
+        write_json(options.out, asdict(replace(tuned(known, shipped), sha256=bank)))
     return 0
+
+
+def tuned(cases: Sequence[Known], start: Tuning) -> Tuning:
+    """Estimate all constants that cases decide; the others are those of the start."""
+    shares = {name: round(share, 2) for name, share in everybody(cases).items()}
+    return replace(tempered([case.scored(shares) for case in cases], start), background=shares)
 
 
 def read(bank: Path, lines: Path) -> list[Known]:
@@ -105,9 +115,17 @@ def read(bank: Path, lines: Path) -> list[Known]:
     for truth, own in development_lines(bank, lines):
         candidates = own.gap.candidates
         residual = own.gap.residual.reshape(1, -1)
-        seen = tuple(project(residual, null, candidates) for null in nulls(own.gap, own.sizes))
-        found.append(Known(truth, candidates, seen))
+        found.append(Known(truth, candidates, _seen(residual, own, candidates)))
     return found
+
+
+def _seen(
+    residual: Float[np.ndarray, "1 row"], lines: Lines, candidates: Sequence[Candidate]
+) -> tuple[Projection, ...]:
+    """Look through every null but those that the residual rules out; the first is what others count from."""
+    first, *others = (project(residual, null, candidates) for null in nulls(lines.gap, lines.sizes))
+    likeliest = max(float(one.weight[0]) for one in (first, *others))
+    return (first, *(one for one in others if one.weight[0] > likeliest - _RULED_OUT))
 
 
 def everybody(cases: Sequence[Known]) -> dict[str, float]:
@@ -145,19 +163,21 @@ def _add_up(case: Known, shares: Mapping[str, float], size: dict[str, float], to
             told[one.id] += float(weight * np.sum(share[place]))
 
 
-def _judged(cases: Sequence[Known], shares: Mapping[str, float]) -> str:
-    single = [c for c in cases if c.truth["tier"] == "single" and c.truth["d_star"] > CLEAR]
-    first = three = 0
-    for case in single:
-        found = case.evidence(shares)
-        order = sorted(found, key=lambda id: -found[id])
-        first += order[0] in case.accepted
-        three += bool(set(order[:3]) & case.accepted)
-    none = [max(c.evidence(shares).values()) for c in cases if c.truth["tier"] == "none"]
-    alarm = f"{np.quantile(none, 0.95):.1f}" if none else "-"
+def _judged(cases: Sequence[Known], tuning: Tuning) -> str:
+    scored = [case.scored(tuning.background) for case in cases]
+    clear = first = three = over = 0
+    for case, one in zip(cases, scored, strict=True):
+        if case.truth["tier"] == "single" and case.truth["d_star"] > CLEAR:
+            order = sorted(one.evidence, key=lambda id: -one.evidence[id])
+            right = order[0] in case.accepted
+            clear, first, three = clear + 1, first + right, three + bool(set(order[:3]) & case.accepted)
+            over += right and one.evidence[order[0]] > tuning.alarm
+    none = [max(one.evidence.values()) for one in scored if one.truth["tier"] == "none"]
+    alarms = sum(most > tuning.alarm for most in none)
     return (
-        f"first {first} and among three {three} of {len(single)}; where nothing is amiss 95 % of "
-        f"{len(none)} cases have at most {alarm} nats"
+        f"first {first} and among three {three} of {clear}, {over} of them over the alarm of "
+        f"{tuning.alarm:g} nats, as are {alarms} of {len(none)} without effect; "
+        f"surprise {surprise(scored, tuning):.2f} nats"
     )
 
 

@@ -53,7 +53,9 @@ def test_what_a_case_is_known_to_have_is_not_everybodys(people):
 
 def test_evidence_falls_for_what_everybody_has(people):
     case = people[0]
-    nothing, common, cause = (case.evidence(shares) for shares in ({}, {"common": SHARE}, {"cause": 1.0}))
+    nothing, common, cause = (
+        case.scored(shares).evidence for shares in ({}, {"common": SHARE}, {"cause": 1.0})
+    )
     assert max(nothing, key=lambda id: nothing[id]) == "cause"
     assert common["cause"] > 10.0 > cause["cause"] + 5.0
 

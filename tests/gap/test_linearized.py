@@ -3,6 +3,8 @@
 The last test is on data of the model's own form: it shows that the pieces fit, and is no accuracy.
 """
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import pytest
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap import CATALOGUE, Effects, predicted_moments
-from wrapjax.gap.evidence.linearized import linear_gap, phase_frames
+from wrapjax.gap.evidence.linearized import in_the_mean, linear_gap, phase_frames
 from wrapjax.gap.evidence.null import known_covariance, nulls
 from wrapjax.gap.evidence.score import score_each
 from wrapjax.model import free_variables, joint_moments, nga
@@ -62,6 +64,40 @@ def test_residual_is_taken_to_where_parameters_were_expected(setting):
 
     far, near = (np.abs(left(share) - (gap.fitted - share * slope)).max() for share in (2e-3, 1e-3))
     assert near == pytest.approx(far / 4.0, rel=0.1)
+
+
+def test_noise_of_emg_is_not_in_the_lines(setting):
+    """Along recorded envelopes it is in lines and residual alike, and draws all gains down."""
+    problem, recording, _, _, _ = setting
+    free, context = problem.variables, small_recording_and_context()[1]
+    # All of one speed, and the same but for noise.
+    context = dataclasses.replace(context, speeds=np.full(len(context.trials), 0.8))
+    emg = in_the_mean(recording.emg, np.zeros(len(context.trials), dtype=int))
+    true = dataclasses.replace(recording, emg=emg)
+    measured = np.asarray(joint_moments(CURVES, free.unpack(free.start()), true))
+    gains = [row for row, label in enumerate(free.labels) if label.endswith("emg_scale")]
+    alike = []
+    for seed in range(10):
+        noise = np.random.default_rng(seed).normal(size=emg.coefficients[:, :, :1].shape)
+        heard = dataclasses.replace(emg, coefficients=emg.coefficients * (1.0 + 0.3 * noise))
+        noisy = dataclasses.replace(true, emg=heard)
+        gap = linear_gap(problem, free.start(), noisy, measured, context, ())
+        lines = np.stack([gap.recorded_slopes[gains], gap.slopes[gains]]).reshape(2, len(gains), -1)
+        alike.append(lines @ gap.fitted.ravel() / np.linalg.norm(lines, axis=-1) / np.linalg.norm(gap.fitted))
+    recorded, mean = np.mean(alike, axis=(0, 2))
+    assert recorded < -0.05
+    assert abs(mean) < 0.5 * abs(recorded)
+
+
+def test_envelopes_are_averaged_over_the_cycles_of_a_speed(setting):
+    emg = setting[1].emg
+    mean = in_the_mean(emg, np.array([0, 1, 1, 0]))
+    np.testing.assert_allclose(
+        mean.coefficients[:, 0], 0.5 * (emg.coefficients[:, 0] + emg.coefficients[:, 3])
+    )
+    np.testing.assert_array_equal(mean.coefficients[:, 1], mean.coefficients[:, 2])
+    apart = in_the_mean(emg, np.arange(4))
+    np.testing.assert_allclose(apart.coefficients, emg.coefficients, rtol=1e-12)
 
 
 def test_an_error_of_emg_is_an_error_of_all_muscles_of_its_channel(setting):

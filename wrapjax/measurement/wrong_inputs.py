@@ -32,8 +32,6 @@ TURNS = (
 _ONSET = 0.05
 #: Share of the cycle that soft tissue takes to come to rest.
 _IMPACT = 0.1
-#: How often a second soft tissue swings when it rings, and how much of critical damping it has.
-_RINGING, _DAMPING = 7.0, 0.25
 
 
 def _cop_offset(walk: Walk) -> Slopes:
@@ -204,26 +202,20 @@ def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
     return {when: np.concatenate([own, *shares]) for when, own in slides.items()}
 
 
-def _wobbling_mass(walk: Walk) -> dict[str, Slopes]:
-    """Soft tissue lands after the foot strikes, once or ringing; about hip flexion and knee, unit area."""
+def _wobbling_mass(walk: Walk) -> Slopes:
+    """A smooth pulse about hip flexion, or about the knee, after the foot strikes, of unit area over time."""
     on_ground = walk.in_contact.reshape(walk.time.shape)
     struck = on_ground & ~np.roll(on_ground, 1, axis=1)
     # A cycle starts with the strike unless the forces say otherwise.
     start = np.where(struck.any(axis=1), struck.argmax(axis=1), 0)
-    duration = (walk.time[:, -1] - walk.time[:, 0])[:, None]
-    since = np.mod(walk.time - walk.time[np.arange(start.size), start][:, None], duration)
-    length = _IMPACT * duration
-    turn, decay = 2.0 * np.pi * _RINGING, 2.0 * np.pi * _RINGING * _DAMPING
-    courses = {
-        "one pulse": np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0),
-        "ringing": (turn**2 + decay**2) / turn * np.exp(-decay * since) * np.sin(turn * since),
-    }
-    found = {}
-    for shape, course in courses.items():
-        found[shape] = np.zeros((2, *walk.mechanics.screw.shape[::2]))
-        for row, joint in enumerate(("hip_flexion", "knee_angle")):
-            found[shape][row, walk.starting(joint)] = course.ravel()
-    return found
+    duration = walk.time[:, -1] - walk.time[:, 0]
+    since = np.mod(walk.time - walk.time[np.arange(start.size), start][:, None], duration[:, None])
+    length = _IMPACT * duration[:, None]
+    pulse = np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0)
+    slopes = np.zeros((2, *walk.mechanics.screw.shape[::2]))
+    for number, stem in enumerate(("hip_flexion", "knee_angle")):
+        slopes[number, walk.starting(stem)] = pulse.ravel()
+    return slopes
 
 
 def _knee_laxity(walk: Walk) -> Slopes:
@@ -243,7 +235,6 @@ def _knee_laxity(walk: Walk) -> Slopes:
 BY_SHAPE: dict[str, Callable[[Walk], dict[str, Slopes]]] = {
     "foot_deformation": _foot_deformation,
     "soft_tissue_artifact": _soft_tissue_artifact,
-    "wobbling_mass": _wobbling_mass,
 }
 #: The same of effects with one shape.
 SLOPES: dict[str, Callable[[Walk], Slopes]] = {
@@ -253,5 +244,6 @@ SLOPES: dict[str, Callable[[Walk], Slopes]] = {
     "force_latency": _force_latency,
     "segment_inertia": _segment_inertia,
     "crossed_plates": _crossed_plates,
+    "wobbling_mass": _wobbling_mass,
     "knee_laxity": _knee_laxity,
 }

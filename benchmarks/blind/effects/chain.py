@@ -262,7 +262,7 @@ EFFECTS = (
     Effect(
         "soft_tissue_artifact", "kinematics", "deg", 14.0, _soft_tissue,
         "tanh of knee flexion and a shock after heel strike, on hip rotation, knee and ankle",
-        "splines of phase plus a share of the angle",
+        "a bell of phase, plus shares of the joint's own angle and a neighbour's",
         variants=lambda w: (("thigh",), ("shank",)), two_sided=True,
     ),
     Effect(

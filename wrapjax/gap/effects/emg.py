@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -21,15 +20,6 @@ from wrapjax.muscle import EmgSpline
 _SAME_SPEED = 0.05
 #: By how much the posture at which a gain does not change with angle may differ from the angle's zero (deg).
 _POSTURES = (0.0, 60.0)
-#: Of the session, how long electrodes take to settle.
-_SETTLING = 0.3
-#: How a gain's change grows from 0 to 1 over the session.
-_DRIFTS: dict[str, Callable[[Float[np.ndarray, " trial"]], Float[np.ndarray, " trial"]]] = {
-    "steady": lambda order: order,
-    "settling": lambda order: np.expm1(-order / _SETTLING) / np.expm1(-1.0 / _SETTLING),
-}
-#: Noise of an electrode at rest, in units of its channel's largest.
-_USUAL_NOISE = 0.02
 #: Which power of the knot's time stands last in a spline's coefficients.
 _CONSTANT = 3
 
@@ -49,10 +39,7 @@ class AlteredGain(MuscleAlteration):
 
 
 def emg_drift(context: Context) -> Effect | NotTestable:
-    """Let each channel's gain change from the first cycle to the last, none of it on average.
-
-    Shapes: as fast all the time, as muscles tire, or fast at first, as electrodes settle on the skin.
-    """
+    """Let each channel's gain change from the first cycle to the last, none of it on average."""
     if np.ptp(context.reference.order) == 0.0:
         return NotTestable("emg_drift", "one cycle alone cannot show a gain that drifts")
     parameters = tuple(
@@ -68,12 +55,9 @@ def emg_drift(context: Context) -> Effect | NotTestable:
         )
         for channel in _channels(context)
     )
-    variants = []
-    for label, course in _DRIFTS.items():
-        whole, own = course(context.reference.order), course(context.order)
-        form = Partial(_drift, _channel_of(context), jnp.asarray(own), jnp.asarray(whole.mean()))
-        variants.append(Variant(form, label))
-    return Effect("emg_drift", "excitation", parameters, tuple(variants))
+    whole = context.reference.order
+    form = Partial(_drift, _channel_of(context), jnp.asarray(context.order), jnp.asarray(whole.mean()))
+    return Effect("emg_drift", "excitation", parameters, (Variant(form),))
 
 
 def _drift(
@@ -92,16 +76,12 @@ def _with_gain(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
 
 
 def emg_offset(context: Context) -> Effect:
-    """Take off each channel a resting level and noise that were scaled along with it.
-
-    Shapes: a constant that was added, or noise beside the signal, whose powers add up: where muscles are
-    active it then hardly counts.
-    """
+    """Take a constant off each channel: noise and resting level that were scaled along with it."""
     parameters = tuple(
         EffectParameter(
             name=f"offset_{channel}",
             unit="1",
-            prior_sd=_USUAL_NOISE,
+            prior_sd=0.02,
             sign=1,
             meaning=f"EMG of {channel} at rest, in units of its largest",
             source="quiet phases of normalised EMG, 0 to 0.05",
@@ -110,38 +90,12 @@ def emg_offset(context: Context) -> Effect:
         )
         for channel in _channels(context)
     )
-    channel_of = _channel_of(context)
-    variants = (
-        Variant(Partial(_offset, channel_of), "added"),
-        Variant(Partial(_noise_floor, channel_of), "added in power"),
-    )
-    return Effect("emg_offset", "excitation", parameters, variants)
+    form = Partial(_offset, _channel_of(context))
+    return Effect("emg_offset", "excitation", parameters, (Variant(form),))
 
 
 def _offset(channel_of: Int[Array, " muscle"], amounts: Amounts) -> Alteration:
     return Alteration(emg=Partial(_less, amounts[channel_of]))
-
-
-def _noise_floor(channel_of: Int[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=NoiseFloor(amounts[channel_of]))
-
-
-class NoiseFloor(MuscleAlteration):
-    """Take noise off excitation whose power was added to the signal's."""
-
-    #: In units of the channel's largest.
-    noise: Float[Array, "*muscle"]
-
-    def excitation(
-        self, excitation: Float[Array, "trial padded_frame"], inputs: MuscleInputs
-    ) -> Float[Array, "trial padded_frame"]:
-        """See `MuscleAlteration`.
-
-        Linear in the noise: how fast it stops to count as the muscle gets active is that of a usual one.
-        """
-        scale = inputs.parameters.emg_scale
-        signal = excitation / (_USUAL_NOISE * scale)
-        return excitation - self.noise * scale * (jnp.sqrt(1.0 + signal**2) - signal)
 
 
 def _less(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:

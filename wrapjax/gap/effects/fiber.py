@@ -10,7 +10,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
-from wrapjax.gap.anatomy import SPASTIC_GROUPS, region_of
+from wrapjax.gap.anatomy import SPASTIC_GROUPS
 from wrapjax.gap.context import Context
 from wrapjax.gap.cycles import round_the_cycle
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
@@ -20,15 +20,8 @@ from wrapjax.muscle import FiberState
 
 Amounts = Float[Array, " parameter"]
 
-#: How much the curvature of Hill's hyperbola, F0/a, grows as maximum velocity falls, of their logarithms: in
-#: models with a share of fast fibers a/F0 and maximum velocity grow alike with it (Umberger et al. 2003,
-#: doi:10.1080/1025584031000091678).
-_CURVED = 1.0
 #: Memories of residual force enhancement, s.
 _MEMORIES = (0.25, 0.5)
-#: Logarithm of the factor on passive force for each optimal fiber length that it begins early: after a stroke
-#: calves are 1.5 times as stiff (Chung et al. 2004) with a shift of a tenth.
-_CONTRACTURES = {"shorter": 0.0, "shorter and stiffer": 4.0}
 #: Optimal fiber lengths over which short-range stiffness acts, and at which a muscle yields.
 _SHORT_RANGE = 0.01
 #: Optimal fiber lengths a second below which a muscle counts as held.
@@ -38,76 +31,43 @@ _HOLD_TIME = 0.2
 
 
 class SlowFibers(MuscleAlteration):
-    """Make fibers slower, and their force fall faster with the speed of shortening."""
+    """Make fibers slower."""
 
     slowing: Float[Array, "*muscle"]
-    #: Logarithm of the factor on the curvature of Hill's hyperbola; None where it stays.
-    curvature: Float[Array, "*muscle"] | None = None
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
         slower = inputs.parameters.max_fiber_velocity * jnp.exp(-self.slowing)
-        altered = eqx.tree_at(lambda tree: tree.parameters.max_fiber_velocity, inputs, slower)
-        if self.curvature is None:
-            return altered
-        return replace(
-            altered, curves=Curvature(inputs.curves, self.curvature, jnp.zeros_like(self.curvature))
-        )
+        return eqx.tree_at(lambda tree: tree.parameters.max_fiber_velocity, inputs, slower)
 
 
 def slow_fibers(context: Context) -> Effect:
-    """Make fibers slower than the generic ten optimal lengths a second, those of thigh and shank each.
-
-    Shapes: the speed alone, or with it the curvature of force over it: slow fibers' force falls faster.
-    """
-    segments = [(region_of(muscle) or "").partition("_")[0] for muscle in context.muscles]
-    belongs = {
-        name: np.array([(segment == "shank") == (name == "shank") for segment in segments], dtype=float)
-        for name in ("thigh", "shank")
-    }
-    belongs = {name: rows for name, rows in belongs.items() if rows.any()}
-    parameters = tuple(
-        EffectParameter(
-            name=f"slowing_{name}",
-            unit="1",
-            prior_sd=0.35,
-            sign=1,
-            meaning=f"less the natural logarithm of the factor on maximum fiber velocity, {name}",
-            source="generic 10 optimal fiber lengths a second: Zajac 1989, Crit Rev Biomed Eng 17:359",
-            limit=1.6,
-            part=name,
-        )
-        for name in belongs
+    """Make all fibers slower than the generic ten optimal lengths a second."""
+    parameter = EffectParameter(
+        name="slowing",
+        unit="1",
+        prior_sd=0.35,
+        sign=1,
+        meaning="less the natural logarithm of the factor on maximum fiber velocity",
+        source="generic 10 optimal fiber lengths a second: Zajac 1989, Crit Rev Biomed Eng 17:359",
+        limit=1.6,
     )
-    rows = jnp.asarray(np.stack(list(belongs.values())))
     return Effect(
         id="slow_fibers",
         family="fiber",
-        parameters=parameters,
-        variants=(
-            Variant(Partial(_slow, rows), "speed alone"),
-            Variant(Partial(_slow_and_curved, rows), "speed and curvature"),
-        ),
-        reported=(
-            ("max_velocity_factor", "1"),
-            *((f"max_velocity_factor_{name}", "1") for name in belongs),
-        ),
-        reading=Partial(_factors, rows.mean(axis=1)),
+        parameters=(parameter,),
+        variants=(Variant(Partial(_slow, jnp.ones(len(context.muscles)))),),
+        reported=(("max_velocity_factor", "1"),),
+        reading=Partial(_factor),
     )
 
 
-def _factors(shares: Float[Array, " segment"], amounts: Amounts) -> Float[Array, " reading"]:
-    """Give the factor over all muscles, then each segment's."""
-    return jnp.exp(-jnp.concatenate([(shares @ amounts)[None], amounts]))
+def _factor(amounts: Amounts) -> Amounts:
+    return jnp.exp(-amounts)
 
 
-def _slow(belongs: Float[Array, "segment muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=SlowFibers(amounts @ belongs))
-
-
-def _slow_and_curved(belongs: Float[Array, "segment muscle"], amounts: Amounts) -> Alteration:
-    slowing = amounts @ belongs
-    return Alteration(muscle=SlowFibers(slowing, _CURVED * slowing))
+def _slow(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
+    return Alteration(muscle=SlowFibers(amounts[0] * each))
 
 
 class LengthByActivation(MuscleAlteration):
@@ -313,28 +273,17 @@ def _short_range(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
 
 
 class Contracted(MuscleAlteration):
-    """Let passive force begin at a shorter fiber, and be larger."""
+    """Let passive force begin at a shorter fiber."""
 
     shift: Float[Array, "*muscle"]
-    #: Logarithm of the factor on passive force.
-    stiffening: Float[Array, "*muscle"]
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
         return replace(inputs, curves=PassiveShift(inputs.curves, self.shift))
 
-    def force(
-        self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
-    ) -> FiberState:
-        """See `MuscleAlteration`."""
-        return replace(fiber, passive_force=fiber.passive_force * jnp.exp(self.stiffening))
-
 
 def contracture(context: Context) -> Effect | NotTestable:
-    """Shift the passive curve of muscles that shorten after a stroke, one amount a group.
-
-    Shapes: fibers that are shorter, or shorter and stiffer as well.
-    """
+    """Shift the passive curve of muscles that shorten after a stroke, one amount a group."""
     if context.paretic is False:
         return NotTestable("contracture", "this leg is not the paretic one")
     groups = {name: context.muscle_rows(members) for name, members in SPASTIC_GROUPS.items()}
@@ -357,18 +306,12 @@ def contracture(context: Context) -> Effect | NotTestable:
         )
         for name in groups
     )
-    variants = tuple(
-        Variant(Partial(_contracted, jnp.asarray(belongs), jnp.asarray(stiffer)), label)
-        for label, stiffer in _CONTRACTURES.items()
-    )
-    return Effect("contracture", "fiber", parameters, variants)
+    form = Partial(_contracted, jnp.asarray(belongs))
+    return Effect("contracture", "fiber", parameters, (Variant(form),))
 
 
-def _contracted(
-    belongs: Float[Array, "parameter muscle"], stiffer: Float[Array, ""], amounts: Amounts
-) -> Alteration:
-    shift = amounts @ belongs
-    return Alteration(muscle=Contracted(shift, stiffer * shift))
+def _contracted(belongs: Float[Array, "parameter muscle"], amounts: Amounts) -> Alteration:
+    return Alteration(muscle=Contracted(amounts @ belongs))
 
 
 def _fiber_velocity(fiber: FiberState, inputs: MuscleInputs) -> Float[Array, "trial frame"]:

@@ -48,8 +48,7 @@ def _compliant(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
 def force_sharing(context: Context) -> Effect | NotTestable:
     """Pass a share of force between soleus and gastrocnemius, along the other's path.
 
-    A force that takes another muscle's path too has a part of its moment arms added to its own. Shapes: its
-    own tendon keeps what is passed on (it comes from fascia that both pull at), or is rid of it.
+    A force that takes another muscle's path too has a part of its moment arms added to its own.
     """
     soleus, gastrocnemius = context.muscle_rows(("soleus",)), context.muscle_rows(("gasmed", "gaslat"))
     if not soleus or not gastrocnemius:
@@ -75,14 +74,8 @@ def force_sharing(context: Context) -> Effect | NotTestable:
             ("gastrocnemius_along_soleus", "share of gastrocnemius's force that acts along soleus too"),
         )
     )
-    handed_over = shares.copy()
-    for given, muscles in zip(handed_over, (soleus, gastrocnemius), strict=True):
-        given[muscles, muscles] = -1.0
-    variants = (
-        Variant(Partial(_shared, jnp.asarray(shares)), "kept by its own tendon"),
-        Variant(Partial(_shared, jnp.asarray(handed_over)), "lost to its own tendon"),
-    )
-    return Effect("force_sharing", "tendon", parameters, variants)
+    form = Partial(_shared, jnp.asarray(shares))
+    return Effect("force_sharing", "tendon", parameters, (Variant(form),))
 
 
 def _shared(shares: Float[Array, "parameter muscle muscle"], amounts: Amounts) -> Alteration:
