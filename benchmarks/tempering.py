@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,11 @@ _OTHERWISE = {"none": "none", "outside": "unknown"}
 _FLOOR = 1e-3
 # Finer changes of a constant than this mean nothing among a hundred cases.
 _ENOUGH = {"xatol": 0.02, "fatol": 1e-4}
-#: Share of cases without effect that may have more evidence than the alarm.
-_ALARMS = 0.025
+#: Nats over which what is unknown becomes likelier than nothing: beyond this they say nothing of it.
+_FLATTEST = 25.0
+#: Share of cases without effect that may have more evidence than the alarm, and more for what is unknown than
+#: for nothing.
+_ALARMS, _UNKNOWNS = 0.025, 0.10
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def surprise(cases: Sequence[Scored], tuning: Tuning) -> float:
 
 
 def tempered(cases: Sequence[Scored], tuning: Tuning) -> Tuning:
-    """Choose temperature, offset and what is unknown so that cases surprise least, and the alarm.
+    """Choose constants so that cases surprise least and those without effect rarely set off an alarm.
 
     Parameters
     ----------
@@ -66,29 +69,35 @@ def tempered(cases: Sequence[Scored], tuning: Tuning) -> Tuning:
         Where the search begins, and all other constants.
     """
 
+    nothing = [one for one in cases if one.truth["tier"] == "none"]
+    worlds = {one.truth.get("world", "") for one in nothing}
+
+    def rarely(of: Callable[[Scored], float], share: float) -> float:
+        """Give what so few of any family exceed."""
+        by_world = [[of(one) for one in nothing if one.truth.get("world", "") == world] for world in worlds]
+        return max(float(np.quantile(own, 1.0 - share)) for own in by_world)
+
+    tuning = replace(
+        tuning,
+        alarm=float(np.ceil(10.0 * rarely(lambda one: max(one.evidence.values()), _ALARMS)) / 10.0),
+        structured_offset=round(rarely(lambda one: one.structured, _UNKNOWNS), 1),
+    )
+
     def at(point: Float[np.ndarray, " constant"]) -> Tuning:
+        temperature, scale = np.exp(point[[0, 2]])
         return replace(
             tuning,
-            temperature=float(np.exp(point[0])),
+            temperature=float(temperature),
             offset=float(point[1]),
-            structured_offset=float(point[2]),
-            structured_scale=float(np.exp(point[3])),
+            structured_scale=float(min(scale, _FLATTEST)),
         )
 
-    start = [
-        np.log(tuning.temperature),
-        tuning.offset,
-        tuning.structured_offset,
-        np.log(tuning.structured_scale),
-    ]
+    start = [np.log(tuning.temperature), tuning.offset, np.log(tuning.structured_scale)]
     found = minimize(lambda point: surprise(cases, at(point)), start, method="Nelder-Mead", options=_ENOUGH)
-    nothing = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
     best = at(found.x)
     return replace(
         best,
         temperature=round(best.temperature, 2),
         offset=round(best.offset, 2),
-        structured_offset=round(best.structured_offset, 1),
         structured_scale=round(best.structured_scale, 1),
-        alarm=float(np.ceil(10.0 * np.quantile(nothing, 1.0 - _ALARMS)) / 10.0),
     )

@@ -40,7 +40,8 @@ def test_boldness_is_found(cases, found):
     # Evidence of 4 beside a deviation of 1 is worth its square's half for each nat: a quarter of it.
     assert 0.5 < found.temperature < 1.2
     assert surprise(cases, found) < 0.7 * surprise(cases, start)
-    assert 5.0 < found.structured_offset < 35.0
+    # What is unknown has 40 nats, nothing has none.
+    assert found.structured_offset < 20.0 and found.structured_scale < 20.0
 
 
 def test_probabilities_come_true(cases, found):
@@ -57,6 +58,23 @@ def test_probabilities_come_true(cases, found):
 def test_the_alarm_is_rarely_reached_where_nothing_is_amiss(cases, found):
     nothing = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
     assert np.sum(np.array(nothing) > found.alarm) == 1
+    unknown = [one.structured > found.structured_offset for one in cases if one.truth["tier"] == "none"]
+    assert np.mean(unknown) == pytest.approx(0.1)
+
+
+def test_the_alarm_is_that_of_the_worst_family(cases):
+    """Evidence where nothing is amiss is larger in one family: the other's quiet does not hide it."""
+    families = [
+        replace(
+            one,
+            truth={**one.truth, "world": ("quiet", "loud")[number % 2]},
+            evidence={id: (1.0 + number % 2) * own for id, own in one.evidence.items()},
+        )
+        for number, one in enumerate(cases)
+    ]
+    loud = [one for one in families if one.truth["world"] == "loud"]
+    start = Tuning.shipped()
+    assert tempered(families, start).alarm == tempered(loud, start).alarm
 
 
 def test_any_of_what_the_simulator_cannot_tell_apart_is_right():
