@@ -26,6 +26,7 @@ from wrapjax.gap import (
     signatures,
 )
 from wrapjax.gap.context import change_id
+from wrapjax.gap.effects.kinematics import dragged_by
 from wrapjax.geometry import fixed_path
 from wrapjax.model import Recording, joint_moments
 
@@ -338,6 +339,19 @@ def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     loading, swing = (variant.form(amounts) for variant in effect.variants)
     np.testing.assert_allclose(loading.moment, amounts.sum() * pattern)
     assert swing.moment is None and swing.paths is not None
+
+
+def test_skin_is_dragged_by_the_neighbouring_joint():
+    """The knee's by the hip, all others by the knee; where either is missing nothing is said of it."""
+    names = [entry.name for entry in ENTRIES["soft_tissue_artifact"].parameters]
+    assert names[-3:] == [
+        "share_of_knee_angle_l_in_hip_flexion_l",
+        "share_of_hip_flexion_l_in_knee_angle_l",
+        "share_of_knee_angle_l_in_ankle_angle_l",
+    ]
+    assert dragged_by(("hip_flexion_r", "ankle_angle_r")) == ()
+    alone = dataclasses.replace(CONTEXT, coordinates=("toes_l", *CONTEXT.coordinates[1:]))
+    assert len(CATALOGUE["soft_tissue_artifact"](alone).parameters) == 2 * len(CONTEXT.coordinates)
 
 
 def test_a_misplaced_joint_changes_paths_where_it_is_known_how():

@@ -34,46 +34,24 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     """
     if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
-    source = "thigh 10, shank 7 degrees: PMC8631460"
-    slides = [
-        EffectParameter(
-            name=f"slide_{name}",
-            unit="rad",
-            prior_sd=0.06,
-            sign=0,
-            meaning=f"error of {name} where it is largest",
-            source=source,
-            limit=0.3,
-            part=name,
-        )
-        for name in context.coordinates
-    ]
-    shares = [
-        EffectParameter(
-            name=f"share_{name}",
-            unit="1",
-            prior_sd=0.06,
-            sign=0,
-            meaning=f"error of {name} as a share of the angle",
-            source=source,
-            limit=0.3,
-            part=name,
-        )
-        for name in context.coordinates
-    ]
-    neighbours = dragged_by(context.coordinates)
-    drags = [
-        EffectParameter(
-            name=f"share_of_{context.coordinates[other]}_in_{name}",
-            unit="1",
-            prior_sd=0.06,
-            sign=0,
-            meaning=f"error of {name} as a share of the angle of {context.coordinates[other]}",
-            source=source,
-            limit=0.3,
-            part=name,
-        )
-        for name, other in zip(context.coordinates, neighbours, strict=bool(neighbours))
+
+    def amount(name: str, unit: str, part: str, meaning: str) -> EffectParameter:
+        source = "thigh 10, shank 7 degrees: PMC8631460"
+        return EffectParameter(name, unit, 0.06, 0, f"error of {part} {meaning}", source, 0.3, part)
+
+    names = context.coordinates
+    amounts = [
+        *(amount(f"slide_{name}", "rad", name, "where it is largest") for name in names),
+        *(amount(f"share_{name}", "1", name, "as a share of the angle") for name in names),
+        *(
+            amount(
+                f"share_of_{names[other]}_in_{names[row]}",
+                "1",
+                names[row],
+                f"as a share of the angle of {names[other]}",
+            )
+            for row, other in enumerate(dragged_by(names))
+        ),
     ]
     variants = tuple(
         Variant(
@@ -88,7 +66,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         )
         for when, shape in sliding(context.phase).items()
     )
-    return Effect("soft_tissue_artifact", "kinematics", (*slides, *shares, *drags), variants)
+    return Effect("soft_tissue_artifact", "kinematics", tuple(amounts), variants)
 
 
 def dragged_by(coordinates: Sequence[str]) -> tuple[int, ...]:
