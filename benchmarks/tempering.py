@@ -1,19 +1,32 @@
-"""How bold evidence is: constants that turn nats into probabilities, from cases whose truth is known."""
+"""How bold evidence is: constants that turn nats into probabilities, from cases whose truth is known.
+
+``python -m benchmarks.tempering --bank BANK --lines LINES`` takes a development bank and its straight lines
+(see `benchmarks.lines`), scores its cases with what everybody has of each effect as ``--constants`` say (what
+`benchmarks.tuning` has written; else the shipped ones), and says how often the cause is first. ``--out``
+writes the same constants, tempered.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+import argparse
+import hashlib
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from wrapjax.gap.conclude.verdict import Probabilities, Tuning, probabilities
+from benchmarks.known_cases import Scored, ranking, read
+from wrapjax.errors import InputError, Problem
+from wrapjax.files import write_json
+from wrapjax.gap.conclude.verdict import Tuning, probabilities
+from wrapjax.stored import load_json
 
-#: What a truth without any effect is called among probabilities; pairs have no one right name.
-_OTHERWISE = {"none": "none", "outside": "unknown"}
+#: Constants that are chosen here.
+_TEMPERED = ("temperature", "offset", "alarm", "structured_offset", "structured_scale")
 #: Probability that is given to what was thought impossible: one case alone must not decide everything.
 _FLOOR = 1e-3
 # Finer changes of a constant than this mean nothing among a hundred cases.
@@ -25,31 +38,44 @@ _FLATTEST = 25.0
 _ALARMS, _UNKNOWNS = 0.025, 0.10
 
 
-@dataclass(frozen=True)
-class Scored:
-    """What a score says of a case, and its truth.
+def main() -> int:
+    options = _parser().parse_args()
+    try:
+        start = constants(options.constants) if options.constants else Tuning.shipped()
+        scored = [case.scored(start.background) for case in read(options.bank, options.lines)]
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"right cause {ranking(scored)}")
+    bank = hashlib.sha256((options.bank / "manifest.json").read_bytes()).hexdigest()
+    found = replace(tempered(scored, start), sha256=bank)
+    for name, tuning in (("given", start), ("tempered", found)):
+        told = ", ".join(f"{key} {getattr(tuning, key):g}" for key in _TEMPERED)
+        print(f"{name}: {told}: {_told(scored, tuning)}", flush=True)
+    if options.out:
+        write_json(options.out, asdict(found))
+    return 0
 
-    Parameters
-    ----------
-    truth
-        Of the bank.
-    evidence, structured
-        See `probabilities`.
-    """
 
-    truth: dict[str, Any]
-    evidence: Mapping[str, float]
-    structured: float
+def _told(cases: Sequence[Scored], tuning: Tuning) -> str:
+    """Say what an alarm at this level does, and how much what is true surprises."""
+    clear = [one for one in cases if one.clear]
+    right = [one for one in clear if one.ranked[0] in one.accepted]
+    over = sum(max(one.evidence.values()) > tuning.alarm for one in right)
+    none = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
+    alarms = sum(most > tuning.alarm for most in none)
+    return (
+        f"{over} of {len(right)} right ones and {alarms} of {len(none)} without effect over the alarm; "
+        f"surprise {surprise(cases, tuning):.2f} nats"
+    )
 
-    def right(self, found: Probabilities) -> float | None:
-        """Give the probability of what is true of the case; None for a pair."""
-        tier = self.truth["tier"]
-        if tier == "pair":
-            return None
-        if tier in _OTHERWISE:
-            return float(getattr(found, _OTHERWISE[tier]))
-        accepted = {*(cause["id"] for cause in self.truth["causes"]), *self.truth["ties"]}
-        return sum(share for id, share in found.effects.items() if id in accepted)
+
+def constants(file: Path) -> Tuning:
+    """Read constants that were written here or by `benchmarks.tuning`; `InputError` on anything else."""
+    try:
+        return Tuning(**load_json(file))
+    except (TypeError, ValueError):
+        raise InputError(Problem(str(file), "no constants of the score")) from None
 
 
 def surprise(cases: Sequence[Scored], tuning: Tuning) -> float:
@@ -101,3 +127,16 @@ def tempered(cases: Sequence[Scored], tuning: Tuning) -> Tuning:
         offset=round(best.offset, 2),
         structured_scale=round(best.structured_scale, 1),
     )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.tempering", description=__doc__)
+    parser.add_argument("--bank", type=Path, required=True)
+    parser.add_argument("--lines", type=Path, required=True)
+    parser.add_argument("--constants", type=Path, metavar="FILE.json", help="other ones than the shipped")
+    parser.add_argument("--out", type=Path, metavar="FILE.json")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

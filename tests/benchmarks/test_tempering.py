@@ -1,11 +1,17 @@
 """Constants are chosen so that probabilities come true, and the alarm so that nothing sets it off."""
 
+import json
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.tempering import Scored, surprise, tempered
+from benchmarks import tempering
+from benchmarks.banks import SEALED
+from benchmarks.known_cases import Scored, ranking
+from benchmarks.tempering import constants, main, surprise, tempered
 from wrapjax.gap.conclude.verdict import Tuning, probabilities
 
 EFFECTS = tuple(f"effect_{number}" for number in range(6))
@@ -84,3 +90,64 @@ def test_any_of_what_the_simulator_cannot_tell_apart_is_right():
     own = probabilities(evidence, -50.0, Tuning.shipped())
     assert one.right(own) == pytest.approx(own.effects["effect_0"] + own.effects["effect_1"])
     assert Scored({**truth, "tier": "pair"}, evidence, 0.0).right(own) is None
+
+
+def test_ranks_are_counted_by_noise():
+    def case(noise, first, cause, d_star=4.0):
+        truth = {
+            "tier": "single",
+            "causes": [{"id": cause}],
+            "ties": [],
+            "d_star": d_star,
+            "emg_noise": noise,
+        }
+        evidence = {**dict.fromkeys(EFFECTS, 0.0), "effect_3": -1.0, first: 2.0}
+        return Scored(truth, evidence, 0.0)
+
+    cases = [
+        case(0.05, "effect_1", "effect_1"),
+        case(0.05, "effect_1", "effect_2"),
+        case(0.2, "effect_1", "effect_3"),
+    ]
+    # Too weak to be found by anyone: not counted.
+    cases.append(case(0.2, "effect_1", "effect_1", d_star=1.0))
+    assert ranking(cases) == "first 1 of 3 (EMG noise: 1 of 2 at 5%, 0 of 1 at 20%), among three 2"
+
+
+def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, monkeypatch):
+    """Cases as the lines give them; only what is tempered changes, and which bank said so."""
+    known = [SimpleNamespace(scored=lambda shares, one=one: one) for one in cases]
+    truth = {"d_star": 4.0, "emg_noise": 0.1}
+    for one in cases:
+        one.truth.update(truth)
+    monkeypatch.setattr(tempering, "read", lambda bank, lines: known)
+    (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
+    out = tmp_path / "constants.json"
+    assert _run(monkeypatch, tmp_path, "--out", str(out)) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("right cause first") and "tempered: temperature" in told
+    found, shipped = constants(out), Tuning.shipped()
+    assert found.background == shipped.background and found.set_level == shipped.set_level
+    assert found.sha256 != shipped.sha256 and found.temperature != shipped.temperature
+    assert _run(monkeypatch, tmp_path, "--constants", str(out)) == 0
+    assert f"given: temperature {found.temperature:g}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"temperature": 1}'])
+def test_other_files_are_no_constants(text, tmp_path, capsys, monkeypatch):
+    file = tmp_path / "constants.json"
+    file.write_text(text, encoding="utf-8")
+    assert _run(monkeypatch, tmp_path, "--constants", str(file)) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_sealed_cases_teach_nothing(tmp_path, capsys, monkeypatch):
+    manifest = json.loads((SEALED / "test_240.json").read_text(encoding="utf-8"))
+    (tmp_path / f"{min(manifest['cases'])}.npz").touch()
+    assert _run(monkeypatch, tmp_path) == 2
+    assert "expected a case of a development bank" in capsys.readouterr().err
+
+
+def _run(monkeypatch, folder, *more):
+    monkeypatch.setattr(sys, "argv", ["tempering", "--bank", str(folder), "--lines", str(folder), *more])
+    return main()

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.banks import SEALED
-from benchmarks.tuning import Known, everybody, main
+from benchmarks.known_cases import Known
+from benchmarks.tuning import everybody, main
 from wrapjax.gap.evidence.projection import Candidate, Null, project
 
 ROWS, SHARE = 60, 0.5
