@@ -29,7 +29,7 @@ from wrapjax.gap.evidence.projection import Candidate
 from wrapjax.scheduling import run_everywhere
 from wrapjax.stored import load_arrays
 
-_ARRAYS = ("residual", "fitted", "slopes", "recorded_slopes", "spread", "away", "nuisances", "speeds")
+_ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ def lines(signal, signatures, *, calibrated=None):
         residual=rows + generator.normal(size=SHAPE),
         fitted=generator.normal(size=SHAPE),
         slopes=np.zeros((1, *SHAPE)) if calibrated is None else calibrated.transpose(0, 2, 1)[None],
-        recorded_slopes=np.zeros((1, *SHAPE)),
         spread=np.array([[100.0]]),
         away=np.zeros(1),
         nuisances=np.zeros((1, *SHAPE)),

@@ -16,7 +16,6 @@ def test_lines_come_back(tmp_path):
         residual=draw(size=rows),
         fitted=draw(size=rows),
         slopes=draw(size=(3, *rows)),
-        recorded_slopes=draw(size=(3, *rows)),
         spread=draw(size=(3, 3)),
         away=draw(size=3),
         nuisances=draw(size=(2, *rows)),
@@ -31,7 +30,7 @@ def test_lines_come_back(tmp_path):
     save(Lines(gap, np.ones(2)), tmp_path / "case.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["case.npz"]
     found = load(tmp_path / "case.npz").gap
-    for name in ("residual", "fitted", "slopes", "recorded_slopes", "spread", "away", "nuisances", "speeds"):
+    for name in ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds"):
         np.testing.assert_allclose(getattr(found, name), getattr(gap, name), rtol=1e-6, err_msg=name)
     for one, other in zip(found.candidates, gap.candidates, strict=True):
         assert (one.id, one.parts) == (other.id, other.parts)

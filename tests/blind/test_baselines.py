@@ -35,7 +35,6 @@ def lines(generator, amount, at_work=3):
         residual=residual.reshape(shape),
         fitted=left.reshape(shape),
         slopes=slopes.reshape(3, *shape),
-        recorded_slopes=slopes.reshape(3, *shape),
         spread=np.eye(3),
         away=np.zeros(3),
         nuisances=np.zeros((1, *shape)),

@@ -12,7 +12,7 @@ import pytest
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap import CATALOGUE, Effects, predicted_moments
-from wrapjax.gap.evidence.linearized import in_the_mean, linear_gap, phase_frames
+from wrapjax.gap.evidence.linearized import in_the_mean, linear_gap, moment_slopes, phase_frames
 from wrapjax.gap.evidence.null import known_covariance, nulls
 from wrapjax.gap.evidence.score import score_each
 from wrapjax.model import free_variables, joint_moments, nga
@@ -55,15 +55,26 @@ def test_residual_is_taken_to_where_parameters_were_expected(setting):
     # little that bounds pull.
     known = precision > 0.0
     np.testing.assert_allclose((start - gap.away)[known], np.asarray(free.prior_mean)[known], atol=0.15)
-    slope = np.tensordot(to_expected, gap.recorded_slopes, axes=1)
+    slope = np.tensordot(to_expected, gap.slopes, axes=1)
     np.testing.assert_allclose(gap.residual, gap.fitted - slope, atol=1e-9)
+    quiet = dataclasses.replace(recording, emg=in_the_mean(recording.emg, gap.speeds))
 
     def left(share):
-        moments = joint_moments(CURVES, free.unpack(jnp.asarray(start + share * to_expected)), recording)
+        moments = joint_moments(CURVES, free.unpack(jnp.asarray(start + share * to_expected)), quiet)
         return (measured - np.asarray(moments))[..., frames]
 
-    far, near = (np.abs(left(share) - (gap.fitted - share * slope)).max() for share in (2e-3, 1e-3))
+    near_fit = left(0.0)
+    far, near = (np.abs(left(share) - (near_fit - share * slope)).max() for share in (2e-3, 1e-3))
     assert near == pytest.approx(far / 4.0, rel=0.1)
+
+
+def test_parameters_far_from_expected_leave_no_noise_of_emg(setting):
+    """All that the residual takes back, calibrated parameters of the null hypothesis can take back again."""
+    gap = setting[3]
+    moved = (gap.residual - gap.fitted).ravel()
+    lines = gap.calibrated.reshape(gap.calibrated.shape[0], -1)
+    amounts = np.linalg.lstsq(lines.T, moved, rcond=None)[0]
+    np.testing.assert_allclose(lines.T @ amounts, moved, atol=1e-9 * np.abs(moved).max())
 
 
 def test_noise_of_emg_is_not_in_the_lines(setting):
@@ -76,13 +87,15 @@ def test_noise_of_emg_is_not_in_the_lines(setting):
     true = dataclasses.replace(recording, emg=emg)
     measured = np.asarray(joint_moments(CURVES, free.unpack(free.start()), true))
     gains = [row for row, label in enumerate(free.labels) if label.endswith("emg_scale")]
+    frames = phase_frames(measured.shape[-1])
     alike = []
     for seed in range(10):
         noise = np.random.default_rng(seed).normal(size=emg.coefficients[:, :, :1].shape)
         heard = dataclasses.replace(emg, coefficients=emg.coefficients * (1.0 + 0.3 * noise))
         noisy = dataclasses.replace(true, emg=heard)
         gap = linear_gap(problem, free.start(), noisy, measured, context, ())
-        lines = np.stack([gap.recorded_slopes[gains], gap.slopes[gains]]).reshape(2, len(gains), -1)
+        as_recorded = moment_slopes(problem, free.start(), noisy, frames)
+        lines = np.stack([as_recorded[gains], gap.slopes[gains]]).reshape(2, len(gains), -1)
         alike.append(lines @ gap.fitted.ravel() / np.linalg.norm(lines, axis=-1) / np.linalg.norm(gap.fitted))
     recorded, mean = np.mean(alike, axis=(0, 2))
     assert recorded < -0.05

@@ -92,7 +92,6 @@ def world():
         residual=fitted + np.tensordot(away, slopes, axes=1),
         fitted=fitted,
         slopes=slopes,
-        recorded_slopes=slopes,
         spread=spread,
         away=away,
         nuisances=np.zeros((0, *fitted.shape)),

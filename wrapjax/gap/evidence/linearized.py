@@ -7,6 +7,8 @@ taken back to where calibrated parameters were expected, since their give is par
 Lines are drawn along EMG in the mean of the cycles of a speed. Along the recorded EMG they would hold its
 noise, which residuals hold as well: what is like the bursts of a noisy envelope would then be found in
 everyone (as in any regression on what is measured with error; Fuller 1987, doi:10.1002/9780470316665).
+Residuals are taken back along the same lines. Along others, the difference of both would be left in them: a
+little noise, times the long way to where parameters were expected.
 """
 
 from __future__ import annotations
@@ -55,8 +57,6 @@ class LinearGap:
         The same as calibration left it.
     slopes
         By each calibrated variable, in solver units.
-    recorded_slopes
-        The same along the EMG as it was recorded: how the prediction itself changes.
     spread, away
         What is expected of these variables: see `expectations`.
     nuisances
@@ -74,7 +74,6 @@ class LinearGap:
     residual: Float[np.ndarray, "cycle coordinate phase"]
     fitted: Float[np.ndarray, "cycle coordinate phase"]
     slopes: Float[np.ndarray, "variable cycle coordinate phase"]
-    recorded_slopes: Float[np.ndarray, "variable cycle coordinate phase"]
     spread: Float[np.ndarray, "variable sum"]
     away: Float[np.ndarray, " variable"]
     nuisances: Float[np.ndarray, "amount cycle coordinate phase"]
@@ -144,7 +143,6 @@ def linear_gap(
     speeds = speed_numbers(context.speeds)
     quiet = replace(recording, emg=in_the_mean(recording.emg, speeds))
     states = muscle_states(curves, parameters, quiet)
-    as_recorded = moment_slopes(problem, variables, recording, frames)
     by_variable = moment_slopes(problem, variables, quiet, frames)
     expected, away = expectations(problem, variables)
     fitted = at_phases(measured - np.asarray(joint_moments(curves, parameters, recording)))
@@ -158,10 +156,9 @@ def linear_gap(
         else:
             candidates.append(own)
     return LinearGap(
-        residual=fitted + np.tensordot(away, as_recorded, axes=1),
+        residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,
         slopes=by_variable,
-        recorded_slopes=as_recorded,
         spread=expected,
         away=away,
         nuisances=np.concatenate(nuisances),

@@ -150,7 +150,7 @@ def _expected_residual(
 
     at = np.array(world.variables)
     residual = left(at)
-    slopes = gap.recorded_slopes.reshape(len(gap.slopes), -1)
+    slopes = gap.slopes.reshape(len(gap.slopes), -1)
     damping = 1e-2
     for number in range(_ROUNDS):
         if number:
@@ -167,7 +167,7 @@ def _expected_residual(
                 break
             damping *= 10.0
     # Straight lines are the subject's: it is its score that is tried.
-    return residual + (at - expected) @ gap.recorded_slopes.reshape(len(gap.slopes), -1)
+    return residual + (at - expected) @ gap.slopes.reshape(len(gap.slopes), -1)
 
 
 @eqx.filter_jit

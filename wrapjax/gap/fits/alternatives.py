@@ -70,7 +70,7 @@ def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, fl
         return {}
     gap, case = scene.gap, scene.case
     cycles, frames = case.plan.calibration, phase_frames(case.measured.shape[-1])
-    columns = gap.recorded_slopes.reshape(len(gap.recorded_slopes), -1)
+    columns = gap.slopes.reshape(len(gap.slopes), -1)
     expected = scene.look.plain.full.calibrated - gap.away
     residuals, chosen = [], []
     for id, refit in refits.items():
