@@ -37,6 +37,7 @@ CATALOGUE: dict[str, Callable[[Context], Effect | NotTestable]] = {
     "missing_drive": drive.missing_drive,
     "speed_dependent_delay": emg.speed_dependent_delay,
     "emg_drift": emg.emg_drift,
+    "emg_smoothing": emg.emg_smoothing,
     "emg_crosstalk": emg.emg_crosstalk,
     "emg_nonlinearity": activation.emg_nonlinearity,
     "posture_dependent_gain": emg.posture_dependent_gain,

@@ -10,6 +10,7 @@ from wrapjax.muscle.curves import HillCurves as HillCurves
 from wrapjax.muscle.excitation import CommandSplines as CommandSplines
 from wrapjax.muscle.excitation import EmgSpline as EmgSpline
 from wrapjax.muscle.excitation import fit_emg_spline as fit_emg_spline
+from wrapjax.muscle.excitation import sharpened as sharpened
 from wrapjax.muscle.excitation import within_unit as within_unit
 from wrapjax.muscle.hill import FiberState as FiberState
 from wrapjax.muscle.hill import rigid_tendon_fiber as rigid_tendon_fiber

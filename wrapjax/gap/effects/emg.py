@@ -14,12 +14,15 @@ from wrapjax.gap.context import Context
 from wrapjax.gap.cycles import with_padding
 from wrapjax.gap.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.model import Alteration, MuscleAlteration, MuscleInputs
-from wrapjax.muscle import EmgSpline
+from wrapjax.muscle import EmgSpline, sharpened
 
 #: Walking speeds nearer to each other than this (m/s) count as one.
 _SAME_SPEED = 0.05
 #: By how much the posture at which a gain does not change with angle may differ from the angle's zero (deg).
 _POSTURES = (0.0, 60.0)
+#: Of the averages that tell quick changes of EMG from slow ones (s); and what they leave at 6 Hz.
+_SMOOTHED = 0.025
+_LEFT_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _SMOOTHED) ** 2)) ** 2
 #: Which power of the knot's time stands last in a spline's coefficients.
 _CONSTANT = 3
 
@@ -101,6 +104,33 @@ def _offset(channel_of: Int[Array, " muscle"], amounts: Amounts) -> Alteration:
 def _less(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:
     coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, None, None])
     return replace(emg, coefficients=coefficients)
+
+
+def emg_smoothing(context: Context) -> Effect:
+    """Give quick changes of EMG back what the filter of its envelopes took: muscles were told them all.
+
+    Every laboratory's envelopes are filtered, and what that takes from bursts is like other causes in every
+    person: so it is allowed for, and never named.
+    """
+    parameter = EffectParameter(
+        name="share_at_6_Hz",
+        unit="1",
+        prior_sd=1.0,
+        sign=1,
+        meaning="what the filter took of an envelope at 6 Hz, as a share of what it left",
+        source="envelopes are filtered at 3 to 10 Hz: Hug 2011, doi:10.1016/j.jelekin.2010.09.009",
+        limit=5.0,
+    )
+    form = Partial(_sharper)
+    return Effect("emg_smoothing", "excitation", (parameter,), (Variant(form),), nuisance=True)
+
+
+def _sharper(amounts: Amounts) -> Alteration:
+    return Alteration(emg=Partial(_quicker, amounts[0] / _LEFT_AT_6_HZ))
+
+
+def _quicker(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
+    return sharpened(emg, share, _SMOOTHED)
 
 
 def emg_crosstalk(context: Context) -> Effect | NotTestable:

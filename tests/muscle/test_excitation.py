@@ -1,0 +1,32 @@
+"""Envelopes given back what a filter took of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from wrapjax.muscle import fit_emg_spline, sharpened
+
+
+@pytest.mark.parametrize("cutoff", [5.0, 6.0, 7.0])
+def test_sharpening_undoes_a_low_pass_filter(cutoff):
+    """A laboratory's zero-phase Butterworth filter, which is of another form, is undone for the most part."""
+    time = np.arange(600) / 100.0
+    bursts = np.exp(-0.5 * (((time[:, None] - np.array([1.0, 2.1, 3.3, 4.4])) / 0.055) ** 2)).sum(axis=1)
+    heard = sosfiltfilt(butter(2, cutoff, fs=100.0, output="sos"), bursts)
+    inside = slice(50, 550)
+    emg = fit_emg_spline(time[None, inside], heard[None, None, inside])
+    # At the cutoff the filter leaves half: as much as it takes.
+    left = (1.0 - np.exp(-0.5 * (2.0 * np.pi * cutoff * 0.025) ** 2)) ** 2
+    sharper = sharpened(emg, jnp.array(1.0 / left), 0.025)
+    found = jax.vmap(lambda one: one.at_delay(jnp.array(0.0)))(sharper)[0, 0]
+    before, after = (np.abs(own - bursts[inside])[20:-20].max() for own in (heard[inside], np.asarray(found)))
+    assert before > 0.02 and after < 0.35 * before
+
+
+def test_sharpening_by_nothing_is_nothing_to_the_last_bit():
+    time = np.linspace(0.0, 1.0, 41)[None]
+    emg = fit_emg_spline(time, np.random.default_rng(0).uniform(size=(1, 2, 41)))
+    same = sharpened(emg, jnp.array(0.0), 0.025)
+    np.testing.assert_array_equal(same.coefficients, emg.coefficients)
