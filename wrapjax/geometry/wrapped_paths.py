@@ -14,48 +14,12 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath, Wrapping
 from wrapjax.geometry.paths import AbstractPath, PathState
 from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.walls import Walls, bent_by_walls, folded, walls_before
 from wrapjax.geometry.wrapping import StraightPath, WrappedPath
 
 _PER_WRAP = len(WRAP_PARAMETERS)
-# Clearance (m) that makes closeness one, where nominal paths have so much. Where they have less than
-# the second figure in any frame of a cycle, they are taken to cross in that cycle anyway.
-_ROOM, _CROSSED = 1e-3, 1e-4
-# Walls stand so far (m) before a jump, or half as far as nominal paths are from it if that is less: other
-# walking comes a little nearer.
-_KEPT = 1e-3
-# Longest stretch on a cylinder (m) that makes closeness one, where nominal paths have so much.
-_GRIP = 2e-3
-# Keeps the root's slope finite for paths that no wall is near to.
-_TINY = 1e-24
 _RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
-
-
-class _Walls(eqx.Module):
-    """What a path must not get over: clearances to keep, and cylinders to stay in touch with (m)."""
-
-    #: The same in all poses of a cycle.
-    limit: Float[Array, "*muscle pose wall"]
-    #: Clearance beyond the limit at which closeness is one.
-    room: Float[Array, "*muscle pose wall"]
-    #: Longest stretch on each cylinder, over all poses, at which closeness is one; zero for one that the
-    #: nominal path does not touch.
-    grip: Float[Array, "*muscle wrap"]
-
-    def closeness(
-        self, clearances: Float[Array, "pose wall"], on_surface: Float[Array, "pose wrap"]
-    ) -> Float[Array, " pose"]:
-        """Root of the sum over walls of ``(room / clearance)**4``; infinite beyond a wall.
-
-        To touch a cylinder in no pose is a wall to all of them.
-        """
-        longest = jnp.broadcast_to(jnp.max(on_surface, axis=0), on_surface.shape)
-        left = jnp.append(clearances - self.limit, longest, axis=-1)
-        room = jnp.append(self.room, jnp.broadcast_to(self.grip, on_surface.shape), axis=-1)
-        open_to = (left > 0.0) | (room == 0.0)
-        inverse = room / jnp.where(left > 0.0, left, 1.0)
-        within = jnp.sqrt(jnp.sum(inverse**4, axis=-1))
-        return jnp.where(jnp.all(open_to, axis=-1), within, jnp.inf)
 
 
 class _Alike(eqx.Module):
@@ -64,7 +28,7 @@ class _Alike(eqx.Module):
     muscles: Int[np.ndarray, " muscle"]
     #: Leaves lead with ``muscle pose``.
     posed: PosedPath
-    walls: _Walls
+    walls: Walls
 
 
 class WrappedPaths(AbstractPath):
@@ -130,7 +94,7 @@ class WrappedPaths(AbstractPath):
         """
 
         def of_one(
-            posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"], weights: PathState
+            posed: PosedPath, walls: Walls, changes: Float[Array, " mode"], weights: PathState
         ) -> Array:
             def total(at: Float[Array, " mode"]) -> Float[Array, ""]:
                 products = jax.tree.map(
@@ -149,17 +113,17 @@ class WrappedPaths(AbstractPath):
             if isinstance(group.posed.path, StraightPath):
                 found = jax.vmap(of_one)(group.posed, group.walls, changes[rows, :size], own)
             else:
-                found = _bent_by_walls(own.closeness, state.closeness, slopes.closeness[:, :size])
+                found = bent_by_walls(own.closeness, state.closeness, slopes.closeness[:, :size])
             curvature = curvature.at[rows, :size, :size].set(found)
         return curvature
 
-    def _path(self, posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"]) -> PathState:
+    def _path(self, posed: PosedPath, walls: Walls, changes: Float[Array, " mode"]) -> PathState:
         parameters = changes.reshape(-1, _PER_WRAP) + jnp.asarray(NOMINAL)[None]
         path = posed.wrapped(parameters, self.wrapping)
         return _over_cycles(path, walls, self.velocities, self.columns)
 
     def _linearized_path(
-        self, posed: PosedPath, walls: _Walls, changes: Float[Array, " mode"]
+        self, posed: PosedPath, walls: Walls, changes: Float[Array, " mode"]
     ) -> tuple[PathState, PathState]:
         def along(direction: Float[Array, " mode"]) -> tuple[PathState, PathState]:
             return jax.jvp(lambda at: self._path(posed, walls, at), (changes,), (direction,))
@@ -167,44 +131,13 @@ class WrappedPaths(AbstractPath):
         return jax.vmap(along, out_axes=(None, 0))(jnp.eye(changes.size))
 
 
-def _bent_by_walls(
-    weights: Float[Array, "muscle trial frame"],
-    closeness: Float[Array, "muscle trial frame"],
-    slopes: Float[Array, "muscle mode trial frame"],
-) -> Float[Array, "muscle mode mode"]:
-    """Differentiate closeness twice as if one wall stood in each frame, which its slopes tell all of.
-
-    As ``(room / clearance)**2`` it bends by 1.5 times its squared slope over itself, apart from how the
-    clearance bends. Near a wall that is more than slopes alone show a solver of least squares, which would
-    step too far and zigzag along it.
-    """
-    near = closeness > 0.0
-    factor = 1.5 * weights * jnp.where(near, 1.0 / jnp.where(near, closeness, 1.0), 0.0)
-    return jnp.einsum("mtf,mitf,mjtf->mij", factor, slopes, slopes)
-
-
 def _changes_of(group: _Alike) -> int:
     return _PER_WRAP * group.posed.surfaces.radius.shape[1]
 
 
-def _walls(nominal: WrappedPath, frames: int) -> _Walls:
-    """Set up walls where nominal paths leave room; in cycles where they cross one, a little further on."""
-    muscles, poses, walls = nominal.clearances.shape
-    by_cycle = nominal.clearances.reshape(muscles, poses // frames, frames, walls)
-    least = jnp.repeat(jnp.min(by_cycle, axis=2), frames, axis=1)
-    free = least > _CROSSED
-    limit = jnp.where(free, jnp.minimum(0.5 * least, _KEPT), least - _ROOM)
-    longest = jnp.max(nominal.on_surface, axis=1)
-    return _Walls(
-        limit=limit,
-        room=jnp.minimum(least - limit, _ROOM),
-        grip=jnp.where(longest > _CROSSED, jnp.minimum(longest, _GRIP), 0.0),
-    )
-
-
 def _over_cycles(
     path: WrappedPath,
-    walls: _Walls,
+    walls: Walls,
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
@@ -217,19 +150,8 @@ def _over_cycles(
         length=path.length.reshape(-1, frames)[:trials],
         velocity=-jnp.sum(arms * velocities, axis=1),
         moment_arm=jnp.concatenate([arms, nothing], axis=1)[:, columns],
-        closeness=_folded(closeness, trials),
+        closeness=folded(closeness, trials),
     )
-
-
-def _folded(closeness: Float[Array, "_ frame"], trials: int) -> Float[Array, "trial frame"]:
-    """Lay the closeness of cycles beside over that of the first so many: squares add up to the same sum."""
-    beside = closeness[trials:]
-    if not len(beside):
-        return closeness
-    layers = jnp.pad(beside, ((0, -len(beside) % trials), (0, 0))).reshape(-1, trials, closeness.shape[1])
-    squares = closeness[:trials] ** 2 + jnp.sum(layers**2, axis=0)
-    within = jnp.isfinite(squares)
-    return jnp.where(within, jnp.sqrt(jnp.where(within, squares, 0.0) + _TINY), jnp.inf)
 
 
 def wrapped_paths(
@@ -281,7 +203,7 @@ def wrapped_paths(
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
-        walls = _walls(wrapped, angles.shape[2])
+        walls = walls_before(wrapped, angles.shape[2])
         rows = [engine.muscles.index(name) for name in kind]
         touching[rows, : wrapped.touching.shape[-1]] = np.asarray(wrapped.touching).any(axis=1)
         order += rows
@@ -303,7 +225,7 @@ def wrapped_paths(
 @eqx.filter_jit
 def _each_over_cycles(
     path: WrappedPath,
-    walls: _Walls,
+    walls: Walls,
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
