@@ -39,6 +39,7 @@ CATALOGUE: dict[str, Callable[[Context], Effect | NotTestable]] = {
     "emg_drift": emg.emg_drift,
     "emg_smoothing": emg.emg_smoothing,
     "emg_crosstalk": emg.emg_crosstalk,
+    "activation_family": activation.activation_family,
     "emg_nonlinearity": activation.emg_nonlinearity,
     "posture_dependent_gain": emg.posture_dependent_gain,
     "emg_offset": emg.emg_offset,

@@ -12,6 +12,9 @@ from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, EffectParameter, Variant
 from wrapjax.model import Alteration, MuscleAlteration, MuscleInputs
 
+#: Activation at which a lag that follows its level is none.
+_MIDDLE = 0.3
+
 
 class Bent(MuscleAlteration):
     """Raise activation to the power of one plus an exponent."""
@@ -35,6 +38,57 @@ class SlowerLettingGo(MuscleAlteration):
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
         return replace(inputs, deactivation_ratio=inputs.deactivation_ratio * (1.0 + self.share))
+
+
+class OtherDynamics(MuscleAlteration):
+    """Let activation lag otherwise: with its level, in a second stage, and while it rises.
+
+    To first order, and in the muscle's activation time constant, so that all amounts are of one kind.
+    """
+
+    with_level: Float[Array, "*muscle"]
+    second_stage: Float[Array, "*muscle"]
+    rising: Float[Array, "*muscle"]
+
+    def activation(
+        self, activation: Float[Array, "trial frame"], inputs: MuscleInputs
+    ) -> Float[Array, "trial frame"]:
+        """See `MuscleAlteration`."""
+        scale = (inputs.parameters.activation_time_constant / inputs.emg.step)[:, None]
+        rate = scale * _slope(activation)
+        lag = self.with_level * (activation - _MIDDLE) + jnp.where(rate > 0.0, self.rising, 0.0)
+        return activation - lag * rate - self.second_stage * scale * _slope(rate)
+
+
+def _slope(values: Float[Array, "trial frame"]) -> Float[Array, "trial frame"]:
+    """Differentiate by frames; at both ends as in the frame beside them."""
+    inside = 0.5 * (values[:, 2:] - values[:, :-2])
+    return jnp.concatenate([inside[:, :1], inside, inside[:, -1:]], axis=1)
+
+
+def activation_family(context: Context) -> Effect:
+    """Let activation follow excitation by other dynamics than the model's, in all muscles alike.
+
+    First-order dynamics with two time constants are one choice of several. Others lag as the level of
+    activation has it, or pass activation on in stages. Nobody's muscles keep to one of them, and what is left
+    is like other causes: so it is allowed for, and never named.
+    """
+    source = "what dynamics of other forms differ by: Rockenfeller et al. 2015, doi:10.1155/2015/585409"
+
+    def amount(name: str, sd: float, limit: float, meaning: str) -> EffectParameter:
+        return EffectParameter(name, "1", sd, 0, meaning, source, limit)
+
+    parameters = (
+        amount("lag_with_level", 5.0, 50.0, "lag, in activation time constants, for a unit of activation"),
+        amount("second_stage", 8.0, 80.0, "both stages' time constants multiplied, in the model's squared"),
+        amount("lag_of_rising", 2.0, 20.0, "lag, in activation time constants, while activation rises"),
+    )
+    form = Partial(_other_dynamics, jnp.ones(len(context.muscles)))
+    return Effect("activation_family", "activation", parameters, (Variant(form),), nuisance=True)
+
+
+def _other_dynamics(each: Float[Array, " muscle"], amounts: Float[Array, " parameter"]) -> Alteration:
+    return Alteration(muscle=OtherDynamics(*(amount * each for amount in amounts)))
 
 
 def emg_nonlinearity(context: Context) -> Effect:
