@@ -11,6 +11,8 @@ EFFECTS: dict[str, Effect] = {
 #: Catalogued, and in no case: why.
 LEFT_OUT = {
     "curve_family": "nuisance: every case has other curves than the diagnosis; never an answer",
+    "activation_family": "nuisance: every case has other activation dynamics; never an answer",
+    "emg_smoothing": "nuisance: every case's envelopes are filtered; never an answer",
     "short_range_stiffness": "negative control: nothing in steady walking",
     "handrail_force": "negative control; the folder has no rail",
     "spasticity_recorded": "negative control: the recorded EMG holds it already",
