@@ -52,7 +52,7 @@ def _without_repeated(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
 
 
 def _without_nuisances(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
-    """No other force curves, and nothing of what everybody has of other effects."""
+    """No other force curves or activation dynamics, and envelopes that no filter has touched."""
     return replace(gap, nuisances=np.zeros_like(gap.nuisances)), sizes
 
 

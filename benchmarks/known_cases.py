@@ -82,18 +82,9 @@ class Known:
     candidates: tuple[Candidate, ...]
     projections: tuple[Projection, ...]
 
-    @property
-    def causes(self) -> tuple[str, ...]:
-        return tuple(cause["id"] for cause in self.truth["causes"])
-
-    def spread(self, shares: Mapping[str, float]) -> Float[np.ndarray, " amount"]:
-        """Standard deviations of all amounts of all shapes, which share what everybody has."""
-        return np.concatenate([shares.get(one.id, 0.0) * one.shared_sd for one in self.candidates])
-
-    def scored(self, shares: Mapping[str, float]) -> Scored:
+    def scored(self) -> Scored:
         """Score effects."""
-        allowed = [one.allowing(self.spread(shares)) for one in self.projections]
-        (found,) = score_projected(allowed, self.candidates)
+        (found,) = score_projected(self.projections, self.candidates)
         return Scored(self.truth, {one.id: one.evidence for one in found.scores}, found.structured)
 
 

@@ -1,9 +1,8 @@
 """Straight lines of a bank's cases, kept so that constants of the score can be tried in seconds.
 
 ``python -m benchmarks.lines --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
-`wrapjax.gap.evidence.linearized`) and keeps them, one file a case, with no effect allowed for in everyone.
-Nothing is scored or refitted here, and the truth is not looked at. `development_lines` gives lines with it,
-of development banks alone.
+`wrapjax.gap.evidence.linearized`) and keeps them, one file a case. Nothing is scored or refitted here, and
+the truth is not looked at. `development_lines` gives lines with it, of development banks alone.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ def draw(job: Job) -> str:
         subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
     )
     case = investigation(calibration)
-    _, _, gap = straight_lines(case, case.variables, background={})
+    _, _, gap = straight_lines(case, case.variables)
     save(Lines(gap, case.measured_sizes), job.file)
     forget_if_crowded()
     return f"{len(gap.candidates)} effects"

@@ -30,7 +30,6 @@ from benchmarks.blind.effects import EFFECTS
 from benchmarks.blind.library import SHARE, Library
 from benchmarks.lines import Lines, development_lines
 from wrapjax.errors import InputError
-from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.evidence.null import nulls
 from wrapjax.gap.evidence.projection import project
 
@@ -55,7 +54,7 @@ def main() -> int:
             if truth["tier"] == "single" and truth["d_star"] > CLEAR:
                 cause = truth["causes"][0]["id"]
                 signal = signal_of(options.bank, truth)
-                one = loss(lines, signal, cause, truth["d_star"], Tuning.shipped().background)
+                one = loss(lines, signal, cause, truth["d_star"])
                 found.setdefault(cause, []).append(one)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
@@ -89,16 +88,13 @@ def loss(
     signal: Float[np.ndarray, "cycle phase coordinate"],
     cause: str,
     d_star: float,
-    background: Mapping[str, float],
 ) -> Loss:
     """Follow a signal through the null hypothesis, the effect's signatures and the residual."""
     gap = lines.gap
     cycles, coordinates, phases = gap.residual.shape
     ordered = np.reshape(signal, (cycles, phases, coordinates)).transpose(0, 2, 1).ravel()
-    # The cause itself is what is looked for.
-    others = gap.allowing({id: share for id, share in background.items() if id != cause})
     own = gap.residual.reshape(1, -1)
-    null = max(nulls(others, lines.sizes), key=lambda one: project(own, one, ()).weight[0])
+    null = max(nulls(gap, lines.sizes), key=lambda one: project(own, one, ()).weight[0])
     factor = scipy.linalg.cholesky(null.covariance, lower=True)
 
     def white(rows: Float[np.ndarray, "_ row"]) -> Float[np.ndarray, "row _"]:

@@ -14,7 +14,6 @@ from jaxtyping import Float
 import wrapjax
 from wrapjax.api.calibrating.calibration import Calibration, kept_calibration
 from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated, investigation
-from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.effect import Effects
 from wrapjax.gap.effects.drive import drive_over_cycle
 from wrapjax.gap.evidence.linearized import LinearGap
@@ -49,7 +48,7 @@ def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]
     problem = joint_problem(case.problem, Effects(()), case.variables, np.zeros(0), 0.0)
     begun = [case.variables, *([np.array(beside)] if len(beside) else [])]
     fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
-    _, _, gap = straight_lines(case, fitted.calibrated, Tuning.shipped().background)
+    _, _, gap = straight_lines(case, fitted.calibrated)
     return {
         "evidence": {one.id: one.evidence for one in _scores(gap, case.measured_sizes)},
         "cost": float(fitted.cost),

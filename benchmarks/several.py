@@ -55,7 +55,7 @@ def judged(bank: Path, lines: Path) -> Iterator[tuple[str, tuple[str, ...], set[
 
 def together(lines: Lines, tuning: Tuning) -> tuple[str, ...]:
     """Name the effects that each stand out beside the others; none where one explains as much."""
-    gap = lines.gap.allowing(tuning.background)
+    gap = lines.gap
     residual = lines.gap.residual.reshape(1, -1)
     projections = [project(residual, null, gap.candidates) for null in nulls(gap, lines.sizes)]
     (scored,) = score_projected(projections, gap.candidates)

@@ -1,9 +1,9 @@
 """How bold evidence is: constants that turn nats into probabilities, from cases whose truth is known.
 
 ``python -m benchmarks.tempering --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `benchmarks.lines`), scores its cases with what everybody has of each effect as ``--constants`` say (what
-`benchmarks.tuning` has written; else the shipped ones), and says how often the cause is first. ``--out``
-writes the same constants, tempered.
+(see `benchmarks.lines`), scores its cases, says how often the cause is first, and chooses the constants of
+probabilities. The search begins at the shipped ones, or at those of ``--constants``; ``--out`` writes what
+it finds.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def main() -> int:
     options = _parser().parse_args()
     try:
         start = constants(options.constants) if options.constants else Tuning.shipped()
-        scored = [case.scored(start.background) for case in read(options.bank, options.lines)]
+        scored = [case.scored() for case in read(options.bank, options.lines)]
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -71,7 +71,7 @@ def _told(cases: Sequence[Scored], tuning: Tuning) -> str:
 
 
 def constants(file: Path) -> Tuning:
-    """Read constants that were written here or by `benchmarks.tuning`; `InputError` on anything else."""
+    """Read constants that were written here; raises `InputError` on anything else."""
     try:
         return Tuning(**load_json(file))
     except (TypeError, ValueError):
@@ -118,7 +118,8 @@ def tempered(cases: Sequence[Scored], tuning: Tuning) -> Tuning:
             structured_scale=float(min(scale, _FLATTEST)),
         )
 
-    start = [np.log(tuning.temperature), tuning.offset, np.log(tuning.structured_scale)]
+    # Not at the flattest, where nothing shows which way to go.
+    start = [np.log(tuning.temperature), tuning.offset, np.log(_FLATTEST / 5.0)]
     found = minimize(lambda point: surprise(cases, at(point)), start, method="Nelder-Mead", options=_ENOUGH)
     best = at(found.x)
     return replace(

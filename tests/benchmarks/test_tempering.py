@@ -116,7 +116,7 @@ def test_ranks_are_counted_by_noise():
 
 def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, monkeypatch):
     """Cases as the lines give them; only what is tempered changes, and which bank said so."""
-    known = [SimpleNamespace(scored=lambda shares, one=one: one) for one in cases]
+    known = [SimpleNamespace(scored=lambda one=one: one) for one in cases]
     truth = {"d_star": 4.0, "emg_noise": 0.1}
     for one in cases:
         one.truth.update(truth)
@@ -127,7 +127,7 @@ def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, mon
     told = capsys.readouterr().out
     assert told.startswith("right cause first") and "tempered: temperature" in told
     found, shipped = constants(out), Tuning.shipped()
-    assert found.background == shipped.background and found.set_level == shipped.set_level
+    assert (found.bank, found.set_level) == (shipped.bank, shipped.set_level)
     assert found.sha256 != shipped.sha256 and found.temperature != shipped.temperature
     assert _run(monkeypatch, tmp_path, "--constants", str(out)) == 0
     assert f"given: temperature {found.temperature:g}" in capsys.readouterr().out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -56,7 +56,7 @@ def look(case: Investigation, watch: Stopwatch) -> Look:
 
 
 def straight_lines(
-    case: Investigation, variables: Float[np.ndarray, " variable"], background: Mapping[str, float]
+    case: Investigation, variables: Float[np.ndarray, " variable"]
 ) -> tuple[Recording, tuple[Effect, ...], LinearGap]:
     """Give the calibration cycles, the effects that they can show, and all straight lines at the variables.
 
@@ -66,15 +66,11 @@ def straight_lines(
         What is looked at.
     variables
         Of its problem.
-    background
-        What everybody has of effects: see `linear_gap`.
     """
     chosen = case.plan.calibration
     known, cycles = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
     effects = effects_in(catalogue(known, case.withheld))
-    gap = linear_gap(
-        case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects, background
-    )
+    gap = linear_gap(case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects)
     return cycles, effects, gap
 
 
@@ -124,7 +120,7 @@ def investigate(
         return stopped(case, "not_converged", seen.certificate.problems[0], watch.seconds, seen), seen
     with watch.during("signatures", "drawing the signature of every effect"):
         ended = seen.plain.full.calibrated
-        inputs, effects, gap = straight_lines(case, ended, tuning.background)
+        inputs, effects, gap = straight_lines(case, ended)
     left = case.measured - seen.plain.predicted
     place = where(left, case.speeds, case.context.speeds, case.inputs, gap.input_variance)
     sizes = case.measured_sizes

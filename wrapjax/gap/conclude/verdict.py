@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from types import MappingProxyType
 
@@ -42,8 +42,6 @@ class Tuning:
         which that changes.
     set_level
         Probability that a credible set holds, so that it covers 90 %.
-    background
-        By effect, what everybody has of it, in parts of its prior deviation (see `linear_gap`).
     """
 
     bank: str
@@ -54,7 +52,6 @@ class Tuning:
     structured_offset: float
     structured_scale: float
     set_level: float
-    background: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def shipped(cls) -> Tuning:

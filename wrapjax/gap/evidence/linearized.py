@@ -13,10 +13,9 @@ little noise, times the long way to where parameters were expected.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -95,15 +94,6 @@ class LinearGap:
             total += share**2 * np.sum(errors.signatures**2, axis=0).mean(axis=0)
         return total
 
-    def allowing(self, background: Mapping[str, float]) -> LinearGap:
-        """Allow for what everybody has of effects, by id in parts of their prior deviations."""
-        nuisances = [self.nuisances]
-        for one in self.candidates:
-            if share := background.get(one.id, 0.0):
-                every = share * one.shared_sd[:, None] * np.concatenate(one.variants)
-                nuisances.append(every.reshape(-1, *self.residual.shape))
-        return replace(self, nuisances=np.concatenate(nuisances))
-
     @property
     def calibrated(self) -> Float[np.ndarray, "sum cycle coordinate phase"]:
         """By independent sums of calibrated variables, one prior standard deviation of each."""
@@ -117,7 +107,6 @@ def linear_gap(
     measured: Float[np.ndarray, "trial coordinate frame"],
     context: Context,
     effects: Sequence[Effect],
-    background: Mapping[str, float] = MappingProxyType({}),
 ) -> LinearGap:
     """Draw all straight lines at a calibrated model.
 
@@ -129,9 +118,6 @@ def linear_gap(
         Of the cycles that are looked at, which need not be those of the problem.
     effects
         Those that this recording can show.
-    background
-        By id, what everybody has of an effect, in parts of its prior deviation: no model's geometry is the
-        person's own, nor are its curves. It is allowed for in every comparison.
     """
     parameters = problem.parameters(variables)
     frames = phase_frames(measured.shape[-1])
@@ -169,7 +155,7 @@ def linear_gap(
         ),
         muscle_errors=_muscle_errors(states, parameters, frames),
         speeds=speeds,
-    ).allowing(background)
+    )
 
 
 def expectations(

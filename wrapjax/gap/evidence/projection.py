@@ -40,11 +40,6 @@ class Candidate:
     parts: tuple[tuple[int, ...], ...] = ()
 
     @property
-    def shared_sd(self) -> Float[np.ndarray, " amount"]:
-        """Prior deviations of the amounts of all shapes, one after the other, if these share one effect."""
-        return np.tile(self.prior_sd / np.sqrt(len(self.variants)), len(self.variants))
-
-    @property
     def hypotheses(self) -> tuple[tuple[tuple[int, ...], float], ...]:
         """Which amounts are not zero, and how plausible that was: half for all, half for one part alone."""
         everything = tuple(range(len(self.prior_sd)))
