@@ -1,4 +1,4 @@
-"""Cases of a development bank, with their truth, as every null hypothesis sees them: scored in a moment."""
+"""Cases of a development bank: what a score says along their straight lines, beside their truth."""
 
 from __future__ import annotations
 
@@ -7,20 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from benchmarks.banks import CLEAR
-from benchmarks.lines import Lines, development_lines
+from benchmarks.lines import development_lines
 from wrapjax.gap.conclude.verdict import Probabilities
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.projection import Candidate, Projection, project
-from wrapjax.gap.evidence.score import score_projected
+from wrapjax.gap.evidence.score import score_each
 
 #: What a truth without any effect is called among probabilities; pairs have no one right name.
 _OTHERWISE = {"none": "none", "outside": "unknown"}
-#: Nats by which a null is less likely than the likeliest.
-_RULED_OUT = 12.0
 
 
 @dataclass(frozen=True)
@@ -64,47 +58,14 @@ class Scored:
         return sum(share for id, share in found.effects.items() if id in self.accepted)
 
 
-@dataclass(frozen=True)
-class Known:
-    """A case through every null hypothesis, and its truth.
-
-    Parameters
-    ----------
-    truth
-        Of the bank.
-    candidates
-        Its effects.
-    projections
-        One a null.
-    """
-
-    truth: dict[str, Any]
-    candidates: tuple[Candidate, ...]
-    projections: tuple[Projection, ...]
-
-    def scored(self) -> Scored:
-        """Score effects."""
-        (found,) = score_projected(self.projections, self.candidates)
-        return Scored(self.truth, {one.id: one.evidence for one in found.scores}, found.structured)
-
-
-def read(bank: Path, lines: Path) -> list[Known]:
-    """Take in all cases whose lines are there; raises what `development_lines` does."""
+def read(bank: Path, lines: Path) -> list[Scored]:
+    """Score all cases whose lines are there; raises what `development_lines` does."""
     found = []
     for truth, own in development_lines(bank, lines):
-        candidates = own.gap.candidates
         residual = own.gap.residual.reshape(1, -1)
-        found.append(Known(truth, candidates, _seen(residual, own, candidates)))
+        (scored,) = score_each(residual, nulls(own.gap, own.sizes), own.gap.candidates)
+        found.append(Scored(truth, {one.id: one.evidence for one in scored.scores}, scored.structured))
     return found
-
-
-def _seen(
-    residual: Float[np.ndarray, "1 row"], lines: Lines, candidates: Sequence[Candidate]
-) -> tuple[Projection, ...]:
-    """Look through every null but those that the residual rules out; the first is what others count from."""
-    first, *others = (project(residual, null, candidates) for null in nulls(lines.gap, lines.sizes))
-    likeliest = max(float(one.weight[0]) for one in (first, *others))
-    return (first, *(one for one in others if one.weight[0] > likeliest - _RULED_OUT))
 
 
 def ranking(cases: Sequence[Scored]) -> str:

@@ -42,7 +42,7 @@ def main() -> int:
     options = _parser().parse_args()
     try:
         start = constants(options.constants) if options.constants else Tuning.shipped()
-        scored = [case.scored() for case in read(options.bank, options.lines)]
+        scored = read(options.bank, options.lines)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

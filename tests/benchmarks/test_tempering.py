@@ -3,7 +3,6 @@
 import json
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,11 +115,10 @@ def test_ranks_are_counted_by_noise():
 
 def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, monkeypatch):
     """Cases as the lines give them; only what is tempered changes, and which bank said so."""
-    known = [SimpleNamespace(scored=lambda one=one: one) for one in cases]
     truth = {"d_star": 4.0, "emg_noise": 0.1}
     for one in cases:
         one.truth.update(truth)
-    monkeypatch.setattr(tempering, "read", lambda bank, lines: known)
+    monkeypatch.setattr(tempering, "read", lambda bank, lines: cases)
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     out = tmp_path / "constants.json"
     assert _run(monkeypatch, tmp_path, "--out", str(out)) == 0
@@ -146,6 +144,17 @@ def test_sealed_cases_teach_nothing(tmp_path, capsys, monkeypatch):
     (tmp_path / f"{min(manifest['cases'])}.npz").touch()
     assert _run(monkeypatch, tmp_path) == 2
     assert "expected a case of a development bank" in capsys.readouterr().err
+
+
+def test_without_lines_there_is_nothing_to_temper(tmp_path, capsys, monkeypatch):
+    assert _run(monkeypatch, tmp_path) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_lines_without_truth_are_refused(tmp_path, capsys, monkeypatch):
+    (tmp_path / "0123.npz").write_bytes(b"no archive")
+    assert _run(monkeypatch, tmp_path) == 2
+    assert "0123" in capsys.readouterr().err
 
 
 def _run(monkeypatch, folder, *more):

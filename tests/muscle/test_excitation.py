@@ -9,8 +9,8 @@ from scipy.signal import butter, sosfiltfilt
 from wrapjax.muscle import fit_emg_spline, sharpened
 
 
-@pytest.mark.parametrize("cutoff", [5.0, 6.0, 7.0])
-def test_sharpening_undoes_a_low_pass_filter(cutoff):
+@pytest.mark.parametrize(("cutoff", "left_of_it"), [(5.0, 0.35), (6.0, 0.35), (8.0, 0.55)])
+def test_sharpening_undoes_a_low_pass_filter(cutoff, left_of_it):
     """A laboratory's zero-phase Butterworth filter, which is of another form, is undone for the most part."""
     time = np.arange(600) / 100.0
     bursts = np.exp(-0.5 * (((time[:, None] - np.array([1.0, 2.1, 3.3, 4.4])) / 0.055) ** 2)).sum(axis=1)
@@ -22,7 +22,7 @@ def test_sharpening_undoes_a_low_pass_filter(cutoff):
     sharper = sharpened(emg, jnp.array(1.0 / left), 0.025)
     found = jax.vmap(lambda one: one.at_delay(jnp.array(0.0)))(sharper)[0, 0]
     before, after = (np.abs(own - bursts[inside])[20:-20].max() for own in (heard[inside], np.asarray(found)))
-    assert before > 0.02 and after < 0.35 * before
+    assert before > 0.02 and after < left_of_it * before
 
 
 def test_sharpening_by_nothing_is_nothing_to_the_last_bit():

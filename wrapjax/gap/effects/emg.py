@@ -118,7 +118,7 @@ def emg_smoothing(context: Context) -> Effect:
         prior_sd=1.0,
         sign=1,
         meaning="what the filter took of an envelope at 6 Hz, as a share of what it left",
-        source="envelopes are filtered at 3 to 10 Hz: Hug 2011, doi:10.1016/j.jelekin.2010.09.009",
+        source="smoothing of envelopes: Hug 2011, doi:10.1016/j.jelekin.2010.08.009",
         limit=5.0,
     )
     form = Partial(_sharper)
