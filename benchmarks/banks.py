@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from benchmarks.blind.lot import ALL_CASES, Lot
 from wrapjax.errors import InputError, Problem
 from wrapjax.stored import load_json
 
@@ -15,8 +16,8 @@ SEALED = Path(__file__).parent / "blind" / "sealed"
 CLEAR = 2.0
 
 
-def cases_of(bank: Path, first: int | None = None) -> list[Path]:
-    """Folders of a bank's cases in the order of their ids, which are hashes: all, or the first.
+def cases_of(bank: Path, lot: Lot = ALL_CASES) -> list[Path]:
+    """Folders of a bank's cases in the order of their ids, which are hashes.
 
     Raises
     ------
@@ -31,7 +32,8 @@ def cases_of(bank: Path, first: int | None = None) -> list[Path]:
                 str(folder), "no cases of a blind bank", hint="make them with python -m benchmarks.blind make"
             )
         )
-    return [case.resolve() for case in cases[:first]]
+    by_id = {case.name: case.resolve() for case in cases}
+    return [by_id[id] for id in lot.of(by_id)]
 
 
 def development_truth(bank: Path, case: str) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from benchmarks.answering import Job, answer
 from benchmarks.banks import cases_of
+from benchmarks.blind.lot import add_lot, lot_of
 from benchmarks.machine import pin_threads
 from wrapjax.errors import InputError
 from wrapjax.scheduling import Finished, run_everywhere
@@ -31,7 +32,7 @@ def main() -> int:
     # Before JAX is loaded, which reads it once.
     pin_threads()
     try:
-        cases = cases_of(options.bank, options.first)
+        cases = cases_of(options.bank, lot_of(options))
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
@@ -76,9 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a dask scheduler, or 'slurm'")
     parser.add_argument("--starts", type=int, default=4)
-    parser.add_argument(
-        "--first", type=int, metavar="N", help="only the first N cases by their ids, which are hashes"
-    )
+    add_lot(parser)
     parser.add_argument("--baselines", type=Path, help="where to answer as textbooks would")
     parser.add_argument("--ablations", type=Path, help="where to answer by the score test less one term")
     parser.add_argument("--withheld", type=Path, help="where to answer with each single cause left out")

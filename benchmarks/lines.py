@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.banks import cases_of, development_truth
+from benchmarks.blind.lot import add_lot, lot_of
 from benchmarks.machine import pin_threads
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import write_whole
@@ -51,7 +52,7 @@ def main() -> int:
     # Before JAX is loaded, which reads it once.
     pin_threads()
     try:
-        cases = cases_of(options.bank, options.first)
+        cases = cases_of(options.bank, lot_of(options))
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
@@ -160,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--starts", type=int, default=2)
-    parser.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
+    add_lot(parser)
     return parser
 
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from benchmarks.blind.lot import add_lot, lot_of
 from benchmarks.blind.plan import BANK_SIZES, bank_of
 
 
@@ -15,7 +16,7 @@ def main(arguments: list[str] | None = None) -> int:
     make = commands.add_parser("make", help="make a bank's cases and seal them; resumes")
     make.add_argument("--bank", choices=sorted(BANK_SIZES), default="development")
     make.add_argument("--cases", type=int, help="a small bank of the same make-up")
-    make.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
+    add_lot(make)
     make.add_argument("--workers", type=int, default=1)
     make.add_argument("--out", type=Path, required=True)
     score = commands.add_parser("score", help="judge answers against the sealed truth")
@@ -23,12 +24,12 @@ def main(arguments: list[str] | None = None) -> int:
     score.add_argument("--manifest", type=Path, help="the committed one, if not the bank's own")
     score.add_argument("--answers", action="append", required=True, metavar="NAME=FOLDER")
     score.add_argument("--withheld", action="append", default=[], metavar="NAME=FOLDER")
-    score.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
+    add_lot(score)
     score.add_argument("--json", type=Path, help="write all figures here")
     check = commands.add_parser("check", help="whether a bank is the sealed one, byte for byte")
     check.add_argument("--bank", type=Path, required=True, help="folder of the bank")
     check.add_argument("--manifest", type=Path, help="the committed one, if not the bank's own")
-    check.add_argument("--first", type=int, metavar="N", help="only the first N cases by their ids")
+    add_lot(check)
     publish = commands.add_parser("publish", help="a table and pictures for a README, of what was scored")
     publish.add_argument("--score", type=Path, required=True, metavar="FILE", help="of 'score --json'")
     publish.add_argument("--of", metavar="NAME", help="who is published (default: the first)")
@@ -53,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _make(chosen: argparse.Namespace) -> int:
     from benchmarks.blind.make import make
 
-    planned = make(bank_of(chosen.bank, chosen.cases), chosen.out, chosen.workers, chosen.first)
+    planned = make(bank_of(chosen.bank, chosen.cases), chosen.out, chosen.workers, lot_of(chosen))
     print(f"{len(planned)} cases in {chosen.out}, sealed by {chosen.out / 'manifest.json'}")
     return 0
 
@@ -64,7 +65,7 @@ def _score(chosen: argparse.Namespace) -> int:
     pairs = lambda words: {name: Path(folder) for name, folder in (word.split("=", 1) for word in words)}  # noqa: E731
     try:
         result = score(
-            chosen.bank, pairs(chosen.answers), pairs(chosen.withheld), chosen.manifest, chosen.first
+            chosen.bank, pairs(chosen.answers), pairs(chosen.withheld), chosen.manifest, lot_of(chosen)
         )
     except NotReady as reason:
         print(reason, file=sys.stderr)
@@ -82,7 +83,7 @@ def _check(chosen: argparse.Namespace) -> int:
     if not manifest.is_file():
         print(f"{manifest}: no such manifest", file=sys.stderr)
         return 1
-    found = broken_seals(chosen.bank, manifest, chosen.first)
+    found = broken_seals(chosen.bank, manifest, lot_of(chosen))
     for line in found:
         print(line)
     print(f"{len(found)} differ" if found else f"{chosen.bank} is the sealed bank, byte for byte")

@@ -12,6 +12,7 @@ from time import perf_counter
 from benchmarks.blind.case import make_case
 from benchmarks.blind.effects import EFFECTS
 from benchmarks.blind.library import Library, build_library
+from benchmarks.blind.lot import ALL_CASES, Lot
 from benchmarks.blind.noise import EMG_LEVELS
 from benchmarks.blind.oracle import oracles
 from benchmarks.blind.outside import OUTSIDE
@@ -27,15 +28,15 @@ def someone(bank: Bank, index: int) -> Person:
     return person(f"{bank.name}_{index:02d}", (bank.seed, 0, index), family_of(bank, index), paretic(index))
 
 
-def make(bank: Bank, folder: Path, workers: int = 1, first: int | None = None) -> list[Planned]:
-    """Make all cases of a bank, or the first few by their ids, and seal them."""
+def make(bank: Bank, folder: Path, workers: int = 1, lot: Lot = ALL_CASES) -> list[Planned]:
+    """Make all cases of a bank, or some, and seal them."""
     (folder / "library").mkdir(parents=True, exist_ok=True)
     people = range(bank.people)
     missing = [index for index in people if not _library_file(folder, index).exists()]
     _spread(workers, _make_library, [(bank, folder, index) for index in missing], "people")
     libraries = {index: Library.load(_library_file(folder, index)) for index in people}
     planned = with_targets(bank, draft(bank, VARIANTS), libraries)
-    wanted = set(sorted(case.id for case in planned)[:first])
+    wanted = set(lot.of(case.id for case in planned))
     planned = [case for case in planned if case.id in wanted]
     todo = [[case for case in planned if case.person == i and not _made(folder, case)] for i in people]
     jobs = [(bank, folder, index, some) for index, some in zip(people, todo, strict=True) if some]

@@ -6,6 +6,8 @@ import hashlib
 import json
 from pathlib import Path
 
+from benchmarks.blind.lot import ALL_CASES, Lot
+
 
 def digest(path: Path) -> str:
     """sha256 of a file, or of a folder: of the names and the bytes of all in it."""
@@ -33,13 +35,13 @@ def seal(folder: Path) -> dict[str, dict[str, str]]:
     return entries
 
 
-def broken_seals(folder: Path, manifest: Path | None = None, first: int | None = None) -> list[str]:
+def broken_seals(folder: Path, manifest: Path | None = None, lot: Lot = ALL_CASES) -> list[str]:
     """Say what is not as it was sealed: other bytes, missing, never sealed. Of a case, its folder.
 
-    Given a number, only so many cases, by their ids, need be there.
+    Only cases of this lot need be there.
     """
     sealed = json.loads((manifest or folder / "manifest.json").read_text(encoding="utf-8"))["cases"]
-    needed = set(sorted(sealed)[:first])
+    needed = set(lot.of(sealed))
     hashes: dict[str, str] = {}
     optional: set[str] = set()
     for name, own in sealed.items():

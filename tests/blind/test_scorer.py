@@ -1,11 +1,13 @@
 """The scorer says what is known of answerers: one knows all, others guess, tie, keep silent, are sure."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from benchmarks.blind.anatomy import COORDINATES
+from benchmarks.blind.lot import Lot
 from benchmarks.blind.score.intervals import FAILED, MET, UNCLEAR, Figure, Target, share, verdict
 from benchmarks.blind.score.report import NotReady, as_json, as_markdown, score
 from tests.blind.banks import ANSWERERS, NAMES, SPEEDS, answer, perfect, write_bank, write_table
@@ -147,13 +149,29 @@ def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
     for truth in truths[:5]:
         answer(tmp_path / "it", truth, perfect(truth))
     (tmp_path / "bank" / "truth" / f"{truths[6]['id']}.npy").unlink()  # not made yet
-    assert score(tmp_path / "bank", {"it": tmp_path / "it"}, first=5)["it"]["cases"] == 5
+    assert score(tmp_path / "bank", {"it": tmp_path / "it"}, lot=Lot(first=5))["it"]["cases"] == 5
     with pytest.raises(NotReady, match="is missing"):
         score(tmp_path / "bank", {"it": tmp_path / "it"})
     with pytest.raises(NotReady, match="without an answer"):
-        score(tmp_path / "bank", {"it": tmp_path / "it"}, first=6)
+        score(tmp_path / "bank", {"it": tmp_path / "it"}, lot=Lot(first=6))
     log = (tmp_path / "bank" / "score_log.jsonl").read_text().splitlines()
     assert json.loads(log[0])["cases"] == 5
+
+
+def test_what_was_left_can_be_judged_without_those_that_judged_before(tmp_path):
+    truths = sorted(write_bank(tmp_path / "bank", single=4, other=2), key=lambda truth: truth["id"])
+    manifest = tmp_path / "committed.json"
+    manifest.write_text((tmp_path / "bank" / "manifest.json").read_text())
+    for truth in truths[2:]:
+        answer(tmp_path / "it", truth, perfect(truth))
+    left = Lot(after=truths[1]["id"])
+    whole = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, lot=left)["it"]
+    for truth in truths[:2]:  # the lot alone is there
+        shutil.rmtree(tmp_path / "bank" / "cases" / truth["id"])
+        for kind in ("json", "npy"):
+            (tmp_path / "bank" / "truth" / f"{truth['id']}.{kind}").unlink()
+    alone = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, lot=left)["it"]
+    assert whole["cases"] == alone["cases"] == len(truths) - 2 and whole["rows"] == alone["rows"]
 
 
 @pytest.mark.parametrize("what", ["truth", "clean", "case", "extra"])

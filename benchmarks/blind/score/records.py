@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.blind.lot import Lot
+
 SILENT = ("none", "unknown")
 STOPPED = ("insufficient_data", "not_converged")
 
@@ -126,10 +128,12 @@ class Case:
     withheld: Answer | None = None
 
 
-def read_truth(bank: Path) -> list[Truth]:
+def read_truth(bank: Path, lot: Lot) -> list[Truth]:
+    """Open the truth of a lot, by id, and no other."""
+    there = {path.stem: path for path in (bank / "truth").glob("*.json")}
     return [
-        Truth(json.loads(path.read_text(encoding="utf-8")), path.with_suffix(".npy"))
-        for path in sorted((bank / "truth").glob("*.json"))
+        Truth(json.loads(there[id].read_text(encoding="utf-8")), there[id].with_suffix(".npy"))
+        for id in lot.of(there)
     ]
 
 

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from benchmarks.blind.lot import ALL_CASES, Lot
 from benchmarks.blind.score import breakdown
 from benchmarks.blind.score.figures import CLEAR, Row, all_rows, rightly_named
 from benchmarks.blind.score.intervals import Figure
@@ -25,7 +26,7 @@ def score(
     answerers: Mapping[str, Path],
     withheld: Mapping[str, Path] | None = None,
     manifest: Path | None = None,
-    first: int | None = None,
+    lot: Lot = ALL_CASES,
 ) -> dict[str, Any]:
     """Judge all answerers; every run is logged in ``score_log.jsonl`` of the bank.
 
@@ -35,19 +36,18 @@ def score(
         What was asked, and how it was sealed.
     answerers, withheld
         Folders of answers by name, and of those given with each single cause left out of the catalogue.
-    first
-        Only so many cases, by their ids. These are hashes: to go by them is to draw by lot. The others stay
-        sealed.
+    lot
+        Of which cases; the others stay sealed.
 
     Raises
     ------
     NotReady
         Where a seal is broken or an answer is missing.
     """
-    faults = broken_seals(bank, manifest, first)
+    faults = broken_seals(bank, manifest, lot)
     if faults:
         raise NotReady(f"the seal is broken: {'; '.join(faults[:5])}" + (" ..." if len(faults) > 5 else ""))
-    truths = read_truth(bank)[:first]
+    truths = read_truth(bank, lot)
     withheld = withheld or {}
     for name, folder in answerers.items():
         missing = unanswered(truths, folder, withheld.get(name))
