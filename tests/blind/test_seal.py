@@ -51,6 +51,17 @@ def test_what_differs_is_named(banks, what, capsys):
     assert all(line.startswith(start) for line, start in zip(lines, expected, strict=True))
 
 
+def test_a_case_that_is_known_to_differ_can_be_left_out_and_no_other_with_it(banks, capsys):
+    folder, name = banks[0] / "again", banks[1]
+    again = ["check", "--bank", str(folder), "--manifest", str(banks[0] / "sealed/manifest.json")]
+    (folder / "cases" / name / "subject.toml").write_text("")
+    assert main([*again, "--leave-out", name]) == 0
+    (folder / "truth" / f"{name}.json").unlink()
+    assert main([*again, "--leave-out", name]) == 0
+    assert main([*again, "--leave-out", "ffff"]) == 1
+    assert name in capsys.readouterr().out
+
+
 def test_without_a_manifest_nothing_is_said(banks, capsys):
     (banks[0] / "sealed" / "manifest.json").unlink()
     assert check(banks[0]) == 1

@@ -57,7 +57,7 @@ def score(
         name: judged(bank, read_cases(truths, folder, withheld.get(name)))
         for name, folder in answerers.items()
     }
-    _log(bank, answerers, manifest, len(truths))
+    _log(bank, answerers, manifest, len(truths), lot)
     return result
 
 
@@ -78,11 +78,13 @@ def judged(bank: Path, cases: list[Case]) -> dict[str, Any]:
     }
 
 
-def _log(bank: Path, answerers: Mapping[str, Path], manifest: Path | None, cases: int) -> None:
+def _log(bank: Path, answerers: Mapping[str, Path], manifest: Path | None, cases: int, lot: Lot) -> None:
     line = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "manifest": digest(manifest or bank / "manifest.json"),
         "cases": cases,
+        "after": lot.after,
+        "left_out": lot.left_out,
         "answers": {name: digest(folder) for name, folder in answerers.items()},
     }
     with (bank / "score_log.jsonl").open("a", encoding="utf-8") as file:
