@@ -46,19 +46,19 @@ def _moments():
     return speeds, measured, missing
 
 
-def finding(id, probability, evidence, refitted=None, detectability=4.0, decision="possible", **others):
+def finding(id, probability, evidence, detectability=4.0, decision="possible", **others):
     amounts = others.pop("amounts", (Amount("amount", 0.5, 0.1, "1"),))
-    return EffectFinding(id, probability, evidence, refitted, detectability, decision, amounts, **others)
+    return EffectFinding(id, probability, evidence, detectability, decision, amounts, **others)
 
 
 def _effects():
     stiffness = Amount("dorsiflexion_stiffness", 1.9, 0.3, "N m/deg")
     gains = tuple(Amount(f"gain_change_Ch{n}", 0.02 * n, 0.05, "1") for n in range(5))
     return (
-        finding(ORTHOSIS, 0.62, 31.0, 28.5, 7.2, "supported", amounts=(stiffness,)),
-        finding(CENTER, 0.2, 27.0, 26.0, 5.1, "possible"),
-        finding("emg_drift", 0.05, 3.0, None, 2.4, "not supported", amounts=gains),
-        finding("slow_fibers", 0.03, -2.0, None, 1.1, "not detectable"),
+        finding(ORTHOSIS, 0.62, 31.0, 7.2, "supported", amounts=(stiffness,)),
+        finding(CENTER, 0.2, 27.0, 5.1, "possible"),
+        finding("emg_drift", 0.05, 3.0, 2.4, "not supported", amounts=gains),
+        finding("slow_fibers", 0.03, -2.0, 1.1, "not detectable"),
         finding("short_range_stiffness", 0.0, -4.0, decision="quiet", negative_control=True),
     )
 

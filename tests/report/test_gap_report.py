@@ -341,7 +341,7 @@ def test_muscles_that_cannot_be_told_are_marked(subject):
 
 
 def test_what_an_effect_lacks_is_a_dash(subject):
-    vague = finding("emg_drift", 0.9, np.nan, None, np.nan, amounts=(Amount("gain", 0.2, np.nan, "1"),))
+    vague = finding("emg_drift", 0.9, np.nan, np.nan, amounts=(Amount("gain", 0.2, np.nan, "1"),))
     text = Page(render_gap(subject, replace(ENDINGS["none"](), effects=(vague,), budget=None))).text
     assert "gain 0.2" in text and "nan" not in re.findall(r"\w+", text)
 

@@ -77,8 +77,7 @@ class EffectFinding:
     probability
         Among all effects, nothing, and what is not in the catalogue; 0 to 1.
     evidence
-        For it against no effect, nats; ``refitted`` the same once it was fitted together with what is
-        calibrated, None where it was not.
+        For it against no effect, nats.
     detectability
         In standard deviations, of an effect of expected size: below 2 this recording could not show it.
     decision
@@ -92,7 +91,6 @@ class EffectFinding:
     id: str
     probability: float
     evidence: float
-    refitted: float | None
     detectability: float
     decision: str
     amounts: tuple[Amount, ...]

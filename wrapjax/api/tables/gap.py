@@ -41,11 +41,10 @@ def _effect_lines(result: GapResult) -> list[str]:
 
     shown = result.effects[:_MOST_EFFECTS]
     width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
-    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}{'refitted':>10s}  amounts"]
+    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  amounts"]
     for effect in shown:
-        refitted = "-" if effect.refitted is None else f"{effect.refitted:.1f}"
         lines.append(
-            f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}{refitted:>10s}"
+            f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
             f"  {amounts_in_words(effect.amounts, most=2)}".rstrip()
         )
     rest = sum(effect.probability for effect in result.effects[_MOST_EFFECTS:])

@@ -26,7 +26,7 @@ from wrapjax.gap.effect import Effect, Effects, NotTestable
 from wrapjax.gap.evidence.linearized import phase_frames
 from wrapjax.gap.evidence.null import best_null
 from wrapjax.gap.evidence.score import SIZES, Score, likeness
-from wrapjax.gap.fits.alternatives import Refitted, alternative, refit, refitted_evidence
+from wrapjax.gap.fits.alternatives import Refitted, alternative, refit
 from wrapjax.gap.fits.certificate import unfinished
 from wrapjax.gap.fits.held_out import amount_covariance
 from wrapjax.gap.fits.shrinkage import shapley
@@ -44,33 +44,33 @@ from wrapjax.gap.stopwatch import Stopwatch
 from wrapjax.gap.where.budget import BINS
 from wrapjax.gap.where.muscle_share import muscle_share
 
-#: Effects that are fitted together with all that is calibrated, that are compared with one another, and that
-#: are fitted to parts of the cycles.
-REFITS, COMPARED, TRIED = 4, 8, 2
+#: Effects that are compared with one another, and that are fitted together with all that is calibrated: those
+#: that lead along straight lines. Joint fits confirm them on cycles kept back and say how far the error
+#: shrinks, but do not rank: how calibration then bends, and the noise that many amounts take, would pass for
+#: evidence.
+COMPARED, TRIED = 8, 2
 
 
 def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
     """Say which effects explain the error, and how far it shrinks."""
     case, tuning, scores = scene.case, scene.tuning, scene.scores
     evidence = {id: one.evidence for id, one in scores.items()}
-    leading = [id for id in scores if evidence[id] > 0.0][:REFITS]
-    with watch.during("refits", f"fitting {', '.join(leading) or 'no effect'} with all that is calibrated"):
-        refits, refitted = _fitted_until_the_first_is(scene, evidence, leading)
-    settled = evidence | refitted
-    tried = sorted(refits, key=lambda id: -settled[id])[:TRIED]
+    order = list(scores)
+    tried = [id for id in order if evidence[id] > 0.0][:TRIED]
+    with watch.during("refits", f"fitting {', '.join(tried) or 'no effect'} with all that is calibrated"):
+        refits = {id: refit(scene, (id,)) for id in tried}
     with watch.during("shrinkage", "measuring how far the error shrinks"):
         shrunk = {id: alternative(scene, refits[id]) for id in tried}
     with watch.during("verdict", "comparing effects"):
-        order = sorted(settled, key=lambda id: -settled[id])
         compared = tuple(order[:COMPARED])
         apart = _apart(scene, compared)
-        tie = tie_of(order[0], compared, apart, settled) if order else ()
+        tie = tie_of(order[0], compared, apart, evidence) if order else ()
         twins, alarm = scene.strongest_of_twins, scene.alarm
-        found = probabilities(settled, scene.scored.structured, tuning)
+        found = probabilities(evidence, scene.scored.structured, tuning)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
         unseen = [id for id, one in scores.items() if max(SIZES) * one.detectability < UNSEEN]
         gains = {id: one.gains for id, one in shrunk.items()}
-        verdict = judge(found, settled, tie, alarm, controls, unseen, gains)
+        verdict = judge(found, evidence, tie, alarm, controls, unseen, gains)
     accepted = verdict.named or verdict.tie
     shown = [id for id in order if id in shrunk]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))
@@ -84,9 +84,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
             others = [one for one in alternatives if one.ids not in parts]
             alternatives = (*sorted(parts.values(), key=lambda one: -len(one.ids)), *others)
     findings = tuple(
-        _finding(
-            scene, scores[id], found.effects[id], refitted.get(id), refits.get(id), alarm, id in accepted
-        )
+        _finding(scene, scores[id], found.effects[id], refits.get(id), alarm, id in accepted)
         for id in sorted(scores, key=lambda id: -found.effects[id])
     )
     hidden = tuple(
@@ -117,7 +115,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         likeness=(compared, apart),
         muscles=_muscles(scene),
         alarm=alarm,
-        global_p=float((1 + np.sum(twins >= settled[order[0]])) / (1 + len(twins))) if order else 1.0,
+        global_p=float((1 + np.sum(twins >= evidence[order[0]])) / (1 + len(twins))) if order else 1.0,
         advice=_advice(scene, verdict.tie, compared, apart),
         lines=scene.gap,
     )
@@ -133,22 +131,6 @@ def _parts_of(scene: Scene, known: Mapping[str, Alternative]) -> dict[tuple[str,
         else alternative(scene, refit(scene, part))
         for part in parts
     }
-
-
-def _fitted_until_the_first_is(
-    scene: Scene, evidence: dict[str, float], wanted: list[str]
-) -> tuple[dict[str, Refitted], dict[str, float]]:
-    """Fit these, and whatever then leads without having been fitted: straight lines alone name nothing."""
-    refits: dict[str, Refitted] = {}
-    refitted: dict[str, float] = {}
-    while wanted:
-        new = {id: refit(scene, (id,)) for id in wanted}
-        refits |= new
-        refitted |= refitted_evidence(scene, new)
-        settled = evidence | refitted
-        first = max(settled, key=lambda id: settled[id])
-        wanted = [first] if first not in refits and settled[first] > 0.0 else []
-    return refits, refitted
 
 
 def stopped(
@@ -218,7 +200,6 @@ def _finding(
     scene: Scene,
     score: Score,
     probability: float,
-    refitted: float | None,
     refit: Refitted | None,
     alarm: float,
     accepted: bool,
@@ -234,11 +215,8 @@ def _finding(
         id=score.id,
         probability=probability,
         evidence=score.evidence,
-        refitted=refitted,
         detectability=score.detectability,
-        decision=decision(
-            score.evidence if refitted is None else refitted, score.detectability, alarm, accepted
-        ),
+        decision=decision(score.evidence, score.detectability, alarm, accepted),
         amounts=_amounts(effect, amounts, sd),
         negative_control=effect.negative_control,
     )

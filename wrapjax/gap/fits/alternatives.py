@@ -1,24 +1,17 @@
-"""Effects fitted together with what is calibrated: their evidence then, and how far the error shrinks."""
+"""Effects fitted together with what is calibrated, and how far the error shrinks by that."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.special import logsumexp
 
 from wrapjax.calibrate import MOMENT_ERROR, ProjectedLM
 from wrapjax.gap.effect import Effect, Effects
-from wrapjax.gap.evidence.linearized import phase_frames
-from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.projection import Candidate
-from wrapjax.gap.evidence.score import score_each
 from wrapjax.gap.fits.held_out import CrossFit, cross_fit, speed_conflict
 from wrapjax.gap.fits.refit import Refit, fit_jointly, joint_problem
 from wrapjax.gap.fits.shrinkage import cycle_errors, shrinkage
-from wrapjax.gap.prediction import predicted_moments
 from wrapjax.gap.result import Alternative, Estimate, Released
 from wrapjax.gap.scene import Scene
 
@@ -58,51 +51,6 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
     near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST, kept=case.kept)
     problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.look.amount_weight)
     return Refitted(ids, seen, whole, fit_jointly(problem, near.variables, kept=case.kept))
-
-
-def refitted_evidence(scene: Scene, refits: dict[str, Refitted]) -> dict[str, float]:
-    """Give the evidence for each effect where its joint fit ended, along the same lines.
-
-    What a straight line made too much or too little of is put right; noise and lines stay what they were,
-    so that all hypotheses are judged alike.
-    """
-    if not refits:
-        return {}
-    gap, case = scene.gap, scene.case
-    cycles, frames = case.plan.calibration, phase_frames(case.measured.shape[-1])
-    columns = gap.slopes.reshape(len(gap.slopes), -1)
-    expected = scene.look.plain.full.calibrated - gap.away
-    residuals, chosen = [], []
-    for id, refit in refits.items():
-        full, candidate = refit.fit, scene.candidates[id]
-        moments = _moments_of(scene, refit)
-        left = (case.measured[cycles] - moments)[..., frames].ravel()
-        own = list(scene.scores[id].part)
-        shape = candidate.variants[scene.scores[id].variant][own]
-        residuals.append(left + (full.calibrated - expected) @ columns + full.amounts @ shape)
-        chosen.append(Candidate(id, (shape,), candidate.prior_sd[own], candidate.one_sided[own]))
-    found = score_each(np.array(residuals), nulls(gap, scene.sizes), chosen)
-    before = logsumexp(scene.scored.plausible)
-    # Each hypothesis on its own residual; other shapes and parts were plausible before, too.
-    return {
-        id: float(
-            one.scores[place].evidence
-            + logsumexp(one.plausible)
-            - before
-            + scene.candidates[id].log_prior(scene.scores[id].part)
-        )
-        for place, (id, one) in enumerate(zip(refits, found, strict=True))
-    }
-
-
-def _moments_of(scene: Scene, refit: Refitted) -> Float[np.ndarray, "cycle coordinate frame"]:
-    """Predict the calibration cycles by the fit that has seen them all."""
-    problem, full = scene.case.problem, refit.fit
-    parameters = problem.parameters(jnp.asarray(full.calibrated))
-    found = predicted_moments(
-        problem.curves, parameters, problem.recording, refit.effects, jnp.asarray(full.amounts)
-    )
-    return np.asarray(found)
 
 
 def alternative(scene: Scene, refitted: Refitted) -> Alternative:

@@ -31,7 +31,7 @@ DRAWN_COLORS = (BLUE, VERMILION, GREEN)
 _MOST_OPEN = 10
 _DASH = "\N{EN DASH}"
 _HEADER = (
-    *("effect", "probability", "evidence (nats)", "refitted (nats)"),
+    *("effect", "probability", "evidence (nats)"),
     *("detectability (sd)", "amounts", "what to make of it"),
 )
 
@@ -107,8 +107,8 @@ def evidence_section(result: GapResult) -> list[str]:
         return []
     lines = [_line(effect) for effect in result.effects]
     rest = [
-        ("nothing amiss", decimals(result.none_probability), *[_DASH] * 5),
-        ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 5),
+        ("nothing amiss", decimals(result.none_probability), *[_DASH] * 4),
+        ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 4),
     ]
     alarm = (
         f" Data without any effect exceed {result.alarm:.1f} nats in few cases (alarm level)."
@@ -118,8 +118,8 @@ def evidence_section(result: GapResult) -> list[str]:
     caption = (
         "All effects that these data can test, the most probable first; probabilities of all rows sum to "
         "one. Evidence: natural logarithm of how much likelier the error is with the effect than without (3: "
-        "20 times as likely), above zero speaks for it; refitted: after fitting it together with all that is "
-        f"calibrated.{alarm} Detectability: in standard deviations, of an effect of expected size; below 2 "
+        f"20 times as likely), above zero speaks for it.{alarm} "
+        "Detectability: in standard deviations, of an effect of expected size; below 2 "
         "this recording could not show it. Amounts: most plausible value ± standard deviation. Names in "
         "files have underscores for blanks; the last two are none and unknown there."
     )
@@ -150,11 +150,11 @@ def _line(effect: EffectFinding) -> tuple[str, ...]:
     return (
         plain(effect.id) + mark,
         decimals(effect.probability),
-        *map(_one_decimal, (effect.evidence, effect.refitted, effect.detectability)),
+        *map(_one_decimal, (effect.evidence, effect.detectability)),
         amounts_in_words(effect.amounts),
         effect.decision,
     )
 
 
-def _one_decimal(value: float | None) -> str:
-    return _DASH if value is None or not math.isfinite(value) else f"{value:.1f}"
+def _one_decimal(value: float) -> str:
+    return _DASH if not math.isfinite(value) else f"{value:.1f}"

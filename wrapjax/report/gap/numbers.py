@@ -136,7 +136,6 @@ def _effect(finding: EffectFinding) -> dict[str, Any]:
         "id": finding.id,
         "probability": finding.probability,
         "evidence_nats": finding.evidence,
-        "refitted_nats": finding.refitted,
         "detectability": finding.detectability,
         "decision": finding.decision,
         "negative_control": finding.negative_control,
