@@ -12,13 +12,8 @@ from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap.evidence import twins
 from wrapjax.gap.evidence.covariance import MuscleErrors
-from wrapjax.gap.evidence.linearized import (
-    LinearGap,
-    expectations,
-    moment_slopes,
-    phase_frames,
-    speed_numbers,
-)
+from wrapjax.gap.evidence.expectations import expectations
+from wrapjax.gap.evidence.linearized import LinearGap, moment_slopes, phase_frames, speed_numbers
 from wrapjax.gap.evidence.twins import (
     TwinCurves,
     TwinWorld,

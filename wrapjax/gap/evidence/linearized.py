@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,20 +27,15 @@ from wrapjax.gap.context import Context
 from wrapjax.gap.effect import Effect, Effects
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.evidence.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.evidence.error_signatures import angle_errors, emg_errors, muscle_errors
+from wrapjax.gap.evidence.expectations import expectations
 from wrapjax.gap.evidence.projection import Candidate
 from wrapjax.gap.prediction import secants
-from wrapjax.geometry import PathState, fixed_path
-from wrapjax.model import ModelParameters, MuscleState, Recording, joint_moments, muscle_states
-from wrapjax.muscle import AbstractCurves, EmgSpline
+from wrapjax.model import ModelParameters, Recording, joint_moments, muscle_states
+from wrapjax.muscle import EmgSpline
 
 #: Phases of a gait cycle that are looked at: residuals change little between them.
 PHASES = 25
-#: Expected error of an EMG envelope, as a share of itself, and how long it goes on alike in gait cycles.
-EMG_ERROR, EMG_WIDTH = 0.10, 0.04
-#: Expected error of a joint angle (rad), and how long it goes on alike.
-ANGLE_ERROR, ANGLE_WIDTH = np.radians(1.5), 0.08
-#: Differences of activation, normalised fiber length and velocity at which errors of force are independent.
-STATE_SCALES = (0.3, 0.075, 0.15)
 
 
 @dataclass(frozen=True)
@@ -150,38 +144,12 @@ def linear_gap(
         nuisances=np.concatenate(nuisances),
         candidates=tuple(candidates),
         input_errors=(
-            _emg_errors(problem, variables, by_variable, context),
-            *_angle_errors(problem, parameters, quiet, context, frames),
+            emg_errors(problem, variables, by_variable, context),
+            *angle_errors(problem, parameters, quiet, context, frames),
         ),
-        muscle_errors=_muscle_errors(states, parameters, frames),
+        muscle_errors=muscle_errors(states, parameters, frames),
         speeds=speeds,
     )
-
-
-def expectations(
-    problem: Objective, variables: Float[Array | np.ndarray, " variable"]
-) -> tuple[Float[np.ndarray, "variable sum"], Float[np.ndarray, " variable"]]:
-    """Read what a calibration expects of its variables off all that it minimises but the moment error.
-
-    Penalties are means over muscles of squares in allowable errors. As many times as much, an allowable
-    error is one standard deviation of one muscle's quantity. Without them fibers would be free to be
-    absurdly long, and any effect could hide in that.
-
-    Returns
-    -------
-    spread, away
-        A root of the prior covariance of the variables, and how far these are from where they are
-        expected, both in solver units.
-    """
-    muscles = len(problem.variables.index)
-    kept = replace(problem, moment_error=np.array(np.inf), alterations=())
-    own = kept.linearized_at(jnp.asarray(variables))
-    # Nothing is expected beyond its bounds; that also holds what no penalty sees.
-    width = np.asarray(problem.upper) - np.asarray(problem.lower)
-    precision = muscles * np.asarray(own.gauss_newton) + np.diag(1.0 / width**2)
-    covariance = np.linalg.inv(precision)
-    away = covariance @ (muscles * np.asarray(own.gradient))
-    return np.linalg.cholesky(0.5 * (covariance + covariance.T)), away
 
 
 def in_the_mean(emg: EmgSpline, speeds: Int[np.ndarray, " cycle"]) -> EmgSpline:
@@ -242,69 +210,3 @@ def _candidate(
         np.array([entry.sign == 1 for entry in effect.parameters]),
         effect.parts,
     )
-
-
-def _emg_errors(
-    problem: Objective,
-    variables: Float[Array, " variable"],
-    by_variable: Float[np.ndarray, "variable cycle coordinate phase"],
-    context: Context,
-) -> InputErrors:
-    """Run errors of EMG through the model: an envelope off by some share is a scale off by it just then.
-
-    That is so for errors that last longer than muscles take to activate.
-    """
-    by_channel = np.zeros((len(context.channels), *by_variable.shape[1:]))
-    for number, label in enumerate(problem.variables.labels):
-        muscle, quantity = label.rsplit(".", 1)
-        if quantity == "emg_scale":
-            channel = context.muscle_channels[context.muscles.index(muscle)]
-            by_channel[channel] += float(variables[number]) * by_variable[number]
-    return InputErrors(EMG_ERROR * by_channel, EMG_WIDTH)
-
-
-def _angle_errors(
-    problem: Objective,
-    parameters: ModelParameters,
-    recording: Recording,
-    context: Context,
-    frames: Int[np.ndarray, " phase"],
-) -> tuple[InputErrors, ...]:
-    """Run errors of angles through the paths; none where the paths are not known beside these angles."""
-    by_angle = context.paths_by_angle
-    if by_angle is None:
-        return ()
-    moved = _by_angle(problem.curves, parameters, recording, by_angle)
-    return (InputErrors(ANGLE_ERROR * np.asarray(moved)[..., frames], ANGLE_WIDTH),)
-
-
-@eqx.filter_jit
-def _by_angle(
-    curves: AbstractCurves, parameters: ModelParameters, recording: Recording, by_angle: PathState
-) -> Float[Array, "angle trial coordinate frame"]:
-    """Differentiate moments by each angle at all frames alike, through the paths: N m per radian."""
-
-    def moments(path: PathState) -> Float[Array, "trial coordinate frame"]:
-        return joint_moments(curves, parameters, replace(recording, path=fixed_path(path)))
-
-    nominal = recording.path.nominal
-    here = PathState(nominal.length, nominal.velocity, nominal.moment_arm)
-
-    def along(direction: PathState) -> Float[Array, "trial coordinate frame"]:
-        return jax.jvp(moments, (here,), (direction,))[1]
-
-    # One after the other: all at once would fill memory with muscles times frames times angles.
-    return jax.lax.map(along, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), by_angle))
-
-
-def _muscle_errors(
-    states: MuscleState, parameters: ModelParameters, frames: Int[np.ndarray, " phase"]
-) -> MuscleErrors:
-    """Say where each muscle is in its states, and what a unit of normalised force would move."""
-    fiber = states.fiber
-    quantities = (states.activation, fiber.normalized_length, fiber.normalized_velocity)
-    scaled = [
-        np.asarray(own)[..., frames] / scale for own, scale in zip(quantities, STATE_SCALES, strict=True)
-    ]
-    force = np.asarray(parameters.max_isometric_force)[:, None, None, None]
-    return MuscleErrors(np.stack(scaled, axis=-1), np.asarray(states.path.moment_arm)[..., frames] * force)

@@ -18,7 +18,8 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 
 from wrapjax.calibrate import Objective
 from wrapjax.gap.evidence.cycle_noise import CycleNoise
-from wrapjax.gap.evidence.linearized import EMG_ERROR, EMG_WIDTH, LinearGap, moment_slopes, phase_frames
+from wrapjax.gap.evidence.error_signatures import EMG_ERROR, EMG_WIDTH
+from wrapjax.gap.evidence.linearized import LinearGap, moment_slopes, phase_frames
 from wrapjax.geometry import PathState, fixed_path
 from wrapjax.model import ModelParameters, Recording, joint_moments
 from wrapjax.muscle import AbstractCurves, EmgSpline
