@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.gap.where.place import where
+from wrapjax.gap.where.place import InputMade, where
 
 CYCLES, COORDINATES, FRAMES = 12, 2, 51
 SPEEDS = np.zeros(CYCLES, dtype=int)
@@ -21,9 +21,14 @@ def recorded():
     return inputs, 2.0 * apart + noise, np.broadcast_to(4.0 * apart.var(axis=(0, 1)), (COORDINATES, FRAMES))
 
 
-def share(recorded, of_errors):
+def found(recorded, of_errors):
     inputs, residual, _ = recorded
-    return where(residual, SPEEDS, np.full(CYCLES, 1.0), inputs, of_errors).explainable.value
+    made = None if of_errors is None else InputMade(of_errors, np.full(COORDINATES, 0.01))
+    return where(residual, SPEEDS, np.full(CYCLES, 1.0), inputs, 8.0 * COORDINATES, made)
+
+
+def share(recorded, of_errors):
+    return found(recorded, of_errors).explainable.value
 
 
 def test_what_follows_inputs_is_explainable_but_for_their_errors(recorded):
@@ -36,11 +41,7 @@ def test_what_follows_inputs_is_explainable_but_for_their_errors(recorded):
 
 
 def test_what_errors_of_inputs_make_goes_over_to_noise(recorded):
-    inputs, residual, made = recorded
-    before, after = (
-        where(residual, SPEEDS, np.full(CYCLES, 1.0), inputs, given).budget
-        for given in (None, 0.5 * made[:, :-1])
-    )
+    before, after = (found(recorded, given).budget for given in (None, 0.5 * recorded[2][:, :-1]))
     np.testing.assert_allclose(after.driven + after.noise, before.driven + before.noise, rtol=1e-9)
     assert after.driven.sum() < 0.8 * before.driven.sum()
     np.testing.assert_array_equal(after.repeatable, before.repeatable)

@@ -41,6 +41,12 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="surrogate",
         help="source of the paths: polynomials, or the exact engine, which needs no fit (NGA and PGA)",
     )
+    calibrate.add_argument(
+        "--surfaces",
+        choices=["touched", "all"],
+        default="touched",
+        help="cylinders that PGA moves: those that muscles lie on in a recorded frame, or all",
+    )
     calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     calibrate.add_argument(
         "--tendon",
@@ -89,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Problem("--draws", "is for --uncertainty bootstrap: nothing else is drawn anew"))
     if options.draws == 1:
         raise InputError(Problem("--draws", "expected at least 2, found 1: one draw has no spread"))
+    if options.surfaces != "touched" and options.method != "PGA":
+        raise InputError(Problem("--surfaces", "is for --method PGA: the others move no cylinders"))
     journal = unfinished(options)
     inner = {"lm": ProjectedLM, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
@@ -116,6 +124,7 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
         curves=options.curves,
         tendon=options.tendon,
+        surfaces=options.surfaces,
         undriven=options.undriven,
         synergies=options.synergies,
         journal=journal,

@@ -18,6 +18,7 @@ from wrapjax.api.calibrating.extrapolation import STRATEGIES
 from wrapjax.api.calibrating.gathered_legs import Law, Leg, gather_legs, question_of
 from wrapjax.api.calibrating.personalised import write_model
 from wrapjax.api.calibrating.problem import source_for, stages
+from wrapjax.api.paths.cylinders import SURFACES
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.api.runs.datasets import calibration_dataset
@@ -98,6 +99,7 @@ def calibrate(
     callback: Watch | None = None,
     curves: str = "paper",
     tendon: str = "rigid",
+    surfaces: str = SURFACES[0],
     undriven: str = STRATEGIES[0],
     synergies: int = COMMANDS,
     journal: Path | None = None,
@@ -137,6 +139,9 @@ def calibrate(
     tendon
         ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers at every frame, 4 %
         longer at maximum isometric force. That takes several times as long.
+    surfaces
+        Which cylinders PGA moves: ``touched``, those that some muscle lies on in a recorded frame, or
+        ``all``; of a cylinder that stays out of reach moments say nothing, and it stays where it is.
     undriven, synergies
         What drives muscles without an electrode, and how many synergies where they do; see
         `wrapjax.api.calibrating.extrapolation.drive`.
@@ -152,7 +157,7 @@ def calibrate(
         Whether it converged is in ``status``; a fit that did not is returned, not raised.
     """
     solver = solver or AugmentedLagrangian()
-    legs = gather_legs(subject, fit, method, freedom, undriven, synergies)
+    legs = gather_legs(subject, fit, method, freedom, undriven, synergies, surfaces)
     law = Law(curves, tendon)
     question = question_of(legs, solver, law, starts, seed)
     by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs]

@@ -7,6 +7,7 @@ from importlib.metadata import version
 
 from wrapjax.api.calibrating.extrapolation import STRATEGIES, drive, with_weights
 from wrapjax.api.calibrating.problem import method_freedom, source_for, source_like
+from wrapjax.api.paths.cylinders import SURFACES
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.calibrate import AugmentedLagrangian
@@ -32,6 +33,7 @@ def gather_legs(
     freedom: Freedom | None,
     undriven: str = STRATEGIES[0],
     synergies: int = COMMANDS,
+    surfaces: str = SURFACES[0],
 ) -> list[Leg]:
     """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
     subjects = read_legs(subject)
@@ -46,7 +48,7 @@ def gather_legs(
         if isinstance(given, Fit) and leg is not read:
             given.refuse_others(leg, "fit")
         fitted = given or (source_for((method,), leg) if fit is None else source_like(fit, leg))
-        free = with_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted)
+        free = with_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted, surfaces)
         legs.append(Leg(leg, fitted, free))
     return legs
 

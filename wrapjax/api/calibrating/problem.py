@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.api.calibrating.assembly import group_indices, model_parameters, recording
 from wrapjax.api.calibrating.extrapolation import with_weights
+from wrapjax.api.paths.cylinders import SURFACES
 from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.api.paths.fitting import fit as fit_paths
@@ -183,8 +184,12 @@ def objective(
     return eqx.filter_jit(prepare(subject, method, fit).cost)
 
 
-def method_freedom(method: str, subject: Subject, fit: Fit | ExactGeometry) -> Freedom:
-    """Say what a method frees for a subject, of the paths from this source."""
+def method_freedom(
+    method: str, subject: Subject, fit: Fit | ExactGeometry, surfaces: str = SURFACES[0]
+) -> Freedom:
+    """Say what a method frees for a subject, of the paths from this source; `SURFACES` are PGA's."""
     if method not in METHODS:
         raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
-    return with_weights(fit.freedom(method, subject), subject)
+    if surfaces not in SURFACES:
+        raise ValueError(f"unknown surfaces '{surfaces}': expected one of {', '.join(SURFACES)}")
+    return with_weights(fit.freedom(method, subject, surfaces), subject)

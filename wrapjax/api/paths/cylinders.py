@@ -11,6 +11,13 @@ from wrapjax.geometry.wrap_boxes import box
 from wrapjax.model import FreedWraps
 
 _UNITS = ("m", "m", "m", "rad", "rad", "1")
+#: Which cylinders PGA frees: those that some muscle lies on in at least one recorded frame, or all.
+SURFACES = ("touched", "all")
+#: What is said where there are none.
+NO_CYLINDER = {
+    "touched": "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+    "all": "no driven muscle has a cylinder that could be moved: PGA frees nothing",
+}
 # Prior deviations, in half widths: the box says where cylinders can be, the prior only breaks ties.
 _PRIOR = 2.0
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.api.calibrating.assembly import model_parameters
-from wrapjax.api.paths.cylinders import freed_wraps
+from wrapjax.api.paths.cylinders import NO_CYLINDER, freed_wraps
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import content_hash
 from wrapjax.geometry import AbstractPath, fixed_path
@@ -62,8 +62,8 @@ class ExactGeometry:
             name for name, touched in zip(self.engine.muscles, self.on_surface, strict=True) if touched.any()
         )
 
-    def freedom(self, method: str, subject: Subject) -> Freedom:
-        """Say what a method frees: nothing of the paths (NGA), or the touched cylinders (PGA)."""
+    def freedom(self, method: str, subject: Subject, surfaces: str = "touched") -> Freedom:
+        """Say what a method frees: nothing of the paths (NGA), or the cylinders of `SURFACES` (PGA)."""
         freedom = nga(model_parameters(subject))
         if method == "NGA":
             return freedom
@@ -75,16 +75,24 @@ class ExactGeometry:
                     hint="use --geometry surrogate, or PGA",
                 )
             )
-        if not self.translations:
+        translations = self.translations if surfaces == "touched" else self._all_translations(subject)
+        if not translations:
             raise InputError(
                 Problem(
                     str(subject.model_file),
-                    "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+                    NO_CYLINDER[surfaces],
                     hint="use NGA or SGA",
                 )
             )
         wraps_of = [self.engine.wraps_of(name) for name in self.engine.muscles]
-        return with_wraps(freedom, method, freed_wraps(wraps_of, self.translations))
+        return with_wraps(freedom, method, freed_wraps(wraps_of, translations))
+
+    def _all_translations(self, subject: Subject) -> dict[str, float]:
+        """How far each cylinder may move, touched or not."""
+        wraps = {wrap for name in self.engine.muscles for wrap in self.engine.wraps_of(name)}
+        others = sorted(wraps - set(self.translations))
+        found = translation_bounds(self.engine, self.engine.posed(_poses(self.engine, subject)), others)
+        return dict(sorted((self.translations | found).items()))
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
         """Lay the paths through cycles, with all that the freedom may change.
@@ -124,14 +132,19 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     engine = engine_of(subject)
     angles, _ = recorded(subject.trials, engine.coordinates)
     touching, touched = touched_cylinders(engine, subject.trials)
-    poses = np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
     return ExactGeometry(
         name=geometry,
         key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
         engine=engine,
         on_surface=touching,
-        translations=translation_bounds(engine, engine.posed(poses), touched),
+        translations=translation_bounds(engine, engine.posed(_poses(engine, subject)), touched),
     )
+
+
+def _poses(engine: ExactPaths, subject: Subject) -> Float[np.ndarray, "pose coordinate"]:
+    """Take the recorded frames that boxes are found in."""
+    angles, _ = recorded(subject.trials, engine.coordinates)
+    return np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
 
 
 def touched_cylinders(

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.api.calibrating.assembly import model_parameters
+from wrapjax.api.paths.cylinders import NO_CYLINDER
 from wrapjax.api.paths.polynomial_paths import (
     calibrated_polynomials,
     polynomial_freedom,
@@ -97,8 +98,10 @@ class Fit:
     seed: int
     wraps: WrapFit | None = None
 
-    def freedom(self, method: str, subject: Subject) -> Freedom:
+    def freedom(self, method: str, subject: Subject, surfaces: str = "touched") -> Freedom:
         """Say what a method frees: nothing of the paths (NGA), their coefficients (SGA, LSGA) or cylinders.
+
+        Of the cylinders, PGA frees those that ``surfaces`` names (`SURFACES`).
 
         Raises
         ------
@@ -115,12 +118,12 @@ class Fit:
                     hint="make it with 'wrapjax fit', or use --geometry engine",
                 )
             )
-        freed = self.wraps.freed(subject.muscles.names)
+        freed = self.wraps.freed(subject.muscles.names, surfaces)
         if not freed.names:
             raise InputError(
                 Problem(
                     str(subject.model_file),
-                    "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+                    NO_CYLINDER[surfaces],
                     hint="use NGA or SGA",
                 )
             )

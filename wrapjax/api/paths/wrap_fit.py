@@ -63,15 +63,15 @@ class WrapFit:
     quality: dict[str, WrapQuality]
     thresholds: PhysiologicalThresholds
 
-    @property
-    def movable(self) -> tuple[str, ...]:
-        """The touched cylinders, but for those whose box is not physiological almost anywhere."""
-        return tuple(name for name in self.touched if self.quality[name].physiological_share >= RAREST_SHARE)
+    def movable(self, surfaces: str) -> tuple[str, ...]:
+        """Name cylinders (of `SURFACES`), but for those whose box is not physiological almost anywhere."""
+        among = self.touched if surfaces == "touched" else tuple(self.quality)
+        return tuple(name for name in among if self.quality[name].physiological_share >= RAREST_SHARE)
 
-    def freed(self, muscles: Sequence[str]) -> FreedWraps:
+    def freed(self, muscles: Sequence[str], surfaces: str = "touched") -> FreedWraps:
         """Free the movable cylinders of these muscles."""
         own = {wrap for name in muscles for wrap in self.wraps_of[name]}
-        translations = {name: self.translations[name] for name in self.movable if name in own}
+        translations = {name: self.translations[name] for name in self.movable(surfaces) if name in own}
         return freed_wraps([self.wraps_of[name] for name in muscles], translations)
 
     def inner_of(self, muscles: Sequence[str], wraps: int) -> InnerLevel:

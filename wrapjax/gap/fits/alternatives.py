@@ -68,7 +68,7 @@ def alternative(scene: Scene, refitted: Refitted) -> Alternative:
     return Alternative(
         ids=refitted.ids,
         predicted=fit.predicted,
-        held_out_cycles=shrinkage(before[counted], after[counted], floor[counted], speeds[counted]),
+        held_out_cycles=shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted]),
         held_out_speed=_at_other_speed(scene, fit),
         gains=_gains(scene, before - after),
         speed_conflict=speed_conflict(fit, scene.look.amount_weight),
@@ -91,7 +91,7 @@ def _at_other_speed(scene: Scene, fit: CrossFit) -> Estimate:
     before, after = (
         cycle_errors(case.measured - np.asarray(one.at_other_speed))[counted] for one in (plain, fit)
     )
-    return shrinkage(before, after, scene.look.place.floor[counted], case.speeds[counted])
+    return shrinkage(before, after, scene.look.place.floor.of(counted), case.speeds[counted])
 
 
 def _released(scene: Scene, fit: CrossFit) -> tuple[Released, ...]:

@@ -13,11 +13,27 @@ from wrapjax.gap.evidence.cycle_noise import CycleNoise
 from wrapjax.gap.fits.certificate import certify, conflict, decrement_of
 from wrapjax.gap.fits.held_out import CrossFit, Plan
 from wrapjax.gap.fits.refit import fit_jointly
-from wrapjax.gap.fits.shrinkage import cycle_errors, cycle_floor, explainable_share
+from wrapjax.gap.fits.shrinkage import Floor, cycle_errors, cycle_floor, explainable_share
 from wrapjax.gap.result import Certificate, Estimate
 from wrapjax.gap.where.budget import Budget, split_error
 from wrapjax.gap.where.driven import driven_variance
 from wrapjax.gap.where.gap_map import gap_map
+
+
+@dataclass(frozen=True)
+class InputMade:
+    """What errors of EMG and angles make of differences between cycles, (N m)^2.
+
+    Parameters
+    ----------
+    variance
+        Of the moments by these errors: it follows inputs, yet no model takes it away.
+    beside
+        Variance that no input makes, alike at all phases.
+    """
+
+    variance: Float[np.ndarray, "coordinate phase"]
+    beside: Float[np.ndarray, " coordinate"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +49,7 @@ class Where:
     map
         Root mean square of what repeats, N m: see `gap_map`.
     floor
-        Of each cycle: mean square that a right model would leave, (N m)^2.
+        What a right model would leave of each cycle.
     explainable
         Share of the whole error that it would not.
     """
@@ -42,7 +58,7 @@ class Where:
     budget: Budget
     speeds: Float[np.ndarray, " speed"]
     map: Float[np.ndarray, "speed coordinate bin"]
-    floor: Float[np.ndarray, " cycle"]
+    floor: Floor
     explainable: Estimate
 
 
@@ -51,7 +67,8 @@ def where(
     speeds: Int[np.ndarray, " cycle"],
     speeds_m_s: Float[np.ndarray, " cycle"],
     inputs: Float[np.ndarray, "cycle input frame"],
-    of_errors: Float[np.ndarray, "coordinate phase"] | None = None,
+    independent: float,
+    made: InputMade | None = None,
 ) -> Where:
     """Split the error of cycles that fits have not seen.
 
@@ -63,19 +80,30 @@ def where(
         Counted from 0, and as they are.
     inputs
         What may drive differences between cycles, any units.
-    of_errors
-        Variance that errors of inputs make, (N m)^2: it follows inputs too, yet no model takes it away.
+    independent
+        Number of independent values of noise in a cycle, over all coordinates.
+    made
+        What errors of inputs make of differences between cycles; nothing where it is not known.
     """
     several = np.flatnonzero(np.bincount(speeds)[speeds] > 1)
     kept, own = np.unique(speeds[several], return_inverse=True)
     driven = driven_variance(residual[several], inputs[several], own)
-    between = np.stack([residual[several][own == speed].var(axis=0, ddof=1) for speed in range(len(kept))])
-    mapped = gap_map(residual[several], own, between - driven)
-    if of_errors is not None:
-        driven = np.maximum(driven - _round_the_cycle(of_errors, driven.shape[-1]), 0.0)
+    if made is None:
+        between = np.stack(
+            [residual[several][own == speed].var(axis=0, ddof=1) for speed in range(len(kept))]
+        )
+        noise = between - driven
+    else:
+        noise = np.broadcast_to(made.beside[:, None], driven.shape)
+        # In the mean over all: frame by frame, noise on the wrong side would be cut off and that on the other
+        # left.
+        whole = np.mean(driven, axis=(1, 2), keepdims=True)
+        left = 1.0 - made.variance.mean() / np.where(whole > 0.0, whole, np.inf)
+        driven = np.maximum(left, 0.0) * driven
+    mapped = gap_map(residual[several], own, noise)
     by_speed = np.zeros(speeds.max() + 1)
     by_speed[kept] = driven.mean(axis=(1, 2))
-    floor = cycle_floor(residual, speeds, by_speed)
+    floor = cycle_floor(residual, speeds, independent, by_speed)
     first = [int(np.flatnonzero(speeds == speed)[0]) for speed in kept]
     return Where(
         residual,
@@ -85,14 +113,6 @@ def where(
         floor,
         explainable_share(cycle_errors(residual), floor, speeds),
     )
-
-
-def _round_the_cycle(
-    values: Float[np.ndarray, "coordinate phase"], frames: int
-) -> Float[np.ndarray, "coordinate frame"]:
-    """Values between phases; the last frame is the first one again."""
-    phases, wanted = np.arange(values.shape[-1]) / values.shape[-1], np.linspace(0.0, 1.0, frames)
-    return np.stack([np.interp(wanted, phases, own, period=1.0) for own in values])
 
 
 def amount_weight(noise: CycleNoise, cycles_and_coordinates: tuple[int, int]) -> float:
@@ -142,6 +162,6 @@ def certificate_of(
     if len(plain.of_speeds) == 2:
         slow, fast = (refit.calibrated for refit in plain.of_speeds)
         conflicts["by_speed"] = conflict(labels, slow, fast, sd)
-    explainable = float(np.mean(np.maximum(cycle_errors(place.residual) - place.floor, 0.0)))
+    explainable = float(np.mean(np.maximum(cycle_errors(place.residual) - place.floor.each, 0.0)))
     decrement = decrement_of(full.model, full.variables, lower, upper)
     return certify(outcomes, decrement, explainable / MOMENT_ERROR**2, conflicts)
