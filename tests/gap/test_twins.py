@@ -11,7 +11,7 @@ from tests.gap.noise import noise_of_width
 from tests.gap.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibrate import Objective
 from wrapjax.gap.evidence import twins
-from wrapjax.gap.evidence.covariance import MuscleErrors
+from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors, input_blocks
 from wrapjax.gap.evidence.expectations import expectations
 from wrapjax.gap.evidence.linearized import LinearGap, moment_slopes, phase_frames, speed_numbers
 from wrapjax.gap.evidence.twins import (
@@ -116,7 +116,7 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
     """But for what parameters are off from where they were expected, along the subject's lines."""
     lived = []
 
-    def own_moments(parameters, recording, _):
+    def own_moments(parameters, recording, *_):
         lived.append(np.asarray(joint_moments(CURVES, parameters, recording)))
         return lived[-1]
 
@@ -157,7 +157,7 @@ def test_arms_that_are_off_change_lengths_as_they_must(world):
 def test_muscles_of_one_electrode_have_its_noise(world):
     """A tenth of the envelope, smooth, and new in each cycle."""
     emg = world.recording.emg
-    noisy = jax.jit(lambda key: _with_noise(emg, key).coefficients)
+    noisy = jax.jit(lambda key: _with_noise(emg, jnp.asarray(0.10), key).coefficients)
     factors = np.log(np.asarray([noisy(jax.random.key(seed)) / emg.coefficients for seed in range(40)]))
     np.testing.assert_array_equal(factors[:, 1], factors[:, 2], err_msg="both gastrocnemii")
     assert np.abs(factors[:, 0] - factors[:, 1]).max() > 0.05
@@ -166,9 +166,25 @@ def test_muscles_of_one_electrode_have_its_noise(world):
     np.testing.assert_allclose(np.ptp(factors, axis=3), 0.0, atol=1e-6)
 
 
+def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
+    """EMG's go through its muscles; what errors of angles make joins the noise of moments, cycle by cycle."""
+    generator = np.random.default_rng(0)
+    shape = world.gap.slopes.shape[1:]
+    emg, angles = (InputErrors(generator.normal(size=(2, *shape)), 0.05) for _ in range(2))
+    noise = replace(world.noise, input_shares=(0.5, 2.0))
+    noisy = replace(world, gap=replace(world.gap, input_errors=(emg, angles)), noise=noise)
+    assert noisy.emg_error == pytest.approx(0.05) and world.emg_error == pytest.approx(0.10)
+    root = noisy.measured_noise(shape[-1])
+    expected = noise.block(shape[-1])[None] + 4.0 * input_blocks(angles)
+    np.testing.assert_allclose(np.einsum("cij,ckj->cik", root, root), expected, atol=1e-8)
+
+
 def test_a_twins_muscles_are_not_the_models(world):
     parameters = world.problem.parameters(jnp.asarray(world.variables))
-    lived = [np.asarray(_twin_moments(parameters, world.recording, jax.random.key(seed))) for seed in (0, 1)]
+    lived = [
+        np.asarray(_twin_moments(parameters, world.recording, jnp.asarray(0.10), jax.random.key(seed)))
+        for seed in (0, 1)
+    ]
     for one in lived:
         apart = np.std(one - np.asarray(world.problem.measured)) / np.std(world.problem.measured)
         assert 0.02 < apart < 1.0

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 
 from wrapjax.calibrate import Objective
+from wrapjax.gap.evidence.covariance import input_blocks
 from wrapjax.gap.evidence.cycle_noise import CycleNoise
 from wrapjax.gap.evidence.error_signatures import EMG_ERROR, EMG_WIDTH
 from wrapjax.gap.evidence.linearized import LinearGap, moment_slopes, phase_frames
@@ -94,7 +95,7 @@ class TwinWorld:
     gap
         Its straight lines.
     noise
-        Of measured moments.
+        Of measured moments, and how large errors of EMG and angles are.
     """
 
     problem: Objective
@@ -102,6 +103,23 @@ class TwinWorld:
     recording: Recording
     gap: LinearGap
     noise: CycleNoise
+
+    @property
+    def emg_error(self) -> float:
+        """Error of an envelope as a share of itself; what is expected where nothing is known of it."""
+        shares = self.noise.input_shares
+        return EMG_ERROR * (shares[0] if shares else 1.0)
+
+    def measured_noise(self, phases: int) -> Float[np.ndarray, "cycle own own"]:
+        """Give a root of the covariance within each cycle of noise of moments and of errors of angles.
+
+        Errors of EMG are no part of it: a twin lives by other envelopes than were recorded.
+        """
+        block = self.noise.block(phases)
+        whole = np.repeat(block[None], self.gap.slopes.shape[1], axis=0)
+        for share, errors in zip(self.noise.input_shares[1:], self.gap.input_errors[1:], strict=True):
+            whole += share**2 * input_blocks(errors)
+        return np.linalg.cholesky(whole + 1e-9 * np.eye(len(block)))
 
 
 def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndarray, "twin row"]:
@@ -119,15 +137,18 @@ def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndar
     recording, gap, layout = world.recording, world.gap, world.problem.variables
     _, cycles, coordinates, phases = gap.slopes.shape
     frames = phase_frames(recording.path.nominal.length.shape[-1])
-    noise = np.linalg.cholesky(world.noise.block(phases) + 1e-9 * np.eye(coordinates * phases))
+    noise = world.measured_noise(phases)
     residuals: list[np.ndarray] = []
     for number, key in enumerate(jax.random.split(jax.random.key(seed), count)):
         own = jax.random.split(key, 2)
         shift = PARAMETER_ERROR * gap.spread @ np.asarray(jax.random.normal(own[0], gap.away.shape))
         truth = np.clip(world.variables + shift, layout.lower, layout.upper)
-        lived = _twin_moments(layout.unpack(jnp.asarray(truth)), recording, own[1])
+        lived = _twin_moments(
+            layout.unpack(jnp.asarray(truth)), recording, jnp.asarray(world.emg_error), own[1]
+        )
         draws = np.random.default_rng([seed, number]).normal(size=(cycles, coordinates * phases))
-        measured = np.asarray(lived)[..., frames].reshape(cycles, -1) + draws @ noise.T
+        measured = np.asarray(lived)[..., frames].reshape(cycles, -1)
+        measured = measured + np.einsum("cij,cj->ci", noise, draws)
         residuals.append(_expected_residual(world, measured.ravel(), frames))
     return np.array(residuals)
 
@@ -180,7 +201,7 @@ def _moments(
 
 @jax.jit
 def _twin_moments(
-    parameters: ModelParameters, recording: Recording, key: PRNGKeyArray
+    parameters: ModelParameters, recording: Recording, emg_error: Float[Array, ""], key: PRNGKeyArray
 ) -> Float[Array, "trial coordinate frame"]:
     """Give what inverse dynamics of a twin would measure, without noise."""
     curves, arms, electrodes = jax.random.split(key, 3)
@@ -188,7 +209,7 @@ def _twin_moments(
     scale = 1.0 + ARM_ERROR * jax.random.normal(arms, path.length.shape[:1])
     lived = replace(
         recording,
-        emg=_with_noise(recording.emg, electrodes),
+        emg=_with_noise(recording.emg, emg_error, electrodes),
         path=fixed_path(_with_arms(path, scale)),
     )
     return joint_moments(TwinCurves.drawn(curves), parameters, lived)
@@ -201,8 +222,8 @@ def _with_arms(path: PathState, scale: Float[Array, " muscle"]) -> PathState:
     return PathState(mean + by * (path.length - mean), by * path.velocity, by[..., None] * path.moment_arm)
 
 
-def _with_noise(emg: EmgSpline, key: PRNGKeyArray) -> EmgSpline:
-    """Let every electrode be off by a share that wanders over each cycle.
+def _with_noise(emg: EmgSpline, error: Float[Array, ""], key: PRNGKeyArray) -> EmgSpline:
+    """Let every electrode be off by a share of itself that wanders over each cycle.
 
     Muscles of one electrode have the same envelope: one that a number made of it draws the noise by.
     """
@@ -216,7 +237,7 @@ def _with_noise(emg: EmgSpline, key: PRNGKeyArray) -> EmgSpline:
     def of_one(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial 4 interval"]:
         own = jax.random.fold_in(key, _number_of(coefficients))
         weights = jax.random.normal(own, (coefficients.shape[0], 2 * waves)) / jnp.sqrt(waves)
-        return coefficients * jnp.exp(EMG_ERROR * weights @ basis)[:, None, :]
+        return coefficients * jnp.exp(error * weights @ basis)[:, None, :]
 
     return replace(emg, coefficients=jax.lax.map(of_one, emg.coefficients))
 
