@@ -1,6 +1,7 @@
 """``wrapjax evaluate``: errors on other cycles, on the terminal or in a folder."""
 
 import json
+import shutil
 
 from tests.cli.folders import content, names
 from tests.cli.test_check import assert_only_errors
@@ -31,6 +32,14 @@ def test_json_is_what_the_folder_holds(run, calibrated, subject, tmp_path):
         "settings.toml",
     ]
     assert_only_errors(run("evaluate", calibrated[1], subject, "--out", out), out)
+
+
+def test_a_run_that_did_not_converge_is_evaluated_and_says_so(run, calibrated, subject, tmp_path):
+    folder = shutil.copytree(calibrated[1], tmp_path / "stopped")
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps(summary | {"converged": False}))
+    outcome = run("evaluate", folder, subject)
+    assert outcome.status == 1 and "knee_angle_l" in outcome.output
 
 
 def test_no_run(run, subject, tmp_path):

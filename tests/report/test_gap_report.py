@@ -80,6 +80,7 @@ def test_the_contract_is_kept_however_it_ends(ending, written, subject):
     assert content["schema"] == 1 and content["outcome"] == ending
     probabilities = [effect["probability"] for effect in content["effects"]]
     assert [effect["id"] for effect in content["effects"][-2:]] == ["none", "unknown"]
+    assert len({tuple(effect) for effect in content["effects"]}) == 1, "rows have the same keys"
     assert content["shrinkage"].keys() >= {"held_out_cycles", "held_out_speed"}
     assert {which: own.keys() for which, own in content["mae_Nm"].items()} == dict.fromkeys(
         ("before", "after", "floor"), dict.fromkeys((*COORDINATES, "mean")).keys()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.commands.common import DONE, AddCommand, print_json
+from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, print_json
 from wrapjax.commands.settings import add_settings
 from wrapjax.files import plain_values, refuse_existing
 from wrapjax.jax_setup import set_up_jax
@@ -29,7 +29,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out:
         refuse_existing(options.out, options.force)
-    done = evaluate(load_run(options.calibration), load_subject(options.subject))
+    calibrated = load_run(options.calibration)
+    done = evaluate(calibrated, load_subject(options.subject))
     content = done.content()
     if options.out:
         done.save(options.out, force=options.force)
@@ -39,4 +40,4 @@ def run(options: argparse.Namespace) -> int:
         print(evaluation_table(content))
         if options.out:
             print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
-    return DONE
+    return DONE if calibrated.converged else NOT_CONVERGED

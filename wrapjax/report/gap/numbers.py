@@ -50,8 +50,8 @@ def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
         "credible_set": result.credible_set,
         "effects": [
             *map(_effect, result.effects),
-            {"id": "none", "probability": result.none_probability},
-            {"id": "unknown", "probability": result.unknown_probability},
+            _no_effect("none", result.none_probability),
+            _no_effect("unknown", result.unknown_probability),
         ],
         "where": where(result),
         "explainable_share": _estimate(result.explainable_share),
@@ -141,6 +141,12 @@ def _effect(finding: EffectFinding) -> dict[str, Any]:
         "negative_control": finding.negative_control,
         "parameters": [asdict(amount) for amount in finding.amounts],
     }
+
+
+def _no_effect(id: str, probability: float) -> dict[str, Any]:
+    """Give a row of what has only a probability, with the keys of all rows."""
+    nothing = dict.fromkeys(("evidence_nats", "detectability", "decision"))
+    return {"id": id, "probability": probability, **nothing, "negative_control": False, "parameters": []}
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
