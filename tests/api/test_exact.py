@@ -1,5 +1,7 @@
 """PGA through the exact engine: cylinders found, kept in their boxes, and written as OpenSim has them."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import opensim
@@ -14,6 +16,7 @@ from tests.subject.synthetic import (
     write_wrapped_subject,
 )
 from wrapjax.api import calibrate, exact_geometry, load_run, load_subject, prepare
+from wrapjax.api.calibrating.gathered_legs import gather_legs
 from wrapjax.api.calibrating.problem import stages
 from wrapjax.calibrate import Status
 from wrapjax.cli import main
@@ -180,6 +183,27 @@ def test_nothing_to_wrap_round_is_said(tmp_path):
     plain = load_subject(write_subject(tmp_path / "plain"))
     with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
         exact_geometry(plain).freedom("PGA", plain)
+
+
+def test_cylinders_that_nobody_touched_are_free_where_all_are(subject, geometry):
+    """In the same boxes; of those that were touched nothing changes."""
+    untouched = replace(geometry, translations={})
+    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+        untouched.freedom("PGA", subject)
+    touched, everything = (one.freedom("PGA", subject, "all").wraps for one in (geometry, untouched))
+    assert everything.names == touched.names
+    np.testing.assert_array_equal(everything.upper, touched.upper)
+    problem = gather_legs(subject, untouched, "PGA", None, surfaces="all")[0]
+    assert problem.freedom.wraps.names == touched.names
+    with pytest.raises(ValueError, match="expected one of touched, all"):
+        calibrate(subject, "PGA", geometry, surfaces="some")
+
+
+def test_surfaces_are_for_pga(folder, tmp_path, capsys):
+    arguments = ["calibrate", str(folder), "--method", "NGA", "--surfaces", "all"]
+    assert main([*arguments, "--out", str(tmp_path / "run")]) == 2
+    assert "the others move no cylinders" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_unknown_geometry_is_refused(subject):

@@ -153,6 +153,13 @@ def test_a_fit_without_samples_cannot_serve_pga(person):
         fit(person, "engine").freedom("PGA", person)
 
 
+def test_all_sampled_cylinders_can_be_free(person, sampled):
+    untouched = replace(sampled, wraps=replace(sampled.wraps, touched=()))
+    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+        untouched.freedom("PGA", person)
+    assert untouched.freedom("PGA", person, "all").wraps.names == ("knee_front_l",)
+
+
 def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled, tmp_path):
     """And what it says of paths is what OpenSim finds in a model with the cylinder there."""
     nga, pga = (calibrate(person, method, sampled, starts=1) for method in ("NGA", "PGA"))
