@@ -264,6 +264,12 @@ def test_public_names_are_found_on_access():
         _ = wrapjax.calibarte
 
 
+def test_the_package_and_its_api_offer_the_same():
+    import wrapjax.api
+
+    assert set(dir(wrapjax)) - {"__version__", "InputError"} == set(wrapjax.api.__all__)
+
+
 def test_dependencies_have_no_caps():
     """An upper limit here would keep users from combining the package with others."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

@@ -4,7 +4,8 @@
 ``fit`` replaces its muscle paths by polynomials, ``fit_wraps`` learns how those follow the
 cylinders that muscles wrap round, ``initialise`` finds lengths to start from, ``calibrate`` fits the model
 to the person, ``compare`` does so by several methods and tests which differ, ``uncertainty`` says how well
-the recordings determine what was found, ``contact`` says what joints bear, ``evaluate`` predicts other cycles
+the recordings determine what was found, ``diagnose`` what is left of the error and which effect explains it
+best, ``contact`` says what joints bear, ``evaluate`` predicts other cycles
 by a finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch`` downloads public
 recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that
 is behind it.
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from wrapjax.api import ExactGeometry as ExactGeometry
     from wrapjax.api import Fit as Fit
     from wrapjax.api import Initialisation as Initialisation
+    from wrapjax.api import PhysiologicalThresholds as PhysiologicalThresholds
     from wrapjax.api import Preparation as Preparation
     from wrapjax.api import Run as Run
     from wrapjax.api import Uncertainty as Uncertainty
@@ -48,6 +50,7 @@ if TYPE_CHECKING:
     from wrapjax.api import load_run as load_run
     from wrapjax.api import load_subject as load_subject
     from wrapjax.api import objective as objective
+    from wrapjax.api import physiological_picture as physiological_picture
     from wrapjax.api import prepare as prepare
     from wrapjax.api import prepare_subject as prepare_subject
     from wrapjax.api import uncertainty as uncertainty
@@ -67,6 +70,7 @@ _PLACES = {
     "Fit": "wrapjax.api",
     "Initialisation": "wrapjax.api",
     "InputError": "wrapjax.errors",
+    "PhysiologicalThresholds": "wrapjax.api",
     "Preparation": "wrapjax.api",
     "Run": "wrapjax.api",
     "Uncertainty": "wrapjax.api",
@@ -85,6 +89,7 @@ _PLACES = {
     "load_run": "wrapjax.api",
     "load_subject": "wrapjax.api",
     "objective": "wrapjax.api",
+    "physiological_picture": "wrapjax.api",
     "prepare": "wrapjax.api",
     "prepare_subject": "wrapjax.api",
     "uncertainty": "wrapjax.api",
