@@ -69,8 +69,11 @@ def _crossed_plates(walk: Walk) -> Slopes:
 
 
 def _segment_inertia(walk: Walk) -> Slopes:
-    """The model's mass of a segment, or its inertia about the center of mass, is too large."""
-    return np.stack(
+    """The model's mass of a segment, or its inertia about the center of mass, is too small.
+
+    An amount is the person's, as what is reported: by what fraction of the model's theirs is larger.
+    """
+    return -np.stack(
         [
             walk.mechanics.moments(
                 np.einsum("kb,bwp->kwp", walk.mechanics.moves[:, segment], needed[segment])

@@ -61,7 +61,14 @@ CHAIN: dict[str, tuple[str, tuple[_Row, ...]]] = {
     "segment_inertia": (
         "10 to 20 % of anthropometric tables",
         tuple(
-            (f"{segment}_{quantity}", "1", 0.15, 0, f"{quantity} of the {segment}, as a fraction of it", 0.6)
+            (
+                f"{quantity}_fraction_{segment}",
+                "1",
+                0.15,
+                0,
+                f"{quantity} of the {segment}: by what fraction of the model's the person's is larger",
+                0.6,
+            )
             for segment in ("thigh", "shank", "foot")
             for quantity in ("mass", "inertia")
         ),
