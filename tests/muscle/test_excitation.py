@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from wrapjax.muscle import fit_emg_spline, sharpened
 
 
-@pytest.mark.parametrize(("cutoff", "left_of_it"), [(5.0, 0.35), (6.0, 0.35), (8.0, 0.55)])
+@pytest.mark.parametrize(("cutoff", "left_of_it"), [(5.0, 0.35), (6.0, 0.35), (7.0, 0.35), (8.0, 0.55)])
 def test_sharpening_undoes_a_low_pass_filter(cutoff, left_of_it):
     """A laboratory's zero-phase Butterworth filter, which is of another form, is undone for the most part."""
     time = np.arange(600) / 100.0

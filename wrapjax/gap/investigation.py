@@ -13,7 +13,7 @@ from wrapjax.gap.catalogue import catalogue, effects_in
 from wrapjax.gap.conclude.conclusion import conclude, stopped
 from wrapjax.gap.conclude.verdict import Tuning
 from wrapjax.gap.effect import Effect, Effects
-from wrapjax.gap.evidence.cycle_noise import CycleNoise, cycle_noise
+from wrapjax.gap.evidence.cycle_noise import cycle_noise
 from wrapjax.gap.evidence.linearized import LinearGap, linear_gap, phase_frames
 from wrapjax.gap.evidence.null import nulls
 from wrapjax.gap.evidence.projection import project
@@ -49,15 +49,10 @@ def look(case: Investigation, watch: Stopwatch) -> Look:
         residual = case.measured - plain.predicted
         frames = phase_frames(residual.shape[-1])
         spread = cycle_noise(residual[plan.calibration][..., frames], plan.speeds)
-        place = where(residual, case.speeds, case.context.speeds, case.inputs, _independent(spread))
-        weight = amount_weight(spread, residual[plan.calibration].shape[:2])
+        place = where(residual, case.speeds, case.context.speeds, case.inputs, spread.independent_values)
+        weight = amount_weight(spread, len(plan.calibration))
         certificate = certificate_of(case.outcomes, plain, place, problem, plan, weight)
     return Look(plain, place, certificate, weight)
-
-
-def _independent(noise: CycleNoise) -> float:
-    """Count independent values of noise in a cycle."""
-    return noise.independent_phases * len(noise.between)
 
 
 def straight_lines(
@@ -128,7 +123,7 @@ def investigate(
         inputs, effects, gap = straight_lines(case, ended)
     left = case.measured - seen.plain.predicted
     made = InputMade(gap.input_variance, np.diag(gap.noise.between))
-    place = where(left, case.speeds, case.context.speeds, case.inputs, _independent(gap.noise), made)
+    place = where(left, case.speeds, case.context.speeds, case.inputs, gap.noise.independent_values, made)
     sizes = case.measured_sizes
     if seen.twins is None:
         with watch.during("twins", f"making {twins} people with nothing amiss"):

@@ -54,6 +54,11 @@ class CycleNoise:
         power = _both_ways(self.spectrum)
         return float(power.sum() ** 2 / (power**2).sum())
 
+    @property
+    def independent_values(self) -> float:
+        """The same over all coordinates."""
+        return self.independent_phases * len(self.between)
+
     def block(self, phases: int) -> Float[np.ndarray, "own own"]:
         """Give the covariance within one cycle, without errors of inputs."""
         return np.kron(self.between, _kernel(phases, self.spectrum))

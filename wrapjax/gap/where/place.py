@@ -115,15 +115,13 @@ def where(
     )
 
 
-def amount_weight(noise: CycleNoise, cycles_and_coordinates: tuple[int, int]) -> float:
+def amount_weight(noise: CycleNoise, cycles: int) -> float:
     """Say what a squared prior standard deviation costs, beside moments with this noise.
 
     A calibration's cost is a mean square in allowable errors. Times half the number of independent moments
     and their squared allowable error over their noise, it is a negative log likelihood.
     """
-    cycles, coordinates = cycles_and_coordinates
-    independent = cycles * coordinates * noise.independent_phases
-    return float(np.mean(np.diag(noise.between)) / (MOMENT_ERROR**2 * independent))
+    return float(np.mean(np.diag(noise.between)) / (MOMENT_ERROR**2 * cycles * noise.independent_values))
 
 
 def certificate_of(
