@@ -5,10 +5,10 @@
 cylinders that muscles wrap round, ``initialise`` finds lengths to start from, ``calibrate`` fits the model
 to the person, ``compare`` does so by several methods and tests which differ, ``uncertainty`` says how well
 the recordings determine what was found, ``diagnose`` what is left of the error and which effect explains it
-best, ``contact`` says what joints bear, ``evaluate`` predicts other cycles
-by a finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch`` downloads public
-recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and ``prepare`` all that
-is behind it.
+best (of those that ``effect_meanings`` lists), ``contact`` says what joints bear, ``evaluate`` predicts
+other cycles by a finished run (``load_run``), ``cohort`` calibrates many subjects side by side, ``fetch``
+downloads public recordings, ``objective`` gives what is minimised as a pure function for `jax.grad`, and
+``prepare`` all that is behind it.
 All numbers are SI and radians; JAX must be in 64-bit mode::
 
     import jax
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from wrapjax.api import compare as compare
     from wrapjax.api import contact as contact
     from wrapjax.api import diagnose as diagnose
+    from wrapjax.api import effect_meanings as effect_meanings
     from wrapjax.api import evaluate as evaluate
     from wrapjax.api import exact_geometry as exact_geometry
     from wrapjax.api import fetch as fetch
@@ -79,6 +80,7 @@ _PLACES = {
     "compare": "wrapjax.api",
     "contact": "wrapjax.api",
     "diagnose": "wrapjax.api",
+    "effect_meanings": "wrapjax.api",
     "evaluate": "wrapjax.api",
     "exact_geometry": "wrapjax.api",
     "fetch": "wrapjax.api",

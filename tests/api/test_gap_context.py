@@ -36,7 +36,7 @@ def gathered(calibrated):
 def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
     recording, context = gathered
     told = ("missing_drive", "emg_drift", "soft_tissue_artifact", "muscle_attachment")
-    effects = Effects(tuple(CATALOGUE[id](context) for id in told))
+    effects = Effects(tuple(CATALOGUE[id].on(context) for id in told))
     curves = HILL_CURVES[calibrated.result.curves]
     found = predicted_moments(curves, context.parameters, recording, effects, effects.zero)
     np.testing.assert_allclose(found, calibrated.result.modelled, rtol=1e-10, atol=1e-9)

@@ -57,3 +57,11 @@ def test_bad_input_is_refused_before_any_work(run, subject, tmp_path, no_work, a
 def test_no_subject_is_a_clear_error(run, tmp_path, no_work):
     outcome = run("diagnose", tmp_path / "nobody", "--out", tmp_path / "gap")
     assert_only_errors(outcome, "nobody")
+
+
+def test_the_catalogue_is_shown_without_a_subject(run):
+    done = run("diagnose", "--list")
+    assert done.status == 0
+    shown = dict(line.split(": ", 1) for line in done.output.splitlines())
+    assert shown.keys() == CATALOGUE.keys()
+    assert shown["hip_center_offset"] == "the hip's center lies elsewhere than in the model."

@@ -17,7 +17,7 @@ FINE = ProjectedLM(gtol=1e-8, ftol=1e-12, max_iterations=200)
 
 
 def effects_of(context, ids=TOGETHER) -> Effects:
-    return Effects(tuple(CATALOGUE[id](context) for id in ids))
+    return Effects(tuple(CATALOGUE[id].on(context) for id in ids))
 
 
 def damped_leg():

@@ -186,7 +186,7 @@ def test_some_cycles_alone_are_predicted_as_among_all():
     ids += ("passive_joint_moment", "biarticular_spring", "joint_damping", "ankle_foot_orthosis")
     emg, path = jax.tree.map(lambda leaf: leaf[:, keep], (RECORDING.emg, RECORDING.path.nominal))
     some = CONTEXT.select([3, 2, 1]).select([0, 1])
-    few, whole = Effects(tuple(CATALOGUE[id](some) for id in CATALOGUE if id in ids)), all_at_once(0)
+    few, whole = Effects(tuple(CATALOGUE[id].on(some) for id in CATALOGUE if id in ids)), all_at_once(0)
     amounts = np.zeros(whole.count)
     amounts[[whole.labels.index(label) for label in few.labels]] = 0.5 * few.prior_sd
     recording = Recording(emg, fixed_path(path), RECORDING.padding)
@@ -202,6 +202,10 @@ def test_the_catalogue_is_whole():
     assert list(ENTRIES) == list(CATALOGUE) and len(CATALOGUE) == 41
     controls = {id for id, entry in ENTRIES.items() if isinstance(entry, Effect) and entry.negative_control}
     assert controls == {"short_range_stiffness", "spasticity_recorded"}
+    said = [entry.meaning for entry in CATALOGUE.values()]
+    assert len(set(said)) == len(said)
+    for clause in said:
+        assert len(clause.split()) > 3 and not clause.endswith("."), clause
     nuisances = {effect.id for effect in EFFECTS if effect.nuisance}
     assert nuisances == {"curve_family", "emg_smoothing", "activation_family"}
 
@@ -326,7 +330,7 @@ def test_controls_are_quiet_in_gait(slopes):
     ],
 )
 def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word):
-    found = CATALOGUE[id](dataclasses.replace(CONTEXT, **changed))
+    found = CATALOGUE[id].on(dataclasses.replace(CONTEXT, **changed))
     assert isinstance(found, NotTestable) and found.id == id
     assert word in found.reason
 
@@ -336,7 +340,7 @@ def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     amounts = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
     pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
     known = {change_id("soft_tissue_artifact", "loading"): Partial(_summed, pattern)}
-    effect = CATALOGUE["soft_tissue_artifact"](dataclasses.replace(CONTEXT, measured_changes=known))
+    effect = CATALOGUE["soft_tissue_artifact"].on(dataclasses.replace(CONTEXT, measured_changes=known))
     loading, swing = (variant.form(amounts) for variant in effect.variants)
     np.testing.assert_allclose(loading.moment, amounts.sum() * pattern)
     assert swing.moment is None and swing.paths is not None
@@ -352,13 +356,13 @@ def test_skin_is_dragged_by_the_neighbouring_joint():
     ]
     assert dragged_by(("hip_flexion_r", "ankle_angle_r")) == ()
     alone = dataclasses.replace(CONTEXT, coordinates=("toes_l", *CONTEXT.coordinates[1:]))
-    assert len(CATALOGUE["soft_tissue_artifact"](alone).parameters) == 2 * len(CONTEXT.coordinates)
+    assert len(CATALOGUE["soft_tissue_artifact"].on(alone).parameters) == 2 * len(CONTEXT.coordinates)
 
 
 def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
     """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
     amounts = jnp.array([0.05])
-    effect = CATALOGUE["foot_deformation"](CONTEXT)
+    effect = CATALOGUE["foot_deformation"].on(CONTEXT)
     assert [variant.label for variant in effect.variants] == ["whole foot", "forefoot"]
     whole, forefoot = (variant.form(amounts) for variant in effect.variants)
     assert whole.paths is None and whole.moment is not None

@@ -26,7 +26,7 @@ def setting():
     recording, context = small_recording_and_context()
     base = context.parameters
     free = free_variables(base, nga(base), context.muscles)
-    effects = tuple(CATALOGUE[id](context) for id in EFFECTS)
+    effects = tuple(CATALOGUE[id].on(context) for id in EFFECTS)
     damping = Effects(effects[:1])
     amounts = 2.0 * damping.prior_sd
     moments = np.asarray(predicted_moments(CURVES, base, recording, damping, jnp.asarray(amounts)))

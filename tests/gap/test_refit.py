@@ -19,7 +19,7 @@ TOGETHER += ("activation_dependent_fiber_length", "emg_nonlinearity")
 
 def with_effects(*ids: str) -> Objective:
     recording, context = small_recording_and_context()
-    effects = Effects(tuple(CATALOGUE[id](context) for id in ids))
+    effects = Effects(tuple(CATALOGUE[id].on(context) for id in ids))
     base = context.parameters
     states = eqx.filter_jit(muscle_states)(CURVES, base, recording)
     return Objective(

@@ -249,6 +249,8 @@ def test_the_verdict_of_each_ending():
         "Adding it removes 48 % [39\N{EN DASH}58] of the explainable error on cycles not used to fit it, "
         "44 % [28\N{EN DASH}60] at a speed not used to fit it."
     ) in said["named"]
+    assert "Ankle foot orthosis: a brace or a shoe acts on the ankle like a spring." in said["named"]
+    assert "Hip center offset: the hip's center lies elsewhere than in the model." in said["tie"]
     assert "falls most at ankle_angle_l, from 2.3 to 1.5 N m" in said["named"]
     assert "any of ankle foot orthosis (0.62), hip center offset (0.20)" in said["tie"]
     assert "Adding any one of them removes 41 to 48 %" in said["tie"]

@@ -30,6 +30,7 @@ from wrapjax.api.runs.evaluation import Evaluation as Evaluation
 from wrapjax.api.runs.evaluation import evaluate as evaluate
 from wrapjax.api.runs.stored_run import Run as Run
 from wrapjax.api.runs.stored_run import load_run as load_run
+from wrapjax.gap.catalogue import effect_meanings as effect_meanings
 from wrapjax.geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
 from wrapjax.subject import read_subject as load_subject
 
@@ -52,6 +53,7 @@ __all__ = [
     "compare",
     "contact",
     "diagnose",
+    "effect_meanings",
     "evaluate",
     "exact_geometry",
     "fetch",

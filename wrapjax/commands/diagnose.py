@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, positive, show
 from wrapjax.files import refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
 
+class ListEffects(argparse.Action):
+    """Print the catalogue's effects and end, as ``--version`` does: no subject is needed."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None):
+        super().__init__(option_strings, dest=argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print one line an effect, with its id as files and ``--without`` have it."""
+        from wrapjax.api import effect_meanings
+
+        print("\n".join(f"{id}: {meaning}." for id, meaning in effect_meanings().items()))
+        parser.exit(DONE)
+
+
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     diagnose = command(
         "diagnose", run, "Say where the remaining error is and what explains it best.", writing
+    )
+    diagnose.add_argument(
+        "--list", action=ListEffects, help="show the effects that a diagnosis looks for, and end"
     )
     diagnose.add_argument("subject", type=Path, metavar="SUBJECT")
     diagnose.add_argument("--out", type=Path, required=True, metavar="GAP")

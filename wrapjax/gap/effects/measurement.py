@@ -129,6 +129,11 @@ _NEEDS = {
 }
 
 
+def of_chain(id: str) -> Callable[[Context], Effect | NotTestable]:
+    """Give what says of a subject how an effect of `CHAIN` changes what is measured of it."""
+    return partial(_of_chain, id)
+
+
 def _of_chain(id: str, context: Context) -> Effect | NotTestable:
     changes = {
         shape: change
@@ -160,7 +165,3 @@ def _added(
         return Alteration(moment=change(amounts))
     by_amounts = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", amounts, leaf), slopes)
     return Alteration(moment=change(amounts), paths=Partial(added_to_paths, by_amounts))
-
-
-#: From the id to what gives the effect for a subject.
-FACTORIES: dict[str, Callable[[Context], Effect | NotTestable]] = {id: partial(_of_chain, id) for id in CHAIN}

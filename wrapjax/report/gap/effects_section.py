@@ -11,7 +11,7 @@ from wrapjax.gap.result import EffectFinding, GapResult
 from wrapjax.report import markup
 from wrapjax.report.cycles import mark_gait_cycle
 from wrapjax.report.gap.errors import at_speed, speed_label
-from wrapjax.report.gap.words import amounts_in_words, loud_controls, words
+from wrapjax.report.gap.words import amounts_in_words, loud_controls, meaning, words
 from wrapjax.report.style import (
     BAND_ALPHA,
     BLACK,
@@ -127,6 +127,8 @@ def evidence_section(result: GapResult) -> list[str]:
     if hidden := lines[_MOST_OPEN:]:
         table = markup.table(_HEADER, hidden, caption="The same of the others.")
         parts.append(markup.folded(f"{counted(len(hidden), 'less probable effect')}", table))
+    glossary = markup.bullets(meaning(effect.id) for effect in result.effects)
+    parts.append(markup.folded("What each effect means", glossary))
     return [markup.section("Evidence for each effect", *_controls(result), *parts)]
 
 

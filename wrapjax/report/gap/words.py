@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from wrapjax.gap.catalogue import CATALOGUE
 from wrapjax.gap.result import Alternative, Amount, EffectFinding, Estimate, GapResult
 from wrapjax.report.gap.errors import leading, mean_absolute_errors, shrinkage, why_no_shrinkage
 from wrapjax.report.wording import counted, plain
@@ -24,7 +25,7 @@ def findings(result: GapResult) -> list[str]:
     if result.outcome in SILENT:
         return [_outcome(result), *reason]
     first = f"{_explainable(result.explainable_share)} {_outcome(result)}"
-    sentences = [first, *reason, *_shrinkage(result), *_moments(result)]
+    sentences = [first, *reason, *_meanings(result), *_shrinkage(result), *_moments(result)]
     if loud := loud_controls(result):
         sentences.append(
             f"Read all of this with doubt: {listed(effect.id for effect in loud)} must stay quiet in such a "
@@ -134,6 +135,16 @@ def _explainable(share: Estimate) -> str:
     if not share.known:
         return f"How much of the moment error a better model could explain cannot be told: {share.reason}."
     return f"{percent(share)} of the moment error (mean square) could be explained by a better model."
+
+
+def meaning(id: str) -> str:
+    """Say of an effect what it means for a person or a recording: ``Emg drift: a channel's gain changes``."""
+    return _sentence(f"{plain(id)}: {CATALOGUE[id].meaning}")
+
+
+def _meanings(result: GapResult) -> list[str]:
+    ids = dict.fromkeys([*result.named, *(id for tie in result.ties for id in tie)])
+    return [meaning(id) for id in ids]
 
 
 def _shrinkage(result: GapResult) -> list[str]:
