@@ -78,9 +78,14 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     common.add_argument("--threads", type=positive, metavar="N", help="processor cores to use (default: all)")
     common.add_argument("--quiet", action="store_true", help="print no progress")
     common.add_argument("--json", action="store_true", help="print the result as JSON")
+    common.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
+    common.add_argument("--force", action="store_true", help="replace the folder if it exists")
+    common.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with interrupted work of the same folder, if there is any",
+    )
     writing = argparse.ArgumentParser(add_help=False)
-    writing.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
-    writing.add_argument("--force", action="store_true", help="replace the folder if it exists")
     add_settings(writing)
     parsers: dict[str, argparse.ArgumentParser] = {}
 

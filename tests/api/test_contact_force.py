@@ -10,7 +10,7 @@ import pytest
 from tests.contact.made_up_run import MUSCLES, muscle_forces, write_run
 from tests.subject import synthetic
 from tests.subject.synthetic_forces import POINT, TORQUE, force, with_forces
-from wrapjax.api import contact, load_subject
+from wrapjax.api import contact, load_run, load_subject
 from wrapjax.api.tables.contact import contact_table
 from wrapjax.contact.result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
 from wrapjax.errors import InputError
@@ -346,7 +346,8 @@ def test_a_subject_that_moved_is_asked_for(bare, tmp_path):
     shutil.move(tmp_path / "person", tmp_path / "elsewhere")
     with pytest.raises(InputError, match="name it with --subject"):
         contact(folder)
-    assert contact(folder, subject=tmp_path / "elsewhere").subject.name == "synthetic"
+    for run in (folder, load_run(folder)):
+        assert contact(run, subject=tmp_path / "elsewhere").subject.name == "synthetic"
 
 
 def test_a_subject_with_other_cycles_is_refused(bare, tmp_path):

@@ -43,9 +43,8 @@ def test_a_run_is_read_back_to_the_last_digit(folder, calibrated):
 
 def test_its_own_cycles_come_out_as_in_the_summary(folder, person, calibrated):
     assert_reproduces_itself(folder, person)
-    np.testing.assert_allclose(
-        evaluate(load_run(folder), person).modelled, calibrated.result.modelled, atol=1e-9
-    )
+    for given in ((load_run(folder), person), (folder, person.folder)):
+        np.testing.assert_allclose(evaluate(*given).modelled, calibrated.result.modelled, atol=1e-9)
 
 
 def test_other_cycles_of_the_same_person(folder, calibrated, tmp_path):

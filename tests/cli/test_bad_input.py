@@ -278,6 +278,20 @@ def test_help(run, command):
     assert outcome.output.startswith(" ".join(["usage: wrapjax", *command]))
 
 
+COMMANDS = (
+    *("check", "prepare", "fit", "initialise", "calibrate", "compare", "diagnose", "demo", "fetch"),
+    *("evaluate", "report", "contact", "cohort"),
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_takes_what_is_common_to_all(run, command):
+    """Scripts may give these to any; where there is nothing random or unfinished they change nothing."""
+    shown = run(command, "--help").output
+    for option in ("--seed N", "--threads N", "--quiet", "--json", "--resume", "--force"):
+        assert option in shown, option
+
+
 def test_version(run):
     import wrapjax
 

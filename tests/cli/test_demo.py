@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 import wrapjax.api.demonstration.demo
+import wrapjax.api.tables.calibration
 from tests.report.made_up_gap import named
 from wrapjax.api.demonstration.gap_demo import GapDemonstration, drawn_effect
 from wrapjax.cli import main
@@ -24,14 +25,53 @@ def made_up_answer(folder, hidden, **options):
     return answer
 
 
+def killed(*arguments, **options):
+    """What a diagnosis does that is stopped from outside."""
+    raise KeyboardInterrupt
+
+
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
-    """Exit status and folder of a demo by NGA and PGA."""
+def interrupted(tmp_path_factory):
+    """A demo by NGA and PGA that is stopped before its diagnosis, and then goes on.
+
+    Exit statuses of the first try, of one that does not say whether to go on, and of one that does; how many
+    iterations the first and the last of them took; and the folder.
+    """
     folder = tmp_path_factory.mktemp("demo") / "out"
+    counts = []
+
+    def counting(**options):
+        counts.append(0)
+
+        def count(*iteration):
+            counts[-1] += 1
+
+        return count
+
+    words = ["demo", "--out", str(folder), "--seed", "3", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wrapjax.api.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        patch.setattr(wrapjax.api.tables.calibration, "iteration_printer", counting)
+        patch.setattr(wrapjax.api.demonstration.demo, "demonstrate_gap", killed)
+        statuses = [main(words), main(words)]
         patch.setattr(wrapjax.api.demonstration.demo, "demonstrate_gap", made_up_answer)
-        return main(["demo", "--out", str(folder), "--seed", "3", "--quiet"]), folder
+        statuses.append(main([*words, "--resume"]))
+    return statuses, counts, folder
+
+
+@pytest.fixture(scope="module")
+def shown(interrupted):
+    """Exit status and folder of a demo by NGA and PGA."""
+    statuses, _, folder = interrupted
+    return statuses[-1], folder
+
+
+def test_what_was_done_before_an_interruption_is_not_done_again(interrupted):
+    statuses, iterations, folder = interrupted
+    assert statuses == [1, 2, 0]
+    first, *_, last = iterations
+    assert first > 20 and last == 0
+    assert [place.name for place in folder.parent.iterdir()] == [folder.name], "nothing is left to go on from"
 
 
 def test_everything_is_written_and_converged(shown):

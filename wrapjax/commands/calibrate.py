@@ -64,9 +64,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
     )
     calibrate.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted calibration of the same RUN"
-    )
-    calibrate.add_argument(
         "--uncertainty",
         choices=["laplace", "bootstrap"],
         help="say how well the recordings determine parameters: quickly, or by a calibration a draw",

@@ -27,9 +27,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     cohort.add_argument(
         "--starts", type=positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
     )
-    cohort.add_argument(
-        "--resume", action="store_true", help="keep subjects of the same DIR that are done and unchanged"
-    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -38,9 +38,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     compare.add_argument(
         "--max-iterations", type=positive, metavar="N", help="of each start (default: the solver's)"
     )
-    compare.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted comparison of the same DIR"
-    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, print_json, stored
+from wrapjax.commands.common import DONE, NOT_CONVERGED, AddCommand, print_json, stored, unfinished
 from wrapjax.files import refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
@@ -28,11 +28,15 @@ def run(options: argparse.Namespace) -> int:
     )
     from wrapjax.api.tables.gap import gap_table
 
-    refuse_existing(options.out, options.force)
+    journal = unfinished(options)
+    begun = options.resume and journal.exists()
+    refuse_existing(options.out, options.force or begun)
     shown = demo(
         options.out,
         seed=options.seed,
-        force=options.force,
+        force=options.force or begun,
+        journal=journal,
+        resume=begun,
         quiet=options.quiet,
         callback=iteration_printer(quiet=options.quiet),
     )

@@ -56,9 +56,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     diagnose.add_argument(
         "--starts", type=positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
     )
-    diagnose.add_argument(
-        "--resume", action="store_true", help="go on with an interrupted diagnosis (done in any case)"
-    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -17,7 +17,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     evaluate.add_argument("calibration", type=Path, metavar="RUN", help="from 'wrapjax calibrate'")
     evaluate.add_argument("subject", type=Path, metavar="SUBJECT", help="with the run's muscles")
     evaluate.add_argument("--out", type=Path, metavar="DIR", help="write moments and a report, too")
-    evaluate.add_argument("--force", action="store_true", help="replace the folder if it exists")
     add_settings(evaluate)
 
 

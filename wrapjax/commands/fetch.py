@@ -16,7 +16,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     fetch.add_argument("name", nargs="?", metavar="NAME", help="one of those that --list shows")
     fetch.add_argument("--list", action="store_true", help="show what can be fetched")
     fetch.add_argument("--out", type=Path, metavar="DIR", help="the subject folder (default: ./NAME)")
-    fetch.add_argument("--force", action="store_true", help="replace the folder if it exists")
 
 
 def run(options: argparse.Namespace) -> int:

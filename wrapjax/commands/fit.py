@@ -31,7 +31,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="opensim",
         help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
     )
-    fit.add_argument("--resume", action="store_true", help="go on with an interrupted fit (done in any case)")
     add_drive(fit)
     limits = fit.add_argument_group("a placement of cylinders is physiological up to these differences")
     for name, what in THRESHOLDS.items():

@@ -20,7 +20,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "subject", type=Path, metavar="SUBJECT", help="with [[passive]] trials, if it has any"
     )
     initialise.add_argument("--out", type=Path, required=True, metavar="FOLDER")
-    initialise.add_argument("--force", action="store_true", help="replace the folder if it exists")
     initialise.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
     add_settings(initialise)
 

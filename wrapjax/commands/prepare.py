@@ -18,7 +18,6 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     )
     prepare.add_argument("settings", type=Path, metavar="SETTINGS", help="TOML, or the project's XML")
     prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT")
-    prepare.add_argument("--force", action="store_true", help="replace the folder if it exists")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,8 @@ def demo(
     force: bool = False,
     quiet: bool = True,
     callback: Watch | None = None,
+    journal: Path | None = None,
+    resume: bool = False,
 ) -> Demonstration:
     """Make up a person, let them walk, calibrate by every method, and compare with the truth.
 
@@ -107,6 +110,8 @@ def demo(
         Print no progress.
     callback
         As in `calibrate`.
+    journal, resume
+        As in `calibrate`: the folder has one a method in it, and they go when all is done.
     """
     folder = Path(folder)
     say("building a virtual person and letting it walk", quiet=quiet)
@@ -124,8 +129,19 @@ def demo(
     for method, starts in _STARTS.items():
         say(f"calibrating by {method}", quiet=quiet)
         paths = exact_geometry(subject) if method == "PGA" else fitted
-        calibrations[method] = calibrate(subject, method, paths, starts=starts, seed=seed, callback=callback)
-        calibrations[method].save(folder / method, force=force)
+        book = None if journal is None else journal / method
+        calibrations[method] = calibrate(
+            subject,
+            method,
+            paths,
+            starts=starts,
+            seed=seed,
+            callback=callback,
+            journal=book,
+            resume=resume and book is not None and book.exists(),
+        )
+        # Saving closes a journal: not before the last one is done.
+        replace(calibrations[method], journal=None).save(folder / method, force=force)
     say("hiding something in another virtual person, and diagnosing it", quiet=quiet)
     gap = demonstrate_gap(
         folder,
@@ -144,6 +160,8 @@ def demo(
         gap,
     )
     shown.save(folder)
+    if journal is not None:
+        shutil.rmtree(journal, ignore_errors=True)
     return shown
 
 

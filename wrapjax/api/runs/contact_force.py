@@ -69,8 +69,8 @@ class Contact:
 
 
 def contact(
-    run: str | Path,
-    other: str | Path | None = None,
+    run: Run | str | Path,
+    other: Run | str | Path | None = None,
     *,
     subject: Subject | str | Path | None = None,
     undriven: str = TREATMENTS[0],
@@ -86,8 +86,8 @@ def contact(
     Parameters
     ----------
     run, other
-        Folders that `Calibration.save` wrote, of the same subject: NGA and PGA as a rule. Two are tested
-        against each other, cycle by cycle.
+        From `load_run`, or folders that `Calibration.save` wrote, of the same subject: NGA and PGA as a rule.
+        Two are tested against each other, cycle by cycle.
     subject
         The subject, or its folder, where that is no longer where it was.
     undriven

@@ -15,7 +15,7 @@ from wrapjax.api.calibrating.assembly import recording, surrogate_paths
 from wrapjax.api.calibrating.extrapolation import driven_by
 from wrapjax.api.paths.exact import WRAPPINGS, engine_of, recorded
 from wrapjax.api.runs.datasets import evaluation_dataset
-from wrapjax.api.runs.stored_run import Run
+from wrapjax.api.runs.stored_run import Run, as_run
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import content_hash, new_folder
 from wrapjax.geometry import AbstractPath, PathSurrogate
@@ -24,7 +24,7 @@ from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.model import ModelParameters, muscle_states, tendon_alterations
 from wrapjax.muscle import HILL_CURVES
 from wrapjax.precision import require_float64
-from wrapjax.subject import Subject, Trials
+from wrapjax.subject import Subject, Trials, read_subject
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -84,16 +84,16 @@ class Evaluation:
             write_evaluation(self.content(), self.trials, self.modelled, place)
 
 
-def evaluate(run: Run, subject: Subject) -> Evaluation:
+def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation:
     """Predict a subject's joint moments by a finished calibration; nothing is fitted.
 
     Parameters
     ----------
     run
-        From `load_run`. Its parameters and its paths are taken as they are: polynomials, which know nothing
+        From `load_run`, or its folder. Its parameters and its paths are taken as they are: polynomials, which know nothing
         of the subject's model file, or the cylinders of that file, moved as the run moved its own.
     subject
-        From `load_subject`: the same person on other days as a rule. EMG has to be normalised as it was
+        From `load_subject`, or its folder: the same person on other days as a rule. EMG has to be normalised as it was
         for the run; ``raw`` EMG is by the largest of each channel in this folder.
 
     Raises
@@ -102,7 +102,8 @@ def evaluate(run: Run, subject: Subject) -> Evaluation:
         If the subject has other muscles or coordinates than the run.
     """
     require_float64()
-    subject = _driven_alike(run, subject)
+    run = as_run(run)
+    subject = _driven_alike(run, subject if isinstance(subject, Subject) else read_subject(subject))
     _refuse_others(run, subject)
     trials, notes = subject.trials, []
     if run.model_hash != content_hash(subject.model_file):

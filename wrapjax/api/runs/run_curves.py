@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.api.runs.stored_run import Run, load_run
+from wrapjax.api.runs.stored_run import Run, as_run
 from wrapjax.errors import InputError, Problem
 from wrapjax.subject import Storage, Subject, read_storage, read_subject
 
@@ -39,13 +39,13 @@ class RunCurves:
     modelled: Float[np.ndarray, "trial coordinate frame"]
 
 
-def read_curves(folder: Path | str, subject: Subject | Path | str | None = None) -> RunCurves:
+def read_curves(run: Run | Path | str, subject: Subject | Path | str | None = None) -> RunCurves:
     """Read a run's folder and the subject that it was made from.
 
     Parameters
     ----------
-    folder
-        As ``wrapjax calibrate`` wrote it.
+    run
+        From `load_run`, or its folder.
     subject
         The subject, or its folder, where that is no longer where it was.
 
@@ -54,7 +54,7 @@ def read_curves(folder: Path | str, subject: Subject | Path | str | None = None)
     InputError
         If it is no run's folder, lacks a file, its subject is not found, or that has other cycles.
     """
-    run = load_run(folder)
+    run = as_run(run)
     folder, muscles = run.folder, run.muscles
     remembered = folder / run.subject_folder
     own = (

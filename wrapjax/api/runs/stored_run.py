@@ -103,6 +103,11 @@ class Run:
         return jnp.asarray(weights)
 
 
+def as_run(run: Run | str | Path) -> Run:
+    """Take a run as it is, or read it from its folder: see `load_run`."""
+    return run if isinstance(run, Run) else load_run(run)
+
+
 def load_run(folder: str | Path) -> Run:
     """Read what `Calibration.save` (``wrapjax calibrate``) wrote.
 
