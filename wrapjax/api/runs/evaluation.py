@@ -90,11 +90,12 @@ def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation
     Parameters
     ----------
     run
-        From `load_run`, or its folder. Its parameters and its paths are taken as they are: polynomials, which know nothing
-        of the subject's model file, or the cylinders of that file, moved as the run moved its own.
+        From `load_run`, or its folder. Its parameters and its paths are taken as they are: polynomials, which
+        know nothing of the subject's model file, or the cylinders of that file, moved as the run moved its
+        own.
     subject
-        From `load_subject`, or its folder: the same person on other days as a rule. EMG has to be normalised as it was
-        for the run; ``raw`` EMG is by the largest of each channel in this folder.
+        From `load_subject`, or its folder: the same person on other days as a rule. EMG has to be normalised
+        as it was for the run; ``raw`` EMG is by the largest of each channel in this folder.
 
     Raises
     ------
