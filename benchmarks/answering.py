@@ -77,12 +77,11 @@ def _answer(job: Job) -> str:
 def question_of(case: Path) -> dict[str, object]:
     """Name what an answer depends on: a subject's files and the package."""
     import wrapjax
-    from wrapjax.files import content_hash
+    from wrapjax.files import code_hash, content_hash
 
-    package = Path(wrapjax.__file__).parent
     files = sorted(path for path in case.rglob("*") if path.is_file())
-    code = [*sorted(package.rglob("*.py")), package / "gap" / "calibration.json"]
-    return {"case": content_hash(*files), "code": content_hash(*code), "without": []}
+    tuned = Path(wrapjax.__file__).parent / "gap" / "calibration.json"
+    return {"case": content_hash(*files), "code": content_hash(code_hash(), tuned), "without": []}
 
 
 def _others(job: Job) -> dict[str, Path]:

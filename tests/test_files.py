@@ -9,8 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wrapjax import files
 from wrapjax.errors import InputError
-from wrapjax.files import cache_folder, content_hash, new_folder, write_json, write_text, write_whole
+from wrapjax.files import (
+    cache_folder,
+    code_hash,
+    content_hash,
+    new_folder,
+    write_json,
+    write_text,
+    write_whole,
+)
 
 
 class Failure(Exception):
@@ -261,3 +270,17 @@ def test_cache_folder_obeys_the_environment(tmp_path, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert cache_folder("fit") == tmp_path / "home" / ".cache" / "wrapjax" / "fit"
+
+
+def test_code_is_named_by_all_its_sources(tmp_path, monkeypatch):
+    """Whoever changes a line must not be shown what was kept before."""
+    package = tmp_path / "package"
+    (package / "room").mkdir(parents=True)
+    for name in ("files.py", "room/one.py"):
+        (package / name).write_text("A = 1\n")
+    monkeypatch.setattr(files, "__file__", str(package / "files.py"))
+    before = code_hash.__wrapped__()
+    (package / "notes.txt").write_text("not code")
+    assert code_hash.__wrapped__() == before
+    (package / "room" / "one.py").write_text("A = 2\n")
+    assert code_hash.__wrapped__() != before

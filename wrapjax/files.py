@@ -11,6 +11,8 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -186,6 +188,12 @@ def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
         digest.update(len(piece).to_bytes(8, "little"))
         digest.update(piece)
     return digest.hexdigest()[:32]
+
+
+@cache
+def code_hash() -> str:
+    """Name the package's version and source: what other code has kept is not recalled, nor gone on with."""
+    return content_hash(version("wrapjax"), *sorted(Path(__file__).parent.rglob("*.py")))
 
 
 def cache_folder(kind: str) -> Path:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import equinox as eqx
@@ -14,7 +13,7 @@ from jaxtyping import Float
 from wrapjax.calibrate.problem import AbstractLeastSquares
 from wrapjax.calibrate.projected_lm import ProjectedLM
 from wrapjax.calibrate.solution import Status
-from wrapjax.files import content_hash, write_whole
+from wrapjax.files import code_hash, content_hash, write_whole
 from wrapjax.stored import load_arrays
 
 
@@ -49,10 +48,8 @@ class KeptSolves:
 def name_of_solve(
     problem: AbstractLeastSquares, start: Float[np.ndarray, " variable"], solver: ProjectedLM
 ) -> str:
-    """Name a solve by its problem (every number in it, and its structure), start, solver, and our version."""
+    """Name a solve by its problem (every number in it, and its structure), start, solver, and our code."""
     problem = jax.tree.map(np.asarray, problem)
     # Functions by their names: what they are made of is numbers as well.
     structure = eqx.tree_pformat(problem)
-    return content_hash(
-        version("wrapjax"), structure, *jax.tree.leaves(problem), np.asarray(start), repr(solver)
-    )
+    return content_hash(code_hash(), structure, *jax.tree.leaves(problem), np.asarray(start), repr(solver))

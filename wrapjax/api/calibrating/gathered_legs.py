@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.metadata import version
 
 from wrapjax.api.calibrating.extrapolation import STRATEGIES, drive, with_weights
 from wrapjax.api.calibrating.problem import method_freedom, source_for, source_like
@@ -11,7 +10,7 @@ from wrapjax.api.paths.cylinders import SURFACES
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.calibrate import AugmentedLagrangian
-from wrapjax.files import content_hash
+from wrapjax.files import code_hash, content_hash
 from wrapjax.model import Freedom
 from wrapjax.subject import Subject, read_legs
 from wrapjax.subject.synergies import COMMANDS
@@ -63,7 +62,7 @@ class Law:
 
 def question_of(legs: list[Leg], solver: AugmentedLagrangian, law: Law, starts: int, seed: int) -> str:
     """Name a calibration by all that decides where it goes."""
-    return content_hash(version("wrapjax"), *map(_question, legs), repr((solver, law, starts, seed)))
+    return content_hash(code_hash(), *map(_question, legs), repr((solver, law, starts, seed)))
 
 
 def _question(leg: Leg) -> str:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError
-from wrapjax.files import content_hash, new_folder, write_json
+from wrapjax.files import code_hash, content_hash, new_folder, write_json
 from wrapjax.jax_setup import forget_if_crowded, set_up_jax
 from wrapjax.stored import load_json
 from wrapjax.subject import Subject, read_legs, read_subject
@@ -141,5 +140,5 @@ def _question(job: Job, subject: Subject) -> str:
         for trial in leg.recordings:
             named = (trial.angles, trial.moments, trial.emg, trial.ground_forces, trial.external_loads)
             files |= {path for path in named if path is not None}
-    asked = (job.method, job.diagnose, job.starts, job.seed, version("wrapjax"), _SCHEMA)
+    asked = (job.method, job.diagnose, job.starts, job.seed, code_hash(), _SCHEMA)
     return content_hash(repr(asked), *sorted({path.resolve() for path in files}))
