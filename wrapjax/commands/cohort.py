@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from wrapjax.commands.common import BAD_INPUT, DONE, NOT_CONVERGED, AddCommand, positive, print_json, stored
 
@@ -32,6 +31,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from wrapjax.api.cohorts.running import cohort
+    from wrapjax.api.tables.cohort import cohort_table
     from wrapjax.progress import say
 
     try:
@@ -61,25 +61,6 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(stored(options.out / "cohort.json"))
     else:
-        print(_table(done.content))
+        print(cohort_table(done.content))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE if done.complete else NOT_CONVERGED
-
-
-def _table(content: dict[str, Any]) -> str:
-    """Show every subject on a line, and the population below."""
-    width = max(map(len, (*content["subjects"], "subject")))
-    lines = [
-        "Mean absolute error of the joint moments, N m",
-        f"{'subject':{width}s}{'calibration':>14s}{'validation':>14s}  result",
-    ]
-    for name, own in content["subjects"].items():
-        if own["state"] != "done":
-            lines.append(f"{name:{width}s}{'-':>14s}{'-':>14s}  failed: {own['message']}")
-            continue
-        errors = (own["mae_Nm"][use] for use in ("calibration", "validation"))
-        cells = "".join(f"{'-' if one is None else format(one['mean'], '.2f'):>14s}" for one in errors)
-        gap = own["diagnosis"]
-        said = "converged" if own["converged"] else "did not converge"
-        lines.append(f"{name:{width}s}{cells}  {said}{'' if gap is None else ', ' + gap['outcome']}")
-    return "\n".join(lines)

@@ -45,7 +45,8 @@ def run(options: argparse.Namespace) -> int:
     set_up_jax()
     from wrapjax.api import compare, load_subject
     from wrapjax.api.calibrating.problem import METHODS
-    from wrapjax.api.tables.calibration import comparison_table, iteration_printer
+    from wrapjax.api.tables.calibration import iteration_printer
+    from wrapjax.api.tables.comparison import comparison_table
     from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
     from wrapjax.progress import say
 

@@ -20,12 +20,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api.demonstration.demo import demo
-    from wrapjax.api.tables.calibration import (
-        calibration_table,
-        iteration_printer,
-        recovery_table,
-        wrap_recovery_table,
-    )
+    from wrapjax.api.tables.calibration import calibration_table, iteration_printer
+    from wrapjax.api.tables.demonstration import recovery_table, wrap_recovery_table
     from wrapjax.api.tables.gap import gap_table
 
     journal = unfinished(options)

@@ -24,7 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import evaluate, load_run, load_subject
-    from wrapjax.api.runs.evaluation import evaluation_table
+    from wrapjax.api.tables.evaluation import evaluation_table
 
     if options.out:
         refuse_existing(options.out, options.force)

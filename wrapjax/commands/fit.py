@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     set_up_jax()
     from wrapjax.api import PhysiologicalThresholds, fit, fit_wraps, load_subject
     from wrapjax.api.calibrating.extrapolation import drive
-    from wrapjax.api.tables.calibration import fit_table, wrap_table
+    from wrapjax.api.tables.fit import fit_table, wrap_table
     from wrapjax.progress import say
 
     refuse_existing(options.out, options.force)

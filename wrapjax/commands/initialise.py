@@ -28,7 +28,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.api import initialise, load_subject
-    from wrapjax.api.calibrating.initialisation import PARAMETERS_FILE, initialisation_table
+    from wrapjax.api.calibrating.initialisation import PARAMETERS_FILE
+    from wrapjax.api.tables.initialisation import initialisation_table
 
     refuse_existing(options.out, options.force)
     done = initialise(load_subject(options.subject), curves=options.curves)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 
 from wrapjax.api.runs.contact_force import Contact
-from wrapjax.api.tables.calibration import mean_and_deviation
+from wrapjax.api.tables.comparison import mean_and_deviation
 
 
 def contact_table(contact: Contact) -> str:
