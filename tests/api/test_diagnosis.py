@@ -8,7 +8,7 @@ import pytest
 
 from wrapjax import InputError
 from wrapjax.api import diagnose
-from wrapjax.api.demonstration.gap_demo import demonstrate_gap
+from wrapjax.api.demonstration.gap_demo import NOT_DRAWN, demonstrate_gap
 from wrapjax.api.diagnosing.diagnosis import diagnose_calibrated
 from wrapjax.gap import CATALOGUE, investigation
 from wrapjax.gap.conclude import conclusion
@@ -139,7 +139,16 @@ def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [*HIDDEN_EFFECTS, None])
+@pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in NOT_DRAWN), None])
 def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
     shown = demonstrate_gap(tmp_path, hidden, seed=2)
     assert shown.right, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", NOT_DRAWN)
+def test_what_is_hidden_too_well_to_be_named_leads_and_is_not_mistaken(hidden, tmp_path):
+    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    result = shown.diagnosis.result
+    assert max(result.effects, key=lambda effect: effect.probability).id == hidden
+    assert shown.right or not (result.named or result.ties)

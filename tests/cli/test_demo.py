@@ -12,7 +12,7 @@ import pytest
 import wrapjax.api.demonstration.demo
 import wrapjax.api.tables.calibration
 from tests.report.made_up_gap import named
-from wrapjax.api.demonstration.gap_demo import GapDemonstration, drawn_effect
+from wrapjax.api.demonstration.gap_demo import NOT_DRAWN, GapDemonstration, drawn_effect
 from wrapjax.cli import main
 from wrapjax.virtual import HIDDEN_EFFECTS
 
@@ -116,7 +116,8 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
 def test_what_was_hidden_is_drawn_by_the_seed(shown):
     content = json.loads((shown[1] / "demo.json").read_text())["gap"]
     assert content["hidden"] == drawn_effect(3) and content["outcome"] == "named"
-    assert {drawn_effect(seed) for seed in range(40)} == set(HIDDEN_EFFECTS)
+    drawn = {drawn_effect(seed) for seed in range(40)}
+    assert drawn == set(HIDDEN_EFFECTS) - set(NOT_DRAWN) and len(drawn) >= 5
 
 
 def test_existing_folder_is_left_alone(shown, capsys):
