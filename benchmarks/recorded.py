@@ -183,7 +183,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="of variants; all if not given")
-    parser.add_argument("--starts", type=int, default=1, help="of each calibration (default: 1)")
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=4,
+        help="of each calibration (default: 4; a diagnosis needs two that agree)",
+    )
     return parser
 
 
