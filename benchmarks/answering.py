@@ -76,12 +76,10 @@ def _answer(job: Job) -> str:
 
 def question_of(case: Path) -> dict[str, object]:
     """Name what an answer depends on: a subject's files and the package."""
-    import wrapjax
     from wrapjax.files import code_hash, content_hash
 
     files = sorted(path for path in case.rglob("*") if path.is_file())
-    tuned = Path(wrapjax.__file__).parent / "gap" / "calibration.json"
-    return {"case": content_hash(*files), "code": content_hash(code_hash(), tuned), "without": []}
+    return {"case": content_hash(*files), "code": code_hash(), "without": []}
 
 
 def _others(job: Job) -> dict[str, Path]:

@@ -192,8 +192,9 @@ def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
 
 @cache
 def code_hash() -> str:
-    """Name the package's version and source: what other code has kept is not recalled, nor gone on with."""
-    return content_hash(version("wrapjax"), *sorted(Path(__file__).parent.rglob("*.py")))
+    """Name the package by version, source and constants: what another has kept is not recalled."""
+    package = Path(__file__).parent
+    return content_hash(version("wrapjax"), *sorted([*package.rglob("*.py"), *package.rglob("*.json")]))
 
 
 def cache_folder(kind: str) -> Path:

@@ -12,6 +12,7 @@ from tests.cli.folders import METHOD, content
 from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import MODEL, write_subject
 from tests.subject.test_broken_folders import BROKEN
+from wrapjax.commands import ADDED
 from wrapjax.errors import WorkError
 
 
@@ -278,13 +279,7 @@ def test_help(run, command):
     assert outcome.output.startswith(" ".join(["usage: wrapjax", *command]))
 
 
-COMMANDS = (
-    *("check", "prepare", "fit", "initialise", "calibrate", "compare", "diagnose", "demo", "fetch"),
-    *("evaluate", "report", "contact", "cohort"),
-)
-
-
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [add.__module__.rsplit(".", 1)[-1] for add in ADDED])
 def test_every_command_takes_what_is_common_to_all(run, command):
     """Scripts may give these to any; where there is nothing random or unfinished they change nothing."""
     shown = run(command, "--help").output

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     shown = demo(
         options.out,
         seed=options.seed,
-        force=options.force or begun,
+        force=options.force,
         journal=journal,
         resume=begun,
         quiet=options.quiet,

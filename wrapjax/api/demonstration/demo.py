@@ -111,9 +111,10 @@ def demo(
     callback
         As in `calibrate`.
     journal, resume
-        As in `calibrate`: the folder has one a method in it, and they go when all is done.
+        As in `calibrate`: the folder has one a method in it, and they go when all is done. What else is there
+        is made again in place.
     """
-    folder = Path(folder)
+    folder, force = Path(folder), force or resume
     say("building a virtual person and letting it walk", quiet=quiet)
     truth = write_virtual_subject(
         folder / "virtual_subject",
