@@ -50,13 +50,15 @@ bench-gate: setup
 # stopped. Their folder, the bank, how many of its cases, and starts of each calibration:
 blind: BANK = out/blind test 720 4
 blind-quick: BANK = out/blind-quick development 40 2
-ANSWERERS := wrapjax modification_index raw_correlation held_out_drop
+ANSWERERS := wrapjax modification_index raw_correlation held_out_drop score_alone without_input_errors \
+	without_muscle_errors without_repeated without_nuisances without_give
 
 blind blind-quick: setup
 	$(RUN)/python -m benchmarks.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
 		--cases $(word 3,$(BANK)) --workers $(JOBS)
 	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
-		--baselines $(word 1,$(BANK))/answers --withheld $(word 1,$(BANK))/answers/withheld \
+		--baselines $(word 1,$(BANK))/answers --ablations $(word 1,$(BANK))/answers \
+		--withheld $(word 1,$(BANK))/answers/withheld \
 		--starts $(word 4,$(BANK)) --workers $(JOBS)
 	$(RUN)/python -m benchmarks.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
 		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \

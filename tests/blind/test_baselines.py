@@ -1,7 +1,9 @@
 """Defends: what a diagnosis is compared with is done as textbooks say, and answers where the scorer looks."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -114,6 +116,12 @@ def test_everybody_answers_on_the_lines_of_one_diagnosis(tmp_path):
     write_others(done, {name: tmp_path / name for name in (*BASELINES, *ABLATIONS)})
     for name in (*BASELINES, *ABLATIONS):
         assert read_answer(tmp_path / name).ranking[0] == "effect_3", name
+
+
+def test_the_bank_is_scored_with_everybody_beside_it():
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text(encoding="utf-8")
+    (names,) = re.findall(r"^ANSWERERS := ((?:.*\\\n)*.*)$", makefile, re.MULTILINE)
+    assert names.replace("\\\n", " ").split() == ["wrapjax", *BASELINES, *ABLATIONS]
 
 
 def test_without_lines_there_is_silence(tmp_path):
