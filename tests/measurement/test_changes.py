@@ -4,7 +4,10 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
+import opensim
 import pytest
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
 
 from tests.subject import synthetic
 from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
@@ -15,7 +18,7 @@ from wrapjax.gap.effects.kinematics import sliding
 from wrapjax.gap.effects.measurement import CHAIN
 from wrapjax.measurement.changes import measured_changes, recorded_walk
 from wrapjax.measurement.walk import UP, Walk
-from wrapjax.measurement.wrong_inputs import foot_loads
+from wrapjax.measurement.wrong_inputs import FOOT_DISPLACED, FOOT_HELD, foot_loads
 from wrapjax.osim.inverse_dynamics import Mechanics
 from wrapjax.osim.motion import Motion
 
@@ -114,7 +117,7 @@ def test_a_displaced_hip_center_takes_the_lever_from_the_force_through_it(found,
         "anterior_m": (np.cos(hip), np.sin(hip)),
         "superior_m": (-np.sin(hip), np.cos(hip)),
     }.items():
-        moment = change(found, "hip_center_offset", **{name: 0.015})
+        moment = change(found, "hip_center_offset", FOOT_HELD, **{name: 0.015})
         close(moment[0], -0.015 * (x * through[1] - y * through[0]))
         assert np.abs(moment[1]).max() == 0.0
 
@@ -127,13 +130,13 @@ def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
     # About the thigh's long axis, outward on the left: from pointing right towards pointing forward.
     forward = np.stack([np.cos(hip), np.sin(hip), 0.0 * hip])
     expected = 0.1 * (forward * moment).sum(axis=0)
-    turned = change(found, "joint_axis_rotation", knee_rad=0.1)
+    turned = change(found, "joint_axis_rotation", FOOT_HELD, knee_rad=0.1)
     np.testing.assert_allclose(turned[1], expected, atol=1e-3 * np.abs(expected).max())
     assert np.abs(turned[0]).max() == 0.0
     # About what is forward: on the left the axis' right end, which is the inner one, comes down.
     downward = np.stack([np.sin(hip), -np.cos(hip), 0.0 * hip])
     expected = 0.1 * (downward * moment).sum(axis=0)
-    tilted = change(found, "joint_axis_rotation", knee_tilt_rad=0.1)
+    tilted = change(found, "joint_axis_rotation", FOOT_HELD, knee_tilt_rad=0.1)
     np.testing.assert_allclose(tilted[1], expected, atol=1e-3 * np.abs(expected).max())
     assert np.abs(tilted[0]).max() == 0.0
 
@@ -162,9 +165,9 @@ def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found,
         np.testing.assert_allclose(crossed, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_wobble_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
+def test_a_wobble_at_impact_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
     time = leg[0]
-    pulse = change(found, "wobbling_mass", hip_impulse=0.7, knee_impulse=0.4)
+    pulse = change(found, "wobbling_mass", "impact", hip_impulse=0.7, knee_impulse=0.4)
     vertical = force(time)[1]
     struck = (vertical[:, 1:] > 0.05 * vertical.max()) & (vertical[:, :-1] <= 0.05 * vertical.max())
     hip, knee = 0, 1
@@ -175,6 +178,16 @@ def test_a_wobble_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
         # The foot strikes late in these cycles, so the pulse goes on at their start.
         since = (np.flatnonzero(pulse[0, row] > 1e-9) - struck[row].argmax() - 1) % 100
         assert set(since) == set(range(1, 10))
+
+
+def test_a_wobble_at_every_change_of_load_comes_to_its_impulse_and_back(found, leg):
+    time = leg[0]
+    moment = change(found, "wobbling_mass", "every change of load", hip_impulse=0.7, knee_impulse=0.4)
+    vertical = force(time)[1]
+    for coordinate, impulse in ((0, 0.7), (1, 0.4)):
+        given = cumulative_trapezoid(moment[coordinate], time, axis=-1, initial=0.0)
+        expected = impulse * (vertical - vertical[:, :1]) / vertical.max(axis=1, keepdims=True)
+        np.testing.assert_allclose(given, expected, atol=0.01 * impulse)
 
 
 def test_what_is_missing_is_said(subject, found):
@@ -286,6 +299,80 @@ def test_skin_that_slides_gives_other_moments(recorded):
         np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.05 * np.abs(expected).max())
 
 
+def moments_with(subject, file):
+    return moments_of(recorded_walk(dataclasses.replace(subject, model_file=file))[0])
+
+
+def with_other_joint(subject, coordinate, folder, change_frames):
+    """Write the model with other frames of the joint that has a coordinate."""
+    model = opensim.Model(str(subject.model_file))
+    joint = model.updComponent(model.getCoordinateSet().get(coordinate).getJoint().getAbsolutePathString())
+    joint = opensim.Joint.safeDownCast(joint)
+    change_frames([opensim.PhysicalOffsetFrame.safeDownCast(joint.upd_frames(number)) for number in (0, 1)])
+    model.finalizeConnections()
+    file = folder / "other.osim"
+    model.printToXML(str(file))
+    return file
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_leg_that_hangs_on_a_displaced_hip_has_the_force_elsewhere(recorded, tmp_path, axis):
+    """By the slope, and by OpenSim's inverse dynamics with the hip there and all angles as they were."""
+    subject, _, found = recorded
+    names = subject.trials.moment_coordinates
+    step = 0.01
+
+    def displaced(by):
+        def change_frames(frames):
+            where = frames[0].get_translation().to_numpy()
+            where[axis] += by
+            frames[0].set_translation(opensim.Vec3(*where))
+
+        return moments_with(subject, with_other_joint(subject, "hip_flexion_r", tmp_path, change_frames))
+
+    ahead, behind = displaced(step), displaced(-step)
+    expected = np.stack([0.5 * (ahead[name] - behind[name]) for name in names])
+    amount = {("anterior_m", "superior_m", "lateral_m")[axis]: step}
+    slope = change(found, "hip_center_offset", FOOT_DISPLACED, **amount)
+    assert np.abs(expected[names.index("ankle_angle_r")]).max() > 0.5
+    np.testing.assert_allclose(slope, expected, atol=0.01 * np.abs(expected).max())
+    # Where markers hold the foot, all but the hip is as it was.
+    held = change(found, "hip_center_offset", FOOT_HELD, **amount)
+    beyond = [row for row, name in enumerate(names) if not name.startswith("hip")]
+    assert np.abs(held[beyond]).max() == 0.0 < np.abs(held).max()
+
+
+@pytest.mark.parametrize(("amount", "axis"), [("knee_rad", 1), ("knee_tilt_rad", 0)])
+def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded, tmp_path, amount, axis):
+    """By the slope, and by OpenSim's inverse dynamics with the axis there and all angles as they were."""
+    subject, _, found = recorded
+    names = subject.trials.moment_coordinates
+    step = 0.05
+
+    def turned(by):
+        def change_frames(frames):
+            # Thigh and shank have the same axes while this knee is straight.
+            for frame in frames:
+                before = Rotation.from_euler("XYZ", frame.get_orientation().to_numpy())
+                after = Rotation.from_rotvec(by * np.eye(3)[axis]) * before
+                frame.set_orientation(opensim.Vec3(*after.as_euler("XYZ").tolist()))
+
+        return moments_with(subject, with_other_joint(subject, "knee_angle_r", tmp_path, change_frames))
+
+    # Of a right leg, toes that turn out and an outer end that goes up.
+    sign = -1.0
+    more, less = turned(sign * step), turned(-sign * step)
+    expected = np.stack([0.5 * (more[name] - less[name]) for name in names])
+    slope = change(found, "joint_axis_rotation", FOOT_DISPLACED, **{amount: step})
+    held = change(found, "joint_axis_rotation", FOOT_HELD, **{amount: step})
+    knee, ankle = names.index("knee_angle_r"), names.index("ankle_angle_r")
+    np.testing.assert_allclose(slope, expected, atol=0.02 * np.abs(expected).max())
+    # Where markers hold the foot, the axis alone is another; a knee that is straight puts nothing elsewhere.
+    assert np.abs(held[ankle]).max() == 0.0 < np.abs(held[knee]).max()
+    bent = subject.trials.angles[0, subject.trials.coordinates.index("knee_angle_r")]
+    assert abs(slope[ankle, 0, np.abs(bent).argmin()]) < 0.2 * np.abs(slope[ankle]).max()
+
+
 def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
     subject, walk, found = recorded
@@ -339,7 +426,7 @@ def test_the_other_foot_is_this_one_half_a_cycle_away():
         wrench=wrench(1)[None],
         by_latency=wrench(1)[None],
         other=None,
-        analyse=lambda motion: mechanics,
+        analyse=lambda motion, shift: mechanics,
     )
     np.testing.assert_allclose(walk.rightward[:, 0], right, atol=1e-12)
     np.testing.assert_allclose(walk.other_foot(), wrench(-1), atol=1e-9)

@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
-from wrapjax.osim.inverse_dynamics import Mechanics
+from wrapjax.osim.inverse_dynamics import JointShift, Mechanics
 from wrapjax.osim.motion import Motion
 
 UP = np.array([0.0, 1.0, 0.0])
 #: Share of the largest vertical force from which a foot counts as on the ground.
 CONTACT = 0.05
-#: By how much angles are moved to see what that does, rad.
-ANGLE_STEP = 0.005
+#: By how much angles and joints are moved to see what that does, rad and m.
+ANGLE_STEP, JOINT_STEP = 0.005, 0.002
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Walk:
     other
         What acts on the other leg; None where it was not recorded.
     analyse
-        Gives the mechanics of another motion.
+        Gives the mechanics of another motion, and of it with a joint elsewhere.
     """
 
     side: str
@@ -50,7 +50,7 @@ class Walk:
     wrench: Float[np.ndarray, "load 6 pose"]
     by_latency: Float[np.ndarray, "load 6 pose"]
     other: Float[np.ndarray, "6 pose"] | None
-    analyse: Callable[[Motion], Mechanics]
+    analyse: Callable[[Motion, JointShift | None], Mechanics]
 
     @property
     def outward(self) -> float:
@@ -127,12 +127,8 @@ class Walk:
         Coordinates as those of `mechanics`; one that follows another is off as that one is. Forces stay where
         they were recorded; rates and accelerations are off as well. Every second frame is looked at.
         """
-        trials, frames = self.time.shape
-        kept = np.arange(frames) if frames % 2 == 0 else np.arange(0, frames, 2)
-        poses = (np.arange(trials)[:, None] * frames + kept).ravel()
+        poses = self._looked_at
         own_rows, rows = self.moving
-        wrench, motion = self.wrench[..., poses], self.motion
-        plain = self.mechanics.moments(self.transmitted())[:, poses]
         step = (self.time[:, 1] - self.time[:, 0])[:, None]
         slopes = np.zeros((len(errors), *self.mechanics.screw.shape[::2]))
         for number, pattern in enumerate(errors[:, own_rows]):
@@ -142,21 +138,50 @@ class Walk:
             unit = ANGLE_STEP / largest
             rates = np.gradient(pattern, axis=-1) / step
             moved = Motion(
-                motion.coordinates,
+                self.motion.coordinates,
                 *(
                     _with(own[:, poses], rows, unit * off.reshape(len(rows), -1)[:, poses])
                     for own, off in (
-                        (motion.values, pattern),
-                        (motion.speeds, rates),
-                        (motion.accelerations, np.gradient(rates, axis=-1) / step),
+                        (self.motion.values, pattern),
+                        (self.motion.speeds, rates),
+                        (self.motion.accelerations, np.gradient(rates, axis=-1) / step),
                     )
                 ),
             )
-            found = self.analyse(moved)
-            change = (found.moments(found.transmitted(self.loaded, wrench)) - plain) / unit
-            by_time = CubicSpline(kept, change.reshape(len(change), trials, -1), axis=-1)(np.arange(frames))
-            slopes[number] = by_time.reshape(len(change), -1)
+            slopes[number] = self._change(self.analyse(moved, None)) / unit
         return slopes
+
+    def moments_by_joint(
+        self, coordinate: str, displacement: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, "coordinate pose"]:
+        """Give what moments change by when the model has a joint elsewhere, and the leg hangs on it there.
+
+        A unit of displacement (m) and of turn (rad), see `JointShift`. Angles and forces stay as they were
+        recorded. Every second frame is looked at.
+        """
+        own = self.motion
+        signals = [signal[:, self._looked_at] for signal in (own.values, own.speeds, own.accelerations)]
+        shift = JointShift(coordinate, JOINT_STEP * displacement, JOINT_STEP * turn)
+        return self._change(self.analyse(Motion(own.coordinates, *signals), shift)) / JOINT_STEP
+
+    @property
+    def _kept(self) -> Int[np.ndarray, " kept"]:
+        """Frames of each cycle that are looked at where every pose takes its time."""
+        frames = self.time.shape[1]
+        return np.arange(frames) if frames % 2 == 0 else np.arange(0, frames, 2)
+
+    @property
+    def _looked_at(self) -> Int[np.ndarray, " pose"]:
+        trials, frames = self.time.shape
+        return (np.arange(trials)[:, None] * frames + self._kept).ravel()
+
+    def _change(self, found: Mechanics) -> Float[np.ndarray, "coordinate pose"]:
+        """By how much moments of the poses that are looked at are other than they were, at all poses."""
+        poses, (trials, frames) = self._looked_at, self.time.shape
+        plain = self.mechanics.moments(self.transmitted())[:, poses]
+        change = found.moments(found.transmitted(self.loaded, self.wrench[..., poses])) - plain
+        by_time = CubicSpline(self._kept, change.reshape(len(change), trials, -1), axis=-1)
+        return np.asarray(by_time(np.arange(frames))).reshape(len(change), -1)
 
     def other_foot(self) -> Float[np.ndarray, "6 pose"]:
         """Give what acts on the other foot: as recorded, else this one's half a cycle away, mirrored.

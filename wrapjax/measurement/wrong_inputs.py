@@ -28,6 +28,8 @@ TURNS = (
     ("subtalar_angle", 1),
     ("subtalar_angle", 2),
 )
+#: What else a joint in a wrong place does, by what the laboratory's kinematics went by: markers or angles.
+FOOT_HELD, FOOT_DISPLACED = "foot in place", "foot displaced"
 #: Share of the largest moment on the forefoot about which it sets in.
 _ONSET = 0.05
 #: Share of the cycle that soft tissue takes to come to rest.
@@ -101,35 +103,47 @@ def _segments(walk: Walk) -> tuple[list[int], list[int], list[int]]:
     return thigh, shank, foot
 
 
-def _hip_center_offset(walk: Walk) -> Slopes:
-    """The hip's moment is taken about a center that is further forward, up or outward in the pelvis."""
-    axes = walk.mechanics.rotation[walk.pelvis]
-    directions = (axes[:, 0], axes[:, 1], walk.outward * axes[:, 2])
-    force = walk.transmitted()[:, 3:]
-    slopes = np.zeros((3, *walk.mechanics.screw.shape[::2]))
-    for row in walk.starting("hip_"):
-        axis = walk.mechanics.screw[row, :3]
-        for number, direction in enumerate(directions):
-            slopes[number, row] = -(axis * np.cross(direction, force[row], axis=0)).sum(axis=0)
-    return slopes
+def _hip_center_offset(walk: Walk) -> dict[str, Slopes]:
+    """The hip's moment is taken about a center that is further forward, up or outward in the pelvis.
+
+    Where markers hold the foot, nothing else is off. Where angles count for more than markers do, the model's
+    leg hangs on its hip, and the ground's force acts elsewhere on all of it.
+    """
+    outward = np.diag([1.0, 1.0, walk.outward])
+    axes = np.einsum("ijp,nj->nip", walk.mechanics.rotation[walk.pelvis], outward)
+    force, rows = walk.transmitted()[:, 3:], walk.starting("hip_")
+    held = np.zeros((3, *walk.mechanics.screw.shape[::2]))
+    hung = np.zeros_like(held)
+    for number, direction in enumerate(axes):
+        for row in rows:
+            lever = np.cross(direction, force[row], axis=0)
+            held[number, row] = -(walk.mechanics.screw[row, :3] * lever).sum(axis=0)
+        if rows:
+            name = walk.mechanics.coordinates[rows[0]]
+            hung[number] = walk.moments_by_joint(name, outward[number], np.zeros(3))
+    return {FOOT_HELD: held, FOOT_DISPLACED: hung}
 
 
-def _joint_axis_rotation(walk: Walk) -> Slopes:
+def _joint_axis_rotation(walk: Walk) -> dict[str, Slopes]:
     """The joint's whole moment is projected on an axis that is off, by either of the angles that place it.
 
     It is turned as toes are when they turn out, and about what is across: knee and ankle, whose axes go from
     side to side, about the direction that is forward, and the subtalar joint, whose goes forward, about the
-    one that is outward.
+    one that is outward. Where markers do not hold the foot, a bent joint also puts it elsewhere.
     """
     mechanics, wrench = walk.mechanics, walk.transmitted()
-    slopes = np.zeros((6, *mechanics.screw.shape[::2]))
+    held = np.zeros((6, *mechanics.screw.shape[::2]))
+    hung = np.zeros_like(held)
     for number, (stem, column) in enumerate(TURNS):
+        sign = turn_sign(column, walk.outward)
         for row in walk.starting(stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
-            about = turn_sign(column, walk.outward) * mechanics.rotation[_carrier(walk, row), :, column]
+            about = sign * mechanics.rotation[_carrier(walk, row), :, column]
             turned = np.cross(about, mechanics.screw[row, :3], axis=0)
-            slopes[number, row] = (turned * moment).sum(axis=0)
-    return slopes
+            held[number, row] = (turned * moment).sum(axis=0)
+            name = mechanics.coordinates[row]
+            hung[number] += walk.moments_by_joint(name, np.zeros(3), sign * np.eye(3)[column])
+    return {FOOT_HELD: held, FOOT_DISPLACED: hung}
 
 
 def turn_sign(column: int, outward: float) -> float:
@@ -205,8 +219,11 @@ def _soft_tissue_artifact(walk: Walk) -> dict[str, Slopes]:
     return {when: np.concatenate([own, *shares]) for when, own in slides.items()}
 
 
-def _wobbling_mass(walk: Walk) -> Slopes:
-    """A smooth pulse about hip flexion, or about the knee, after the foot strikes, of unit area over time."""
+def _wobbling_mass(walk: Walk) -> dict[str, Slopes]:
+    """Soft tissue gives way about hip flexion, or about the knee: at impact, or whenever the load changes.
+
+    An amount is what that comes to over time while the foot is being loaded.
+    """
     on_ground = walk.in_contact.reshape(walk.time.shape)
     struck = on_ground & ~np.roll(on_ground, 1, axis=1)
     # A cycle starts with the strike unless the forces say otherwise.
@@ -215,9 +232,16 @@ def _wobbling_mass(walk: Walk) -> Slopes:
     since = np.mod(walk.time - walk.time[np.arange(start.size), start][:, None], duration[:, None])
     length = _IMPACT * duration[:, None]
     pulse = np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0)
+    vertical = walk.force[1].reshape(walk.time.shape)
+    rate = np.gradient(vertical, axis=-1) / (walk.time[:, 1] - walk.time[:, 0])[:, None]
+    shapes = {"impact": pulse, "every change of load": rate / vertical.max(axis=1, keepdims=True)}
+    return {when: _about_hip_and_knee(walk, shape) for when, shape in shapes.items()}
+
+
+def _about_hip_and_knee(walk: Walk, moment: Float[np.ndarray, "trial frame"]) -> Slopes:
     slopes = np.zeros((2, *walk.mechanics.screw.shape[::2]))
     for number, stem in enumerate(("hip_flexion", "knee_angle")):
-        slopes[number, walk.starting(stem)] = pulse.ravel()
+        slopes[number, walk.starting(stem)] = moment.ravel()
     return slopes
 
 
@@ -236,17 +260,17 @@ def _knee_laxity(walk: Walk) -> Slopes:
 
 #: From the id of an effect to what one unit of each of its amounts adds to the moments, by its shapes.
 BY_SHAPE: dict[str, Callable[[Walk], dict[str, Slopes]]] = {
+    "hip_center_offset": _hip_center_offset,
+    "joint_axis_rotation": _joint_axis_rotation,
     "foot_deformation": _foot_deformation,
+    "wobbling_mass": _wobbling_mass,
     "soft_tissue_artifact": _soft_tissue_artifact,
 }
 #: The same of effects with one shape.
 SLOPES: dict[str, Callable[[Walk], Slopes]] = {
     "cop_offset": _cop_offset,
-    "hip_center_offset": _hip_center_offset,
-    "joint_axis_rotation": _joint_axis_rotation,
     "force_latency": _force_latency,
     "segment_inertia": _segment_inertia,
     "crossed_plates": _crossed_plates,
-    "wobbling_mass": _wobbling_mass,
     "knee_laxity": _knee_laxity,
 }

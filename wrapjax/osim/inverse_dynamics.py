@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError
 from wrapjax.osim.loading import import_opensim, load_model
@@ -80,10 +81,30 @@ class Mechanics:
         return np.einsum("kwp,kwp->kp", self.screw, wrench)
 
 
+@dataclass(frozen=True)
+class JointShift:
+    """A joint that is elsewhere than a model has it; at its coordinates' zero nothing has moved but that.
+
+    Parameters
+    ----------
+    coordinate
+        One of the joint's.
+    displacement
+        Of both bodies' frames of the joint, with all that hangs on it, m.
+    turn
+        Of its axes, rad, small; about its center, which stays. Both in axes of the body that carries it.
+    """
+
+    coordinate: str
+    displacement: Float[np.ndarray, " 3"]
+    turn: Float[np.ndarray, " 3"]
+
+
 def analyse_mechanics(
     model_file: Path | str,
     coordinates: Sequence[str],
     motion: Motion,
+    shift: JointShift | None = None,
 ) -> Mechanics:
     """Move a model as recorded and read what inverse dynamics need.
 
@@ -95,6 +116,8 @@ def analyse_mechanics(
         Whose moments are wanted.
     motion
         How it moved.
+    shift
+        A joint that is elsewhere.
 
     Raises
     ------
@@ -107,6 +130,8 @@ def analyse_mechanics(
     """
     opensim = import_opensim()
     model, state = load_model(model_file)
+    if shift is not None:
+        state = _with_shifted_joint(opensim, model, shift)
     entries = {entry.getName(): entry for entry in elements(model.getCoordinateSet())}
     problems = unknown_names(model_file, "coordinate", (*coordinates, *motion.coordinates), list(entries))
     if problems:
@@ -164,6 +189,21 @@ def analyse_mechanics(
         of_mass=np.moveaxis(of_mass, 0, -1),
         of_inertia=np.moveaxis(of_inertia, 0, -1),
     )
+
+
+def _with_shifted_joint(opensim: Any, model: Any, shift: JointShift) -> Any:
+    """Put a joint elsewhere in a model and build its system anew; give its state."""
+    joint = model.getCoordinateSet().get(shift.coordinate).getJoint()
+    paths = [frame.getAbsolutePathString() for frame in (joint.getParentFrame(), joint.getChildFrame())]
+    near, far = (opensim.PhysicalOffsetFrame.safeDownCast(model.updComponent(path)) for path in paths)
+    before, own = (Rotation.from_euler("XYZ", frame.get_orientation().to_numpy()) for frame in (near, far))
+    turn = Rotation.from_rotvec(shift.turn)
+    # The far body's axes at zero, in those of the near one.
+    at_zero = before * own.inv()
+    for frame, turned in ((near, turn * before), (far, at_zero.inv() * turn * at_zero * own)):
+        frame.set_orientation(opensim.Vec3(*turned.as_euler("XYZ").tolist()))
+    near.set_translation(opensim.Vec3(*(near.get_translation().to_numpy() + shift.displacement).tolist()))
+    return model.initSystem()
 
 
 def _parents(model: Any) -> dict[str, str]:

@@ -14,7 +14,7 @@ from wrapjax.api.paths.cylinders import freed_wraps
 from wrapjax.api.paths.exact import ExactGeometry, touched_cylinders
 from wrapjax.api.paths.fitting import Fit
 from wrapjax.gap import PathChanges
-from wrapjax.gap.context import change_id
+from wrapjax.gap.context import change_id, known_shape
 from wrapjax.geometry import PathState
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_slopes import slopes_by_angles, slopes_by_ends, slopes_by_model, slopes_by_wraps
@@ -90,7 +90,8 @@ def misplaced_joints(
     engine, subject, walk
         Of one leg.
     wanted
-        Ids of effects; of these, ``hip_center_offset`` and ``joint_axis_rotation`` are looked at.
+        Ids of effects, or of their shapes; of these, those of ``hip_center_offset`` and
+        ``joint_axis_rotation`` are looked at.
 
     Returns
     -------
@@ -116,7 +117,7 @@ def misplaced_joints(
     return {
         id: slopes_by_model(engine, [elsewhere(*way) for way in own], *through)
         for id, own in ways.items()
-        if id in wanted
+        if any(known_shape(one, id) is not None for one in wanted)
     }
 
 

@@ -151,11 +151,16 @@ def _of_chain(id: str, context: Context) -> Effect | NotTestable:
             for name, unit, sd, sign, meaning, limit in rows
         ),
         variants=tuple(
-            Variant(Partial(_added, change, context.path_changes.get(change_id(id, shape))), shape)
+            Variant(Partial(_added, change, _paths_of(id, shape, context)), shape)
             for shape, change in changes.items()
         ),
         negative_control=id in _NEGATIVE_CONTROLS,
     )
+
+
+def _paths_of(id: str, shape: str, context: Context) -> PathState | None:
+    """By how much paths differ: as this shape has it, or as all shapes do."""
+    return context.path_changes.get(change_id(id, shape), context.path_changes.get(id))
 
 
 def _added(
