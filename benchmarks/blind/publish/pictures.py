@@ -14,15 +14,19 @@ from benchmarks.blind.score.intervals import Figure
 
 #: Inches; 200 dots an inch are 1,800 pixels, shown at half of it on most pages.
 WIDTH, DOTS = 9.0, 200
-#: The published one first; the others are told apart by shape, too.
-COLORS = ("#0b4f8a", "#c4561b", "#4f8a3d", "#8a6d9e", "#7f7f7f", "#b59a1c", "#3a9a9a")
-MARKS = ("o", "s", "^", "D", "v", "P", "X")
+#: The published one first; the others are told apart by shape, too. More lines than these nobody can follow.
+COLORS = ("#0b4f8a", "#c4561b", "#4f8a3d", "#8a6d9e")
+MARKS = ("o", "s", "^", "D")
 _TEXT = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"}
 
 
 def draw_right(judged: Sequence[Judged], file: Path) -> None:
-    """Right first, and named and right, over d* and over EMG noise, with counts and intervals."""
+    """Right first, and named and right, over d* and over EMG noise, with counts and intervals.
+
+    Of more answerers than there are colors the first are drawn; the table has them all.
+    """
     plt = _pyplot()
+    judged = judged[: len(COLORS)]
     rows = (
         ("right cause first", "magnitude", "noise"),
         ("named, and rightly", "magnitude_named", "noise_named"),
@@ -64,8 +68,8 @@ def _draw_curves(axis: Any, judged: Sequence[Judged], key: str) -> None:
             value,
             # A bootstrap's bounds need not hold the value itself.
             yerr=np.maximum([value - lower, upper - value], 0.0),
-            color=COLORS[number % len(COLORS)],
-            marker=MARKS[number % len(MARKS)],
+            color=COLORS[number],
+            marker=MARKS[number],
             markersize=6 if number == 0 else 4,
             linewidth=1.8 if number == 0 else 0.8,
             elinewidth=1.4 if number == 0 else 0.7,
