@@ -30,8 +30,10 @@ from benchmarks.blind.effects import EFFECTS
 from benchmarks.blind.library import SHARE, Library
 from benchmarks.lines import Lines, development_lines
 from wrapjax.errors import InputError
+from wrapjax.gap.evidence.covariance import Matrix
+from wrapjax.gap.evidence.linearized import LinearGap
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.projection import project
+from wrapjax.gap.evidence.projection import Candidate, project
 
 _RANK = 1e-8
 
@@ -91,23 +93,34 @@ def loss(
 ) -> Loss:
     """Follow a signal through the null hypothesis, the effect's signatures and the residual."""
     gap = lines.gap
-    cycles, coordinates, phases = gap.residual.shape
-    ordered = np.reshape(signal, (cycles, phases, coordinates)).transpose(0, 2, 1).ravel()
     own = gap.residual.reshape(1, -1)
     null = max(nulls(gap, lines.sizes), key=lambda one: project(own, one, ()).weight[0])
     factor = scipy.linalg.cholesky(null.covariance, lower=True)
-
-    def white(rows: Float[np.ndarray, "_ row"]) -> Float[np.ndarray, "row _"]:
-        return scipy.linalg.solve_triangular(factor, rows.T, lower=True)
-
-    left, residual = white(np.stack([ordered, own[0]])).T
+    left, residual = white(np.stack([in_rows(signal, gap), own[0]]), factor).T
     seen = float(np.linalg.norm(left))
+    candidate = next(one for one in gap.candidates if one.id == cause)
+    return Loss(d_star, seen, captured_share(left, candidate, factor), float(left @ residual) / seen)
+
+
+def in_rows(signal: Float[np.ndarray, "..."], gap: LinearGap) -> Float[np.ndarray, " row"]:
+    """Put a signal of the simulator (cycle, phase, coordinate) in the order of residuals."""
+    cycles, coordinates, phases = gap.residual.shape
+    return np.reshape(signal, (cycles, phases, coordinates)).transpose(0, 2, 1).ravel()
+
+
+def white(rows: Float[np.ndarray, "_ row"], factor: Matrix) -> Float[np.ndarray, "row _"]:
+    """Give rows in standard deviations of a null hypothesis, by the factor of its covariance."""
+    return np.asarray(scipy.linalg.solve_triangular(factor, rows.T, lower=True))
+
+
+def captured_share(left: Float[np.ndarray, " row"], candidate: Candidate, factor: Matrix) -> float:
+    """Say what share of what is left of a signal (of its square) an effect's best shape can form."""
     captured = 0.0
-    for variant in next(one for one in gap.candidates if one.id == cause).variants:
-        basis, sizes, _ = np.linalg.svd(white(variant), full_matrices=False)
+    for variant in candidate.variants:
+        basis, sizes, _ = np.linalg.svd(white(variant, factor), full_matrices=False)
         basis = basis[:, sizes > _RANK * sizes.max(initial=0.0)]
-        captured = max(captured, float(np.sum((basis.T @ left) ** 2)) / seen**2)
-    return Loss(d_star, seen, captured, float(left @ residual) / seen)
+        captured = max(captured, float(np.sum((basis.T @ left) ** 2) / np.sum(left**2)))
+    return captured
 
 
 def _row(label: str, cases: int, values: list[Any]) -> str:
