@@ -1,4 +1,4 @@
-"""Defends: a signal that is added is found where signatures have its shape, and missed where they have not."""
+"""Defends: an added signal is found where signatures have its shape, and missed where they have not."""
 
 import json
 
