@@ -373,6 +373,23 @@ def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded,
     assert abs(slope[ankle, 0, np.abs(bent).argmin()]) < 0.2 * np.abs(slope[ankle]).max()
 
 
+def test_a_joint_between_bodies_own_frames_stays_where_it_is(recorded, tmp_path):
+    """OpenSim reads such models, though it writes none."""
+    subject, _, _ = recorded
+    text = subject.model_file.read_text(encoding="utf-8")
+    model = opensim.Model(str(subject.model_file))
+    joint = model.getCoordinateSet().get("hip_flexion_r").getJoint()
+    frame, body = (own.getName() for own in (joint.getChildFrame(), joint.getChildFrame().findBaseFrame()))
+    own = f"<socket_child_frame>{frame}</socket_child_frame>"
+    assert text.count(own) == 1
+    file = tmp_path / "bare.osim"
+    bare = f"<socket_child_frame>/bodyset/{body}</socket_child_frame>"
+    file.write_text(text.replace(own, bare), encoding="utf-8")
+    walk, _ = recorded_walk(dataclasses.replace(subject, model_file=file))
+    assert np.abs(walk.moments_by_joint("hip_flexion_r", np.ones(3), np.zeros(3))).max() == 0.0
+    assert np.abs(walk.moments_by_joint("knee_angle_r", np.ones(3), np.zeros(3))).max() > 0.0
+
+
 def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
     subject, walk, found = recorded

@@ -17,6 +17,8 @@ UP = np.array([0.0, 1.0, 0.0])
 CONTACT = 0.05
 #: By how much angles and joints are moved to see what that does, rad and m.
 ANGLE_STEP, JOINT_STEP = 0.005, 0.002
+# N m a unit.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,9 @@ class Walk:
         own = self.motion
         signals = [signal[:, self._looked_at] for signal in (own.values, own.speeds, own.accelerations)]
         shift = JointShift(coordinate, JOINT_STEP * displacement, JOINT_STEP * turn)
-        return self._change(self.analyse(Motion(own.coordinates, *signals), shift)) / JOINT_STEP
+        slopes = self._change(self.analyse(Motion(own.coordinates, *signals), shift)) / JOINT_STEP
+        # A joint that cannot be moved changes nothing but rounding.
+        return slopes if np.abs(slopes).max() > _ROUNDING else np.zeros_like(slopes)
 
     @property
     def _kept(self) -> Int[np.ndarray, " kept"]:

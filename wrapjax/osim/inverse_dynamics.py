@@ -85,6 +85,8 @@ class Mechanics:
 class JointShift:
     """A joint that is elsewhere than a model has it; at its coordinates' zero nothing has moved but that.
 
+    A joint without frames of its own, which OpenSim writes for every joint, stays where it is.
+
     Parameters
     ----------
     coordinate
@@ -131,7 +133,7 @@ def analyse_mechanics(
     opensim = import_opensim()
     model, state = load_model(model_file)
     if shift is not None:
-        state = _with_shifted_joint(opensim, model, shift)
+        state = _with_shifted_joint(opensim, model, state, shift)
     entries = {entry.getName(): entry for entry in elements(model.getCoordinateSet())}
     problems = unknown_names(model_file, "coordinate", (*coordinates, *motion.coordinates), list(entries))
     if problems:
@@ -191,11 +193,13 @@ def analyse_mechanics(
     )
 
 
-def _with_shifted_joint(opensim: Any, model: Any, shift: JointShift) -> Any:
+def _with_shifted_joint(opensim: Any, model: Any, state: Any, shift: JointShift) -> Any:
     """Put a joint elsewhere in a model and build its system anew; give its state."""
     joint = model.getCoordinateSet().get(shift.coordinate).getJoint()
     paths = [frame.getAbsolutePathString() for frame in (joint.getParentFrame(), joint.getChildFrame())]
     near, far = (opensim.PhysicalOffsetFrame.safeDownCast(model.updComponent(path)) for path in paths)
+    if near is None or far is None:
+        return state
     before, own = (Rotation.from_euler("XYZ", frame.get_orientation().to_numpy()) for frame in (near, far))
     turn = Rotation.from_rotvec(shift.turn)
     # The far body's axes at zero, in those of the near one.
