@@ -1,12 +1,12 @@
 """Who leads when a known signal is added to people with nothing amiss, along straight lines.
 
 ``python -m benchmarks.added --bank BANK --lines LINES`` takes the people of a development bank that have no
-effect, and their straight lines (see `benchmarks.lines`). To each one's residual it adds every signal that
-the simulator knows of this person, in turn and as large as the null hypothesis leaves so many standard
-deviations of it (``--sizes``), and scores all effects: how often the right one comes first, or among three,
-what share of the signal (of its square) its signatures can form, its evidence, and who leads in its place.
-Every effect is asked of every person, so that a change of one signature is seen in a minute. No calibration
-gives way to what is added but along its straight lines: cases of a bank are harder.
+effect, each once, and their straight lines (see `benchmarks.lines`). To each one's residual it adds every
+signal that the simulator knows of this person, in turn and as large as the null hypothesis leaves so many
+standard deviations of it (``--sizes``), and scores all effects: how often the right one comes first, or among
+three, what share of the signal (of its square) its signatures can form, its evidence, and who leads in its
+place. Every effect is asked of every person, so that a change of one signature is seen in a minute. No
+calibration gives way to what is added but along its straight lines: cases of a bank are harder.
 """
 
 from __future__ import annotations
@@ -60,9 +60,11 @@ class Added:
 def main() -> int:
     options = _parser().parse_args()
     found: list[Added] = []
+    asked: set[str] = set()
     try:
         for truth, lines in development_lines(options.bank, options.lines):
-            if truth["tier"] == "none":
+            if truth["tier"] == "none" and truth["person"] not in asked:
+                asked.add(truth["person"])
                 person = int(truth["person"].rsplit("_", 1)[-1])
                 library = Library.load(options.bank / "library" / f"{person:02d}.npz")
                 found += added(lines, library, options.sizes)

@@ -53,7 +53,7 @@ def test_each_effect_counts_alike(nobody):
 
 
 def test_people_with_nothing_amiss_are_asked_and_nobody_else(nobody, tmp_path, monkeypatch, capsys):
-    for name, tier in (("a", "none"), ("b", "single")):
+    for name, tier in (("a", "none"), ("again", "none"), ("b", "single")):
         (tmp_path / "truth").mkdir(exist_ok=True)
         truth = {"bank": "development", "tier": tier, "person": "development_00"}
         (tmp_path / "truth" / f"{name}.json").write_text(json.dumps(truth))
@@ -64,5 +64,6 @@ def test_people_with_nothing_amiss_are_asked_and_nobody_else(nobody, tmp_path, m
     monkeypatch.setattr("sys.argv", asked)
     assert main() == 0
     assert capsys.readouterr().out.splitlines()[1].split()[:4] == ["known", "8.0", "1", "1.00"]
-    (tmp_path / "lines" / "a.npz").unlink()
+    for name in ("a", "again"):
+        (tmp_path / "lines" / f"{name}.npz").unlink()
     assert main() == 2 and "nothing amiss" in capsys.readouterr().err

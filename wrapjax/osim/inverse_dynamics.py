@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError
-from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.osim.loading import import_opensim, initial_state, load_model
 from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.motion import Motion, Mover
 
@@ -207,7 +207,7 @@ def _with_shifted_joint(opensim: Any, model: Any, state: Any, shift: JointShift)
     for frame, turned in ((near, turn * before), (far, at_zero.inv() * turn * at_zero * own)):
         frame.set_orientation(opensim.Vec3(*turned.as_euler("XYZ").tolist()))
     near.set_translation(opensim.Vec3(*(near.get_translation().to_numpy() + shift.displacement).tolist()))
-    return model.initSystem()
+    return initial_state(model)
 
 
 def _parents(model: Any) -> dict[str, str]:

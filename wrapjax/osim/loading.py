@@ -58,11 +58,7 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
     opensim = import_opensim()
     try:
         model = opensim.Model(str(path))
-        state = model.initSystem()
-        # While it assembled the model, OpenSim may have moved coordinates a little.
-        for index in range(model.getCoordinateSet().getSize()):
-            coordinate = model.getCoordinateSet().get(index)
-            coordinate.setValue(state, coordinate.getDefaultValue(), False)
+        state = initial_state(model)
     except RuntimeError as error:
         reason = failure_reason(error)
         raise InputError(Problem(str(path), f"OpenSim cannot load it as a model ({reason})")) from error
@@ -70,6 +66,16 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
         # OpenSim takes any of its XML files, a tool's settings for example, as an empty model.
         raise InputError(Problem(str(path), "holds no bodies; an OpenSim model (.osim) was expected"))
     return model, state
+
+
+def initial_state(model: Any) -> Any:
+    """Build a model's system; give its state with every coordinate at its default."""
+    state = model.initSystem()
+    # While it assembled the model, OpenSim may have moved coordinates a little.
+    for index in range(model.getCoordinateSet().getSize()):
+        coordinate = model.getCoordinateSet().get(index)
+        coordinate.setValue(state, coordinate.getDefaultValue(), False)
+    return state
 
 
 def _check_outermost_element(path: Path) -> None:
