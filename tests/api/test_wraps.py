@@ -89,6 +89,9 @@ def test_contract_of_the_folder(sampled, tmp_path):
     assert list(content["wraps"]) == ["knee_front_l"]
     assert 0.0 <= entry["physiological_share"] <= 1.0
     assert {"balanced_accuracy", "false_physiological"} <= set(entry)
+    # Margins can only forbid more than what was learned forbids alone.
+    assert entry["learned_false_physiological"] >= entry["false_physiological"]
+    assert 0.5 < entry["learned_balanced_accuracy"] <= 1.0
     assert set(content["seconds"]) >= {"analysis", "fit", "boxes", "sampling", "feasibility"}
 
 

@@ -28,6 +28,8 @@ def cylinder(share, accuracy, passed, *, touched=True):
         "physiological_share": share,
         "balanced_accuracy": accuracy,
         "false_physiological": passed,
+        "learned_balanced_accuracy": accuracy and accuracy - 0.05,
+        "learned_false_physiological": passed,
         "translation_m": 0.0075,
         "touched": touched,
     }
@@ -111,9 +113,9 @@ def test_the_page_is_balanced_loads_nothing_and_says_how_it_was_made(content, su
 def test_cylinders_are_told_in_numbers_and_pictures():
     text = Page(render_fit(SAMPLED, None, [sampled_path()])).text
     assert "2 cylinders were sampled for PGA; muscles lie on 1 of them" in text
-    assert re.search(r"brim psoas_l yes 7\.5 60\.0 90\.0 2\.0", text)
+    assert re.search(r"brim psoas_l yes 7\.5 60\.0 90\.0 2\.0 85\.0 2\.0", text)
     # Nearly everywhere physiological: whether its limit errs cannot be judged.
-    assert re.search(r"pelvis glmax1_l no 7\.5 99\.0 \N{EN DASH} \N{EN DASH}", text)
+    assert re.search(r"pelvis glmax1_l no 7\.5 99\.0( \N{EN DASH}){4}", text)
     assert "psoas_l (brim): 2 of 3 accepted" in text
     assert "length step 1.5 mm" in text
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,11 +26,15 @@ class WrapQuality:
     balanced_accuracy, false_physiological
         Of its learned limit and the exact margins together, as PGA has both; see
         `wrapjax.geometry.FeasibilityQuality`. The margins are asked in recorded poses, the truth in others.
+    learned_balanced_accuracy, learned_false_physiological
+        Of the learned limit alone.
     """
 
     physiological_share: float
     balanced_accuracy: float | None
     false_physiological: float | None
+    learned_balanced_accuracy: float | None = None
+    learned_false_physiological: float | None = None
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,8 @@ def wrap_fit_from(
         own = {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
         limit = {name: jnp.asarray(value) for name, value in own.items()}
         feasibility[wrap] = Feasibility(**limit) if limit else None
-    kinds = ("physiological_share", "balanced_accuracy", "false_physiological")
+    # Fits made before the learned limit was judged alone do not say how well it does.
+    kinds = [field.name for field in fields(WrapQuality)]
     return WrapFit(
         wraps_of={muscle: tuple(wraps) for muscle, wraps in wraps_of.items()},
         translations={wrap: float(entry["translation_m"]) for wrap, entry in content.items()},
@@ -132,7 +137,8 @@ def wrap_fit_from(
         inner=inner,
         feasibility=feasibility,
         quality={
-            wrap: WrapQuality(**{kind: entry[kind] for kind in kinds}) for wrap, entry in content.items()
+            wrap: WrapQuality(**{kind: entry[kind] for kind in kinds if kind in entry})
+            for wrap, entry in content.items()
         },
         thresholds=PhysiologicalThresholds(**thresholds),
     )

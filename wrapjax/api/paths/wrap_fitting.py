@@ -29,7 +29,7 @@ from wrapjax.subject import Subject
 # Poses that boxes are found in: every so many recorded frames.
 _EVERY = 4
 # Raise when the same fit would get another inner level.
-_FORMAT = 2
+_FORMAT = 3
 
 
 def fit_wraps(
@@ -127,7 +127,13 @@ def _fit_wraps(
             samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
         )
         judged = feasibility_quality(feasibility[wrap], others, unseen, also_usable)
-        quality[wrap] = WrapQuality(float(unseen.mean()), **vars(judged))
+        alone = feasibility_quality(feasibility[wrap], others, unseen)
+        quality[wrap] = WrapQuality(
+            physiological_share=float(unseen.mean()),
+            **vars(judged),
+            learned_balanced_accuracy=alone.balanced_accuracy,
+            learned_false_physiological=alone.false_physiological,
+        )
     return replace(
         fit,
         errors=fit.errors | {name: one.error for name, one in learned.items()},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,11 @@ _COLUMNS = {
     "physiological_share": ("physiological (% of box)", 1e2),
     "balanced_accuracy": ("limits are right (%)", 1e2),
     "false_physiological": ("passed by mistake (%)", 1e2),
+}
+#: What stands in the table beside it, of the learned limit alone.
+_LEARNED_ALONE = {
+    "learned_balanced_accuracy": "learned limit alone is right (%)",
+    "learned_false_physiological": "passes by mistake (%)",
 }
 #: What thresholds say, by name: unit, factor, and what is held to them.
 _THRESHOLDS = {
@@ -82,7 +87,11 @@ def cylinders_section(content: dict[str, Any]) -> str:
             "rightly. Passed by mistake: the share of other placements that they allow.",
         ),
         markup.table(
-            ("cylinder", "muscles", "touched", *(title for title, _ in _COLUMNS.values())),
+            (
+                *("cylinder", "muscles", "touched"),
+                *(title for title, _ in _COLUMNS.values()),
+                *_LEARNED_ALONE.values(),
+            ),
             [_row(content, name) for name in _touched_first(content)],
             caption="The same in numbers. Touched: some muscle lies on it in the recorded cycles; PGA holds "
             f"the others, and those physiological in less than {100.0 * RAREST_SHARE:g} % of their box. A "
@@ -99,11 +108,17 @@ def _row(content: dict[str, Any], name: str) -> tuple[str, ...]:
         name,
         ", ".join(muscles),
         "yes" if own["touched"] else "no",
-        *(
-            _DASH if value is None else f"{factor * value:.1f}"
-            for (_, factor), value in zip(_COLUMNS.values(), _values(own), strict=True)
-        ),
+        *(_DASH if value is None else f"{factor * value:.1f}" for value, factor in _shown(own)),
     )
+
+
+def _shown(own: dict[str, Any]) -> Iterator[tuple[float | None, float]]:
+    """Give the table's numbers of a cylinder, and their factors."""
+    factors = [factor for _, factor in _COLUMNS.values()]
+    yield from zip(_values(own), factors, strict=True)
+    judged = own["balanced_accuracy"] is not None
+    for key in _LEARNED_ALONE:
+        yield own.get(key) if judged else None, 1e2
 
 
 def _values(own: dict[str, Any]) -> list[float | None]:
