@@ -28,8 +28,8 @@ _COLUMNS = {
 }
 #: What stands in the table beside it, of the learned limit alone.
 _LEARNED_ALONE = {
-    "learned_balanced_accuracy": "learned limit alone is right (%)",
-    "learned_false_physiological": "passes by mistake (%)",
+    "learned_balanced_accuracy": "learned alone: right (%)",
+    "learned_false_physiological": "learned alone: passed by mistake (%)",
 }
 #: What thresholds say, by name: unit, factor, and what is held to them.
 _THRESHOLDS = {
@@ -193,9 +193,8 @@ def pictures_section(content: dict[str, Any], paths: Iterable[SampledPath]) -> s
         markup.paragraph(
             "Each line is one placement of the muscle's cylinders over one recorded cycle, black the model's "
             "own: blue lines should look like paths that a muscle can take, the others should not. Where you "
-            "disagree, change the thresholds in Python: wrapjax.api.physiological_picture(subject, fit, "
-            "muscle, thresholds) draws a picture anew, wrapjax.fit_wraps(subject, fit, thresholds=...) fits "
-            f"with them.{by_engine}"
+            "disagree, change the thresholds: wrapjax fit has an option for each. In Python "
+            f"wrapjax.api.physiological_picture(subject, fit, muscle, thresholds) draws a picture anew.{by_engine}"
         ),
         *pictures,
         markup.table(
