@@ -194,7 +194,8 @@ def pictures_section(content: dict[str, Any], paths: Iterable[SampledPath]) -> s
             "Each line is one placement of the muscle's cylinders over one recorded cycle, black the model's "
             "own: blue lines should look like paths that a muscle can take, the others should not. Where you "
             "disagree, change the thresholds: wrapjax fit has an option for each. In Python "
-            f"wrapjax.api.physiological_picture(subject, fit, muscle, thresholds) draws a picture anew.{by_engine}"
+            "wrapjax.api.physiological_picture(subject, fit, muscle, thresholds) draws a picture "
+            f"anew.{by_engine}"
         ),
         *pictures,
         markup.table(
