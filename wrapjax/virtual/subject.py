@@ -186,7 +186,7 @@ def _hidden_wraps(
     with TemporaryDirectory() as place:
         model_file = Path(place) / MODEL_FILE
         build_leg_model(model_file)
-        return draw_wraps(generator, model_file, angles.reshape(-1, len(COORDINATES)), spread)
+        return draw_wraps(generator, model_file, angles, spread)
 
 
 def _record(
