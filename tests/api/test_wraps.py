@@ -12,7 +12,7 @@ import pytest
 
 from tests.api.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import MODEL, write_subject
-from wrapjax.api import calibrate, fit, fit_wraps, load_fit, load_subject
+from wrapjax.api import PhysiologicalThresholds, calibrate, fit, fit_wraps, load_fit, load_subject
 from wrapjax.api.paths import wrap_fitting
 from wrapjax.api.paths.fitting import fit_poses
 from wrapjax.errors import InputError
@@ -80,6 +80,14 @@ def test_stated_errors_are_those_of_the_engine(person, sampled):
         rows.append(sampled.surrogate.design("recfem_l", poses) @ np.asarray(row)[used])
     length = np.array(rows)[:, : len(poses)] - np.asarray(truth.length)
     assert 1e3 * np.sqrt(np.mean(length**2)) < 2.0 * error.length_rmse_mm
+
+
+def test_errors_are_of_the_models_own_cylinders_where_no_placement_is_physiological(person, sampled):
+    """No sample at all would otherwise count as no error at all."""
+    plain = fit(person, "engine")
+    hopeless = fit_wraps(person, plain, thresholds=PhysiologicalThresholds(length_deviation=1e-12))
+    assert hopeless.wraps.quality["knee_front_l"].physiological_share == 0.0
+    assert hopeless.errors["recfem_l"] == plain.errors["recfem_l"] != sampled.errors["recfem_l"]
 
 
 def test_contract_of_the_folder(sampled, tmp_path):

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 class PathError:
     """Errors of one muscle's path on poses never used in fitting, pooled over coordinates.
 
-    Once its cylinders have been sampled: on samples never used either, those that are physiological.
+    Once its cylinders have been sampled: on samples never used either, those that are physiological. Where
+    none is, errors are those with the model's own cylinders.
     """
 
     wrapped: bool

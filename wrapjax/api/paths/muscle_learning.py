@@ -38,7 +38,7 @@ class LearnedMuscle:
     half_range
         Of their boxes.
     error
-        On unseen physiological samples, in unseen poses.
+        On unseen physiological samples, in unseen poses; None if none of them is physiological.
     verdicts
         By cylinder: which training and which validation samples of it leave the path physiological, the
         muscle's other cylinders being nominal.
@@ -46,7 +46,7 @@ class LearnedMuscle:
 
     inner: Float[np.ndarray, "wrap monomial term"]
     half_range: Float[np.ndarray, "wrap wrap_parameter"]
-    error: PathError
+    error: PathError | None
     verdicts: dict[str, tuple[Labels, UnseenLabels]]
 
 
@@ -92,11 +92,13 @@ class MuscleLearner:
 
     def _judged(
         self, muscle: str, wraps: tuple[str, ...], inner: Float[np.ndarray, "wrap monomial term"]
-    ) -> tuple[PathError, Labels]:
+    ) -> tuple[PathError | None, Labels]:
         """Compare with samples and poses that the fit has not seen."""
         samples, row = self.validation.together, self.surrogate.muscles.index(muscle)
         found, nominal = self.source.paths(muscle, samples, "validation")
         physiological = self._labels(muscle, samples) & self._physiological(found, nominal, "validation")
+        if not physiological.any():
+            return None, physiological
         moved = samples.parameters(wraps) - NOMINAL
         level = InnerLevel(jnp.asarray(inner), jnp.asarray(self._half_range(wraps)))
         nominal_coefficients = np.asarray(self.surrogate.coefficients[row])[

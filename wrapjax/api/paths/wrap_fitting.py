@@ -29,7 +29,7 @@ from wrapjax.subject import Subject
 # Poses that boxes are found in: every so many recorded frames.
 _EVERY = 4
 # Raise when the same fit would get another inner level.
-_FORMAT = 3
+_FORMAT = 4
 
 
 def fit_wraps(
@@ -136,7 +136,8 @@ def _fit_wraps(
         )
     return replace(
         fit,
-        errors=fit.errors | {name: one.error for name, one in learned.items()},
+        # A muscle that no placement leaves physiological keeps its errors with the model's own cylinders.
+        errors=fit.errors | {name: one.error for name, one in learned.items() if one.error is not None},
         wraps=WrapFit(
             wraps_of={name: wraps_of.get(name, ()) for name in surrogate.muscles},
             translations=translations,
