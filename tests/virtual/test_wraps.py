@@ -2,9 +2,12 @@
 
 import json
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from wrapjax.api.paths.exact import exact_geometry
 from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim import analyse_muscles, write_personalised_model
 from wrapjax.subject import read_subject
@@ -61,6 +64,22 @@ def test_a_file_of_before_there_were_cylinders_is_read(hidden_folder, tmp_path):
     del content["wraps"]
     (tmp_path / TRUTH_FILE).write_text(json.dumps(content))
     assert read_truth(tmp_path).wraps == {}
+
+
+def test_true_cylinders_are_where_a_calibration_can_get_to(tmp_path):
+    """This person's first draw does not jump, and lies beyond a wall that is kept before a jump."""
+    series = (Series(0.8, 1, 0), Series(1.2, 1, 0))
+    truth = write_virtual_subject(
+        tmp_path / "v", seed=2, emg_noise=0.0, moment_noise=0.0, series=series, wrap_spread=SPREAD
+    )
+    subject = read_subject(tmp_path / "v")
+    geometry = exact_geometry(subject)
+    freedom = geometry.freedom("PGA", subject)
+    moved = np.array([truth.wraps[name] - NOMINAL for name in freedom.wraps.names])
+    places = freedom.wraps.places
+    changes = np.where((places >= 0)[..., None], moved[places], 0.0).reshape(len(places), -1)
+    paths = geometry.paths(subject, subject.trials, freedom)
+    assert np.isfinite(eqx.filter_jit(paths.at)(jnp.asarray(changes)).closeness).all()
 
 
 def test_true_paths_do_not_jump(hidden_folder, hidden, tmp_path):
