@@ -128,7 +128,7 @@ FAMILIES = {
         Family("spline", spline_curves, 2, _cascade, _hyperbolic),
     )
 }
-BANKS = {"test": ("millard",), "development": ("thelen", "spline")}
+BANKS = {"test": ("millard",), "second_test": ("millard",), "development": ("thelen", "spline")}
 
 
 def activate(
