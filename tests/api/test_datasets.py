@@ -10,7 +10,8 @@ from tests.api.test_initialisation import knee_only, write_passive
 from wrapjax.api import load_run, load_subject
 from wrapjax.api.calibrating.initialisation import Initialisation
 from wrapjax.api.comparing.comparison import Comparison
-from wrapjax.api.runs.datasets import calibration_dataset, contact_dataset
+from wrapjax.api.datasets.calibration import calibration_dataset
+from wrapjax.api.datasets.contact import contact_dataset
 from wrapjax.api.runs.evaluation import Evaluation
 from wrapjax.calibrate import Status
 from wrapjax.contact.result import MUSCLE_SHARE, ContactResult, RunContact, Undriven

@@ -18,10 +18,10 @@ from wrapjax.api.calibrating.extrapolation import STRATEGIES
 from wrapjax.api.calibrating.gathered_legs import Law, Leg, gather_legs, question_of
 from wrapjax.api.calibrating.personalised import write_model
 from wrapjax.api.calibrating.problem import source_for, stages
+from wrapjax.api.datasets.calibration import calibration_dataset
 from wrapjax.api.paths.cylinders import SURFACES
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
-from wrapjax.api.runs.datasets import calibration_dataset
 from wrapjax.calibrate import (
     AbstractCalibration,
     AugmentedLagrangian,

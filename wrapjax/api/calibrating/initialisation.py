@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.api.calibrating.undriven import acting_muscles
+from wrapjax.api.datasets.initialisation import initialisation_dataset
 from wrapjax.api.paths.exact import recorded
-from wrapjax.api.runs.datasets import initialisation_dataset
 from wrapjax.calibrate import ProjectedLM, Status
 from wrapjax.calibrate.initial_lengths import InitialLengths, LengthErrors
 from wrapjax.files import new_folder, write_json, write_text

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 from wrapjax.api.calibrating.calibration import STARTS, Calibration, calibrate
 from wrapjax.api.calibrating.problem import METHODS, method_freedom, source_for, source_like
 from wrapjax.api.comparing.persons import file_name, labels_of, persons_of
+from wrapjax.api.datasets.comparison import comparison_dataset
 from wrapjax.api.paths.exact import ExactGeometry, exact_geometry
 from wrapjax.api.paths.fitting import Fit
-from wrapjax.api.runs.datasets import comparison_dataset
 from wrapjax.calibrate import AugmentedLagrangian, Status, Watch
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import new_folder

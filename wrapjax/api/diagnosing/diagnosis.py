@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrapjax.api.calibrating.calibration import STARTS, Calibration, kept_calibration
+from wrapjax.api.datasets.gap import gap_dataset
 from wrapjax.api.diagnosing.gap_context import gap_context
 from wrapjax.api.paths.exact import ExactGeometry
 from wrapjax.api.paths.fitting import Fit
-from wrapjax.api.runs.datasets import gap_dataset
 from wrapjax.calibrate import PATH_PENALTIES, CalibrationResult, KeptSolves, Objective, Status, Watch
 from wrapjax.errors import InputError, Problem
 from wrapjax.files import cache_folder

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.api.calibrating.undriven import other_muscles
-from wrapjax.api.runs.datasets import contact_dataset
+from wrapjax.api.datasets.contact import contact_dataset
 from wrapjax.api.runs.run_curves import RunCurves, read_curves
 from wrapjax.api.runs.stored_run import Run
 from wrapjax.contact.compartments import NARROWEST, WIDEST, knee_compartments

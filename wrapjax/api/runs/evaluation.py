@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from wrapjax.api.calibrating.assembly import recording, surrogate_paths
 from wrapjax.api.calibrating.extrapolation import driven_by
+from wrapjax.api.datasets.evaluation import evaluation_dataset
 from wrapjax.api.paths.exact import WRAPPINGS, engine_of, recorded
-from wrapjax.api.runs.datasets import evaluation_dataset
 from wrapjax.api.runs.stored_run import Run, as_run
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.files import content_hash, new_folder
