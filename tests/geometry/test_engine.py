@@ -11,7 +11,8 @@ from scipy.optimize import root
 
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.several_wraps import PointsAndCarriers, wrap_shortest
+from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
+from wrapjax.geometry.several_wraps import wrap_shortest
 from wrapjax.geometry.surfaces import NOMINAL, Surface
 from wrapjax.geometry.wrapping import FREE
 from wrapjax.osim import describe_model

@@ -21,8 +21,9 @@ from jaxtyping import Array, Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.cylinder import Cylinder, geodesic_contact, spiral_contact
+from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
 from wrapjax.geometry.placement import points_and_carriers, straight_path, surfaces_of
-from wrapjax.geometry.several_wraps import PointsAndCarriers, wrap_in_parity, wrap_shortest
+from wrapjax.geometry.several_wraps import wrap_in_parity, wrap_shortest
 from wrapjax.geometry.surfaces import NOMINAL, Surface
 from wrapjax.geometry.wrapping import FindContact, StraightPath, WrappedPath, unwrapped, wrap_once
 from wrapjax.skeleton import CoordinateValues, ModelDescription, body_motion, path_points

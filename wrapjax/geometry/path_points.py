@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
 from wrapjax.geometry.placement import points_and_carriers, surfaces_of
-from wrapjax.geometry.several_wraps import PointsAndCarriers, Way, shortest_way
+from wrapjax.geometry.several_wraps import Way, shortest_way
 from wrapjax.geometry.surfaces import NOMINAL, Surface
 from wrapjax.skeleton import CoordinateValues, ModelDescription, body_motion, path_points
 

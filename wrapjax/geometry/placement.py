@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from wrapjax.geometry.several_wraps import PointsAndCarriers
+from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
 from wrapjax.geometry.surfaces import Surface
 from wrapjax.geometry.vectors import vector
 from wrapjax.geometry.wrapping import StraightPath
