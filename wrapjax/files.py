@@ -168,8 +168,13 @@ def refuse_existing(folder: Path, force: bool) -> None:
     parent = next(place for place in folder.absolute().parents if place.exists())
     if not parent.is_dir():
         raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
-    if not os.access(parent, os.W_OK):
-        raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is not writable"))
+    try:
+        # What permissions say is not all: file servers and quotas refuse what they allow.
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        hint = f"{parent} is not writable ({error.strerror})"
+        raise InputError(Problem(str(folder), "cannot be created", hint=hint)) from None
 
 
 def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:

@@ -1,5 +1,6 @@
 """Bad input or usage: a sentence, exit status 2, nothing written, nothing that was there lost."""
 
+import errno
 import json
 import shutil
 from pathlib import Path
@@ -92,11 +93,16 @@ class TestOut:
         assert content(tmp_path) == {"file": b"mine"}
 
     def test_folder_in_a_read_only_place(self, run, subject, tmp_path, no_work, monkeypatch, command):
-        """The system's answer is simulated: an administrator may write anywhere."""
+        """The system's answers are simulated: an administrator may write anywhere."""
+
+        def refuse(dir: Path) -> None:
+            raise OSError(errno.EROFS, "Read-only file system")
+
         monkeypatch.setattr("os.access", lambda place, mode: False)
+        monkeypatch.setattr("tempfile.TemporaryFile", refuse)
         out = tmp_path / "deep" / "out"
         (line,) = assert_only_errors(run(*command, subject, "--out", out), out)
-        assert "cannot be created" in line and f"{tmp_path} is not writable" in line
+        assert "cannot be created" in line and f"{tmp_path} is not writable (Read-only" in line
         assert content(tmp_path) == {}
 
 
