@@ -11,7 +11,12 @@ from wrapjax.errors import InputError, Problem, nearest_name
         (Problem("a.sto", "is empty"), "a.sto: is empty."),
         (Problem("a.sto", "is text", place="line 3"), "a.sto: line 3: is text."),
         (Problem("a.sto", "is text", hint="export it anew"), "a.sto: is text; export it anew."),
-        # A question ends as one: no full stop after it.
+        # No full stop after a list that goes on.
+        (
+            Problem("--without", "is unknown", hint="known: a, b, ..."),
+            "--without: is unknown; known: a, b, ...",
+        ),
+        # A question ends as one.
         (
             Problem("a.sto", "is unknown", place="column hip", hint="did you mean 'hip_l'?"),
             "a.sto: column hip: is unknown; did you mean 'hip_l'?",

@@ -38,7 +38,7 @@ class Problem:
         where = f"{_quoted(self.file, MOST_LETTERS)}: {place}" if place else _quoted(self.file, MOST_LETTERS)
         tail = f"; {hint}" if hint else ""
         sentence = f"{where}: {message}{tail}"
-        return sentence if sentence.endswith("?") else f"{sentence}."
+        return sentence if sentence.endswith(("?", "...")) else f"{sentence}."
 
 
 def _quoted(text: str, most: int = MOST_LETTERS // 2) -> str:
