@@ -99,6 +99,7 @@ def save(lines: Lines, file: Path) -> None:
     for place, one in enumerate(gap.candidates):
         arrays[f"variants_{place}"] = np.stack(one.variants)
         arrays[f"prior_{place}"] = one.prior_sd
+        arrays[f"limit_{place}"] = np.broadcast_to(one.limit, one.prior_sd.shape)
         told.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
     arrays["candidates"] = np.array(json.dumps(told))
     small = {name: own.astype(np.float32) if own.dtype == np.float64 else own for name, own in arrays.items()}
@@ -117,6 +118,7 @@ def load(file: Path) -> Lines:
             arrays[f"prior_{place}"],
             np.array(told["one_sided"], dtype=bool),
             tuple(tuple(part) for part in told["parts"]),
+            arrays[f"limit_{place}"],
         )
         for place, told in enumerate(json.loads(str(arrays["candidates"])))
     )

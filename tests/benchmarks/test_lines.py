@@ -21,7 +21,7 @@ def test_lines_come_back(tmp_path):
         nuisances=draw(size=(2, *rows)),
         candidates=(
             Candidate("one", (draw(size=(2, 40)), draw(size=(2, 40))), np.ones(2), np.array([True, False])),
-            Candidate("other", (draw(size=(3, 40)),), np.ones(3), np.zeros(3, bool), ((0,), (1, 2))),
+            Candidate("other", (draw(size=(3, 40)),), np.ones(3), np.zeros(3, bool), ((0,), (1, 2)), 4.0),
         ),
         input_errors=(InputErrors(draw(size=(2, *rows)), 0.04), InputErrors(draw(size=(1, *rows)), 0.08)),
         muscle_errors=MuscleErrors(draw(size=(2, 4, 5, 3)), draw(size=(2, *rows))),
@@ -35,6 +35,7 @@ def test_lines_come_back(tmp_path):
     for one, other in zip(found.candidates, gap.candidates, strict=True):
         assert (one.id, one.parts) == (other.id, other.parts)
         np.testing.assert_array_equal(one.one_sided, other.one_sided)
+        np.testing.assert_array_equal(one.limit, np.full(len(one.prior_sd), other.limit))
         np.testing.assert_allclose(one.variants, other.variants, rtol=1e-6)
     assert [errors.width for errors in found.input_errors] == pytest.approx([0.04, 0.08], rel=1e-6)
     np.testing.assert_allclose(found.muscle_errors.states, gap.muscle_errors.states, rtol=1e-6)

@@ -116,7 +116,7 @@ def test_a_larger_effect_is_expected_to_be_larger_within_its_limits():
         larger = effect.of_size(3.0)
         assert larger.id == effect.id and larger.parts == effect.parts
         for before, after in zip(effect.parameters, larger.parameters, strict=True):
-            assert after.prior_sd == min(3.0 * before.prior_sd, before.limit)
+            assert after.prior_sd == min(3.0 * before.prior_sd, 0.5 * before.limit)
             assert (after.name, after.limit) == (before.name, before.limit)
 
 

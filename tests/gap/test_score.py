@@ -1,5 +1,7 @@
 """The score test: equal to the evidence by brute force, and calibrated on data of its own null."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -51,6 +53,27 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
     expected = np.logaddexp.reduce(likelihoods) - np.log(len(SIZES))
     expected -= multivariate_normal(cov=covariance).logpdf(residual)
     assert found.evidence == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
+    free = candidate(generator, "one", parameters=2)
+    held = replace(free, limit=np.array([0.5, np.inf]))
+    (signature,) = free.variants
+    # The first amount would have to be 20 times what still makes sense.
+    residual = 10.0 * signature[0] + generator.multivariate_normal(np.zeros(ROWS), covariance)
+    (without,), (within,) = (
+        score_each(residual[None], [Null(covariance)], [one])[0].scores for one in (free, held)
+    )
+    assert without.amounts[0] > 9.0 and within.amounts[0] == 0.5
+    assert within.evidence < without.evidence
+    prior_sd = [np.minimum(0.7 * size, [0.25, np.inf]) for size in SIZES]
+    likelihoods = [
+        multivariate_normal(cov=covariance + signature.T @ np.diag(sd**2) @ signature).logpdf(residual)
+        for sd in prior_sd
+    ]
+    expected = np.logaddexp.reduce(likelihoods) - np.log(len(SIZES))
+    expected -= multivariate_normal(cov=covariance).logpdf(residual)
+    assert within.evidence == pytest.approx(expected, rel=1e-9)
 
 
 def test_evidence_of_a_one_sided_amount_is_that_of_a_half_normal_prior():

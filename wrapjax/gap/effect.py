@@ -79,6 +79,19 @@ class EffectParameter:
         return self.limit
 
 
+def resized(
+    prior_sd: Float[np.ndarray, "*parameter"] | float,
+    factor: float,
+    limit: Float[np.ndarray, "*parameter"] | float,
+) -> Float[np.ndarray, "*parameter"]:
+    """Standard deviations of amounts that are so many times as large, two of them within the limit at most.
+
+    Without the limit amounts that make no sense would be half of what a large effect is expected to be, and
+    evidence for them evidence for it.
+    """
+    return np.asarray(np.minimum(factor * np.asarray(prior_sd), 0.5 * np.asarray(limit)))
+
+
 #: From amounts, one a parameter, to what is different in the model: a `jax.tree_util.Partial`.
 Form = Callable[[Float[Array, " parameter"]], Alteration]
 
@@ -151,9 +164,10 @@ class Effect(eqx.Module):
         return Effect(self.id, self.family, parameters, variants, self.negative_control)
 
     def of_size(self, factor: float) -> Effect:
-        """Expect amounts so many times as large, within their limits."""
+        """Expect amounts so many times as large, within their limits; see `resized`."""
         parameters = tuple(
-            replace(entry, prior_sd=min(factor * entry.prior_sd, entry.limit)) for entry in self.parameters
+            replace(entry, prior_sd=float(resized(entry.prior_sd, factor, entry.limit)))
+            for entry in self.parameters
         )
         return replace(self, parameters=parameters)
 

@@ -209,4 +209,5 @@ def _candidate(
         np.array([entry.prior_sd for entry in effect.parameters]),
         np.array([entry.sign == 1 for entry in effect.parameters]),
         effect.parts,
+        np.array([entry.limit for entry in effect.parameters]),
     )

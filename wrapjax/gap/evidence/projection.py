@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Bool, Float
 
+from wrapjax.gap.effect import resized
 from wrapjax.gap.evidence.covariance import Matrix
 
 Signature = Float[np.ndarray, "parameter row"]
@@ -31,6 +32,8 @@ class Candidate:
     parts
         Numbers of the amounts that belong together: as a rule one part is amiss and the others are not. None
         where all go together.
+    limit
+        Largest amounts at which the effect still makes sense.
     """
 
     id: str
@@ -38,6 +41,11 @@ class Candidate:
     prior_sd: Float[np.ndarray, " parameter"]
     one_sided: Bool[np.ndarray, " parameter"]
     parts: tuple[tuple[int, ...], ...] = ()
+    limit: Float[np.ndarray, " parameter"] | float = np.inf
+
+    def expected(self, size: float) -> Float[np.ndarray, " parameter"]:
+        """Standard deviations of amounts that are so many times as large, within limits."""
+        return resized(self.prior_sd, size, self.limit)
 
     @property
     def hypotheses(self) -> tuple[tuple[tuple[int, ...], float], ...]:

@@ -170,17 +170,19 @@ def _against(
 ) -> _Found:
     """Score one candidate by s and I of its shapes; these are equally plausible before."""
     tried = []
+    limit = np.broadcast_to(candidate.limit, candidate.prior_sd.shape)
     for variant, (slope, information) in enumerate(shapes):
         for (part, share), size in product(candidate.hypotheses, SIZES):
             own = np.array(part)
             evidence, amounts, sd, detectability = evidence_of(
                 slope[:, own],
                 information[np.ix_(own, own)],
-                size * candidate.prior_sd[own],
+                candidate.expected(size)[own],
                 candidate.one_sided[own],
             )
             placed = np.zeros((len(slope), len(candidate.prior_sd)))
-            placed[:, own] = amounts
+            # A normal posterior ends nowhere.
+            placed[:, own] = np.clip(amounts, -limit[own], limit[own])
             spread = np.zeros(len(candidate.prior_sd))
             spread[own] = sd
             log_prior = np.log(share / len(candidate.variants) / len(SIZES))

@@ -107,7 +107,8 @@ def _as_they_explain_most(
             score, part = scores[one.id], np.array(scores[one.id].part)
             columns.append(first + score.variant * len(one.prior_sd) + part)
             shape = one.variants[score.variant][part]
-            own.append(Candidate(one.id, (shape,), one.prior_sd[part], one.one_sided[part]))
+            limit = np.broadcast_to(one.limit, one.prior_sd.shape)[part]
+            own.append(Candidate(one.id, (shape,), one.prior_sd[part], one.one_sided[part], limit=limit))
         first += len(one.prior_sd) * len(one.variants)
     return np.concatenate(columns), tuple(own)
 
@@ -119,7 +120,7 @@ def _of_columns(projection: Projection, columns: Int[np.ndarray, " kept"]) -> Pr
 
 def _spread(own: Sequence[Candidate], sizes: Mapping[str, float]) -> Float[np.ndarray, " kept"]:
     """Standard deviations of all amounts, where some effects are allowed for at these sizes."""
-    return np.concatenate([sizes.get(one.id, 0.0) * one.prior_sd for one in own])
+    return np.concatenate([one.expected(sizes.get(one.id, 0.0)) for one in own])
 
 
 def _less_likely(projection: Projection, given: int) -> Projection:
