@@ -10,6 +10,7 @@ import pytest
 
 from benchmarks.blind.__main__ import main
 from benchmarks.blind.effects import EFFECTS
+from benchmarks.blind.lot import ALL_CASES
 from benchmarks.blind.make import make
 from benchmarks.blind.outside import OUTSIDE
 from benchmarks.blind.plan import Bank
@@ -27,7 +28,7 @@ def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
     bank = Bank("development", 11, 2, 4, 2, 2, 2)
     make(bank, tmp_path)
     sealed = (tmp_path / "manifest.json").read_bytes()
-    truths = read_truth(tmp_path)
+    truths = read_truth(tmp_path, ALL_CASES)
     assert [sum(t.tier == tier for t in truths) for tier in ("single", "none", "outside", "pair")] == [
         4,
         2,
