@@ -84,10 +84,9 @@ def resized(
     factor: float,
     limit: Float[np.ndarray, "*parameter"] | float,
 ) -> Float[np.ndarray, "*parameter"]:
-    """Standard deviations of amounts that are so many times as large, two of them within the limit at most.
+    """Expect amounts to be so many times as large, but for two standard deviations to stay within limits.
 
-    Without the limit amounts that make no sense would be half of what a large effect is expected to be, and
-    evidence for them evidence for it.
+    A prior that is wider would count amounts that make no sense as evidence for an effect.
     """
     return np.asarray(np.minimum(factor * np.asarray(prior_sd), 0.5 * np.asarray(limit)))
 

@@ -20,7 +20,8 @@ from scipy.special import log_ndtr, logsumexp
 from wrapjax.gap.evidence.covariance import Matrix
 from wrapjax.gap.evidence.projection import Candidate, Null, Projection, project
 
-#: An effect may be smaller or larger than its prior expects: its amounts share one of these sizes.
+#: An effect may be smaller or larger than its prior expects: its amounts share one of these sizes, as far as
+#: their limits let them.
 SIZES = (0.1, 0.3, 1.0, 3.0)
 
 
