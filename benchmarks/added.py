@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg
 
-from benchmarks.blind.library import Library
+from benchmarks.blind.library import Library, library_of
 from benchmarks.lines import Lines, development_lines
 from benchmarks.losses import captured_share, in_rows, white
 from wrapjax.errors import InputError
@@ -65,9 +65,7 @@ def main() -> int:
         for truth, lines in development_lines(options.bank, options.lines):
             if truth["tier"] == "none" and truth["person"] not in asked:
                 asked.add(truth["person"])
-                person = int(truth["person"].rsplit("_", 1)[-1])
-                library = Library.load(options.bank / "library" / f"{person:02d}.npz")
-                found += added(lines, library, options.sizes)
+                found += added(lines, library_of(options.bank, truth["person"]), options.sizes)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

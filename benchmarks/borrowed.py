@@ -17,15 +17,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind.library import Library
+from benchmarks.blind.library import Library, library_of
 from benchmarks.known_cases import Scored, ranking
 from benchmarks.lines import Lines, development_lines
 from benchmarks.losses import in_rows
 from wrapjax.errors import InputError
 from wrapjax.gap.evidence.linearized import LinearGap
 from wrapjax.gap.evidence.null import nulls
-from wrapjax.gap.evidence.projection import Candidate, project
-from wrapjax.gap.evidence.score import score_projected
+from wrapjax.gap.evidence.projection import Candidate
+from wrapjax.gap.evidence.score import score_each
 
 #: So many effects are listed that have most evidence where nothing is amiss.
 _LISTED = 6
@@ -37,10 +37,9 @@ def main() -> int:
     theirs: list[Scored] = []
     try:
         for truth, lines in development_lines(options.bank, options.lines):
-            person = int(truth["person"].rsplit("_", 1)[-1])
-            library = Library.load(options.bank / "library" / f"{person:02d}.npz")
-            for found, one in zip((ours, theirs), both(truth, lines, library), strict=True):
-                found.append(one)
+            by_ours, by_theirs = both(truth, lines, library_of(options.bank, truth["person"]))
+            ours.append(by_ours)
+            theirs.append(by_theirs)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -52,12 +51,9 @@ def main() -> int:
 def both(truth: dict[str, Any], lines: Lines, library: Library) -> tuple[Scored, Scored]:
     """Score a case with the catalogue's signatures, then with the simulator's."""
     gap = lines.gap
-    theirs = borrowed(gap, library)
-    every = [
-        project(gap.residual.reshape(1, -1), null, (*gap.candidates, *theirs))
-        for null in nulls(gap, lines.sizes)
-    ]
-    (found,) = score_projected(every, (*gap.candidates, *theirs))
+    candidates = (*gap.candidates, *borrowed(gap, library))
+    (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, lines.sizes), candidates)
+    # Under the same ids, so that they are told apart by their places.
     evidence = [(one.id, one.evidence) for one in found.scores]
     own = len(gap.candidates)
     return (

@@ -154,6 +154,9 @@ def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any],
             own = load(file)
         except ValueError as error:
             raise InputError(Problem(str(file), str(error))) from None
+        except KeyError as error:
+            hint = "they are of another version: draw them anew"
+            raise InputError(Problem(str(file), f"lines without {error}", hint=hint)) from None
         yield truth, own
 
 

@@ -27,7 +27,7 @@ from jaxtyping import Float
 
 from benchmarks.banks import CLEAR
 from benchmarks.blind.effects import EFFECTS
-from benchmarks.blind.library import SHARE, Library
+from benchmarks.blind.library import SHARE, library_of
 from benchmarks.lines import Lines, development_lines
 from wrapjax.errors import InputError
 from wrapjax.gap.evidence.covariance import Matrix
@@ -78,8 +78,7 @@ def main() -> int:
 def signal_of(bank: Path, truth: Mapping[str, Any]) -> Float[np.ndarray, "cycle phase coordinate"]:
     """Read a cause's signal over the calibration cycles, N m: the library's, in proportion to the amount."""
     cause = truth["causes"][0]
-    person = int(truth["person"].rsplit("_", 1)[-1])
-    library = Library.load(bank / "library" / f"{person:02d}.npz")
+    library = library_of(bank, truth["person"])
     place = library.entries.index((cause["id"], tuple(cause["variant"])))
     share = cause["amount"] / (SHARE * EFFECTS[cause["id"]].most)
     return share * library.signals[:, place]

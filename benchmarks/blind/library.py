@@ -40,6 +40,16 @@ class Library:
         return np.array([index for index, (own, _) in enumerate(self.entries) if own == name], int)
 
 
+def library_file(bank: Path, person: int) -> Path:
+    """Where a bank keeps the library of a person, by number."""
+    return bank / "library" / f"{person:02d}.npz"
+
+
+def library_of(bank: Path, name: str) -> Library:
+    """The library of a person, by the name that truths have."""
+    return Library.load(library_file(bank, int(name.rsplit("_", 1)[-1])))
+
+
 def entries_of(world: World) -> list[tuple[Effect, Variant]]:
     return [(effect, variant) for effect in EFFECTS.values() for variant in effect.variants(world)]
 

@@ -11,7 +11,7 @@ from time import perf_counter
 
 from benchmarks.blind.case import make_case
 from benchmarks.blind.effects import EFFECTS
-from benchmarks.blind.library import Library, build_library
+from benchmarks.blind.library import Library, build_library, library_file
 from benchmarks.blind.lot import ALL_CASES, Lot
 from benchmarks.blind.noise import EMG_LEVELS
 from benchmarks.blind.oracle import oracles
@@ -32,9 +32,9 @@ def make(bank: Bank, folder: Path, workers: int = 1, lot: Lot = ALL_CASES) -> li
     """Make all cases of a bank, or some, and seal them."""
     (folder / "library").mkdir(parents=True, exist_ok=True)
     people = range(bank.people)
-    missing = [index for index in people if not _library_file(folder, index).exists()]
+    missing = [index for index in people if not library_file(folder, index).exists()]
     _spread(workers, _make_library, [(bank, folder, index) for index in missing], "people")
-    libraries = {index: Library.load(_library_file(folder, index)) for index in people}
+    libraries = {index: Library.load(library_file(folder, index)) for index in people}
     planned = with_targets(bank, draft(bank, VARIANTS), libraries)
     wanted = set(lot.of(case.id for case in planned))
     planned = [case for case in planned if case.id in wanted]
@@ -49,24 +49,20 @@ def _made(folder: Path, case: Planned) -> bool:
     return (folder / "cases" / case.id).exists()
 
 
-def _library_file(folder: Path, index: int) -> Path:
-    return folder / "library" / f"{index:02d}.npz"
-
-
 def _make_library(bank: Bank, folder: Path, index: int) -> str:
     start = perf_counter()
     who = someone(bank, index)
     library = build_library(who.world, oracles(who.world, EMG_LEVELS))
     partial = folder / "library" / f"partial_{index:02d}.npz"
     library.save(partial)
-    partial.replace(_library_file(folder, index))
+    partial.replace(library_file(folder, index))
     return f"{who.name}: {len(library.entries)} signatures in {perf_counter() - start:.0f} s"
 
 
 def _make_cases(bank: Bank, folder: Path, index: int, planned: list[Planned]) -> str:
     start = perf_counter()
     who = someone(bank, index)
-    library = Library.load(_library_file(folder, index))
+    library = Library.load(library_file(folder, index))
     known = oracles(who.world, tuple(sorted({case.level for case in planned})))
     for case in planned:
         make_case(bank, case, who, library, known, folder)

@@ -1,9 +1,13 @@
 """Straight lines that were kept are those that were drawn."""
 
+import json
+
 import numpy as np
 import pytest
 
-from benchmarks.lines import Lines, load, save
+from benchmarks.lines import Lines, development_lines, load, save
+from tests.benchmarks.made_up_lines import SHAPE, lines
+from wrapjax.errors import InputError
 from wrapjax.gap.evidence.covariance import InputErrors, MuscleErrors
 from wrapjax.gap.evidence.linearized import LinearGap
 from wrapjax.gap.evidence.projection import Candidate
@@ -39,3 +43,18 @@ def test_lines_come_back(tmp_path):
         np.testing.assert_allclose(one.variants, other.variants, rtol=1e-6)
     assert [errors.width for errors in found.input_errors] == pytest.approx([0.04, 0.08], rel=1e-6)
     np.testing.assert_allclose(found.muscle_errors.states, gap.muscle_errors.states, rtol=1e-6)
+
+
+def test_lines_of_another_version_are_refused_in_a_sentence(tmp_path):
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "a.json").write_text(json.dumps({"bank": "development"}))
+    file = tmp_path / "lines" / "a.npz"
+    save(
+        lines(np.zeros((SHAPE[0], SHAPE[2], SHAPE[1])), {"one": np.ones((SHAPE[0], SHAPE[2], SHAPE[1]))}),
+        file,
+    )
+    with np.load(file) as whole:
+        earlier = {name: own for name, own in whole.items() if name != "limit_0"}
+    np.savez(file, **earlier)
+    with pytest.raises(InputError, match=r"lines without 'limit_0'; .*draw them anew"):
+        list(development_lines(tmp_path, tmp_path / "lines"))

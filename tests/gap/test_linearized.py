@@ -139,6 +139,17 @@ def test_nuisances_are_part_of_the_null_and_never_candidates(setting):
     gap = setting[3]
     assert {candidate.id for candidate in gap.candidates} == set(EFFECTS) - {"curve_family"}
     assert len(gap.nuisances)
+
+
+def test_candidates_know_how_large_amounts_may_be(setting):
+    *_, gap, _ = setting
+    _, context = small_recording_and_context()
+    for candidate in gap.candidates:
+        effect = CATALOGUE[candidate.id].on(context)
+        np.testing.assert_array_equal(candidate.limit, [entry.limit for entry in effect.parameters])
+        # A score and a joint fit expect the same.
+        large = Effects((effect.of_size(3.0),))
+        np.testing.assert_array_equal(candidate.expected(3.0), large.prior_sd)
     covariance = known_covariance(gap)
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0.0

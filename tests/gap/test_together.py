@@ -1,5 +1,7 @@
 """Defends: several effects are said where each stands out beside the others, and only there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,13 @@ def test_three_causes_are_found():
         9.0 * a + 8.0 * b + 7.0 * c, [effect("a", a), effect("b", b), effect("c", c), *bystanders()]
     )
     assert together == ("a", "b", "c")
+
+
+def test_an_effect_that_would_have_to_be_absurdly_large_does_not_stand_beside_another():
+    a, b, *_ = directions(9)
+    held = replace(effect("b", b), limit=0.5)
+    candidates = [effect("a", a), held, *bystanders()]
+    assert found(9.0 * a + 8.0 * b, candidates)[0] == ()
 
 
 def test_a_second_cause_needs_more_evidence_than_a_first():
