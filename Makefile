@@ -54,16 +54,16 @@ ANSWERERS := wrapjax modification_index raw_correlation held_out_drop score_alon
 	without_muscle_errors without_repeated without_nuisances without_give
 
 blind blind-quick: setup
-	$(RUN)/python -m benchmarks.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
+	$(RUN)/python -m validation.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
 		--cases $(word 3,$(BANK)) --workers $(JOBS)
-	$(RUN)/python -m benchmarks.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
+	$(RUN)/python -m validation.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
 		--baselines $(word 1,$(BANK))/answers --ablations $(word 1,$(BANK))/answers \
 		--withheld $(word 1,$(BANK))/answers/withheld \
 		--starts $(word 4,$(BANK)) --workers $(JOBS)
-	$(RUN)/python -m benchmarks.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
+	$(RUN)/python -m validation.blind score --bank $(word 1,$(BANK)) --json $(word 1,$(BANK))/score.json \
 		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \
 		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld
-	$(RUN)/python -m benchmarks.blind publish --score $(word 1,$(BANK))/score.json --out $(word 1,$(BANK))/published
+	$(RUN)/python -m validation.blind publish --score $(word 1,$(BANK))/score.json --out $(word 1,$(BANK))/published
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache .mypy_cache

@@ -15,7 +15,7 @@ from wrapjax.jax_setup import set_up_jax
 if TYPE_CHECKING:
     from benchmarks.case import Case
     from benchmarks.metric import Metric
-    from wrapjax.subject import Subject
+    from wrapjax.subject.subject import Subject
 
 GROUPS = (
     *("kernels", "compile", "solve", "recompilation", "growth", "roofline"),

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibrate import Objective
+from wrapjax.calibration.objective import Objective
 
 
 def batched(

@@ -17,10 +17,9 @@ from benchmarks.case import Case, moment_residuals, total_cost
 from benchmarks.machine import THREAD_VARIABLES
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.calibrate import Pace
-from wrapjax.calibrate.projected_lm import propose_step
-from wrapjax.calibrate.solution import SolverState
-from wrapjax.model import joint_moments
+from wrapjax.calibration.solvers.interface import Pace, SolverState
+from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
+from wrapjax.model.forward import joint_moments
 
 
 def kernels(case: Case, *, quick: bool = False) -> list[Metric]:

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import wrapjax
-from wrapjax.api import Fit
-from wrapjax.api.calibrating.assembly import recording, surrogate_paths
-from wrapjax.api.calibrating.problem import prepare
-from wrapjax.calibrate import Objective
-from wrapjax.model import joint_moments
-from wrapjax.subject import Subject
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.problem import build_objective
+from wrapjax.model.forward import joint_moments
+from wrapjax.path_sources.fit import Fit
+from wrapjax.path_sources.model_inputs import recording, surrogate_paths
+from wrapjax.subject.subject import Subject
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Case:
 def nga_case(subject: Subject) -> Case:
     """Fit the subject's paths (or find them in the cache) and set its NGA problem up."""
     fit = wrapjax.fit(subject, quiet=False)
-    return Case(subject, fit, prepare(subject, "NGA", fit))
+    return Case(subject, fit, build_objective(subject, "NGA", fit))
 
 
 def total_cost(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, ""]:

@@ -39,7 +39,7 @@ def main() -> int:
     ratio = passes[options.workers] / passes[1]
     print(f"{options.workers} workers do {ratio:.2f} times as much as one")
     if options.out:
-        from wrapjax.files import write_json
+        from wrapjax.io.files import write_json
 
         content = {
             "schema": 1,
@@ -59,7 +59,7 @@ def main() -> int:
 def _make(place: Path, count: int) -> list[Path]:
     """Make up persons, those that are not there yet."""
     set_up_jax()
-    from wrapjax.virtual import write_virtual_subject
+    from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 
     folders = [place / f"virtual_{seed:02d}" for seed in range(count)]
     for seed, folder in enumerate(folders):
@@ -72,7 +72,7 @@ def _pass(
     subjects: Sequence[Path], place: Path, workers: int, options: argparse.Namespace, *, compiled: Path | None
 ) -> float:
     """Time a cohort (s) that starts from nothing but compiled programs."""
-    from wrapjax.api.cohorts.running import cohort
+    from wrapjax.cohorts.cohort import cohort
 
     shutil.rmtree(place, ignore_errors=True)
     cache = place / "cache"

@@ -19,8 +19,8 @@ from benchmarks.subjects import default_subject
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.api import Comparison
-    from wrapjax.report.comparison.samples import ComparedLeg
+    from wrapjax.comparison.comparison import Comparison
+    from wrapjax.comparison.samples import ComparedLeg
 
 _METHODS = ("NGA", "SGA", "LSGA", "PGA")
 
@@ -31,8 +31,8 @@ def main() -> int:
     pin_threads(options.threads)
     set_up_jax()
     import wrapjax
-    from wrapjax.api.tables.calibration import iteration_printer
-    from wrapjax.files import write_json
+    from wrapjax.cli.calibrate import iteration_printer
+    from wrapjax.io.files import write_json
 
     with ExitStack() as made:
         folders = options.subjects or [made.enter_context(default_subject(None))]
@@ -61,7 +61,7 @@ def main() -> int:
 
 def describe(done: Comparison) -> dict[str, Any]:
     """Give errors and change of geometry of every method, and how each calibration ended; SI units, N m."""
-    from wrapjax.report.comparison.samples import unit_of_analysis
+    from wrapjax.comparison.samples import unit_of_analysis
 
     return {
         "unit_of_analysis": unit_of_analysis(done.legs, "cycle"),

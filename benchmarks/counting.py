@@ -10,7 +10,7 @@ from unittest import mock
 
 from jax import monitoring
 
-from wrapjax.calibrate import problem
+from wrapjax.calibration.solvers import interface
 
 
 @dataclass
@@ -30,7 +30,7 @@ class Evaluations:
 def counted_evaluations() -> Iterator[Evaluations]:
     """Count what `ProjectedLM` asks of its problem meanwhile."""
     count = Evaluations()
-    value, linearize = problem._value, problem._linearize
+    value, linearize = interface._value, interface._linearize
 
     def counted_value(*arguments: Any) -> Any:
         count.values += 1
@@ -40,7 +40,7 @@ def counted_evaluations() -> Iterator[Evaluations]:
         count.linearizations += 1
         return linearize(*arguments)
 
-    with mock.patch.multiple(problem, _value=counted_value, _linearize=counted_linearize):
+    with mock.patch.multiple(interface, _value=counted_value, _linearize=counted_linearize):
         yield count
 
 

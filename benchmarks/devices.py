@@ -16,9 +16,9 @@ from benchmarks.engine import POSES, SAMPLES, samples_in_the_box, wrapping_muscl
 from benchmarks.metric import Metric
 from benchmarks.tiled import another_person
 from benchmarks.timing import median_seconds
-from wrapjax.calibrate import Objective
+from wrapjax.calibration.objective import Objective
 from wrapjax.geometry.engine import PosedPath, wrap_at_samples
-from wrapjax.subject import Subject
+from wrapjax.subject.subject import Subject
 
 #: People of one shape in one batch.
 PEOPLE = 32

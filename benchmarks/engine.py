@@ -18,12 +18,12 @@ from jaxtyping import Float
 from benchmarks.metric import INFORMATION, Metric
 from benchmarks.plain_opensim import plain_seconds
 from benchmarks.timing import median_seconds
-from wrapjax.geometry import random_poses
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, PosedPath, wrap_at_samples
-from wrapjax.geometry.wrap_boxes import NARROWER, box, hammersley
-from wrapjax.osim import describe_model
+from wrapjax.geometry.training_samples import random_poses
+from wrapjax.geometry.wrap_bounds import NARROWER, box, hammersley
+from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
-from wrapjax.subject import Subject
+from wrapjax.subject.subject import Subject
 
 POSES = 500
 #: Samples that all poses are analysed at, of every wrapped muscle: 500,000 analyses a muscle.

@@ -10,15 +10,15 @@ import sys
 import time
 
 import wrapjax
-from wrapjax.api.calibrating.problem import prepare
-from wrapjax.calibrate import ProjectedLM
+from wrapjax.calibration.problem import build_objective
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
 
 
 def main() -> None:
     subject = wrapjax.load_subject(sys.argv[1])
     fit = wrapjax.load_fit(sys.argv[2], subject)
     moments = [time.perf_counter()]
-    problem = prepare(subject, "NGA", fit)
+    problem = build_objective(subject, "NGA", fit)
     moments.append(time.perf_counter())
     solver, start = ProjectedLM(), problem.variables.start()
     solver.compile(problem, start)

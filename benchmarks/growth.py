@@ -17,7 +17,7 @@ from benchmarks.batching import batched
 from benchmarks.metric import Metric
 from benchmarks.tiled import another_person, tiled
 from benchmarks.timing import median_seconds
-from wrapjax.calibrate import Objective
+from wrapjax.calibration.objective import Objective
 
 Kernel = Callable[[Objective, Array], Any]
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from wrapjax.calibrate import Objective
+from wrapjax.calibration.objective import Objective
 
 
 def residual_jacobian(

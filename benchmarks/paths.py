@@ -11,12 +11,12 @@ import numpy as np
 import wrapjax
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.api import Fit
-from wrapjax.api.calibrating.problem import stages
-from wrapjax.calibrate import CalibrationResult, Pace
-from wrapjax.calibrate.projected_lm import propose_step
-from wrapjax.calibrate.solution import SolverState
-from wrapjax.subject import Subject
+from wrapjax.calibration.problem import stages
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.solvers.interface import Pace, SolverState
+from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
+from wrapjax.path_sources.fit import Fit
+from wrapjax.subject.subject import Subject
 
 #: What each method must take off NGA's mean absolute moment error, in parts of it.
 TARGETS = {

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.files import write_json
-from wrapjax.osim import analyse_muscles, describe_model
+from wrapjax.io.files import write_json
 from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.osim.model import describe_model
+from wrapjax.osim.muscle_analysis import analyse_muscles
 
 #: Poses to judge by, and where their random numbers start.
 UNSEEN_POSES, SEED = 500, 1
@@ -155,7 +156,7 @@ def _evaluate(
 
 def main() -> None:
     from wrapjax import load_subject
-    from wrapjax.geometry.poses import random_poses, walking_belt
+    from wrapjax.geometry.training_samples import random_poses, walking_belt
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("subject", type=Path, help="subject folder")

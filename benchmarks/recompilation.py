@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from benchmarks.counting import counted_programs
 from benchmarks.metric import Metric
 from benchmarks.tiled import another_person
-from wrapjax.calibrate import Objective, ProjectedLM
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
 
 
 def recompilations(problem: Objective) -> list[Metric]:

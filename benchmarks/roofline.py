@@ -23,11 +23,11 @@ import numpy as np
 from benchmarks.case import Case
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.geometry import random_poses
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath
-from wrapjax.geometry.wrap_boxes import NARROWER, box, hammersley
-from wrapjax.osim import describe_model
-from wrapjax.subject import Subject
+from wrapjax.geometry.training_samples import random_poses
+from wrapjax.geometry.wrap_bounds import NARROWER, box, hammersley
+from wrapjax.osim.model import describe_model
+from wrapjax.subject.subject import Subject
 
 #: Rows of the square matrices that are multiplied, and numbers in each array that is streamed (80 MB, which
 #: no cache holds).

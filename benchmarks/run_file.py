@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.machine import commit, describe_machine, versions
 from benchmarks.metric import INFORMATION, Metric
 from wrapjax.errors import InputError, Problem
-from wrapjax.files import write_json
+from wrapjax.io.files import write_json
 
 _SCHEMA = 2
 

@@ -13,7 +13,7 @@ from benchmarks.metric import INFORMATION, Metric
 from benchmarks.peers import PEERS
 from benchmarks.published import NMSM_PIPELINE, beside_published
 from benchmarks.race import Run
-from wrapjax.calibrate import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
 
 #: A peer has arrived when its cost is this close to ours, relatively. The problem has several minima
 #: less than one percent apart, and which of them an optimizer meets is luck.

@@ -9,11 +9,13 @@ import numpy as np
 
 from benchmarks.metric import INFORMATION, Metric
 from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
-from wrapjax.api.paths.fitting import TRAINING_POSES, path_errors
-from wrapjax.geometry import fit_surrogate, random_poses, smooth_poses
-from wrapjax.geometry.poses import walking_belt
-from wrapjax.osim import analyse_muscles, describe_model, spanned_coordinates
-from wrapjax.subject import Subject
+from wrapjax.geometry.surrogate import fit_surrogate
+from wrapjax.geometry.training_samples import random_poses, smooth_poses, walking_belt
+from wrapjax.osim.model import describe_model, spanned_coordinates
+from wrapjax.osim.muscle_analysis import analyse_muscles
+from wrapjax.path_sources.fit_poses import TRAINING_POSES
+from wrapjax.path_sources.fitting import path_errors
+from wrapjax.subject.subject import Subject
 
 #: Broad fans, paths over the pelvic brim, paths that lift off their cylinder, knee and ankle.
 DEFAULT_MUSCLES = ("iliacus", "psoas", "glmax1", "glmax2", "recfem", "vasmed", "semimem", "gasmed")

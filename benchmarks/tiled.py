@@ -10,17 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibrate import PATH_CHANGE, Objective, path_limits, pipeline_penalties
-from wrapjax.calibrate.penalties import GroupPenalty
-from wrapjax.geometry import AdjustablePath, PathState
-from wrapjax.model import (
-    ModelParameters,
-    Recording,
-    free_variables,
-    muscle_states,
-    nga,
-    with_paths,
-)
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.path_penalties import path_limits
+from wrapjax.calibration.penalties import GroupPenalty, pipeline_penalties
+from wrapjax.geometry.path_modes import PATH_CHANGE
+from wrapjax.geometry.paths import AdjustablePath, PathState
+from wrapjax.model.forward import Recording, muscle_states
+from wrapjax.model.freedom import nga, with_paths
+from wrapjax.model.parameters import ModelParameters
+from wrapjax.model.variables import free_variables
 
 #: Size of a made-up change of path, in parts of the path.
 _MODE_SIZE = 0.01

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import wrapjax
-from wrapjax.virtual import write_virtual_subject
+from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 
 # %% [markdown]
 # ## A subject
@@ -77,7 +77,7 @@ for name, old, new in zip(result.coordinates, before, after, strict=True):
 
 # %%
 cost = wrapjax.objective(subject, "NGA", paths)
-start = wrapjax.prepare(subject, "NGA", paths).variables.base
+start = wrapjax.build_objective(subject, "NGA", paths).variables.base
 gradient = jax.grad(cost)(start)
 
 generator = np.random.default_rng(0)

@@ -23,14 +23,14 @@ set_up_jax()  # 64 bits; what is compiled is kept for the next run
 import numpy as np
 
 import wrapjax
+from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.path_points import route_path
-from wrapjax.geometry.surfaces import WRAP_PARAMETERS
-from wrapjax.osim import describe_model
-from wrapjax.report.moved_paths import MovedPath, describe_move
+from wrapjax.geometry.wrapping import WRAP_PARAMETERS
+from wrapjax.osim.model import describe_model
 from wrapjax.report.path_views import path_view_figure
+from wrapjax.report.paths import MovedPath, describe_move
 from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
-from wrapjax.virtual import write_virtual_subject
 
 # %% [markdown]
 # ## A model as names and numbers

@@ -20,9 +20,9 @@ set_up_jax()  # 64 bits; what is compiled is kept for the next run
 import numpy as np
 
 import wrapjax
-from wrapjax.api.tables.gap import gap_table
-from wrapjax.gap import CATALOGUE
-from wrapjax.virtual import write_virtual_subject
+from wrapjax.cli.diagnose import gap_table
+from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
 folder = Path(tempfile.mkdtemp())
 write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")

@@ -20,12 +20,12 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 LONGEST = (
     "tests/notebooks",
     "tests/cli/test_demo.py",
-    "tests/api/test_two_legs.py",
-    "tests/api/test_wraps.py",
-    "tests/api/test_diagnosis.py",
-    "tests/api/test_comparison.py",
+    "tests/calibration/test_two_legs.py",
+    "tests/path_sources/test_wraps.py",
+    "tests/diagnosis/test_diagnosis.py",
+    "tests/comparison/test_comparison.py",
     "tests/cli/test_compare.py",
-    "tests/calibrate/test_recorded.py",
+    "tests/calibration/test_recorded.py",
 )
 
 
@@ -64,7 +64,7 @@ def compiled(cache, tmp_path_factory):
 
     So do the processes that tests run in. One may read what another is still writing: that is compiled anew.
     """
-    from wrapjax.files import cache_folder
+    from wrapjax.io.files import cache_folder
 
     if "PYTEST_XDIST_WORKER" in os.environ:
         shared = tmp_path_factory.getbasetemp().parent / "compiled"

@@ -14,101 +14,101 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "wrapjax"
 
-#: What each folder (or module beside the folders) may import of ours.
+#: What each room may import of ours; a room is a folder of the package, or a module beside the folders.
+#: In this order nothing imports what comes later, but for results that write themselves (`LATE`).
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
     "progress": set(),
-    "precision": set(),
-    "files": {"errors", "locks"},
-    "locks": {"errors"},
-    "jax_setup": {"files"},
-    "scheduling": {"errors", "jax_setup"},
-    "safe_xml": {"errors"},
-    "stored": set(),
-    "subject": {"errors", "files", "progress", "safe_xml"},
-    "nmsm": {"errors", "files", "subject"},
-    "raw": {"errors", "files", "skeleton", "subject"},
-    "public": {"errors", "files", "progress"},
+    "io": {"errors"},
+    "jax_setup": {"io"},
+    "subject": {"errors", "progress", "io"},
     "skeleton": {"errors"},
-    "osim": {"errors", "files", "progress", "safe_xml", "skeleton", "stored"},
+    "osim": {"errors", "progress", "io", "skeleton"},
     "geometry": {"errors", "skeleton"},
     "muscle": set(),
     "model": {"geometry", "muscle"},
-    "calibrate": {"errors", "files", "stored", "model", "geometry", "muscle"},
-    "gap": {"errors", "calibrate", "model", "geometry", "muscle"},
-    "measurement": {"errors", "subject", "osim", "gap"},
-    "contact": {"errors", "geometry", "skeleton"},
-    "evaluate": set(),
-    "virtual": {"errors", "files", "stored", "precision", "subject", "osim", "geometry", "muscle", "model"},
+    "path_sources": {
+        *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
+        *("geometry", "muscle", "model"),
+    },
+    "preprocessing": {"errors", "progress", "io", "subject", "skeleton", "osim", "geometry"},
+    "datasets": {
+        *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
+        *("geometry", "muscle", "model"),
+    },
+    "calibration": {
+        *("errors", "progress", "io", "jax_setup", "subject", "osim", "geometry", "muscle", "model"),
+        "path_sources",
+    },
+    "comparison": {"errors", "progress", "io", "subject", "osim", "path_sources", "calibration"},
+    "diagnosis": {
+        *("errors", "progress", "io", "subject", "skeleton", "osim", "geometry", "muscle", "model"),
+        *("path_sources", "calibration"),
+    },
+    "evaluation": {
+        *("errors", "io", "jax_setup", "subject", "geometry", "muscle", "model", "path_sources"),
+        "calibration",
+    },
+    "contact_forces": {
+        *("errors", "io", "jax_setup", "subject", "preprocessing", "skeleton", "osim", "geometry"),
+        *("muscle", "model", "path_sources", "calibration", "comparison", "diagnosis", "evaluation"),
+    },
+    "cohorts": {
+        *("errors", "progress", "io", "jax_setup", "subject", "path_sources", "calibration", "comparison"),
+        "diagnosis",
+    },
     "report": {
-        *("errors", "files", "stored", "subject", "nmsm", "geometry", "muscle", "model"),
-        *("calibrate", "gap", "contact", "evaluate"),
-        "virtual",  # whose truth is drawn beside what calibration found
+        *("errors", "io", "subject", "preprocessing", "skeleton", "geometry", "muscle", "model"),
+        *("path_sources", "calibration", "comparison", "diagnosis", "evaluation", "contact_forces"),
+        "datasets",  # the virtual person's truth is drawn beside what calibration found
     },
-    "api": {
+    "demonstration": {
+        *("errors", "progress", "io", "subject", "datasets", "osim", "geometry", "model"),
+        *("path_sources", "calibration", "diagnosis", "report"),
+    },
+    # The commands call the public functions; of the rest they need what they print.
+    "cli": {
+        *("errors", "progress", "io", "jax_setup", "subject", "preprocessing", "datasets", "geometry"),
         *(
-            "errors",
-            "files",
-            "locks",
-            "stored",
-            "precision",
-            "progress",
-            "subject",
-            "nmsm",
-            "raw",
-            "skeleton",
-            "osim",
+            "path_sources",
+            "calibration",
+            "comparison",
+            "diagnosis",
+            "evaluation",
+            "contact_forces",
+            "cohorts",
+            "report",
         ),
-        *("geometry", "muscle", "model", "calibrate", "gap"),
-        *("measurement", "contact", "evaluate", "report", "virtual"),
-        *("public", "jax_setup", "scheduling"),
+        *("demonstration", "__init__"),
     },
-    # The commands call the API. Of the rest they need only the solver's options and what 'check' prints.
-    "commands": {"api", "errors", "files", "jax_setup", "progress", "subject", "calibrate"},
-    "cli": {"commands", "errors", "jax_setup", "locks", "__init__"},
-    "__init__": {"api", "errors"},
+    "__init__": set(),
     "__main__": {"cli"},
+    "api": {"__init__"},
 }
 
-#: Arrows that may only be followed inside a function: their targets are slow to import.
-LAZY_ARROWS = {
-    *(("api", "report"), ("commands", "api"), ("commands", "subject"), ("commands", "calibrate")),
-}
+#: Modules of `geometry` that describe a model's bodies and joints by NumPy alone.
+SKELETON = {"model_description", "kinematics", "joint_changes"}
 
 #: Packages of others that only these folders may import, inside functions.
 LAZY_PACKAGES: dict[str, set[str]] = {
     "opensim": {"osim"},
-    "ezc3d": {"raw"},
+    "ezc3d": {"preprocessing"},
     "matplotlib": {"report"},
     "rich": {"progress"},
     "pandas": set(),
-    "pooch": {"public"},
-    "requests": {"public"},
-    "dask": {"scheduling"},
-    "distributed": {"scheduling"},
-    "dask_jobqueue": {"scheduling"},
+    "pooch": {"datasets"},
+    "requests": {"datasets"},
+    "dask": {"cohorts"},
+    "distributed": {"cohorts"},
+    "dask_jobqueue": {"cohorts"},
     "sklearn": {"geometry"},
-    "xarray": {"api"},
+    "xarray": {"report"},
 }
 
-#: Folders that must do without JAX, so that a folder can be checked before it is loaded.
+#: Rooms that must do without JAX, so that a folder can be checked before it is loaded.
 WITHOUT_JAX = {
-    "errors",
-    "files",
-    "locks",
-    "progress",
-    "safe_xml",
-    "stored",
-    "subject",
-    "raw",
-    "public",
-    "skeleton",
-    "osim",
-    "evaluate",
-    "commands",
-    "cli",
-    "__init__",
-    "__main__",
+    *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim", "cli", "api"),
+    *("__init__", "__main__"),
 }
 JAX_PACKAGES = {"jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt"}
 
@@ -118,18 +118,52 @@ class Import:
     """One import statement of the package."""
 
     place: str
-    folder: str
+    module: str
     target: str
     lazy: bool
 
+    @property
+    def ours(self) -> bool:
+        return self.target.split(".")[0] == "wrapjax"
 
-def _folder(parts: tuple[str, ...]) -> str:
-    return parts[0].removesuffix(".py")
+    @property
+    def room(self) -> str:
+        return _room(self.module.partition(".")[2])
+
+    @property
+    def target_room(self) -> str:
+        return _room(self.target.partition(".")[2])
+
+    @property
+    def light(self) -> bool:
+        """Whether a command may import its target before it knows that there is work to do."""
+        return self.target_room in WITHOUT_JAX or self.target == "wrapjax.evaluation.metrics"
 
 
-def imports_of(file: Path) -> list[Import]:
+def _room(module: str) -> str:
+    """Name the room that a module is in, by its dotted name without the package's."""
+    parts = (module or "__init__").split(".")
+    if parts[0] == "geometry" and len(parts) > 1 and parts[1] in SKELETON:
+        return "skeleton"
+    return parts[0]
+
+
+def _modules() -> dict[str, Path]:
+    """Find all modules of the package by their dotted names, packages by their own."""
+    found = {}
+    for file in sorted(PACKAGE.rglob("*.py")):
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+MODULES = _modules()
+
+
+def imports_of(module: str) -> list[Import]:
     """Find all imports of a module, except those that only type checkers follow."""
     found = []
+    file = MODULES[module]
 
     def visit(node: ast.AST, lazy: bool) -> None:
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -139,16 +173,11 @@ def imports_of(file: Path) -> list[Import]:
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{file.name}:{node.lineno}: imports are absolute in this package"
-            # 'from wrapjax import files' names a module of ours, not an attribute.
-            names = [node.module or ""]
-            if node.module == "wrapjax":
-                modules = {_folder((path.name,)) for path in PACKAGE.iterdir()}
-                names = [
-                    f"wrapjax.{alias.name if alias.name in modules else '__init__'}" for alias in node.names
-                ]
+            # 'from wrapjax.report import markup' names a module, not an attribute.
+            full = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else node.module or "" for name in full]
         place = f"{file.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
-        folder = _folder(file.relative_to(PACKAGE).parts)
-        found.extend(Import(place, folder, name, lazy) for name in names)
+        found.extend(Import(place, module, name, lazy) for name in names)
         lazy = lazy or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
         for child in ast.iter_child_nodes(node):
             visit(child, lazy)
@@ -159,46 +188,75 @@ def imports_of(file: Path) -> list[Import]:
 
 @pytest.fixture(scope="module")
 def imports() -> list[Import]:
-    return [entry for file in sorted(PACKAGE.rglob("*.py")) for entry in imports_of(file)]
+    return [entry for module in MODULES for entry in imports_of(module)]
 
 
 @pytest.fixture(scope="module")
-def own_imports(imports) -> list[tuple[Import, str]]:
-    """Imports between folders of ours, each with the folder that it points to."""
-    pairs = [
-        (entry, (entry.target.split(".") + ["__init__"])[1])
-        for entry in imports
-        if entry.target.split(".")[0] == "wrapjax"
-    ]
-    return [(entry, target) for entry, target in pairs if target != entry.folder]
+def own_imports(imports) -> list[Import]:
+    """Imports of ours between rooms."""
+    return [entry for entry in imports if entry.ours and entry.room != entry.target_room]
 
 
-def test_every_folder_has_a_row_in_the_table(imports):
-    folders = {_folder(file.relative_to(PACKAGE).parts) for file in PACKAGE.rglob("*.py")}
-    assert sorted(folders - set(ARROWS)) == []
+def test_every_room_has_a_row_in_the_table():
+    assert {_room(module.partition(".")[2]) for module in MODULES} == set(ARROWS)
 
 
 def test_arrows_go_one_way(own_imports):
-    wrong = [f"{entry.place}: {entry.target}" for entry, to in own_imports if to not in ARROWS[entry.folder]]
-    assert wrong == []
-
-
-def test_slow_folders_of_ours_are_imported_late(own_imports):
     wrong = [
         f"{entry.place}: {entry.target}"
-        for entry, to in own_imports
-        if (entry.folder, to) in LAZY_ARROWS and not entry.lazy
+        for entry in own_imports
+        if entry.target_room not in ARROWS[entry.room] and not (entry.lazy and entry.target_room == "report")
     ]
     assert wrong == []
 
 
-def test_folders_form_no_cycle(own_imports):
-    """A cycle is allowed only through a function's own import."""
+def test_what_takes_long_to_import_is_imported_late(own_imports):
+    wrong = [
+        f"{entry.place}: {entry.target}"
+        for entry in own_imports
+        if not entry.lazy
+        and entry.room not in ("api", "__main__")
+        and (entry.target_room == "report" or (entry.room == "cli" and not entry.light))
+    ]
+    assert wrong == []
+
+
+def test_rooms_form_no_cycle(own_imports):
+    """Only results that write their own reports point up, by imports inside their methods."""
     graph: dict[str, set[str]] = {}
-    for entry, to in own_imports:
-        if not entry.lazy:
-            graph.setdefault(entry.folder, set()).add(to)
+    for entry in own_imports:
+        if entry.target_room != "report" or entry.room in ("demonstration", "cli"):
+            graph.setdefault(entry.room, set()).add(entry.target_room)
     TopologicalSorter(graph).prepare()  # raises CycleError
+
+
+def test_modules_form_no_cycle(imports):
+    """Imports inside functions count, too."""
+    graph: dict[str, set[str]] = {}
+    for entry in imports:
+        if entry.ours and entry.module != entry.target:
+            graph.setdefault(entry.module, set()).add(entry.target)
+    TopologicalSorter(graph).prepare()
+
+
+def test_no_function_is_hidden_by_a_package():
+    """Importing ``wrapjax.x.y`` sets ``x`` on the package: it may be no public name as well."""
+    import wrapjax
+
+    folders = {module.split(".")[1] for module in MODULES if module != "wrapjax"}
+    assert folders & (set(dir(wrapjax)) - {"__version__"}) == set()
+
+
+def test_packages_list_nothing():
+    """A name is imported from the module that defines it: packages hold a sentence, and no second list."""
+    wrong = [
+        module
+        for module, file in MODULES.items()
+        if file.name == "__init__.py"
+        and module != "wrapjax"
+        and len(ast.parse(file.read_text(encoding="utf-8")).body) != 1
+    ]
+    assert wrong == []
 
 
 def test_slow_packages_have_one_home_and_are_imported_late(imports):
@@ -206,7 +264,7 @@ def test_slow_packages_have_one_home_and_are_imported_late(imports):
         f"{entry.place}: {entry.target}"
         for entry in imports
         if (package := entry.target.split(".")[0]) in LAZY_PACKAGES
-        and not (entry.lazy and entry.folder in LAZY_PACKAGES[package])
+        and not (entry.lazy and entry.room in LAZY_PACKAGES[package])
     ]
     assert wrong == []
 
@@ -215,19 +273,16 @@ def test_reading_and_opensim_do_without_jax(imports):
     wrong = [
         f"{entry.place}: {entry.target}"
         for entry in imports
-        if entry.folder in WITHOUT_JAX
+        if entry.room in WITHOUT_JAX
         and entry.target.split(".")[0] in JAX_PACKAGES
         # The command line sets JAX up once threads are set.
-        and not (entry.folder == "commands" and entry.lazy)
+        and not (entry.room in ("cli", "jax_setup") and entry.lazy)
     ]
     assert wrong == []
 
 
 def test_modules_stay_small():
-    lengths = {
-        str(file.relative_to(ROOT)): len(file.read_text(encoding="utf-8").splitlines())
-        for file in PACKAGE.rglob("*.py")
-    }
+    lengths = {module: len(file.read_text(encoding="utf-8").splitlines()) for module, file in MODULES.items()}
     assert {name: length for name, length in lengths.items() if length > 500} == {}
 
 
@@ -242,10 +297,10 @@ SLOW = {
     [
         # Without JAX, too: once loaded it no longer listens to --threads.
         ("wrapjax", SLOW | {"jax"}),
-        ("wrapjax.cli", SLOW | {"jax"}),
-        ("wrapjax.subject", SLOW | {"jax"}),
-        ("wrapjax.raw", SLOW | {"jax"}),
-        ("wrapjax.api", SLOW),
+        ("wrapjax.cli.command_line", SLOW | {"jax"}),
+        ("wrapjax.subject.subject", SLOW | {"jax"}),
+        ("wrapjax.preprocessing.alignment", SLOW | {"jax"}),
+        ("wrapjax.calibration.calibration", SLOW),
     ],
 )
 def test_importing_is_light(module, absent):
@@ -264,10 +319,15 @@ def test_public_names_are_found_on_access():
         _ = wrapjax.calibarte
 
 
-def test_the_package_and_its_api_offer_the_same():
+def test_earlier_names_warn():
+    import wrapjax
     import wrapjax.api
+    from wrapjax.calibration.problem import build_objective
 
-    assert set(dir(wrapjax)) - {"__version__", "InputError"} == set(wrapjax.api.__all__)
+    with pytest.warns(DeprecationWarning, match=r"wrapjax\.build_objective"):
+        assert wrapjax.prepare is build_objective
+    with pytest.warns(DeprecationWarning, match=r"is now wrapjax\.calibrate"):
+        assert wrapjax.api.calibrate is wrapjax.calibrate
 
 
 def test_dependencies_have_no_caps():

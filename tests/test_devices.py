@@ -10,9 +10,9 @@ from benchmarks.devices import on_device
 from benchmarks.tiled import another_person
 from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
-from wrapjax.calibrate import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, wrap_at_samples
-from wrapjax.osim import describe_model
+from wrapjax.osim.model import describe_model
 
 #: Relative to the largest number of each array: sums are added up in another order.
 TOLERANCE = 1e-9

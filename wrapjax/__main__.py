@@ -2,6 +2,6 @@
 
 import sys
 
-from wrapjax.cli import main
+from wrapjax.cli.command_line import main
 
 sys.exit(main())

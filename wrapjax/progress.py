@@ -1,4 +1,7 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere, always on standard error."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere, always on standard error.
+
+What takes how long.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 #: Called with the number of finished pieces of work.
 Advance = Callable[[int], None]
@@ -54,3 +58,19 @@ def say(line: str, *, quiet: bool = False) -> None:
     """Print one line of progress to standard error."""
     if not quiet:
         print(line, file=sys.stderr, flush=True)
+
+
+@dataclass
+class Stopwatch:
+    """Says what is going on, and how long it took."""
+
+    tell: Callable[[str], None]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def during(self, part: str, line: str) -> Iterator[None]:
+        """Add the time of what is done within to a part of the work."""
+        self.tell(line)
+        began = time.perf_counter()
+        yield
+        self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - began

@@ -3,7 +3,7 @@
 from benchmarks.compare_methods import describe, markdown
 from tests.subject.synthetic import write_subject
 from wrapjax import calibrate, load_subject
-from wrapjax.api import Comparison
+from wrapjax.comparison.comparison import Comparison
 
 
 def test_every_leg_and_method_is_told(tmp_path):

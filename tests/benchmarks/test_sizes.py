@@ -14,9 +14,9 @@ from benchmarks.published import NMSM_PIPELINE, beside_published
 from benchmarks.race import Watch
 from benchmarks.roofline import Roof, work_of
 from benchmarks.tiled import another_person, tiled
-from tests.calibrate.test_projected_lm import dense
+from tests.calibration.test_projected_lm import dense
 from tests.model.small import small_objective
-from wrapjax.calibrate import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
 
 
 @pytest.fixture(scope="module")

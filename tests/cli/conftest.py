@@ -11,7 +11,7 @@ import jax
 import pytest
 
 from tests.subject.synthetic import write_subject
-from wrapjax.cli import main
+from wrapjax.cli.command_line import main
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from tests.cli.folders import METHOD, content
 from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import MODEL, write_subject
 from tests.subject.test_broken_folders import BROKEN
-from wrapjax.commands import ADDED
+from wrapjax.cli.command_line import ADDED
 from wrapjax.errors import WorkError
 
 
@@ -24,8 +24,8 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    for verb in ("fit", "calibrate"):
-        monkeypatch.setattr(f"wrapjax.api.{verb}", started)
+    for verb in ("path_sources.fitting.fit", "calibration.calibration.calibrate"):
+        monkeypatch.setattr(f"wrapjax.{verb}", started)
 
 
 # ---- Broken subjects
@@ -112,7 +112,7 @@ def test_full_disk_is_a_sentence(run, subject, fitted, tmp_path, monkeypatch):
     def refuse(path, text):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("wrapjax.files.write_text", refuse)
+    monkeypatch.setattr("wrapjax.io.files.write_text", refuse)
     outcome = run("fit", subject, "--out", tmp_path / "out", "--quiet")
     assert outcome.status == 2 and outcome.output == ""
     assert outcome.progress.startswith("error: ") and "No space left on device" in outcome.progress
@@ -133,7 +133,7 @@ def test_what_is_no_fault_of_the_input_is_a_sentence_and_another_status(
     def fail(folder):
         raise error
 
-    monkeypatch.setattr("wrapjax.subject.read_subject", fail)
+    monkeypatch.setattr("wrapjax.subject.load_subject", fail)
     outcome = run("check", subject)
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.progress.startswith(f"error: {words}") and outcome.progress.count("\n") == 1
@@ -149,7 +149,7 @@ def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wrapjax.api.paths.fitting.analyse_muscles", interrupt)
+    monkeypatch.setattr("wrapjax.path_sources.fitting.analyse_muscles", interrupt)
     outcome = run("fit", folder, "--out", tmp_path / "out")
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.progress.splitlines()[-1] == "interrupted; nothing was written."

@@ -25,7 +25,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.api.comparing.comparison.calibrate", started)
+    monkeypatch.setattr("wrapjax.comparison.comparison.calibrate", started)
 
 
 def test_table_and_place(compared):
@@ -66,7 +66,7 @@ def test_interrupted_then_resumed(run, subject, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("wrapjax.api.comparing.comparison.calibrate", interrupt)
+        patched.setattr("wrapjax.comparison.comparison.calibrate", interrupt)
         outcome = run("compare", subject, *METHODS, "--out", tmp_path / "out")
         assert outcome.status == 1 and "--resume" in outcome.progress
     assert not (tmp_path / "out").exists()
@@ -132,7 +132,7 @@ def test_a_full_disk_leaves_the_journal(run, subject, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device", "report.html")
 
     with monkeypatch.context() as patched:
-        patched.setattr("wrapjax.report.comparison.folder.render_comparison", refuse)
+        patched.setattr("wrapjax.report.comparison_page.render_comparison", refuse)
         outcome = run("compare", subject, *METHODS, "--out", tmp_path / "out", "--quiet")
     assert outcome.status == 2 and "No space left" in outcome.progress
     assert [path.name for path in tmp_path.iterdir()] == [".out.unfinished"]

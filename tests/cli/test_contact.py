@@ -6,8 +6,8 @@ import pytest
 
 from tests.cli.folders import content, names, stored
 from tests.cli.test_check import assert_only_errors
-from tests.contact.made_up_run import write_run
-from wrapjax.api import load_subject
+from tests.contact_forces.made_up_run import write_run
+from wrapjax.subject.subject import load_subject as load_subject
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.api.contact", started)
+    monkeypatch.setattr("wrapjax.contact_forces.contact_force.contact", started)
 
 
 def test_two_runs_side_by_side(run, subject, tmp_path):

@@ -9,12 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
-import wrapjax.api.demonstration.demo
-import wrapjax.api.tables.calibration
+import wrapjax.cli.calibrate
+import wrapjax.demonstration.demo
 from tests.report.made_up_gap import named
-from wrapjax.api.demonstration.gap_demo import NOT_DRAWN, GapDemonstration, drawn_effect
-from wrapjax.cli import main
-from wrapjax.virtual import HIDDEN_EFFECTS
+from wrapjax.cli.command_line import main
+from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
+from wrapjax.demonstration.demo import NOT_DRAWN, GapDemonstration, drawn_effect
 
 
 def made_up_answer(folder, hidden, **options):
@@ -50,11 +50,11 @@ def interrupted(tmp_path_factory):
 
     words = ["demo", "--out", str(folder), "--seed", "3", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wrapjax.api.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
-        patch.setattr(wrapjax.api.tables.calibration, "iteration_printer", counting)
-        patch.setattr(wrapjax.api.demonstration.demo, "demonstrate_gap", killed)
+        patch.setattr(wrapjax.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
+        patch.setattr(wrapjax.cli.calibrate, "iteration_printer", counting)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_gap", killed)
         statuses = [main(words), main(words)]
-        patch.setattr(wrapjax.api.demonstration.demo, "demonstrate_gap", made_up_answer)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_gap", made_up_answer)
         statuses.append(main([*words, "--resume"]))
     return statuses, counts, folder
 

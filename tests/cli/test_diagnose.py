@@ -6,7 +6,7 @@ import pytest
 
 from tests.cli.folders import names, stored
 from tests.cli.test_check import assert_only_errors
-from wrapjax.gap import CATALOGUE
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
 #: Few effects, one start.
 QUICK = ("--starts", "1", "--without", *sorted(set(CATALOGUE) - {"joint_damping", "curve_family"}))
@@ -17,8 +17,8 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.api.diagnosing.diagnosis.kept_calibration", started)
-    monkeypatch.setattr("wrapjax.api.calibrating.problem.fit_paths", started)
+    monkeypatch.setattr("wrapjax.diagnosis.diagnosis.kept_calibration", started)
+    monkeypatch.setattr("wrapjax.calibration.problem.fit_paths", started)
 
 
 def test_three_cycles_are_too_few_and_that_is_said(run, subject, fitted, tmp_path):

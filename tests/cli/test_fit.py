@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from tests.cli.folders import COORDINATES, MUSCLES, names, stored
-from wrapjax.commands.fit import THRESHOLDS
+from wrapjax.cli.fit import THRESHOLDS
 
 
 def test_fit_prints_a_table_and_says_where_it_is(fitted):
@@ -36,7 +36,7 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
     def analyse(*arguments, **options):
         raise AssertionError("the cache was not used")
 
-    monkeypatch.setattr("wrapjax.api.paths.fitting.analyse_muscles", analyse)
+    monkeypatch.setattr("wrapjax.path_sources.fitting.analyse_muscles", analyse)
     outcome = run("fit", subject, "--out", tmp_path / "fit", "--json", "--quiet")
     assert (outcome.status, outcome.progress) == (0, "")
     assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
@@ -100,6 +100,6 @@ def test_threads_are_set_for_every_library(subject, run, monkeypatch):
         seen.update(os.environ)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wrapjax.subject.read_subject", read)
+    monkeypatch.setattr("wrapjax.subject.load_subject", read)
     run("check", subject, "--threads", "3")
     assert {seen[name] for name in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} == {"3"}

@@ -1,7 +1,7 @@
 """Whatever table, model or loads a command writes, OpenSim reads: the same columns, rows and numbers.
 
 A folder of each kind that commands leave such files in; what is promised to be there is there. PGA's model
-takes a calibration of its own, and is opened where that is checked (``tests/api/test_exact.py``).
+takes a calibration of its own, and is opened where that is checked (``tests/path_sources/test_exact.py``).
 """
 
 import shutil
@@ -13,12 +13,13 @@ import pytest
 
 from tests.cli.folders import METHOD
 from tests.cli.test_diagnose import QUICK
-from tests.contact.made_up_run import write_run
-from tests.raw import walker
+from tests.contact_forces.made_up_run import write_run
+from tests.preprocessing import walker
 from tests.subject.synthetic import write_subject
-from wrapjax.api import load_subject
-from wrapjax.subject import read_storage
-from wrapjax.virtual import Series, write_virtual_subject
+from wrapjax.datasets.virtual_person.folder import Series
+from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.io.storage import read_storage
+from wrapjax.subject.subject import load_subject as load_subject
 
 TABLES = (".sto", ".mot")
 

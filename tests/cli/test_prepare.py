@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from tests.osim.test_scaling import SETUP
-from tests.raw import walker, walker_c3d
-from wrapjax.api import load_subject
-from wrapjax.osim import describe_model
+from tests.preprocessing import walker, walker_c3d
+from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.osim.model import describe_model
 from wrapjax.report import markup
-from wrapjax.subject import read_storage, write_storage
 from wrapjax.subject.emg import envelopes_of_raw
-from wrapjax.subject.storage import Storage
+from wrapjax.subject.subject import load_subject as load_subject
 
 
 @pytest.fixture(scope="module")

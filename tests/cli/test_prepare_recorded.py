@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.raw.emg import band_of_muscle
-from wrapjax.subject import Storage, read_storage, write_storage
+from tests.preprocessing.emg import band_of_muscle
+from wrapjax.io.storage import Storage, read_storage, write_storage
 
 RATE = 1000.0
 #: What the labels of forces, points and torques start with, by side.

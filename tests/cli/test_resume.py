@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.subject.synthetic import write_subject
-from wrapjax.cli import main
+from wrapjax.cli.command_line import main
 
 #: Starts enough that it is still at work when it is stopped.
 STARTS = "12"

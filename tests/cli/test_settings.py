@@ -2,9 +2,9 @@
 
 import pytest
 
-import wrapjax.commands.calibrate as command
+import wrapjax.cli.calibrate as command
 from tests.cli.test_check import assert_only_errors
-from wrapjax.commands.common import DONE
+from wrapjax.cli.common import DONE
 
 
 @pytest.fixture

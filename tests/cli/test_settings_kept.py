@@ -4,10 +4,10 @@ import argparse
 
 import pytest
 
-import wrapjax.commands.evaluate
-import wrapjax.commands.initialise
-from wrapjax.cli import _parser
-from wrapjax.commands.common import DONE
+import wrapjax.cli.evaluate
+import wrapjax.cli.initialise
+from wrapjax.cli.command_line import _parser
+from wrapjax.cli.common import DONE
 
 #: Those whose folder is a subject's or an index: what they were asked for is not their options.
 WITHOUT = {"prepare", "fetch", "report", "check"}
@@ -35,7 +35,7 @@ def asked(monkeypatch):
             options.out.mkdir()
         return DONE
 
-    for module in (wrapjax.commands.evaluate, wrapjax.commands.initialise):
+    for module in (wrapjax.cli.evaluate, wrapjax.cli.initialise):
         monkeypatch.setattr(module, "run", answer)
     return seen
 

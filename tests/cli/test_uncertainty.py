@@ -7,7 +7,7 @@ import pytest
 
 from tests.cli.folders import METHOD, content, stored
 from tests.cli.test_check import assert_only_errors
-from wrapjax.report.spread_summary import SCHEMA
+from wrapjax.report.spread import SCHEMA
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,8 @@ def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
 
 def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monkeypatch):
     """Draws that were done are kept; the rest come out as if nothing had happened."""
-    from wrapjax.calibrate import AugmentedLagrangian, Status
+    from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
+    from wrapjax.calibration.solvers.interface import Status
 
     solve, solved = AugmentedLagrangian.solve, []
 

@@ -12,10 +12,9 @@ from scipy.optimize import root
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
-from wrapjax.geometry.several_wraps import wrap_shortest
-from wrapjax.geometry.surfaces import NOMINAL, Surface
-from wrapjax.geometry.wrapping import FREE
-from wrapjax.osim import describe_model
+from wrapjax.geometry.shortest_path import wrap_shortest
+from wrapjax.geometry.wrapping import FREE, NOMINAL, Surface
+from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 
 LOW = np.array([-0.4, -0.3, -0.3, 0.0, -0.4, -0.3])

@@ -8,8 +8,16 @@ import scipy.optimize
 from scipy.special import expit
 from scipy.stats import qmc
 
-from wrapjax.geometry import Feasibility, feasibility_fit, feasibility_quality, fit_feasibility
-from wrapjax.geometry.feasibility_fit import FOLDS, GAMMAS, PENALTIES, fit_sigmoid
+from wrapjax.geometry import feasibility
+from wrapjax.geometry.feasibility import (
+    FOLDS,
+    GAMMAS,
+    PENALTIES,
+    Feasibility,
+    feasibility_quality,
+    fit_feasibility,
+    fit_sigmoid,
+)
 
 LOWER = np.array([-0.01, -0.01, -0.02, -0.35, -0.35, 0.8])
 UPPER = np.array([0.01, 0.03, 0.01, 0.35, 0.35, 1.2])
@@ -80,7 +88,7 @@ def test_chosen_constants_are_the_best_of_the_grid_in_cross_validation(fitted, t
     accuracy = {
         (penalty, gamma): balanced_accuracy_score(
             physiological,
-            cross_val_predict(feasibility_fit._machine(penalty, gamma), scaled, physiological, cv=folds),
+            cross_val_predict(feasibility._machine(penalty, gamma), scaled, physiological, cv=folds),
         )
         for penalty in PENALTIES
         for gamma in GAMMAS
@@ -142,7 +150,7 @@ def test_sigmoid_is_fitted_to_scores_of_samples_left_out(training, fitted):
     scaled = (samples - CENTER) / HALF_RANGE
     sigmoids = []
     for penalty in PENALTIES:
-        machine = feasibility_fit._machine(penalty, float(fitted.gamma))
+        machine = feasibility._machine(penalty, float(fitted.gamma))
         scores = cross_val_predict(machine, scaled, ~physiological, cv=folds, method="decision_function")
         sigmoids.append(fit_sigmoid(scores, ~physiological))
     assert (float(fitted.slope), float(fitted.intercept)) in sigmoids

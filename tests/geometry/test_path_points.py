@@ -7,7 +7,7 @@ import pytest
 
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, wrap_at_samples
 from wrapjax.geometry.path_points import route_path
-from wrapjax.osim import describe_model
+from wrapjax.osim.model import describe_model
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 #: One cylinder, restricted to a side or not, with few points and many; and two at once.

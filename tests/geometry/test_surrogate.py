@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry import fit_surrogate, random_poses, smooth_poses
-from wrapjax.geometry.polynomial import monomial_exponents, monomial_gradients, monomials
-from wrapjax.geometry.poses import MINIMUM_BELT_WIDTH, walking_belt
+from wrapjax.geometry.surrogate import fit_surrogate, monomial_exponents, monomial_gradients, monomials
+from wrapjax.geometry.training_samples import MINIMUM_BELT_WIDTH, random_poses, smooth_poses, walking_belt
 
 COORDINATES = ("hip_flexion_r", "hip_adduction_r", "knee_angle_r")
 SPANNED = {"one": ("knee_angle_r",), "three": COORDINATES}

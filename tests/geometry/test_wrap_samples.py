@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from wrapjax.geometry import wrap_boxes
+from wrapjax.geometry import wrap_bounds
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.surfaces import NOMINAL
-from wrapjax.geometry.wrap_boxes import box
-from wrapjax.geometry.wrap_samples import plan_samples
+from wrapjax.geometry.training_samples import plan_samples
+from wrapjax.geometry.wrap_bounds import box
+from wrapjax.geometry.wrapping import NOMINAL
 
 WRAPS = {
     "psoas": ("brim",),
@@ -74,7 +74,7 @@ def test_alone_means_alone(plans):
 def test_boxes_are_as_wide_as_most_of_them_is_usable(monkeypatch, reach, expected):
     """Usable is what moves along x by less than ``reach``: the share of a box follows from its width."""
     monkeypatch.setattr(
-        wrap_boxes, "usable_by_all", lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach
+        wrap_bounds, "usable_by_all", lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach
     )
     nobody = object.__new__(ExactPaths)
-    assert wrap_boxes.translation_bounds(nobody, {}, ["brim"]) == {"brim": expected}
+    assert wrap_bounds.translation_bounds(nobody, {}, ["brim"]) == {"brim": expected}

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.geometry import AdjustablePath, guarded_paths
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.guarded_paths import ARM_STRAYING, LENGTH_STRAYING
+from wrapjax.geometry.paths import AdjustablePath
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.osim import describe_model
+from wrapjax.osim.model import describe_model
+from wrapjax.path_sources.polynomial_paths import ARM_STRAYING, LENGTH_STRAYING, guarded_paths
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 MUSCLES = ("psoas_l", "soleus_l", "gasmed_l", "addlong_l")

@@ -5,10 +5,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibrate import Objective, path_limits, pipeline_penalties
-from wrapjax.geometry import AdjustablePath, PathState, fixed_path
-from wrapjax.model import Recording, free_variables, initial_parameters, muscle_states, nga, with_paths
-from wrapjax.muscle import HILL_CURVES, fit_emg_spline
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.path_penalties import path_limits
+from wrapjax.calibration.penalties import pipeline_penalties
+from wrapjax.geometry.paths import AdjustablePath, PathState, fixed_path
+from wrapjax.model.forward import Recording, muscle_states
+from wrapjax.model.freedom import nga, with_paths
+from wrapjax.model.parameters import initial_parameters
+from wrapjax.model.variables import free_variables
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.excitation import fit_emg_spline
 
 MUSCLES = ("soleus_l", "gasmed_l", "tibant_l")
 FRAMES, PADDING = 21, 6

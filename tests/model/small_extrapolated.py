@@ -7,9 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from tests.model.small import MUSCLES, PADDING, small_objective, small_parameters
-from wrapjax.calibrate import Objective, pipeline_penalties
-from wrapjax.model import free_variables, muscle_states, nga, with_synergies
-from wrapjax.muscle import CommandSplines, fit_emg_spline
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.penalties import pipeline_penalties
+from wrapjax.model.forward import muscle_states
+from wrapjax.model.freedom import nga, with_synergies
+from wrapjax.model.variables import free_variables
+from wrapjax.muscle.excitation import CommandSplines, fit_emg_spline
 
 COMMANDS = 3
 

@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 
 from tests.model.small import FRAMES, MUSCLES, PADDING, small_parameters, small_recording
-from wrapjax.geometry import PathState, fixed_path
-from wrapjax.model import (
-    QUANTITIES,
-    Freedom,
-    FreedParameter,
-    ModelParameters,
-    Recording,
-    free_variables,
-    joint_moments,
-    muscle_state_along,
-    muscle_states,
-    nga,
-)
-from wrapjax.muscle import HILL_CURVES, EmgSpline
+from wrapjax.geometry.paths import PathState, fixed_path
+from wrapjax.model.forward import Recording, joint_moments, muscle_state_along, muscle_states
+from wrapjax.model.freedom import Freedom, FreedParameter, nga
+from wrapjax.model.parameters import QUANTITIES, ModelParameters
+from wrapjax.model.variables import free_variables
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.excitation import EmgSpline
 
 CURVES = HILL_CURVES["paper"]
 run_all = eqx.filter_jit(muscle_states)

@@ -7,8 +7,14 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from wrapjax.muscle import HILL_CURVES, FiberState, compliant_tendon_fiber, rigid_tendon_fiber
-from wrapjax.muscle.compliant_tendon import FIBER_DAMPING, increasing_root, tendon_strain_curve
+from wrapjax.muscle.compliant_tendon import (
+    FIBER_DAMPING,
+    compliant_tendon_fiber,
+    increasing_root,
+    tendon_strain_curve,
+)
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
 
 CURVES = HILL_CURVES["paper"]
 #: Plantar flexors: the tendon is five times as long as the fibers.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from wrapjax.muscle import fit_emg_spline, sharpened
+from wrapjax.muscle.excitation import fit_emg_spline, sharpened
 
 
 @pytest.mark.parametrize(("cutoff", "left_of_it"), [(5.0, 0.35), (6.0, 0.35), (7.0, 0.35), (8.0, 0.55)])

@@ -5,7 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.muscle import HILL_CURVES, muscle_activation, neural_activation, rigid_tendon_fiber
+from wrapjax.muscle.activation import muscle_activation, neural_activation
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.hill import rigid_tendon_fiber
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,10 @@ from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from wrapjax.muscle import (
-    HILL_CURVES,
-    fit_emg_spline,
-    muscle_activation,
-    neural_activation,
-    rigid_tendon_fiber,
-)
+from wrapjax.muscle.activation import muscle_activation, neural_activation
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.excitation import fit_emg_spline
+from wrapjax.muscle.hill import rigid_tendon_fiber
 
 # One shape throughout: every new one would be compiled anew.
 TRIALS, FRAMES = 2, 60

@@ -18,7 +18,7 @@ ENDINGS = {
 }
 
 
-#: A diagnosis takes minutes; `tests/api/test_diagnosis.py` runs one of few muscles.
+#: A diagnosis takes minutes; `tests/diagnosis/test_diagnosis.py` runs one of few muscles.
 SLOW = {"03_gap.py"}
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim.inverse_kinematics import solve_inverse_kinematics
-from wrapjax.osim.joint_moments import solve_inverse_dynamics
+from wrapjax.io.model_file import read_model_file
+from wrapjax.io.storage import read_storage
 from wrapjax.osim.model import describe_model
-from wrapjax.raw.angles import couplers_of, read_motion
-from wrapjax.subject import read_model_file, read_storage
+from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
+from wrapjax.preprocessing.joint_angles import couplers_of, read_motion
 
 #: Hip, knee and ankle of both legs.
 JOINTS = tuple(

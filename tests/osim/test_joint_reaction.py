@@ -6,11 +6,11 @@ import numpy as np
 import opensim
 import pytest
 
-from wrapjax.contact.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import PARITY
-from wrapjax.osim import describe_model
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
+from wrapjax.osim.model import describe_model
 from wrapjax.osim.motion import Motion
 
 POSES = 4

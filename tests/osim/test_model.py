@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim import describe_model, spanned_coordinates
 from wrapjax.osim.loading import load_model
+from wrapjax.osim.model import describe_model, spanned_coordinates
 
 HIP = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l")
 

@@ -10,8 +10,10 @@ import opensim
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim import analyse_muscles, describe_model, muscle_analysis, workers
+from wrapjax.osim import muscle_analysis, workers
 from wrapjax.osim.loading import load_model
+from wrapjax.osim.model import describe_model
+from wrapjax.osim.muscle_analysis import analyse_muscles
 
 COORDINATES = (
     "hip_flexion_l",

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wrapjax.errors import InputError
-from wrapjax.osim import MuscleConstants, describe_model, write_personalised_model
-from wrapjax.osim.cylinders import NOMINAL
 from wrapjax.osim.loading import load_model
-from wrapjax.osim.path_engine import PathEngine
+from wrapjax.osim.model import describe_model
+from wrapjax.osim.path_engine import NOMINAL, PathEngine
+from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
 
 #: Where the odd model's cylinder goes, which hangs on an offset frame.
 MOVED = {"condyles": (0.004, -0.007, 0.002, 0.15, -0.22, 1.15)}

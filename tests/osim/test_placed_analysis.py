@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim import analyse_placements, placed_analysis
+from wrapjax.osim import placed_analysis
 from wrapjax.osim.path_engine import PathEngine
+from wrapjax.osim.placed_analysis import analyse_placements
 
 MUSCLES, COORDINATES = ("flexor", "extensor"), ("hip", "knee")
 

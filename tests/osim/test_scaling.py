@@ -4,9 +4,9 @@ import numpy as np
 import opensim
 import pytest
 
-from tests.raw.walker import build_walker, write_trc
+from tests.preprocessing.walker import build_walker, write_trc
 from wrapjax.errors import InputError
-from wrapjax.osim.scaling import scale_model
+from wrapjax.osim.tools import scale_model
 
 SIZE = 1.1
 PAIRS = {"pelvis": "P0 P3", "femur_l": "LT0 LT1", "tibia_l": "LS0 LS1", "calcn_l": "LF0 LF1"}

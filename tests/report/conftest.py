@@ -7,23 +7,29 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from tests.calibration.fixtures import calibrated as calibrated
+from tests.calibration.fixtures import paths as paths
+from tests.calibration.fixtures import person as person
 from tests.model.small import small_objective
 from tests.report.endings import ended
-from wrapjax.calibrate import (
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.solvers.augmented_lagrangian import (
     AugmentedLagrangian,
-    CalibrationResult,
     ConstrainedSolution,
-    Iteration,
     LagrangianState,
-    Outcome,
-    Pace,
-    Status,
 )
-from wrapjax.calibrate.problem import Linearization
-from wrapjax.geometry import PathState, PathSurrogate, fit_surrogate
-from wrapjax.model import Freedom, FreedParameter, ModelParameters, MuscleState, free_variables
-from wrapjax.muscle import FiberState
-from wrapjax.subject import MuscleParameters, Subject, Trials
+from wrapjax.calibration.solvers.interface import Iteration, Linearization, Pace, Status
+from wrapjax.calibration.solvers.multistart import Outcome
+from wrapjax.geometry.paths import PathState
+from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
+from wrapjax.io.model_file import MuscleParameters
+from wrapjax.model.forward import MuscleState
+from wrapjax.model.freedom import Freedom, FreedParameter
+from wrapjax.model.parameters import ModelParameters
+from wrapjax.model.variables import free_variables
+from wrapjax.muscle.hill import FiberState
+from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import Trials
 
 MUSCLES = ("iliacus_l", "soleus_l")
 COORDINATES = ("hip_flexion_l", "ankle_angle_l")

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from wrapjax.calibrate import CalibrationResult
+from wrapjax.calibration.result import CalibrationResult
 
 
 def ended(result: CalibrationResult, **changes: Any) -> CalibrationResult:

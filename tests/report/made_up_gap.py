@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.gap.effect import NotTestable
-from wrapjax.gap.result import (
+from wrapjax.diagnosis.effects.effect import NotTestable
+from wrapjax.diagnosis.error_budget import BINS, gap_map, split_error
+from wrapjax.diagnosis.result import (
     Advice,
     Alternative,
     Amount,
@@ -16,8 +17,6 @@ from wrapjax.gap.result import (
     MuscleShare,
     Released,
 )
-from wrapjax.gap.where.budget import BINS, split_error
-from wrapjax.gap.where.gap_map import gap_map
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 SPEEDS = (0.5, 0.8)

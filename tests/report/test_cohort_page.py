@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from wrapjax.report.cohort.content import describe_cohort
-from wrapjax.report.cohort.page import render_cohort
+from wrapjax.report.cohort_page import describe_cohort, render_cohort
 
 
 def member(side, error, **diagnosis):

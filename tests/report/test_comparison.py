@@ -13,15 +13,14 @@ from scipy import stats
 
 from tests.report.endings import ended
 from tests.report.test_html import Page
-from wrapjax.calibrate import Status
-from wrapjax.evaluate.statistics import FEWEST_UNITS
-from wrapjax.files import write_json
-from wrapjax.report.comparison.figures import methods_that_move, most_moved
-from wrapjax.report.comparison.html_tables import p_value
-from wrapjax.report.comparison.numbers import comparison_rows, describe_comparison
-from wrapjax.report.comparison.page import render_comparison
-from wrapjax.report.comparison.samples import ComparedLeg, kinds_by_speed
-from wrapjax.report.comparison.tables import cycles_csv, differences_csv, means_csv
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.comparison.samples import ComparedLeg, kinds_by_speed
+from wrapjax.comparison.statistics import FEWEST_UNITS
+from wrapjax.io.files import write_json
+from wrapjax.report.comparison_figures import methods_that_move, most_moved
+from wrapjax.report.comparison_page import render_comparison
+from wrapjax.report.comparison_summary import comparison_rows, describe_comparison
+from wrapjax.report.comparison_tables import cycles_csv, differences_csv, means_csv, p_value
 
 METHODS = ("NGA", "SGA", "LSGA")
 #: What the hand-made errors are multiplied by: less is better.

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.report.cycles import groups_by_speed, groups_by_speed_and_use, spread
-from wrapjax.report.figures import activation_figure, fiber_length_figure, moment_figure
-from wrapjax.report.parameter_figures import bounds_figure, cost_figure, history_figure, place_within_bounds
+from wrapjax.report.curves import activation_figure, fiber_length_figure, moment_figure
+from wrapjax.report.moment_curves import groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.parameters import bounds_figure, cost_figure, history_figure, place_within_bounds
 from wrapjax.report.style import new_figure, to_svg
 
 

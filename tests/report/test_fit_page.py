@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from tests.report.test_html import Page
-from wrapjax.report.fit.errors import error_figure, error_findings
-from wrapjax.report.fit.page import render_fit
-from wrapjax.report.physiological_figure import SampledPath
+from wrapjax.report.fit_page import error_figure, error_findings, render_fit
+from wrapjax.report.fit_wraps import SampledPath
 
 
 def error(length, arm, *, wrapped=True):

@@ -13,21 +13,18 @@ import pytest
 from tests.report.made_up_gap import CENTER, COORDINATES, ENDINGS, ORTHOSIS, SPEEDS, finding, named
 from tests.report.test_html import Page
 from wrapjax import InputError
-from wrapjax.api.tables.gap import gap_table
-from wrapjax.gap.effect import NotTestable
-from wrapjax.gap.result import OUTCOMES, Amount, Estimate, Released
-from wrapjax.gap.where.budget import BINS, Budget
-from wrapjax.report.gap import folder as gap_folder
-from wrapjax.report.gap.effects_section import half_interval
-from wrapjax.report.gap.errors import mean_absolute_errors
-from wrapjax.report.gap.folder import write_gap
-from wrapjax.report.gap.muscles_section import resolved
-from wrapjax.report.gap.numbers import describe_gap, moment_table, where
-from wrapjax.report.gap.page import render_gap
-from wrapjax.report.gap.shrinkage_section import MOST_RELEASED, accepted_shares, most_released
-from wrapjax.report.gap.ties_section import alike_pairs
-from wrapjax.report.gap.words import findings, untested
-from wrapjax.subject import read_storage
+from wrapjax.cli.diagnose import gap_table
+from wrapjax.diagnosis.effects.effect import NotTestable
+from wrapjax.diagnosis.error_budget import BINS, Budget
+from wrapjax.diagnosis.result import OUTCOMES, Amount, Estimate, Released
+from wrapjax.io.storage import read_storage
+from wrapjax.report import diagnosis_page as gap_folder
+from wrapjax.report.diagnosis_effects import alike_pairs, half_interval
+from wrapjax.report.diagnosis_location import resolved
+from wrapjax.report.diagnosis_numbers import describe_gap, mean_absolute_errors, moment_table, where
+from wrapjax.report.diagnosis_page import render_gap, write_gap
+from wrapjax.report.diagnosis_shrinkage import MOST_RELEASED, accepted_shares, most_released
+from wrapjax.report.diagnosis_words import findings, untested
 
 #: The contract's keys.
 KEYS = {

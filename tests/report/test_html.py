@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from tests.report.endings import ended
-from wrapjax.calibrate import Status
-from wrapjax.model import Freedom
-from wrapjax.report.html import render_report, verdict
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.model.freedom import Freedom
 from wrapjax.report.provenance import describe_settings
-from wrapjax.report.summary import summarize
+from wrapjax.report.run_page import render_report, verdict
+from wrapjax.report.run_summary import summarize
 
 VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from tests.report.endings import ended
-from wrapjax.calibrate import path_limits
-from wrapjax.report.curve_sections import fiber_length_finding
-from wrapjax.report.figures import fiber_length_figure
-from wrapjax.report.limits import describe_limits, largest_excess, pushing_muscles
-from wrapjax.report.summary import summarize
+from wrapjax.calibration.path_penalties import path_limits
+from wrapjax.calibration.result import describe_limits, largest_excess, pushing_muscles
+from wrapjax.report.curves import fiber_length_figure, fiber_length_finding
+from wrapjax.report.run_summary import summarize
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from wrapjax.api.runs.reporting import redraw
+from wrapjax.cli.report import redraw
 from wrapjax.errors import InputError
 from wrapjax.report.overview import KINDS, find_results
 from wrapjax.report.run_folder import write_run
@@ -108,7 +108,7 @@ def test_nothing_there(tmp_path):
 
 
 def test_every_kind_names_the_command_that_writes_it():
-    from wrapjax.cli import main
+    from wrapjax.cli.command_line import main
 
     for kind in KINDS.values():
         with pytest.raises(SystemExit) as stopped:

@@ -9,18 +9,17 @@ import opensim
 import pytest
 
 from tests.report.conftest import COORDINATES, MUSCLES
+from wrapjax.comparison.samples import ComparedLeg
+from wrapjax.datasets.virtual_person.leg import build_leg_model
 from wrapjax.geometry.path_points import route_path
-from wrapjax.geometry.surfaces import NOMINAL, WRAP_PARAMETERS
-from wrapjax.model import FreedWraps, with_wraps
-from wrapjax.osim import describe_model
-from wrapjax.report.comparison.numbers import comparison_rows
-from wrapjax.report.comparison.page import render_comparison
-from wrapjax.report.comparison.samples import ComparedLeg
-from wrapjax.report.moved_paths import describe_move, moved_paths
-from wrapjax.report.path_section import path_section
-from wrapjax.report.path_views import look_at, path_view_figure
+from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.model.freedom import FreedWraps, with_wraps
+from wrapjax.osim.model import describe_model
+from wrapjax.report.comparison_page import render_comparison
+from wrapjax.report.comparison_summary import comparison_rows
+from wrapjax.report.path_views import look_at, path_section, path_view_figure
+from wrapjax.report.paths import describe_move, moved_paths
 from wrapjax.report.run_folder import write_run
-from wrapjax.virtual import build_leg_model
 
 #: 3 and 4 mm across the axis, 10 degrees about x, a tenth larger.
 CHANGE = np.array([0.003, 0.004, 0.0, np.deg2rad(10.0), 0.0, 0.1])

@@ -9,15 +9,17 @@ import jax
 import numpy as np
 import pytest
 
-from tests.api.round_trip import assert_reproduces_itself
+from tests.path_sources.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject
-from wrapjax.api import calibrate, fit, load_subject
-from wrapjax.api.tables.calibration import calibration_table
-from wrapjax.calibrate import AugmentedLagrangian, ProjectedLM
-from wrapjax.model import FreedPaths
-from wrapjax.report.path_section import largest_changes, moment_arm_figure, path_section
-from wrapjax.report.starts import moment_arm_spread
-from wrapjax.report.starts_section import findings
+from wrapjax.calibration.calibration import calibrate
+from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.cli.calibrate import calibration_table
+from wrapjax.model.freedom import FreedPaths
+from wrapjax.path_sources.fitting import fit
+from wrapjax.report.path_views import largest_changes, moment_arm_figure, path_section
+from wrapjax.report.starts import findings, moment_arm_spread
+from wrapjax.subject.subject import load_subject as load_subject
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from wrapjax import InputError
-from wrapjax.model import QUANTITIES, FreedPaths
-from wrapjax.nmsm import OSIMX_QUANTITIES, read_osimx
+from wrapjax.io.storage import read_storage
+from wrapjax.model.freedom import FreedPaths
+from wrapjax.model.parameters import QUANTITIES
+from wrapjax.preprocessing.nmsm_osimx import OSIMX_QUANTITIES, read_osimx
 from wrapjax.report import run_folder
 from wrapjax.report.run_folder import write_run
-from wrapjax.subject import read_storage
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import json
 import numpy as np
 import pytest
 
-from wrapjax.calibrate import LegSpread, Spread
-from wrapjax.report.html import render_report
+from wrapjax.calibration.uncertainty.intervals import LegSpread, Spread
+from wrapjax.io.storage import read_storage
 from wrapjax.report.run_folder import write_run
-from wrapjax.report.spread_figures import band_figure, interval_figure, kinds_of
+from wrapjax.report.run_page import render_report
+from wrapjax.report.spread import band_figure, interval_figure, kinds_of
 from wrapjax.report.style import to_svg
-from wrapjax.subject import read_storage
 
 
 @pytest.fixture

@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrapjax.calibrate import Outcome, Status
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.report.starts import (
     describe_starts,
     end_values,
     equally_good,
+    findings,
+    spread_figure,
+    start_cost_figure,
     starts_csv,
+    starts_section,
     undetermined_parameters,
 )
-from wrapjax.report.starts_section import findings, spread_figure, start_cost_figure, starts_section
 
 # Of each variable: iliacus' EMG scale and fiber length, soleus' EMG scale and fiber length.
 TAKEN = np.array([0.05, 0.06, 0.4, 0.07])

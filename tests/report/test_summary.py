@@ -5,9 +5,9 @@ import json
 import pytest
 
 from tests.report.endings import ended
-from wrapjax.calibrate import Status
-from wrapjax.files import write_json
-from wrapjax.report.summary import file_stems, summarize
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.io.files import write_json
+from wrapjax.report.run_summary import file_stems, summarize
 
 CONTRACT = {
     "schema", "subject", "method", "converged", "message", "iterations", "starts", "n_variables",

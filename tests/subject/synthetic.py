@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wrapjax.subject import Storage, write_storage
+from wrapjax.io.storage import Storage, write_storage
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l")
 CHANNELS = {"RecFem": ("recfem_l",), "SemiTen": ("semiten_l",)}

@@ -4,8 +4,8 @@ import numpy as np
 
 from tests.subject import synthetic
 from tests.subject.synthetic import write_subject
-from wrapjax.api import load_subject
-from wrapjax.subject import Storage, write_storage
+from wrapjax.io.storage import Storage, write_storage
+from wrapjax.subject.subject import load_subject as load_subject
 
 #: Where the ground's force acts, m, and its moment about there, N m.
 POINT, TORQUE = np.array([0.1, -0.75, 0.05]), np.array([1.0, 5.0, -2.0])

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tests.subject.synthetic import MODEL, SETTINGS, write_subject
 from wrapjax.errors import InputError
-from wrapjax.subject import read_storage, read_subject, write_storage
+from wrapjax.io.storage import read_storage, write_storage
+from wrapjax.subject.subject import load_subject
 
 A = "trials/walk_a"
 
@@ -313,14 +314,14 @@ def test_broken_folder_is_named(name, tmp_path):
     folder = write_subject(tmp_path / "subject")
     break_it(folder)
     with pytest.raises(InputError) as caught:
-        read_subject(folder)
+        load_subject(folder)
     message = str(caught.value)
     assert [word for word in words if word not in message] == [], message
     assert str(folder) in message
 
 
 def test_the_folder_is_valid_when_nothing_is_broken(tmp_path):
-    assert len(read_subject(write_subject(tmp_path)).trials) == 3
+    assert len(load_subject(write_subject(tmp_path)).trials) == 3
 
 
 def test_one_fault_is_reported_once(tmp_path):
@@ -329,7 +330,7 @@ def test_one_fault_is_reported_once(tmp_path):
     settings("trials/walk_b/", "trials/walk_a/")(folder)
     cut("trials/walk_a/emg.sto", 0.6)(folder)
     with pytest.raises(InputError) as caught:
-        read_subject(folder)
+        load_subject(folder)
     assert len(caught.value.problems) == 2  # the last row and the number of rows
 
 
@@ -343,7 +344,7 @@ def test_five_faults_are_named_at_once(tmp_path):
         swap("trials/walk_b/angles.sto", "inDegrees=no", "inDegrees=yes"),
     )(folder)
     with pytest.raises(InputError) as caught:
-        read_subject(folder)
+        load_subject(folder)
     problems = [str(problem) for problem in caught.value.problems]
     for words in (
         ("mass_kg", "-1.0"),
@@ -357,10 +358,10 @@ def test_five_faults_are_named_at_once(tmp_path):
 
 def test_no_folder(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
-        read_subject(tmp_path / "nobody")
+        load_subject(tmp_path / "nobody")
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file, where a folder was expected"):
-        read_subject(tmp_path / "file")
+        load_subject(tmp_path / "file")
 
 
 def test_silent_raw_channel(tmp_path):
@@ -373,7 +374,7 @@ def test_silent_raw_channel(tmp_path):
         noise = np.random.default_rng(2).standard_normal((time.size, 2)) * [1.0, 0.0]
         write_storage(path, replace(read_storage(path), time=time, values=noise))
     with pytest.raises(InputError) as caught:
-        read_subject(folder)
+        load_subject(folder)
     assert "column SemiTen" in str(caught.value) and "found none in any cycle" in str(caught.value)
 
 
@@ -406,7 +407,7 @@ def test_any_value_of_any_key_is_read_or_an_input_error(line, value, tmp_path):
     lines[line] = f"{lines[line].split(' = ')[0]} = {as_toml(value)}"
     (folder / "subject.toml").write_text("\n".join(lines))
     with contextlib.suppress(InputError):
-        assert np.isfinite(read_subject(folder).trials.angles).all()
+        assert np.isfinite(load_subject(folder).trials.angles).all()
 
 
 @hypothesis.settings(
@@ -418,4 +419,4 @@ def test_any_damage_to_the_model_is_read_or_an_input_error(place, length, rubbis
     content = MODEL.encode()
     (folder / "model.osim").write_bytes(content[:place] + rubbish + content[place + length :])
     with contextlib.suppress(InputError):
-        read_subject(folder)
+        load_subject(folder)

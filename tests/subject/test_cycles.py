@@ -3,14 +3,23 @@
 import numpy as np
 import pytest
 
-from tests.subject.synthetic import CYCLES, PERIOD, angles, angular_velocities, emg, moments, write_subject
-from wrapjax.subject import FRAMES, Storage, read_storage, read_subject, write_storage
-from wrapjax.subject.cycles import cycle_times, padding_frames, resample
+from tests.subject.synthetic import (
+    CYCLES,
+    PERIOD,
+    angles,
+    angular_velocities,
+    emg,
+    moments,
+    write_subject,
+)
+from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.subject.subject import load_subject
+from wrapjax.subject.trials import FRAMES, cycle_times, padding_frames, resample
 
 
 @pytest.fixture
 def subject(tmp_path):
-    return read_subject(write_subject(tmp_path / "subject"))
+    return load_subject(write_subject(tmp_path / "subject"))
 
 
 def test_padding_is_a_fifth_of_a_second_at_the_finest_step_rounded_up_to_tens():
@@ -72,7 +81,7 @@ def test_short_emg_is_held_at_the_edge_and_noted(tmp_path):
     whole = read_storage(path)
     keep = whole.time >= 0.55
     write_storage(path, Storage(whole.name, whole.columns, whole.time[keep], whole.values[keep]))
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     before = subject.trials.emg_time[2] <= 0.55
     assert 5 < before.sum() < subject.trials.padding
     np.testing.assert_allclose(

@@ -8,7 +8,10 @@ import pytest
 
 from tests.subject.synthetic import write_subject
 from wrapjax.errors import InputError
-from wrapjax.subject import Storage, TrialSettings, read_ground_loads, read_subject, write_storage
+from wrapjax.io.storage import Storage, write_storage
+from wrapjax.subject.external_loads import read_ground_loads
+from wrapjax.subject.settings import TrialSettings
+from wrapjax.subject.subject import load_subject
 
 LOAD = """<ExternalForce name="{name}">
  <applied_to_body>{body}</applied_to_body>
@@ -135,4 +138,4 @@ def test_files_are_checked_when_the_folder_is_read(tmp_path, trial):
     files = 'ground_forces = "forces.mot"\nexternal_loads = "loads.xml"\nspeed_m_s'
     settings.write_text(settings.read_text().replace("speed_m_s", files))
     with pytest.raises(InputError, match="column left_vx"):
-        read_subject(folder)
+        load_subject(folder)

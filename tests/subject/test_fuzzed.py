@@ -1,6 +1,6 @@
 """Whatever bytes a file holds, it is read or refused in sentences fit for a terminal.
 
-Files at which readers stumbled (``python -m benchmarks.fuzz`` makes such), cut down to what mattered, and any
+Files at which readers stumbled (``python -m validation.fuzz`` makes such), cut down to what mattered, and any
 bytes at all.
 """
 
@@ -17,15 +17,17 @@ from hypothesis import strategies as st
 
 from tests.subject.synthetic import MODEL, SETTINGS, write_subject
 from wrapjax.errors import MOST_LETTERS, InputError, Problem, nearest_name
-from wrapjax.nmsm import read_osimx, read_tool_settings
-from wrapjax.raw.c3d import read_c3d_markers
-from wrapjax.raw.markers import read_trc
-from wrapjax.raw.settings import read_raw_settings
-from wrapjax.safe_xml import MOST_BYTES, MOST_LEVELS
-from wrapjax.stored import load_arrays, load_json
-from wrapjax.subject import read_model_file, read_storage, read_subject
+from wrapjax.io.json_and_arrays import load_arrays, load_json
+from wrapjax.io.model_file import read_model_file
+from wrapjax.io.storage import read_storage
+from wrapjax.io.xml import MOST_BYTES, MOST_LEVELS
+from wrapjax.preprocessing.c3d import read_c3d_markers
+from wrapjax.preprocessing.laboratory_settings import read_raw_settings
+from wrapjax.preprocessing.markers import read_trc
+from wrapjax.preprocessing.nmsm_osimx import read_osimx, read_tool_settings
 from wrapjax.subject.external_loads import read_external_loads
 from wrapjax.subject.muscles import read_muscle_parameters
+from wrapjax.subject.subject import load_subject
 
 HEAD = "a\nversion=1\nnRows={rows}\nendheader\ntime\tb\n0\t1\n1\t2\n"
 TRC = "PathFileType\t4\nRate\tNumFrames\tUnits\n100\t{rows}\tmm\nFrame#\tTime\tHEEL\n\tX1\tY1\tZ1\n\n"
@@ -100,7 +102,7 @@ def test_found_by_changing_settings(tmp_path, old, new, words):
     folder = write_subject(tmp_path / "subject")
     assert old in SETTINGS
     (folder / "subject.toml").write_text(SETTINGS.replace(old, new))
-    assert words in refusal(read_subject, folder)
+    assert words in refusal(load_subject, folder)
 
 
 def test_one_long_cell_does_not_make_all_cells_long(tmp_path):
@@ -179,17 +181,17 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(tmp_path):
     own = folder / "trials" / "walk_a" / "emg.sto"
     own.rename(tmp_path / "secret.sto")
     own.symlink_to(tmp_path / "secret.sto")
-    found = refusal(read_subject, folder)
+    found = refusal(load_subject, folder)
     assert "emg" in found and "link" in found and "copy the file into the folder" in found
     # Within the folder, and to the folder itself, links are nobody's concern.
     own.unlink()
     (tmp_path / "secret.sto").rename(folder / "recorded.sto")
     own.symlink_to(folder / "recorded.sto")
     (tmp_path / "link").symlink_to(folder)
-    assert len(read_subject(tmp_path / "link").trials) == 3
+    assert len(load_subject(tmp_path / "link").trials) == 3
     own.unlink()
     own.symlink_to(own)
-    assert "expected a path inside" in refusal(read_subject, folder)
+    assert "expected a path inside" in refusal(load_subject, folder)
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../../etc/passwd", "C:\\x", "a/../../b", "a\\u0000b"])
@@ -198,7 +200,7 @@ def test_paths_that_lead_out_of_the_folder_are_refused(tmp_path, path):
     written = path if "u0000" in path else path.replace("\\", "\\\\")
     text = SETTINGS.replace("trials/walk_b/emg.sto", written)
     (folder / "subject.toml").write_text(text)
-    assert "expected a path inside the subject's folder" in refusal(read_subject, folder)
+    assert "expected a path inside the subject's folder" in refusal(load_subject, folder)
 
 
 # ---- Results read back

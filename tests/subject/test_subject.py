@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, emg, moments, write_subject
-from wrapjax.subject import (
-    Storage,
-    describe_subject,
-    read_storage,
-    read_subject,
-    render_tables,
-    write_storage,
-)
+from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.subject.description import describe_subject, render_tables
+from wrapjax.subject.subject import load_subject
 
 
 def replace_text(path, old, new):
@@ -27,7 +22,7 @@ def replace_text(path, old, new):
 
 def test_synthetic_subject(tmp_path):
     folder = write_subject(tmp_path)
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     assert (subject.name, subject.mass_kg, subject.side, subject.paretic) == ("synthetic", 70.0, "l", None)
     assert subject.model_file == folder / "model.osim"
     assert subject.muscles.names == ("recfem_l", "semiten_l")
@@ -40,14 +35,14 @@ def test_synthetic_subject(tmp_path):
     assert subject.trials.coordinates == subject.trials.moment_coordinates == COORDINATES
     assert [recording.name for recording in subject.recordings] == ["walk_a", "walk_b"]
     assert subject.emg_rates == pytest.approx((100.0, 100.0))
-    assert read_subject(folder / "subject.toml").trials.names == subject.trials.names
+    assert load_subject(folder / "subject.toml").trials.names == subject.trials.names
 
 
 def test_driven_muscles_follow_the_channels(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", 'RecFem = ["recfem_l"]\n', "")
     replace_text(folder / "subject.toml", '["semiten_l"]', '["semiten_l"]\nRecFem = ["recfem_l"]')
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     assert subject.muscles.names == ("semiten_l", "recfem_l")
     np.testing.assert_array_equal(subject.muscles.max_isometric_force, [900.0, 1500.0])
     np.testing.assert_allclose(subject.trials.emg[0], emg(subject.trials.emg_time[0])[::-1], atol=1e-6)
@@ -56,7 +51,7 @@ def test_driven_muscles_follow_the_channels(tmp_path):
 def test_undriven_muscles_are_named(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", 'RecFem = ["recfem_l"]\n', "")
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     assert subject.undriven_muscles == ("recfem_l",)
     assert subject.activation_groups == ()
 
@@ -68,7 +63,7 @@ def test_table_of_parameters_takes_precedence(tmp_path):
         "\ufeffmuscle,emg_channel,tendon_slack_length_m,max_isometric_force_N,optimal_fiber_length_m,pennation_rad\r\n"
         "semiten_l,SemiTen,0.26,901,0.16,0\r\n\r\nrecfem_l,RecFem,0.31,1501,0.11,0.2\r\n"
     )
-    muscles = read_subject(folder).muscles
+    muscles = load_subject(folder).muscles
     assert muscles.names == ("recfem_l", "semiten_l")
     np.testing.assert_array_equal(muscles.max_isometric_force, [1501.0, 901.0])
     np.testing.assert_array_equal(muscles.optimal_fiber_length, [0.11, 0.16])
@@ -77,7 +72,7 @@ def test_table_of_parameters_takes_precedence(tmp_path):
 
 
 def test_degrees_and_full_paths_give_the_same_angles(tmp_path):
-    plain = read_subject(write_subject(tmp_path / "plain"))
+    plain = load_subject(write_subject(tmp_path / "plain"))
     folder = write_subject(tmp_path / "other")
     for trial in ("walk_a", "walk_b"):
         path = folder / "trials" / trial / "angles.sto"
@@ -86,7 +81,7 @@ def test_degrees_and_full_paths_give_the_same_angles(tmp_path):
         columns += [column.replace("value", "speed") for column in columns]
         values = np.hstack([np.rad2deg(table.values), 7.0 * table.values])
         write_storage(path, Storage("states", tuple(columns), table.time, values, in_degrees=True))
-    other = read_subject(folder)
+    other = load_subject(folder)
     np.testing.assert_allclose(other.trials.angles, plain.trials.angles, atol=1e-12)
     np.testing.assert_allclose(other.trials.angular_velocities, plain.trials.angular_velocities, atol=1e-9)
 
@@ -97,7 +92,7 @@ def test_moments_are_not_scaled_by_a_header_that_says_degrees(tmp_path):
     for trial in ("walk_a", "walk_b"):
         replace_text(folder / "trials" / trial / "moments.sto", "inDegrees=no", "inDegrees=yes")
         replace_text(folder / "trials" / trial / "emg.sto", "inDegrees=no", "inDegrees=yes")
-    trials = read_subject(folder).trials
+    trials = load_subject(folder).trials
     np.testing.assert_allclose(trials.moments[0], moments(trials.time[0]), atol=1e-5)
     np.testing.assert_allclose(trials.emg[0], emg(trials.emg_time[0]), atol=1e-6)
 
@@ -105,9 +100,9 @@ def test_moments_are_not_scaled_by_a_header_that_says_degrees(tmp_path):
 def test_coordinates_are_those_that_all_angle_files_hold(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", '"hip_flexion_l", "knee_angle_l"]', '"knee_angle_l"]')
-    assert read_subject(folder).trials.coordinates == COORDINATES
+    assert load_subject(folder).trials.coordinates == COORDINATES
     replace_text(folder / "trials" / "walk_b" / "angles.sto", "hip_flexion_l", "hip_flexion_r")
-    trials = read_subject(folder).trials
+    trials = load_subject(folder).trials
     assert trials.coordinates == trials.moment_coordinates == ("knee_angle_l",)
 
 
@@ -116,7 +111,7 @@ def test_negative_envelopes_are_clipped_and_noted(tmp_path):
     path = folder / "trials" / "walk_b" / "emg.sto"
     table = read_storage(path)
     write_storage(path, Storage("emg", table.columns, table.time, table.values - [0.0, 0.15]))
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     assert subject.trials.emg.min() == 0.0
     assert len(subject.notes) == 1 and "-0.05" in subject.notes[0] and "SemiTen" in subject.notes[0]
 
@@ -127,12 +122,12 @@ def test_negative_envelopes_are_clipped_and_noted(tmp_path):
 def test_a_mass_that_is_not_the_models_is_noted(tmp_path, mass, said):
     """A model of a leg alone is lighter than the person, and nothing is said of that."""
     folder = write_subject(tmp_path / "s")
-    assert read_subject(folder).notes == ()
+    assert load_subject(folder).notes == ()
     model, settings = folder / "model.osim", folder / "subject.toml"
     bodies = model.read_text().count("<mass>5</mass>")
     model.write_text(model.read_text().replace("<mass>5</mass>", f"<mass>{70.0 / bodies}</mass>"))
     settings.write_text(re.sub("mass_kg = .*", f"mass_kg = {mass}", settings.read_text()))
-    notes = read_subject(folder).notes
+    notes = load_subject(folder).notes
     assert len(notes) == (said is not None)
     assert all(said in note and f"{mass:.4g}" in note and "70 kg" in note for note in notes)
 
@@ -148,7 +143,7 @@ def test_raw_emg_is_normalised_over_all_trials(tmp_path):
         write_storage(
             folder / "trials" / trial / "emg.sto", Storage("emg", tuple(CHANNELS), time_axis, values)
         )
-    trials = read_subject(folder).trials
+    trials = load_subject(folder).trials
     np.testing.assert_array_equal(trials.emg.max(axis=(0, 2)), [1.0, 1.0])
     assert trials.emg.min() >= 0.0
     ratio = trials.emg[2].mean() / trials.emg[:2].mean()
@@ -158,7 +153,7 @@ def test_raw_emg_is_normalised_over_all_trials(tmp_path):
 def test_validation_on_calibration_cycles_is_noted(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", "trials/walk_b/", "trials/walk_a/")
-    notes = read_subject(folder).notes
+    notes = load_subject(folder).notes
     assert len(notes) == 1 and "overlap in 2 pairs of cycles" in notes[0]
 
 
@@ -166,7 +161,7 @@ def test_other_leg_may_lie_outside(tmp_path):
     write_subject(tmp_path / "right")
     folder = write_subject(tmp_path / "left")
     replace_text(folder / "subject.toml", 'side = "l"', 'side = "l"\nparetic = true\nother_leg = "../right"')
-    subject = read_subject(folder)
+    subject = load_subject(folder)
     assert subject.paretic is True
     assert subject.other_leg is not None and subject.other_leg.resolve() == tmp_path / "right"
 
@@ -174,7 +169,7 @@ def test_other_leg_may_lie_outside(tmp_path):
 def test_description(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", 'RecFem = ["recfem_l"]\n', "")
-    tables = describe_subject(read_subject(folder))
+    tables = describe_subject(load_subject(folder))
     by_title = {table.title: table for table in tables}
     overview = dict(by_title["Subject synthetic"].rows)
     assert overview["undriven muscles"] == "recfem_l"
@@ -194,7 +189,7 @@ def test_description(tmp_path):
 
 
 def test_text_is_aligned(tmp_path):
-    text = render_tables(describe_subject(read_subject(write_subject(tmp_path))))
+    text = render_tables(describe_subject(load_subject(write_subject(tmp_path))))
     assert "Notes" not in text  # nothing to note, no table
     lines = text.splitlines()
     start = lines.index("Trials")
@@ -207,7 +202,7 @@ def test_text_is_aligned(tmp_path):
 
 def test_s1_left(s1_left):
     started = time.perf_counter()
-    subject = read_subject(s1_left)
+    subject = load_subject(s1_left)
     assert time.perf_counter() - started < 1.0
     trials = subject.trials
     assert trials.names == tuple(f"walk_0p{speed}_{order}" for speed in (5, 8) for order in (1, 2, 3, 4))
@@ -232,7 +227,7 @@ def _left(*groups):
 
 
 def test_groups_of_s1_left(s1_left):
-    subject = read_subject(s1_left)
+    subject = load_subject(s1_left)
     adductors = "addbrev addlong addmagDist addmagIsch addmagMid addmagProx"
     gluteals = ("glmax1 glmax2 glmax3", "glmed1 glmed2 glmed3", "glmin1 glmin2 glmin3")
     assert subject.activation_groups == _left(
@@ -253,7 +248,7 @@ def test_groups_of_s1_left(s1_left):
 
 def test_healthy_overground(data_folder):
     """Full paths as labels, another leg, and no groups in the model: the standard ones."""
-    subject = read_subject(data_folder / "healthy_overground")
+    subject = load_subject(data_folder / "healthy_overground")
     assert subject.side == "r" and len(subject.trials) == 1 and len(subject.muscles.names) == 21
     assert "pelvis_ty" in subject.trials.coordinates
     assert 0.8 < subject.trials.angles[0, subject.trials.coordinates.index("pelvis_ty")].min() < 1.2
@@ -273,7 +268,7 @@ def test_healthy_overground(data_folder):
 def test_healthy_treadmill(data_folder):
     """Degrees, 53 cycles of one recording, negative envelopes, and a ground-force file that is not read."""
     started = time.perf_counter()
-    subject = read_subject(data_folder / "healthy_treadmill")
+    subject = load_subject(data_folder / "healthy_treadmill")
     assert time.perf_counter() - started < 2.0
     trials = subject.trials
     assert trials.names[0] == "walk_a/01" and trials.names[-1] == "walk_b/23" and len(trials) == 53

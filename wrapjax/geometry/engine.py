@@ -21,13 +21,20 @@ from jaxtyping import Array, Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.cylinder import Cylinder, geodesic_contact, spiral_contact
+from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
+from wrapjax.geometry.model_description import ModelDescription, Muscle
 from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
 from wrapjax.geometry.placement import points_and_carriers, straight_path, surfaces_of
-from wrapjax.geometry.several_wraps import wrap_in_parity, wrap_shortest
-from wrapjax.geometry.surfaces import NOMINAL, Surface
-from wrapjax.geometry.wrapping import FindContact, StraightPath, WrappedPath, unwrapped, wrap_once
-from wrapjax.skeleton import CoordinateValues, ModelDescription, body_motion, path_points
-from wrapjax.skeleton.description import Muscle
+from wrapjax.geometry.shortest_path import wrap_in_parity, wrap_shortest
+from wrapjax.geometry.wrapping import (
+    NOMINAL,
+    FindContact,
+    StraightPath,
+    Surface,
+    WrappedPath,
+    unwrapped,
+    wrap_once,
+)
 
 #: Evaluations (samples times poses) that are run at once: more of them only fill memory.
 _AT_ONCE = 20_000

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
+from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
 from wrapjax.geometry.placement import points_and_carriers, surfaces_of
-from wrapjax.geometry.several_wraps import Way, shortest_way
-from wrapjax.geometry.surfaces import NOMINAL, Surface
-from wrapjax.skeleton import CoordinateValues, ModelDescription, body_motion, path_points
+from wrapjax.geometry.shortest_path import Way, shortest_way
+from wrapjax.geometry.wrapping import NOMINAL, Surface
 
 #: Longest step on an arc (rad): the line is then shorter than the arc by a few millionths of it.
 _STEP = np.deg2rad(0.5)

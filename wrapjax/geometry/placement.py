@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from wrapjax.geometry.kinematics import BodyMotion, PathPoints
+from wrapjax.geometry.model_description import Muscle, PathWrap, WrapObject
 from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
-from wrapjax.geometry.surfaces import Surface
 from wrapjax.geometry.vectors import vector
-from wrapjax.geometry.wrapping import StraightPath
-from wrapjax.skeleton import BodyMotion, PathPoints
-from wrapjax.skeleton.description import Muscle, PathWrap, WrapObject
+from wrapjax.geometry.wrapping import StraightPath, Surface
 
 
 def straight_path(

@@ -2,6 +2,8 @@
 
 A muscle's own part sees that muscle alone, so derivatives stay one small block a muscle. What mixes
 muscles acts before them, on the EMG, or on their paths, whose moment arms say where forces go.
+
+Tendons, by name: what puts fibers in series with another than a rigid one.
 """
 
 from __future__ import annotations
@@ -10,11 +12,16 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from wrapjax.geometry import PathState
+from wrapjax.geometry.paths import PathState
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.muscle import DEACTIVATION_RATIO, AbstractCurves, EmgSpline, FiberState
+from wrapjax.muscle.activation import DEACTIVATION_RATIO
+from wrapjax.muscle.compliant_tendon import compliant_tendon_fiber
+from wrapjax.muscle.curves import AbstractCurves
+from wrapjax.muscle.excitation import EmgSpline
+from wrapjax.muscle.hill import FiberState
 
 
 def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
@@ -133,3 +140,49 @@ def altered_moments(
         if alteration.moment is not None:
             moments = moments + alteration.moment
     return moments
+
+
+#: Strain at maximum isometric force of each kind of tendon: none, as the NMSM Pipeline has it, or what
+#: most tendons have (Zajac 1989, Crit Rev Biomed Eng 17:359; PMC3656509, with 0.10 of the Achilles tendon).
+TENDONS = {"rigid": 0.0, "compliant": 0.04}
+
+
+class CompliantTendon(MuscleAlteration):
+    """Put fibers in series with a tendon that stretches."""
+
+    strain_at_max_force: Float[Array, "*muscle"]
+
+    def tendon(
+        self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
+    ) -> FiberState:
+        """See `MuscleAlteration`."""
+        return compliant_tendon_fiber(
+            inputs.curves,
+            activation,
+            inputs.path.length,
+            inputs.path.velocity,
+            inputs.emg.step,
+            self.strain_at_max_force,
+            **inputs.law,
+        )
+
+
+def tendon_alterations(tendon: str, muscles: int) -> tuple[Alteration, ...]:
+    """Alter so many muscles to this kind of tendon; rigid ones need nothing.
+
+    Parameters
+    ----------
+    tendon
+        One of `TENDONS`.
+    muscles
+        How many.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    if tendon not in TENDONS:
+        raise ValueError(f"unknown tendon '{tendon}': expected one of {', '.join(TENDONS)}")
+    strain = TENDONS[tendon]
+    return () if strain == 0.0 else (Alteration(muscle=CompliantTendon(jnp.full(muscles, strain))),)

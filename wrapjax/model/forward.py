@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from wrapjax.geometry import AbstractPath, PathState, fixed_path
+from wrapjax.geometry.paths import AbstractPath, PathState, fixed_path
 from wrapjax.model.alteration import (
     Alteration,
     MuscleAlteration,
@@ -21,14 +21,10 @@ from wrapjax.model.alteration import (
     muscle_parts,
 )
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.muscle import (
-    AbstractCurves,
-    EmgSpline,
-    FiberState,
-    muscle_activation,
-    neural_activation,
-    rigid_tendon_fiber,
-)
+from wrapjax.muscle.activation import muscle_activation, neural_activation
+from wrapjax.muscle.curves import AbstractCurves
+from wrapjax.muscle.excitation import EmgSpline
+from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
 
 
 class Recording(eqx.Module):

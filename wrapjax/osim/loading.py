@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.safe_xml import read_xml_file
+from wrapjax.io.xml import read_xml_file
 
 #: What OpenSim and Simbody wrap round the sentence that matters.
 _WRAPPING = re.compile(

@@ -1,4 +1,9 @@
-"""Read what an OpenSim model holds: muscle paths, coordinates, joints, wrap objects."""
+"""Read what an OpenSim model holds: muscle paths, coordinates, joints, wrap objects.
+
+Read OpenSim's functions of one variable as plain data.
+
+Read the joints of an OpenSim model as plain data.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +12,131 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.osim.functions import read_function
-from wrapjax.osim.joints import read_joint, read_pose
-from wrapjax.osim.loading import import_opensim, load_model
-from wrapjax.skeleton.description import (
+from wrapjax.geometry.model_description import (
+    CONSTANT_ZERO,
+    IDENTITY,
+    Axis,
     Coordinate,
+    Function,
+    Joint,
+    Matrix,
     ModelDescription,
     Muscle,
     PathPoint,
     PathWrap,
+    Polynomial,
+    Pose,
+    Spline,
     Triple,
     WrapObject,
 )
-from wrapjax.skeleton.functions import Function
+from wrapjax.osim.loading import import_opensim, load_model
+
+
+def read_function(opensim: Any, function: Any) -> Function | None:
+    """Read a function, or return None for a kind that is not known here.
+
+    Known are Constant, LinearFunction, PolynomialFunction, SimmSpline, and a MultiplierFunction of them.
+    """
+    kind = function.getConcreteClassName()
+    if kind == "MultiplierFunction":
+        multiplier = opensim.MultiplierFunction.safeDownCast(function)
+        inner = read_function(opensim, multiplier.getFunction())
+        return None if inner is None else inner.scaled(multiplier.getScale())
+    if kind == "Constant":
+        return Polynomial((opensim.Constant.safeDownCast(function).getValue(),))
+    if kind == "LinearFunction":
+        line = opensim.LinearFunction.safeDownCast(function)
+        return Polynomial((line.getSlope(), line.getIntercept()))
+    if kind == "PolynomialFunction":
+        coefficients = opensim.PolynomialFunction.safeDownCast(function).getCoefficients()
+        return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
+    if kind == "SimmSpline":
+        return _spline(opensim, opensim.SimmSpline.safeDownCast(function))
+    return None
+
+
+def _spline(opensim: Any, spline: Any) -> Spline:
+    knots = [spline.getX(index) for index in range(spline.getSize())]
+    first = opensim.StdVectorInt([0])
+    slopes = []
+    for knot in knots:
+        at = opensim.Vector(1, float(knot))
+        slopes.append(spline.calcDerivative(first, at))
+    return Spline(tuple(knots), tuple(spline.getY(index) for index in range(len(knots))), tuple(slopes))
+
+
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+#: Joints whose movements are fixed by their kind, in the order of their coordinates.
+_MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
+    "WeldJoint": (),
+    "PinJoint": (("rotation", _Z),),
+    "SliderJoint": (("translation", _X),),
+    "UniversalJoint": (("rotation", _X), ("rotation", _Y)),
+    "GimbalJoint": (("rotation", _X), ("rotation", _Y), ("rotation", _Z)),
+    "PlanarJoint": (("rotation", _Z), ("translation", _X), ("translation", _Y)),
+}
+
+
+def read_joint(opensim: Any, joint: Any, state: Any) -> Joint:
+    """Read a joint; ``state`` is the model's default one, realized to positions."""
+    parent, child = joint.getParentFrame(), joint.getChildFrame()
+    coordinates = tuple(joint.get_coordinates(i).getName() for i in range(joint.numCoordinates()))
+    return Joint(
+        name=joint.getName(),
+        kind=joint.getConcreteClassName(),
+        parent_body=parent.findBaseFrame().getName(),
+        child_body=child.findBaseFrame().getName(),
+        coordinates=coordinates,
+        in_parent=read_pose(parent.findTransformInBaseFrame()),
+        in_child=read_pose(child.findTransformInBaseFrame()),
+        axes=_axes(opensim, joint, coordinates),
+        default=read_pose(child.findTransformBetween(state, parent)),
+    )
+
+
+def read_pose(transform: Any) -> Pose:
+    """Read a transform."""
+    rotation = transform.R().asMat33()
+    rows: Matrix = tuple(tuple(rotation.get(i, j) for j in range(3)) for i in range(3))  # type: ignore[assignment]
+    origin = transform.p()
+    return Pose(rows, (origin.get(0), origin.get(1), origin.get(2)))
+
+
+def _axes(opensim: Any, joint: Any, coordinates: tuple[str, ...]) -> tuple[Axis, ...] | None:
+    kind = joint.getConcreteClassName()
+    if kind in _MOVEMENTS:
+        return tuple(
+            Axis(movement, direction, coordinate, IDENTITY)
+            for (movement, direction), coordinate in zip(_MOVEMENTS[kind], coordinates, strict=True)
+        )
+    if kind != "CustomJoint":
+        return None
+    transform = opensim.CustomJoint.safeDownCast(joint).getSpatialTransform()
+    axes = []
+    for movement in ("rotation", "translation"):
+        for number in (1, 2, 3):
+            axis = _custom_axis(opensim, movement, getattr(transform, f"get_{movement}{number}")())
+            if axis is None:
+                return None
+            axes.append(axis)
+    return tuple(axes)
+
+
+def _custom_axis(opensim: Any, movement: str, axis: Any) -> Axis | None:
+    names = axis.getCoordinateNamesInArray()
+    if names.getSize() > 1:
+        return None
+    function = read_function(opensim, axis.getFunction()) if axis.hasFunction() else CONSTANT_ZERO
+    if function is None:
+        return None
+    direction = axis.getAxis()
+    # OpenSim takes the direction as a unit vector, whatever length the file gives it.
+    parts = [direction.get(index) for index in range(3)]
+    norm = sum(part * part for part in parts) ** 0.5
+    unit = (parts[0] / norm, parts[1] / norm, parts[2] / norm)
+    return Axis(movement, unit, names.get(0) if names.getSize() else None, function)
 
 
 def describe_model(model_file: Path | str) -> ModelDescription:

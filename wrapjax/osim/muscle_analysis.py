@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.files import cache_folder, content_hash, write_whole
+from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.io.files import cache_folder, content_hash, write_whole
+from wrapjax.io.json_and_arrays import load_arrays
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.model import describe_model, unknown_names
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.workers import analyse_chunks
 from wrapjax.progress import progress_bar
-from wrapjax.skeleton.description import ModelDescription
-from wrapjax.stored import load_arrays
 
 #: Poses analysed, and remembered, at a time: about half a second of work for 34 muscles.
 CHUNK = 512

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.files import cache_folder, content_hash, write_whole
-from wrapjax.osim.cylinders import WrapParameters
+from wrapjax.io.files import cache_folder, content_hash, write_whole
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.muscle_analysis import check_poses, check_question
+from wrapjax.osim.path_engine import WrapParameters
 from wrapjax.osim.workers import Placed, analyse_chunks
 from wrapjax.progress import progress_bar
 

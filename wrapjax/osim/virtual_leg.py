@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.files import write_whole
+from wrapjax.io.files import write_whole
 from wrapjax.osim.loading import import_opensim
 
 Point = tuple[float, float, float]

@@ -21,8 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import WorkError
-from wrapjax.osim.cylinders import WrapParameters
-from wrapjax.osim.path_engine import PathEngine
+from wrapjax.osim.path_engine import PathEngine, WrapParameters
 
 #: Starting workers, each of which imports OpenSim and loads the model, costs a few seconds.
 POOL_PAYS_AFTER_S = 6.0

@@ -1,1 +1,1 @@
-"""What a person sees of a result: folders of plain files, figures and a page."""
+"""HTML pages, figures and tables of results."""

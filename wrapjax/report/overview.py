@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.io.json_and_arrays import load_json
 from wrapjax.report import markup
-from wrapjax.report.wording import counted, decimals, plain
-from wrapjax.stored import load_json
+from wrapjax.report.style import counted, decimals, plain
 
 Content = dict[str, Any]
 

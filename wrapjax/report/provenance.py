@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.calibrate import CalibrationResult
-from wrapjax.files import content_hash
-from wrapjax.model import QUANTITIES
-from wrapjax.subject import Subject
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.io.files import content_hash
+from wrapjax.model.parameters import QUANTITIES
+from wrapjax.subject.subject import Subject
 
 PACKAGES = ("wrapjax", "jax", "jaxlib", "equinox", "numpy", "scipy", "opensim", "matplotlib")
 

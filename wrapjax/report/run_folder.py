@@ -9,25 +9,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrapjax.calibrate import CalibrationResult, LegSpread
-from wrapjax.files import new_folder, write_json, write_text, write_whole
-from wrapjax.report.html import render_report
-from wrapjax.report.moved_paths import MovedPath, moved_paths
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.uncertainty.intervals import LegSpread
+from wrapjax.io.files import new_folder, write_json, write_text, write_whole
+from wrapjax.io.storage import write_storage
+from wrapjax.report.paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings, path_from
-from wrapjax.report.spread_summary import describe_spread, spread_content
+from wrapjax.report.run_page import render_report
+from wrapjax.report.run_summary import file_stems, summarize
+from wrapjax.report.run_tables import band_table, curve_tables, osimx_of, parameters_csv
+from wrapjax.report.spread import describe_spread, spread_content
 from wrapjax.report.starts import starts_csv
-from wrapjax.report.summary import file_stems, summarize
-from wrapjax.report.tables import band_table, curve_tables, osimx_of, parameters_csv
-from wrapjax.subject import Subject, write_storage
+from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
-    from wrapjax.skeleton import ModelDescription
+    from wrapjax.geometry.model_description import ModelDescription
 
 #: Reads what decides muscle paths from a model's file: `wrapjax.osim.describe_model`.
 DescribeModel = Callable[[Path], "ModelDescription"]
 
 #: Writes a subject's model with what a calibration found, to a file:
-#: `wrapjax.api.calibrating.personalised.write_model`.
+#: `wrapjax.calibration.calibration.write_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
 #: Of a leg whose cylinders were moved: opens in OpenSim.

@@ -1,9 +1,13 @@
-"""How figures look, and their way into a page. matplotlib is imported only when something is drawn."""
+"""How figures look, and their way into a page. matplotlib is imported only when something is drawn.
+
+Numbers and lists in words, the same way all over the report.
+"""
 
 from __future__ import annotations
 
 import functools
 import io
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -114,3 +118,18 @@ def _in_short(path: str) -> str:
     rounded = _DECIMALS.sub(r"\1", path)
     # From one point to the next a path of straight lines goes on by itself; curves would take its place.
     return rounded if _CURVED.search(rounded, 4) else rounded.replace(" \nL ", " ")
+
+
+def counted(number: int, thing: str) -> str:
+    """Count things: ``1 start``, ``2 starts``."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def decimals(value: float | None) -> str:
+    """Write two decimals; a dash where there is no number."""
+    return "\N{EN DASH}" if value is None or not math.isfinite(value) else f"{value:.2f}"
+
+
+def plain(name: str) -> str:
+    """Take a name of the package for words: ``moment_arm_sign`` reads ``moment arm sign``."""
+    return name.replace("_", " ")

@@ -21,7 +21,7 @@ from wrapjax.geometry.engine import (
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.report.cycles import mark_gait_cycle
+from wrapjax.report.moment_curves import mark_gait_cycle
 from wrapjax.report.style import (
     BLUE,
     GRAY,
@@ -35,7 +35,7 @@ from wrapjax.report.style import (
 )
 
 if TYPE_CHECKING:
-    from wrapjax.skeleton import ModelDescription
+    from wrapjax.geometry.model_description import ModelDescription
 
 #: Step of differences (rad or m): of their error, that of rounding and that of curvature are alike.
 STEP = 1e-4

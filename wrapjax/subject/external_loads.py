@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.subject.columns import find_column
-from wrapjax.subject.cycles import TIME_TOLERANCE
-from wrapjax.subject.model_file import read_xml
-from wrapjax.subject.schema import collecting
+from wrapjax.io.model_file import read_xml
+from wrapjax.io.storage import find_column, read_storage, read_storage_header
+from wrapjax.io.toml import collecting
 from wrapjax.subject.settings import TrialSettings
-from wrapjax.subject.storage import read_storage, read_storage_header
+from wrapjax.subject.trials import TIME_TOLERANCE
 
 #: What OpenSim writes where nothing is named.
 _UNNAMED = ("", "unassigned")

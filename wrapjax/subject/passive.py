@@ -8,12 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import Problem
-from wrapjax.subject.columns import find_column
-from wrapjax.subject.model_file import CoordinateInfo
-from wrapjax.subject.passive_settings import PassiveSettings
+from wrapjax.io.model_file import CoordinateInfo
+from wrapjax.io.storage import find_column
+from wrapjax.io.toml import collecting
 from wrapjax.subject.recordings import MOST_MOMENT_PER_MASS, Reader, all_angles, check_angle_unit
-from wrapjax.subject.schema import collecting
-from wrapjax.subject.settings import Settings
+from wrapjax.subject.settings import PassiveSettings, Settings
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,12 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import Problem, nearest_name
-from wrapjax.subject.columns import component_name, find_column
-from wrapjax.subject.cycles import TIME_TOLERANCE
+from wrapjax.io.model_file import CoordinateInfo
+from wrapjax.io.storage import Storage, component_name, find_column
+from wrapjax.io.toml import collecting
 from wrapjax.subject.external_loads import check_ground_loads
-from wrapjax.subject.model_file import CoordinateInfo
-from wrapjax.subject.schema import collecting
 from wrapjax.subject.settings import Settings, TrialSettings
-from wrapjax.subject.storage import Storage
+from wrapjax.subject.trials import TIME_TOLERANCE
 
 #: Samples a cycle must hold, and so the longest gap: with fewer, the shape of a gait cycle is guessed.
 MIN_SAMPLES = 20

@@ -1,4 +1,9 @@
-"""The settings of a subject, ``subject.toml``: what the folder holds and how to use it."""
+"""The settings of a subject, ``subject.toml``: what the folder holds and how to use it.
+
+``[emg.channels]`` and ``[emg.extrapolated]`` of the settings: what excites which muscles.
+
+``[[passive]]`` of the settings: recordings of a leg at rest.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,94 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.subject.channels import read_channels, read_extrapolated
-from wrapjax.subject.passive_settings import PassiveSettings, read_passive_settings
-from wrapjax.subject.schema import TableReader, describe_value
-from wrapjax.subject.toml_file import read_toml
+from wrapjax.io.toml import TableReader, describe_value, read_toml
+
+
+@dataclass(frozen=True)
+class PassiveSettings:
+    """One ``[[passive]]``: its name, unique among them, and its files."""
+
+    name: str
+    angles: Path
+    moments: Path
+
+
+def read_passive_settings(
+    tables: Any, file: Path, folder: Path, problems: list[Problem]
+) -> tuple[PassiveSettings, ...]:
+    """Take all ``[[passive]]`` tables, without those that are unfit; none where there is none."""
+    if tables is None:
+        return ()
+    if not isinstance(tables, list):
+        message = f"expected tables [[passive]], found {describe_value(tables)}"
+        problems.append(Problem(str(file), message, "passive"))
+        return ()
+    found = []
+    for number, table in enumerate(tables, start=1):
+        label = table.get("name") if isinstance(table, dict) else None
+        place = (
+            f"[[passive]] '{label}'" if isinstance(label, str) and label else f"[[passive]] number {number}"
+        )
+        reader = TableReader(table, file, place, problems)
+        name = reader.text("name")
+        angles, moments = (reader.path(key, folder) for key in ("angles", "moments"))
+        reader.finish()
+        if name is not None and angles is not None and moments is not None:
+            found.append(PassiveSettings(name, angles, moments))
+    for name, count in Counter(trial.name for trial in found).items():
+        if count > 1:
+            message = f"expected every trial to have a name of its own, found {count}"
+            problems.append(Problem(str(file), message, f"[[passive]] '{name}'"))
+    return tuple(found)
+
+
+def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
+    """Take the muscles of each channel; a muscle can be driven by one channel only."""
+    reader = TableReader(table, file, "[emg.channels]", problems)
+    channels = {}
+    driven_by: dict[str, str] = {}
+    for channel in table if isinstance(table, dict) else ():
+        muscles = reader.names(channel)
+        if muscles is None:
+            continue
+        channels[channel] = muscles
+        for muscle in muscles:
+            if muscle in driven_by:
+                message = (
+                    f"expected one channel a muscle, found '{muscle}' driven by '{driven_by[muscle]}' already"
+                )
+                reader.problem(channel, message)
+            driven_by.setdefault(muscle, channel)
+    if not table and not reader.silent:
+        reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
+    return channels
+
+
+def read_extrapolated(
+    table: object, channels: dict[str, tuple[str, ...]], file: Path, problems: list[Problem]
+) -> dict[str, tuple[str, ...]] | None:
+    """Take the muscles of each excitation that nobody measured; a muscle has one, or a channel."""
+    if table is None:
+        return None
+    reader = TableReader(table, file, "[emg.extrapolated]", problems)
+    found = {}
+    taken = {muscle: f"channel '{channel}'" for channel, own in channels.items() for muscle in own}
+    for name in table if isinstance(table, dict) else ():
+        muscles = reader.names(name)
+        if muscles is None:
+            continue
+        found[name] = muscles
+        for muscle in muscles:
+            if muscle in taken:
+                reader.problem(
+                    name, f"expected muscles without excitation, found '{muscle}', which has {taken[muscle]}"
+                )
+            taken.setdefault(muscle, f"'{name}'")
+    return found
+
 
 SETTINGS_FILE = "subject.toml"
 #: Trials name the files of results, so their names must be fit for that.

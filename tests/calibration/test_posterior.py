@@ -1,0 +1,293 @@
+"""Spreads are those of problems that can be solved by hand, and both ways to find them agree."""
+
+import functools
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+
+from tests.model.small import MUSCLES, small_parameters, small_recording
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
+from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.interface import AbstractCalibration
+from wrapjax.calibration.uncertainty.intervals import spread_of
+from wrapjax.calibration.uncertainty.posterior import Posterior, draw_within, posterior
+from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
+from wrapjax.calibration.uncertainty.uncertainty import refits
+from wrapjax.model.forward import joint_moments
+from wrapjax.model.freedom import Freedom, FreedParameter
+from wrapjax.model.variables import free_variables
+from wrapjax.muscle.curves import HILL_CURVES
+
+SOLVER = AugmentedLagrangian()
+SPEEDS = [np.array([1.0, 1.0])]
+
+
+# ---- Draws within bounds
+
+
+def test_draws_within_bounds_have_the_moments_of_what_is_left():
+    """Against the same distribution by throwing away what lies outside."""
+    generator = np.random.default_rng(0)
+    root = generator.normal(size=(4, 4))
+    covariance, mean = root @ root.T + 0.05 * np.eye(4), np.array([0.5, -1.0, 0.3, 2.0])
+    lower, upper = np.array([-0.5, -0.5, -np.inf, -np.inf]), np.array([1.0, np.inf, 0.8, np.inf])
+    draws = draw_within(mean, covariance, lower, upper, 4000, seed=1)
+    every = mean + generator.standard_normal((400_000, 4)) @ np.linalg.cholesky(covariance).T
+    kept = every[((every >= lower) & (every <= upper)).all(axis=1)]
+    assert ((draws >= lower) & (draws <= upper)).all()
+    np.testing.assert_allclose(draws.mean(axis=0), kept.mean(axis=0), atol=0.08 * kept.std(axis=0).min())
+    np.testing.assert_allclose(draws.std(axis=0), kept.std(axis=0), rtol=0.05)
+    np.testing.assert_allclose(np.corrcoef(draws.T), np.corrcoef(kept.T), atol=0.06)
+
+
+def test_draws_far_out_in_a_tail_are_exact():
+    """A bound thirty deviations away leaves nearly an exponential, whose logarithms must not underflow."""
+    mean, bound = np.array([-30.0]), np.array([0.0])
+    draws = draw_within(mean, np.eye(1), bound, np.array([np.inf]), 4000, seed=2)[:, 0]
+    exact = scipy.stats.truncnorm(30.0, np.inf, loc=-30.0)
+    np.testing.assert_allclose(np.percentile(draws, [10, 50, 90]), exact.ppf([0.1, 0.5, 0.9]), rtol=0.1)
+
+
+# ---- Noise of residuals
+
+
+def known_noise(repeated: float) -> ResidualNoise:
+    """Two coordinates, smooth over the cycle; what three cycles of a speed share is larger by a factor."""
+    trivial = residual_noise(
+        np.zeros((6, 2, 51)), np.repeat([0.8, 1.2], 3), np.zeros((6, 2, 51, 1)), np.zeros((1, 1))
+    )
+    harmonic = (np.arange(51) + 1) // 2
+    variance = np.exp(-harmonic / 4.0) * np.array([4.0, 25.0])[:, None] * np.ones((6, 1, 1))
+    variance[[0, 3]] *= repeated
+    return replace(trivial, variance=variance)
+
+
+def test_covariance_of_drawn_noise_is_what_was_asked_for():
+    noise = known_noise(3.0)
+    generator = np.random.default_rng(3)
+    draws = np.stack([noise.draw(generator) for _ in range(3000)])
+    np.testing.assert_allclose(np.sqrt((draws**2).mean(axis=(0, 1, 3))), noise.deviation, rtol=0.02)
+    slopes = np.random.default_rng(4).normal(size=(6, 2, 51, 3)).cumsum(axis=2)
+    seen = np.cov(np.einsum("dtcf,tcfv->dv", draws, slopes).T)
+    np.testing.assert_allclose(seen, noise.through(slopes), rtol=0.15, atol=0.1 * np.diag(seen).min())
+
+
+@pytest.mark.parametrize("repeated", [1.0, 6.0])
+def test_noise_is_found_though_calibration_took_a_part_of_it(repeated):
+    noise, shape = known_noise(repeated), (6, 2, 51)
+    angle = 2.0 * np.pi * np.linspace(0.0, 1.0, 51)
+    waves = np.stack([np.cos(turn * angle + phase) for turn in range(5) for phase in (0.0, 1.5)], axis=-1)
+    slopes = np.concatenate([waves[None, None] * np.array([[1.0], [s]])[None, :, None] for s in (-1, 1)], -1)
+    slopes = np.broadcast_to(slopes, (*shape, 20)) * np.repeat([1.0, 1.3], 3)[:, None, None, None]
+    flat = slopes.reshape(-1, 20)
+    gain = np.linalg.inv(flat.T @ flat + 1e-6 * np.eye(20))
+    before, after, independent = [], [], []
+    for seed in range(20):
+        whole = noise.draw(np.random.default_rng(seed))
+        left = (whole.ravel() - flat @ (gain @ (flat.T @ whole.ravel()))).reshape(shape)
+        found = residual_noise(left, np.repeat([0.8, 1.2], 3), slopes, gain)
+        before.append(np.sqrt((left**2).mean(axis=(0, 2))))
+        after.append(found.deviation)
+        independent.append(found.independent)
+    assert (np.mean(before, axis=0) < 0.96 * noise.deviation).all()
+    np.testing.assert_allclose(np.mean(after, axis=0), noise.deviation, rtol=0.15)
+    assert np.mean(independent) == pytest.approx(noise.independent, rel=0.35)
+    assert noise.independent < 0.35 * 6 * 2 * 51
+
+
+# ---- A problem that is solved by hand
+
+
+class Line(AbstractCalibration):
+    """Bounds alone: the rest of a posterior is given by hand."""
+
+    limits: tuple
+    ends: np.ndarray
+
+    @property
+    def lower(self):
+        return self.ends[0]
+
+    @property
+    def upper(self):
+        return self.ends[1]
+
+    @property
+    def initial(self):
+        raise NotImplementedError
+
+    def with_limits(self, limits):
+        return self
+
+    def excess(self, variables):
+        return ()
+
+    def linearize(self, variables):
+        raise NotImplementedError
+
+    def parameters(self, variables):
+        raise NotImplementedError
+
+    def start(self, parameters):
+        raise NotImplementedError
+
+
+def by_hand(lower: float, at: float, pull: float) -> tuple[Posterior, np.ndarray]:
+    """Two variables, white noise; the posterior's precision is ``information * (seen + prior)``."""
+    seen, prior = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, 0.5])
+    problem = Line(limits=(), ends=np.array([[lower, -np.inf], [np.inf, np.inf]]))
+    state = SOLVER.solve(linear_objective(0), np.ones(3)).state
+    state = replace(state, variables=jnp.array([at, 2.0]))
+    judged = Posterior(
+        problem=problem,
+        state=state,
+        noise=(),
+        modelled=(),
+        information=10.0,
+        prior_information=10.0,
+        curvature=seen + prior,
+        restraint=prior,
+        pull=np.array([pull, 0.0]),
+        restraint_pull=np.zeros(2),
+        moment_pull=np.zeros(2),
+        moment_noise=seen / 10.0,
+    )
+    return judged, 10.0 * (seen + prior)
+
+
+def test_linear_problem_has_its_exact_posterior():
+    judged, precision = by_hand(-np.inf, 1.0, 0.0)
+    draws = judged.laplace(20_000, seed=0)
+    # Flat priors of variables without bounds add nothing that shows.
+    np.testing.assert_allclose(np.cov(draws.T), np.linalg.inv(precision), rtol=0.05)
+    np.testing.assert_allclose(draws.mean(axis=0), [1.0, 2.0], atol=0.01)
+
+
+def test_variable_pushed_against_its_bound_leaves_it_one_sided():
+    judged, precision = by_hand(1.0, 1.0, 0.4)
+    draws = judged.laplace(20_000, seed=0)
+    assert (draws[:, 0] >= 1.0).all()
+    # The other one follows it: the marginal has the precision of the profile.
+    profile = precision[0, 0] - precision[0, 1] ** 2 / precision[1, 1]
+    center, width = 1.0 - 10.0 * 0.4 / profile, profile**-0.5
+    exact = scipy.stats.truncnorm((1.0 - center) / width, np.inf, loc=center, scale=width)
+    np.testing.assert_allclose(
+        np.percentile(draws[:, 0], [10, 50, 90]) - 1.0, exact.ppf([0.1, 0.5, 0.9]) - 1.0, rtol=0.12
+    )
+    spread = spread_of(draws, 3.0 * draws, np.array([1.0, 2.0]), judged.at_bound, ("a.x", "b.x"), ("1", "1"))
+    assert spread.low[0] == 1.0 and spread.high[0] == pytest.approx(exact.ppf(0.9), rel=0.02)
+    assert spread.low[1] < 2.0 < spread.high[1]
+
+
+def test_what_moments_do_not_narrow_is_said():
+    generator = np.random.default_rng(5)
+    prior = generator.normal(size=(4000, 2))
+    draws = prior * np.array([0.3, 0.95])
+    spread = spread_of(draws, prior, np.zeros(2), np.zeros(2, dtype=int), ("a.x", "b.x"), ("1", "1"))
+    assert spread.identified.tolist() == [True, False]
+
+
+# ---- A model that is linear: forces of muscles alone are free
+
+
+@functools.cache
+def noiseless() -> Objective:
+    """Moments are linear in the muscles' strengths."""
+    recording, base = small_recording(0), small_parameters()
+    strength = np.asarray(base.max_isometric_force)
+    freed = FreedParameter(
+        "max_isometric_force", 0.0 * strength, 10.0 * strength, strength, strength, 0.3 * strength
+    )
+    curves = HILL_CURVES["paper"]
+    return Objective(
+        curves=curves,
+        recording=recording,
+        measured=eqx.filter_jit(joint_moments)(curves, base, recording),
+        variables=free_variables(base, Freedom("strength", (freed,)), MUSCLES),
+        penalties=(),
+        limits=(),
+    )
+
+
+@eqx.filter_jit
+def moments_of(problem: Objective, variables):
+    return joint_moments(problem.curves, problem.parameters(variables), problem.recording)
+
+
+def linear_objective(seed: int, noise: float = 2.0, true=(1.0, 1.0, 1.0)) -> Objective:
+    """Add noise that is smooth over a cycle and new in each to the moments of true strengths."""
+    generator = np.random.default_rng(seed)
+    waves = generator.normal(size=(2, 2, 7)) * noise * np.sqrt(2.0 / 7.0)
+    phases = 2.0 * np.pi * np.arange(21) / 21
+    turns = np.stack([np.cos(turn * phases + 0.5 * np.pi * side) for turn in (1, 2, 3) for side in (0, 1)])
+    turns = np.concatenate([np.full((1, 21), 0.5**0.5), turns])
+    problem = noiseless()
+    return replace(problem, measured=moments_of(problem, jnp.asarray(true)) + jnp.asarray(waves @ turns))
+
+
+@pytest.fixture(scope="module")
+def judged():
+    problem = linear_objective(1)
+    solution = SOLVER.solve(problem, problem.start(problem.initial))
+    assert solution.status.converged
+    return posterior(solution.problem, solution.state, SPEEDS)
+
+
+def test_intervals_hold_the_truth_nine_times_in_ten():
+    """People are drawn from the prior, each with noise of its own; 24 of them know the share to some 4 %."""
+    people = 1.0 + 0.3 * np.random.default_rng(7).standard_normal((24, 3))
+    held = []
+    for seed, true in enumerate(people):
+        problem = linear_objective(seed, true=tuple(true))
+        solution = SOLVER.solve(problem, problem.start(problem.initial))
+        draws = posterior(solution.problem, solution.state, SPEEDS).laplace(400, seed=seed)
+        low, high = np.percentile(draws, [5.0, 95.0], axis=0)
+        held.append((low <= true) & (high >= true))
+    assert 0.8 <= np.mean(held) <= 0.99
+
+
+def test_laplace_and_bootstrap_agree_where_the_model_is_linear(judged):
+    """Within a fifth: 200 draws know a deviation to 5 %, and noise in its own size adds some."""
+    drawn, statuses = refits(judged, SOLVER, 200, seed=0)
+    assert all(status.converged for status in statuses)
+    straight = judged.laplace(4000, seed=0)
+    np.testing.assert_allclose(drawn.std(axis=0), straight.std(axis=0), rtol=0.2)
+    off = (drawn.mean(axis=0) - judged.solution) / straight.std(axis=0)
+    assert np.abs(off).max() < 0.25  # made-up moments are about the solution, pulled nowhere
+    np.testing.assert_allclose(np.corrcoef(drawn.T), np.corrcoef(straight.T), atol=0.2)
+
+
+def test_refits_use_the_code_that_is_compiled(judged):
+    refits(judged, SOLVER, 1, seed=0)
+    compiled = []
+
+    def note(event, seconds, **details):
+        if "jaxpr_to_mlir_module" in event:
+            compiled.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    try:
+        refits(judged, SOLVER, 3, seed=1)
+    finally:
+        jax.monitoring.clear_event_listeners()
+    assert compiled == []
+
+
+def test_draws_that_are_done_are_not_done_again(judged, tmp_path):
+    class NoWork(AugmentedLagrangian):
+        def solve(self, *arguments):
+            raise AssertionError("a draw was done again")
+
+    journal = Journal.open(tmp_path / "book", "question", resume=False)
+    done, _ = refits(judged, SOLVER, 3, seed=0, journal=journal)
+    again, statuses = refits(judged, NoWork(), 3, seed=0, journal=journal)
+    np.testing.assert_array_equal(again, done)
+    assert len(statuses) == 3
+    few, _ = refits(judged, SOLVER, 2, seed=0)
+    np.testing.assert_array_equal(few, done[:2])

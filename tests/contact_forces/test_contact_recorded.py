@@ -1,0 +1,73 @@
+"""Defends: a healthy walker's hip bears what hips of walkers bear, and OpenSim and the engine agree on it."""
+
+import numpy as np
+import pytest
+
+import wrapjax
+from wrapjax.contact_forces.contact_force import _joints, _reactions, contact
+from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact_forces.result import JOINT_REACTION, peaks, stretches
+from wrapjax.contact_forces.run_curves import read_curves
+from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
+from wrapjax.geometry.engine import PARITY
+from wrapjax.osim.model import describe_model
+
+
+@pytest.fixture(scope="module")
+def runs(data_folder, tmp_path_factory):
+    """NGA and PGA along exact paths."""
+    subject = wrapjax.load_subject(data_folder / "healthy_overground")
+    place = tmp_path_factory.mktemp("runs")
+    for method in ("NGA", "PGA"):
+        wrapjax.calibrate(subject, method, wrapjax.exact_geometry(subject), starts=1).save(place / method)
+    return place / "NGA", place / "PGA"
+
+
+@pytest.fixture(scope="module")
+def run(runs):
+    return runs[0]
+
+
+@pytest.mark.slow
+def test_a_walkers_hip_bears_two_to_six_bodyweights(run):
+    result = contact(run).result
+    assert result.kind == JOINT_REACTION
+    hip = result.runs[0].magnitude[0, list(result.joints).index("hip")] / result.bodyweight
+    assert 2.0 < hip[:60].max() < 6.0  # while the foot is on the ground
+    assert hip[65:].max() < 0.6 * hip[:60].max()  # and less while it swings
+    # Above all it presses up, on the pelvis.
+    assert np.abs(result.runs[0].force[0, 0, 1]).max() > 0.9 * hip.max() * result.bodyweight
+
+
+@pytest.mark.slow
+def test_its_first_peak_is_early_in_stance_by_both_methods(runs):
+    """Where studies with instrumented hips have it, on the nominal model as on the personalised one."""
+    result = contact(*runs).result
+    assert [own.label for own in result.runs] == ["NGA", "PGA"]
+    assert not np.array_equal(result.runs[0].force, result.runs[1].force)
+    # Of the stretch in which the peak is looked for, its ends are no peaks.
+    low, high = stretches("hip")["first_peak"]
+    for own in result.runs:
+        first = peaks(result.curves(own, "hip"), result.phase, (low, high))
+        assert low < first.phase[0] < high
+        assert 2.0 < first.force[0] / result.bodyweight < 6.0
+        near = np.abs(result.phase[0] - first.phase[0]) < 3.0
+        assert result.curves(own, "hip")[0, near].max() == first.force[0]
+
+
+@pytest.mark.slow
+def test_muscles_press_in_opensim_as_the_engine_says(run):
+    """Wrapped as OpenSim wraps, every muscle's line is OpenSim's."""
+    read = read_curves(run)
+    subject, model = read.subject, describe_model(read.subject.model_file)
+    joints = tuple(_joints(subject.model_file, subject.trials.moment_coordinates).values())
+    walk, _ = recorded_walk(subject)
+    question = (walk, subject.model_file, joints, read.run.muscles)
+    (with_muscles, _), (without, _) = (
+        _reactions(*question, force) for force in (read.force, 0.0 * read.force)
+    )
+    spanned = {name for muscle in read.run.muscles for name in model.spanned_by(muscle)}
+    coordinates = [name for name in subject.trials.coordinates if name in spanned]
+    angles = subject.trials.angles[:, [subject.trials.coordinates.index(name) for name in coordinates]]
+    lines = lines_of_action(model, read.run.muscles, joints, coordinates, angles, PARITY)
+    np.testing.assert_allclose(muscle_share(lines, read.force), with_muscles - without, atol=1e-3)

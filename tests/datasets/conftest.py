@@ -1,0 +1,116 @@
+"""A server on this machine that stands for the public one, and answers as it is told."""
+
+import hashlib
+import threading
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import opensim
+import pytest
+
+from wrapjax.datasets.public_recordings import PublicFile, PublicRecording
+from wrapjax.datasets.virtual_person.folder import Series
+from wrapjax.datasets.virtual_person.leg import build_leg_model
+from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.truth import read_truth
+
+
+@dataclass
+class Server:
+    """Files by path; how many requests of each are still refused; and what was asked for."""
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    refusals: dict[str, int] = field(default_factory=dict)
+    asked: list[str] = field(default_factory=list)
+    address: str = ""
+
+
+@pytest.fixture
+def server():
+    """Serve on any free port of this machine alone."""
+    state = Server()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            state.asked.append(self.path)
+            left = state.refusals.get(self.path, 0)
+            state.refusals[self.path] = left - 1
+            status = 503 if left > 0 else 200 if self.path in state.files else 404
+            body = state.files[self.path] if status == 200 else b""
+            self.send_response(status)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *arguments):
+            """Keep quiet."""
+
+    listening = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    listening.daemon_threads = False
+    thread = threading.Thread(target=listening.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    state.address = f"http://127.0.0.1:{listening.server_port}"
+    yield state
+    listening.shutdown()
+    thread.join()
+    listening.server_close()
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path_factory, monkeypatch):
+    """Let every test begin with an empty cache, and wait for no retry."""
+    monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path_factory.mktemp("cache")))
+    monkeypatch.setattr("pooch.core.time.sleep", lambda seconds: None)
+
+
+#: Two files, one of which names the other.
+CONTENT = {"walk.mot": b"forces", "walk.xml": b"<datafile>walk.mot</datafile>"}
+
+
+def checksum(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+@pytest.fixture
+def recording(server):
+    """A recording of two files, which the server has."""
+    place = "people/repository/abc123/folder/below"
+    server.files |= {f"/{place}/{name}": content for name, content in CONTENT.items()}
+    return PublicRecording(
+        name="healthy_overground",  # whose settings are written
+        about="Somebody",
+        place=place,
+        licence="Apache-2.0",
+        files=(
+            PublicFile("walk.mot", "trials/walk/ground_forces.mot", checksum(CONTENT["walk.mot"])),
+            PublicFile(
+                "walk.xml",
+                "trials/walk/external_loads.xml",
+                checksum(CONTENT["walk.xml"]),
+                renamed=(("walk.mot", "ground_forces.mot"),),
+            ),
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def leg_file(tmp_path_factory):
+    """The virtual leg's model."""
+    opensim.Logger.setLevelString("Off")
+    path = tmp_path_factory.mktemp("leg") / "model.osim"
+    build_leg_model(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def clean_folder(tmp_path_factory):
+    """A virtual subject without any noise: one cycle at either speed."""
+    folder = tmp_path_factory.mktemp("subjects") / "clean"
+    series = (Series(0.8, 1, 0), Series(1.2, 0, 1))
+    write_virtual_subject(folder, seed=3, emg_noise=0.0, moment_noise=0.0, series=series)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def clean_truth(clean_folder):
+    return read_truth(clean_folder)

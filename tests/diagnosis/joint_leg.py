@@ -1,0 +1,50 @@
+"""The made-up leg, damped and driven a little otherwise than its model says, ready for joint fits."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from tests.diagnosis.subject import CURVES, small_recording_and_context
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.model.freedom import nga
+from wrapjax.model.variables import free_variables
+
+#: Two of different kind: one adds moments, the other one sees each muscle's excitation.
+TOGETHER = ("joint_damping", "emg_nonlinearity")
+#: What a squared prior standard deviation costs: next to nothing.
+WEIGHT = 1e-9
+#: Data without noise can be fitted until nothing is left.
+FINE = ProjectedLM(gtol=1e-8, ftol=1e-12, max_iterations=200)
+
+
+def effects_of(context, ids=TOGETHER) -> Effects:
+    return Effects(tuple(CATALOGUE[id].on(context) for id in ids))
+
+
+def damped_leg():
+    """A calibration, its effects, and the variables and amounts that moments were made of.
+
+    Calibrated parameters are where they are expected, so that nothing but the effects pulls at them.
+    """
+    recording, context = small_recording_and_context()
+    effects = effects_of(context)
+    base = context.parameters
+    variables = free_variables(base, nga(base), context.muscles)
+    known = np.asarray(variables.prior_precision) > 0.0
+    truth = np.where(known, variables.prior_mean, variables.start())
+    amounts = np.resize([1.5, 0.8, 0.5, 0.6], effects.count) * effects.prior_sd
+    measured = predicted_moments(
+        CURVES, variables.unpack(jnp.asarray(truth)), recording, effects, jnp.asarray(amounts)
+    )
+    problem = Objective(
+        curves=CURVES,
+        recording=recording,
+        measured=jnp.asarray(np.asarray(measured)),
+        variables=variables,
+        penalties=(),
+        limits=(),
+    )
+    return problem, effects, truth, amounts

@@ -1,0 +1,12 @@
+"""Noise of a smooth kernel."""
+
+import numpy as np
+
+from wrapjax.diagnosis.cycle_noise import CycleNoise
+from wrapjax.diagnosis.null_covariance import periodic_kernel
+
+
+def noise_of_width(between, width):
+    """Noise that goes on alike over so much of a gait cycle."""
+    phases = 2 * round(1.5 / width) + 1
+    return CycleNoise(between, np.maximum(np.fft.rfft(periodic_kernel(phases, width)[0]).real, 0.0))

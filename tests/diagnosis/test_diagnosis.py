@@ -1,0 +1,153 @@
+"""A diagnosis from a subject to its answer, on data of the model's own form: a unit test, no accuracy."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from wrapjax import InputError
+from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
+from wrapjax.demonstration.demo import NOT_DRAWN, demonstrate_gap
+from wrapjax.diagnosis import conclusion, pipeline
+from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+
+#: Few effects compile fast.
+KEPT = {"joint_damping", "emg_drift", "curve_family"}
+WITHOUT = sorted(set(CATALOGUE) - KEPT)
+
+
+@pytest.fixture(scope="module")
+def gap(calibrated):
+    return diagnose_calibrated(calibrated, without=WITHOUT, twins=2).result
+
+
+def test_too_few_cycles_are_said_and_nothing_is_named(gap):
+    """Of three cycles one is for validation: what repeats cannot be told from noise."""
+    assert gap.outcome == "insufficient_data" and not gap.named and not gap.effects
+    assert "fewest" in gap.reason
+    assert np.isfinite(gap.plain).all() and gap.unknown_probability == 1.0
+
+
+def test_unknown_effects_are_refused_before_any_work(person, paths):
+    with pytest.raises(InputError, match="joint_damping"):
+        diagnose(person, "NGA", paths, without=["joint_dampin"])
+
+
+@pytest.fixture(scope="module")
+def several(person):
+    """The person walking seven cycles at two speeds, six of them to calibrate with."""
+    generator = np.random.default_rng(0)
+    places = np.resize(np.arange(len(person.trials)), 7)
+    many = person.trials.select(places)
+    phase = np.linspace(0.0, 2.0 * np.pi, many.moments.shape[-1])
+    waves = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase), np.sin(2.0 * phase)])
+    noise = generator.normal(size=(*many.moments.shape[:2], 4)) @ waves
+    names = tuple(f"walk/{number:02d}" for number in range(7))
+    trials = dataclasses.replace(
+        many,
+        names=names,
+        recordings=("walk",) * 7,
+        uses=("calibration",) * 6 + ("validation",),
+        speeds=np.array([0.8, 0.8, 0.8, 1.2, 1.2, 1.2, 0.8]),
+        time=many.time + 10.0 * np.arange(7)[:, None],
+        emg_time=many.emg_time + 10.0 * np.arange(7)[:, None],
+        emg=many.emg * np.exp(0.05 * generator.normal(size=(*many.emg.shape[:2], 1))),
+        moments=many.moments + noise,
+    )
+    return dataclasses.replace(person, trials=trials)
+
+
+@pytest.fixture(scope="module")
+def found(several, paths):
+    return diagnose(several, "NGA", paths, without=WITHOUT, starts=2, twins=4)
+
+
+def test_a_diagnosis_is_whole(found, several, tmp_path):
+    result = found.result
+    assert result.outcome in ("named", "tie", "none", "unknown")
+    assert {effect.id for effect in result.effects} == KEPT - {"curve_family"}
+    total = sum(effect.probability for effect in result.effects)
+    assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
+    by_evidence = sorted(result.effects, key=lambda effect: -effect.evidence)
+    assert list(result.effects) == by_evidence, "evidence along straight lines ranks, and nothing else"
+    assert result.certificate.holds and result.certificate.conflicts["by_half"]
+    dataset = found.dataset
+    assert (
+        set(dataset["effect"].values) == KEPT - {"curve_family"}
+        and dataset.attrs["outcome"] == result.outcome
+    )
+    np.testing.assert_array_equal(dataset["predicted_moment"].sel(model="plain"), result.plain)
+    held = result.measured - result.plain
+    seen = result.measured - found.calibration.result.modelled
+    calibrated = np.array(result.uses) == "calibration"
+    # What a fit has not seen it does not know as well.
+    assert (held[calibrated] ** 2).mean() > (seen[calibrated] ** 2).mean()
+    found.save(tmp_path / "gap")
+    content = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    assert content["withheld"] == WITHOUT and len(content["where"]) == 2 * 2 * 20
+    with pytest.raises(InputError, match="exists"):
+        found.save(tmp_path / "gap")
+
+
+def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(found):
+    withheld = (*WITHOUT, "emg_drift")
+    afterwards = found.without(*withheld).result
+    at_once = diagnose_calibrated(found.calibration, without=withheld, twins=4).result
+    assert afterwards.withheld == at_once.withheld == withheld
+    assert [one.id for one in afterwards.effects] == ["joint_damping"]
+    assert afterwards.effects == at_once.effects
+    for one, other in zip(afterwards.alternatives, at_once.alternatives, strict=True):
+        assert one.held_out_cycles == other.held_out_cycles
+        np.testing.assert_array_equal(one.predicted, other.predicted)
+    with pytest.raises(InputError, match="joint_damping"):
+        found.without("joint_dampin")
+
+
+def test_several_effects_are_fitted_together_and_share_what_they_remove(found, monkeypatch, tmp_path):
+    """Where they stand together and each helps; whether these two do is not asked here."""
+    both = ("joint_damping", "emg_drift")
+    monkeypatch.setattr(pipeline, "standing_together", lambda *_: both)
+    monkeypatch.setattr(conclusion, "may_be_several", lambda *_: True)
+    monkeypatch.setattr(conclusion, "each_helps", lambda *_: True)
+    named = found.without(*WITHOUT)
+    result = named.result
+    assert result.outcome == "named" and result.named == both and not result.ties
+    fitted = {one.ids: one for one in result.alternatives}
+    assert result.alternatives[0].ids == both and {both[:1], both[1:]} < set(fitted)
+    if fitted[both].held_out_cycles.known:
+        assert sum(result.shares.values()) == pytest.approx(fitted[both].held_out_cycles.value)
+    named.save(tmp_path / "gap")
+    assert json.loads((tmp_path / "gap" / "gap.json").read_text())["named"] == list(both)
+    assert "joint damping with emg drift" in (tmp_path / "gap" / "report.html").read_text()
+    monkeypatch.setattr(conclusion, "each_helps", lambda *_: False)
+    assert found.without(*WITHOUT).result.named == found.result.named
+
+
+def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
+    """Starts that end apart show that not even the best of them need be the best there is."""
+    calibration = found.calibration
+    result = calibration.result
+    worse = dataclasses.replace(result.outcomes[1].solution, cost=1.5 * result.solution.cost)
+    outcomes = (result.outcomes[0], dataclasses.replace(result.outcomes[1], solution=worse))
+    apart = dataclasses.replace(calibration, result=dataclasses.replace(result, outcomes=outcomes, chosen=0))
+    stopped = diagnose_calibrated(apart, without=WITHOUT, twins=1).result
+    assert stopped.outcome == "not_converged" and "apart" in stopped.reason
+    assert not stopped.effects and stopped.budget is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in NOT_DRAWN), None])
+def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
+    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    assert shown.right, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", NOT_DRAWN)
+def test_what_is_hidden_too_well_to_be_named_leads_and_is_not_mistaken(hidden, tmp_path):
+    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    result = shown.diagnosis.result
+    assert max(result.effects, key=lambda effect: effect.probability).id == hidden
+    assert shown.right or not (result.named or result.ties)

@@ -1,0 +1,229 @@
+"""What is said of cycles that a fit has not seen: it has not seen them, and each is left out once."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.diagnosis.joint_leg import WEIGHT, damped_leg
+from tests.diagnosis.subject import CURVES
+from wrapjax.calibration.solvers.interface import Linearization
+from wrapjax.diagnosis import held_out
+from wrapjax.diagnosis.held_out import amount_covariance, cross_fit, plan_of, speed_conflict
+from wrapjax.diagnosis.linearization import speed_numbers
+from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.refit import allowed_errors, fit_jointly, joint_problem
+
+SPEEDS = np.array([0, 0, 1, 1])
+
+
+def uses(text):
+    return tuple({"c": "calibration", "v": "validation"}[letter] for letter in text)
+
+
+def blocks_of(plan):
+    return [block.tolist() for block in plan.blocks]
+
+
+def test_of_few_cycles_single_ones_are_left_out():
+    plan = plan_of(uses("cvccc"), np.array([0, 0, 1, 1, 0]))
+    assert plan.calibration.tolist() == [0, 2, 3, 4]
+    assert plan.speeds.tolist() == [0, 1, 1, 0]
+    assert blocks_of(plan) == [[0], [1], [2], [3]]
+    assert plan.counts.tolist() == [2, 2]
+    assert not plan.new_speed.any()
+
+
+def test_of_five_cycles_a_speed_one_of_each_is_left_out():
+    plan = plan_of(uses("c" * 10), np.arange(10) % 2)
+    assert blocks_of(plan) == [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9]]
+    one_short = plan_of(uses("c" * 9), np.arange(9) % 2)
+    assert blocks_of(one_short) == [[number] for number in range(9)]
+
+
+def test_more_cycles_are_left_out_with_earlier_ones():
+    """Five blocks at most, each cycle in one."""
+    plan = plan_of(uses("c" * 13), np.repeat([0, 1], [7, 6]))
+    assert blocks_of(plan) == [[0, 5, 7, 12], [1, 6, 8], [2, 9], [3, 10], [4, 11]]
+
+
+def test_a_speed_that_only_validation_has_is_new():
+    plan = plan_of(uses("ccvvcc"), np.array([1, 1, 0, 2, 2, 2]))
+    assert plan.new_speed.tolist() == [False, False, True, False, False, False]
+    assert plan.speeds.tolist() == [0, 0, 1, 1], "those that fits see are counted from 0"
+
+
+def test_one_speed_and_unknown_speeds_are_one():
+    for speeds in (np.full(4, 0.7), np.full(4, np.nan)):
+        plan = plan_of(uses("ccvc"), speed_numbers(speeds))
+        assert plan.counts.tolist() == [3]
+        assert not plan.new_speed.any()
+    mixed = plan_of(uses("cccc"), speed_numbers(np.array([0.5, np.nan, 0.8, np.nan])))
+    assert mixed.counts.tolist() == [1, 1, 2]
+
+
+def test_without_calibration_cycles_nothing_is_left_out():
+    plan = plan_of(uses("vv"), np.array([0, 1]))
+    assert (blocks_of(plan), plan.counts.tolist()) == ([], [])
+    assert plan.new_speed.all()
+
+
+@pytest.fixture(scope="module")
+def leg():
+    """The damped leg with noise, and what predicts its moments."""
+    plain, effects, truth, amounts = damped_leg()
+    generator = np.random.default_rng(0)
+    phase = 2 * np.pi * np.linspace(0.0, 1.0, plain.measured.shape[-1])
+    noise = generator.normal(size=(4, 3, 2)) @ np.stack([np.sin(phase), np.cos(phase)])
+    plain = replace(plain, measured=plain.measured + 2.0 * noise)
+    problem = joint_problem(plain, effects, truth, amounts, WEIGHT)
+
+    def predict(variables, amounts):
+        parameters = plain.variables.unpack(jnp.asarray(variables))
+        return np.asarray(
+            predicted_moments(CURVES, parameters, plain.recording, effects, jnp.asarray(amounts))
+        )
+
+    return problem, np.concatenate([truth, amounts / effects.prior_sd]), predict
+
+
+def changed(problem, place, by=10.0):
+    measured = problem.plain.measured.at[place].add(by)
+    return replace(problem, plain=replace(problem.plain, measured=measured))
+
+
+@pytest.fixture(scope="module")
+def from_one_start(leg):
+    """All fits from one start, of the moments as they are and with those of the second cycle changed."""
+    problem, start, predict = leg
+    seen = []
+
+    def fit(problem, _, used=None, kept=None):
+        seen.append(None if used is None else used.tolist())
+        return fit_jointly(problem, start, used)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(held_out, "fit_jointly", fit)
+        plan = plan_of(uses("cccc"), SPEEDS)
+        first = cross_fit(problem, start, plan, SPEEDS, predict)
+        of_first = list(seen)
+        return first, cross_fit(changed(problem, 1), start, plan, SPEEDS, predict), of_first
+
+
+def moved(first, second):
+    return np.abs(first - second).max(axis=(1, 2)) > 0.0
+
+
+def test_a_prediction_does_not_depend_on_what_was_measured_of_its_cycle(from_one_start):
+    first, second, _ = from_one_start
+    assert moved(first.predicted, second.predicted).tolist() == [True, False, True, True]
+
+
+def test_a_prediction_at_the_other_speed_has_seen_none_of_its_own(from_one_start):
+    first, second, _ = from_one_start
+    assert moved(first.at_other_speed, second.at_other_speed).tolist() == [False, False, True, True]
+    assert [np.array_equal(*pair) for pair in _amounts_of_speeds(first, second)] == [False, True]
+
+
+def _amounts_of_speeds(first, second):
+    return [
+        (one.amounts, other.amounts) for one, other in zip(first.of_speeds, second.of_speeds, strict=True)
+    ]
+
+
+def test_each_cycle_is_left_out_once_and_each_speed_fitted_alone(from_one_start):
+    *_, seen = from_one_start
+    all_but = [[number != place for number in range(4)] for place in range(4)]
+    assert seen == [None, *all_but, [True, True, False, False], [False, False, True, True]]
+
+
+def test_starting_at_the_whole_fit_gives_little_away(leg):
+    """It has seen the cycle, and fits end a little apart: by little of what seeing the cycle would do."""
+    problem, start, predict = leg
+    plan = plan_of(uses("cccc"), SPEEDS)
+    first, second = (cross_fit(own, start, plan, SPEEDS, predict) for own in (problem, changed(problem, 1)))
+    left_out = np.std((first.predicted - second.predicted)[1])
+    whole = [predict(fit.full.calibrated, fit.full.amounts)[1] for fit in (first, second)]
+    assert left_out < 0.2 * np.std(whole[0] - whole[1])
+
+
+def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
+    """A fifth cycle, the first one's like, at the slow speed, and at a new one that no fit has seen."""
+    problem, start, predict = leg
+
+    def five(variables, amounts):
+        found = predict(variables, amounts)
+        return np.concatenate([found, found[:1]])
+
+    for speed, new in ((0, False), (2, True)):
+        speeds = np.array([*SPEEDS, speed])
+        found = cross_fit(problem, start, plan_of(uses("ccccv"), speeds), speeds, five)
+        expected = five(found.full.calibrated, found.full.amounts)[4]
+        np.testing.assert_array_equal(found.predicted[4], expected)
+        assert np.array_equal(found.at_other_speed[4], expected) is new
+        fast = five(found.of_speeds[1].calibrated, found.of_speeds[1].amounts)
+        assert np.array_equal(found.at_other_speed[4], fast[4]) is not new
+
+
+def test_of_one_speed_there_is_no_other(leg):
+    problem, start, predict = leg
+    one = np.zeros(4, dtype=int)
+    found = cross_fit(problem, start, plan_of(uses("cccc"), one), one, predict)
+    assert (found.of_speeds, found.at_other_speed) == ((), None)
+    assert speed_conflict(found, WEIGHT) is None
+
+
+def information(fit, weight):
+    return np.linalg.inv(amount_covariance(fit, weight))
+
+
+def ended(fit, used, curvature, away):
+    """A fit to some cycles with this curvature by amounts alone, so many prior deviations away."""
+    count = fit.problem.plain.variables.count
+    size = count + len(curvature)
+    whole = np.eye(size)
+    whole[count:, count:] = curvature
+    plain = replace(fit.problem.plain, moment_error=allowed_errors(fit.problem.plain, used))
+    model = Linearization(jnp.zeros(()), jnp.zeros(size), jnp.asarray(whole), jnp.zeros((size, size)))
+    variables = np.concatenate([np.zeros(count), away])
+    return replace(fit, problem=replace(fit.problem, plain=plain), model=model, variables=variables)
+
+
+def test_what_two_halves_say_of_amounts_adds_up_to_what_all_cycles_say(from_one_start):
+    """Each half weighs what all did: the curvature of the whole is the mean of theirs."""
+    fit = from_one_start[0].full
+    generator = np.random.default_rng(0)
+    roots = generator.normal(size=(2, 4, 6))
+    slow, fast = roots @ roots.transpose(0, 2, 1)
+    halves = [ended(fit, speed == SPEEDS, own, np.zeros(4)) for speed, own in enumerate((slow, fast))]
+    whole = ended(fit, None, 0.5 * (slow + fast), np.zeros(4))
+    together = sum(information(half, 0.1) for half in halves)
+    np.testing.assert_allclose(together, information(whole, 0.1), rtol=1e-5)
+
+
+def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_start):
+    fit = from_one_start[0].full
+    alone = ended(fit, None, np.eye(4), np.zeros(4))
+    place = fit.problem.plain.variables.count
+    shared = np.array(alone.model.gauss_newton)
+    shared[0, place] = shared[place, 0] = 0.8
+    mixed = replace(alone, model=replace(alone.model, gauss_newton=jnp.asarray(shared)))
+    sizes = np.asarray(fit.problem.amount_sd) ** 2
+    np.testing.assert_allclose(np.diag(amount_covariance(alone, 0.1)), 0.1 * sizes, rtol=1e-6)
+    ratio = np.diag(amount_covariance(mixed, 0.1)) / np.diag(amount_covariance(alone, 0.1))
+    np.testing.assert_allclose(ratio, [1.0 / (1.0 - 0.64), 1.0, 1.0, 1.0], rtol=1e-6)
+
+
+def test_speeds_conflict_by_as_many_deviations_as_their_amounts_are_apart(from_one_start):
+    """Two of four amounts are two deviations of their difference apart: a mean square of two."""
+    first = from_one_start[0]
+    # Each speed's amounts are known to within one tenth: by a weight of 0.005, and half of the cycles.
+    away = 2.0 * np.hypot(0.1, 0.1) * np.array([1.0, -1.0, 0.0, 0.0])
+    slow = ended(first.full, SPEEDS == 0, np.eye(4), away)
+    fast = ended(first.full, SPEEDS == 1, np.eye(4), np.zeros(4))
+    found = replace(first, of_speeds=(slow, fast))
+    assert speed_conflict(found, 0.005) == pytest.approx(2.0, rel=1e-5)
+    third = ended(first.full, SPEEDS == 1, np.eye(4), 3.0 * away)
+    worst = replace(first, of_speeds=(slow, third, fast))
+    assert speed_conflict(worst, 0.005) == pytest.approx(18.0, rel=1e-5)

@@ -1,0 +1,159 @@
+"""Amounts are fitted with what is calibrated: exact slopes, and only from cycles that count."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks.counting import counted_programs
+from tests.diagnosis.joint_leg import FINE, WEIGHT, damped_leg, effects_of
+from tests.diagnosis.subject import small_recording_and_context
+from wrapjax.calibration.objective import MOMENT_ERROR
+from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.refit import allowed_errors, fit_jointly, joint_problem
+
+USED = np.array([True, False, True, True])
+
+
+@pytest.fixture(scope="module")
+def leg():
+    return damped_leg()
+
+
+@pytest.fixture(scope="module")
+def problem(leg):
+    plain, effects, truth, _ = leg
+    return joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
+
+
+@pytest.fixture(scope="module")
+def place(leg):
+    """Somewhere off the minimum, within bounds."""
+    _, effects, truth, amounts = leg
+    return jnp.concatenate([jnp.asarray(truth * 1.05 + 0.01), jnp.asarray(0.7 * amounts / effects.prior_sd)])
+
+
+def counting(problem, used=USED, weight=WEIGHT):
+    """The problem as a fit to these cycles sees it."""
+    plain = replace(problem.plain, moment_error=allowed_errors(problem.plain, used))
+    return replace(problem, plain=plain, amount_weight=jnp.asarray(weight))
+
+
+@pytest.mark.parametrize("used", [np.ones(4, dtype=bool), USED])
+def test_the_gradient_is_the_slope_of_the_cost(problem, place, used):
+    """By every amount alone, and in one direction through all variables; amounts have a cost of their own."""
+    own = counting(problem, used, 0.3)
+    found = own.linearized_at(place)
+    np.testing.assert_allclose(found.cost, own.value_at(place), rtol=1e-12)
+    count = own.plain.variables.count
+    directions = [np.eye(len(place))[number] for number in range(count, len(place))]
+    directions.append(np.random.default_rng(0).normal(size=len(place)))
+    for direction in directions:
+        step = 1e-5 * jnp.asarray(direction)
+        rise = (own.value_at(place + step) - own.value_at(place - step)) / 2e-5
+        np.testing.assert_allclose(2.0 * found.gradient @ direction, rise, rtol=1e-6, atol=1e-9)
+
+
+def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem, leg, place):
+    """Where nothing is left of the moments, and slopes were drawn: there differences show nothing else."""
+    plain, effects, truth, amounts = leg
+    own = counting(joint_problem(plain, effects, truth, amounts, WEIGHT), weight=0.3)
+    at = jnp.concatenate([jnp.asarray(truth), jnp.asarray(amounts / effects.prior_sd)])
+    found = own.linearized_at(at)
+    direction = np.random.default_rng(1).normal(size=len(at))
+    # All residuals are zero there but those of amounts and priors, which are linear.
+    ends = [own.linearized_at(at + sign * 1e-5 * jnp.asarray(direction)).gradient for sign in (1.0, -1.0)]
+    product = found.gauss_newton @ direction
+    np.testing.assert_allclose(
+        product, (ends[0] - ends[1]) / 2e-5, rtol=0, atol=1e-6 * float(np.abs(product).max())
+    )
+
+
+def test_data_made_with_effects_give_their_amounts(problem, leg):
+    _, effects, truth, amounts = leg
+    found = fit_jointly(problem, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
+    np.testing.assert_allclose(found.amounts, amounts, rtol=0.02)
+    np.testing.assert_allclose(found.calibrated, truth, atol=0.01)
+    assert found.cost < 1e-6
+
+
+def test_amounts_that_cost_much_stay_small(problem, leg):
+    _, effects, truth, amounts = leg
+    dear = replace(problem, amount_weight=jnp.asarray(1e4))
+    found = fit_jointly(dear, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
+    assert np.abs(found.amounts / amounts).max() < 0.01
+
+
+def test_cycles_that_do_not_count_change_nothing(problem, leg):
+    """Not by a bit, whatever was measured of them; and what counts, counts."""
+    _, effects, truth, _ = leg
+    start = np.concatenate([truth, np.zeros(effects.count)])
+    first = fit_jointly(problem, start, USED)
+    for place, same in ((1, True), (2, False)):
+        measured = problem.plain.measured.at[place].add(30.0)
+        other = fit_jointly(replace(problem, plain=replace(problem.plain, measured=measured)), start, USED)
+        assert (np.array_equal(other.variables, first.variables) and other.cost == first.cost) is same
+
+
+def test_moments_that_do_not_count_leave_everything_finite(problem, place):
+    """Cost, gradient and curvature; the rest is as if those rows were not there."""
+    own = counting(problem)
+    found = own.linearized_at(place)
+    for part in (found.cost, found.gradient, found.gauss_newton, found.remainder):
+        assert np.isfinite(part).all()
+    rows = np.asarray(own.plain.row_scale()).reshape(own.plain.measured.shape)
+    assert (rows[1] == 0.0).all()
+    nothing = replace(own, plain=replace(own.plain, moment_error=np.full((4, 1, 1), np.inf)))
+    only = nothing.linearized_at(place)
+    assert np.isfinite(only.gauss_newton).all()
+    assert only.cost < found.cost
+
+
+def test_cycles_that_count_weigh_what_all_did(problem, place):
+    """Else penalties would hold a fit to half of the cycles twice as hard."""
+    errors = allowed_errors(problem.plain, USED)
+    np.testing.assert_allclose(
+        errors.ravel(), [MOMENT_ERROR * np.sqrt(0.75)] * 1 + [np.inf] + [errors[2, 0, 0]] * 2
+    )
+    everything = (1.0 / allowed_errors(problem.plain, None) ** 2).sum()
+    np.testing.assert_allclose((1.0 / errors**2).sum(), everything)
+    with pytest.raises(ValueError, match="at least one cycle"):
+        allowed_errors(problem.plain, ~np.ones(4, dtype=bool))
+
+
+def test_without_effects_it_is_the_plain_problem(leg, place):
+    """To the last digit: refits of both are compared."""
+    plain, _, truth, _ = leg
+    nothing = joint_problem(plain, Effects(()), truth, np.zeros(0), 0.0)
+    at = place[: plain.variables.count]
+    assert nothing.value_at(at) == plain.value_at(at)
+    np.testing.assert_array_equal(nothing.lower, plain.lower)
+    np.testing.assert_array_equal(nothing.upper, plain.upper)
+    found, expected = nothing.linearized_at(at), plain.linearized_at(at)
+    for name in ("cost", "gradient", "gauss_newton", "remainder"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def test_effects_that_alter_no_single_muscle_share_what_takes_long_to_compile():
+    """Of EMG, lags, paths and moments; a diagnosis would else spend most of its time on compiling."""
+    plain, _, truth, _ = damped_leg()
+    _, context = small_recording_and_context()
+    for number, id in enumerate(
+        ("passive_joint_moment", "emg_crosstalk", "force_sharing", "speed_dependent_delay")
+    ):
+        effects = effects_of(context, (id,))
+        problem = joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
+        start = jnp.concatenate([jnp.asarray(truth), jnp.zeros(effects.count)])
+        with counted_programs() as asked:
+            problem.linearized_at(start)
+            problem.value_at(start)
+        assert number == 0 or not {"jit(_expand)", "jit(_value)"} & set(asked), id
+
+
+def test_bounds_of_amounts_are_in_prior_deviations(problem, leg):
+    plain, effects, *_ = leg
+    count = plain.variables.count
+    np.testing.assert_allclose(problem.lower[count:] * effects.prior_sd, effects.lower)
+    np.testing.assert_allclose(problem.upper[count:] * effects.prior_sd, effects.upper)
+    np.testing.assert_array_equal(problem.lower[:count], plain.lower)

@@ -1,0 +1,93 @@
+"""A fit that was done is recalled, bit for bit; half a fit is neither kept nor concluded from."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from tests.diagnosis.joint_leg import WEIGHT, damped_leg
+from wrapjax.calibration.solvers.checkpoints import KeptSolves, name_of_solve
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.diagnosis.refit import SOLVER, fit_jointly, joint_problem
+
+
+@pytest.fixture(scope="module")
+def leg():
+    """A problem and a start off its minimum."""
+    plain, effects, truth, amounts = damped_leg()
+    problem = joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
+    return problem, np.concatenate([truth, 0.5 * amounts / effects.prior_sd])
+
+
+@pytest.fixture(scope="module")
+def done(leg, tmp_path_factory):
+    """The folder and the fit that it keeps."""
+    kept = KeptSolves(tmp_path_factory.mktemp("kept"))
+    return kept, fit_jointly(*leg, kept=kept)
+
+
+def solving(monkeypatch, wrong=KeyboardInterrupt):
+    """Let whoever takes a step be interrupted."""
+
+    def step(*_):
+        raise wrong
+
+    monkeypatch.setattr(ProjectedLM, "_advance", step)
+
+
+def test_what_was_done_is_not_done_again(leg, done, monkeypatch):
+    kept, first = done
+    solving(monkeypatch, AssertionError("solved again"))
+    again = fit_jointly(*leg, kept=kept)
+    assert again.status is first.status
+    assert again.cost == first.cost
+    np.testing.assert_array_equal(again.variables, first.variables)
+    for one, other in zip(jax.tree.leaves(again.model), jax.tree.leaves(first.model), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_decides_where_a_fit_ends_is_in_its_name(leg):
+    problem, start = leg
+    plain = problem.plain
+    elsewhere = plain.recording.emg.coefficients.at[0, 0, 0, 0].add(1e-12)
+    curves = replace(plain.curves, passive=plain.curves.passive + 1e-12)
+    others = {
+        "measured": replace(problem, plain=replace(plain, measured=plain.measured.at[0, 0, 0].add(1e-12))),
+        "emg": replace(
+            problem,
+            plain=replace(
+                plain,
+                recording=replace(plain.recording, emg=replace(plain.recording.emg, coefficients=elsewhere)),
+            ),
+        ),
+        "curves": replace(problem, plain=replace(plain, curves=curves)),
+        "cycles": replace(problem, plain=replace(plain, moment_error=np.ones((4, 1, 1)))),
+        "effects": replace(problem, forms=problem.forms[::-1], counts=problem.counts[::-1]),
+        "priors": replace(problem, amount_weight=2.0 * problem.amount_weight),
+    }
+    names = {name_of_solve(one, start, SOLVER) for one in others.values()}
+    names |= {
+        name_of_solve(problem, start, SOLVER),
+        name_of_solve(problem, start + 1e-12, SOLVER),
+        name_of_solve(problem, start, replace(SOLVER, ftol=1e-6)),
+    }
+    assert len(names) == len(others) + 3
+    assert name_of_solve(jax.tree.map(np.asarray, problem), start, SOLVER) in names
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", None])
+def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content):
+    kept, first = done
+    (whole,) = kept.folder.iterdir()
+    own = KeptSolves(tmp_path)
+    (tmp_path / whole.name).write_bytes(whole.read_bytes()[:100] if content is None else content)
+    np.testing.assert_array_equal(fit_jointly(*leg, kept=own).variables, first.variables)
+    assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
+
+
+def test_an_interrupted_fit_ends_the_work_and_is_not_kept(leg, monkeypatch, tmp_path):
+    solving(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        fit_jointly(*leg, kept=KeptSolves(tmp_path))
+    assert not list(tmp_path.iterdir())

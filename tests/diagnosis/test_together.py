@@ -1,0 +1,138 @@
+"""Defends: several effects are said where each stands out beside the others, and only there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wrapjax.diagnosis.projection import Candidate, Null, project
+from wrapjax.diagnosis.score import score_projected
+from wrapjax.diagnosis.together import standing_together
+from wrapjax.diagnosis.verdict import Verdict, each_helps, may_be_several
+
+ROWS, ALARM = 60, 4.5
+
+
+def directions(count, seed=3):
+    """Orthogonal signatures of length one."""
+    return np.linalg.qr(np.random.default_rng(seed).normal(size=(ROWS, count)))[0].T
+
+
+def effect(name, *signatures):
+    return Candidate(
+        name, (np.array(signatures),), np.full(len(signatures), 5.0), np.zeros(len(signatures), bool)
+    )
+
+
+def found(residual, candidates, scales=(1.0, 1.5)):
+    """What stands together, and the evidence for each alone."""
+    seen = [project(residual[None], Null(scale * np.eye(ROWS)), candidates) for scale in scales]
+    (scored,) = score_projected(seen, candidates)
+    scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}
+    return standing_together(seen, candidates, scores, ALARM), {
+        id: one.evidence for id, one in scores.items()
+    }
+
+
+def bystanders():
+    return [effect(f"other_{place}", row) for place, row in enumerate(directions(9)[5:])]
+
+
+def test_two_causes_are_found_the_stronger_first():
+    a, b, *_ = directions(9)
+    together, _ = found(6.0 * a + 8.0 * b, [effect("a", a), effect("b", b), *bystanders()])
+    assert together == ("b", "a")
+
+
+def test_three_causes_are_found():
+    a, b, c, *_ = directions(9)
+    together, _ = found(
+        9.0 * a + 8.0 * b + 7.0 * c, [effect("a", a), effect("b", b), effect("c", c), *bystanders()]
+    )
+    assert together == ("a", "b", "c")
+
+
+def test_an_effect_that_would_have_to_be_absurdly_large_does_not_stand_beside_another():
+    a, b, *_ = directions(9)
+    held = replace(effect("b", b), limit=0.5)
+    candidates = [effect("a", a), held, *bystanders()]
+    assert found(9.0 * a + 8.0 * b, candidates)[0] == ()
+
+
+def test_a_second_cause_needs_more_evidence_than_a_first():
+    """It was sought among many pairs: what would do for one effect alone is too little."""
+    a, b, *_ = directions(9)
+    candidates = [effect("a", a), effect("b", b), *bystanders()]
+    together, alone = found(9.0 * a + 4.0 * b, candidates, (1.0,))
+    assert alone["b"] > ALARM and together == ()
+    assert found(9.0 * a + 6.0 * b, candidates, (1.0,))[0] == ("a", "b")
+
+
+@pytest.mark.parametrize("amount", [0.0, 8.0])
+def test_one_cause_stands_alone_and_nothing_by_nothing(amount):
+    a, b, *_ = directions(9)
+    together, _ = found(amount * a, [effect("a", a), effect("b", b), *bystanders()])
+    assert together == ()
+
+
+def test_what_imitates_a_cause_does_not_stand_beside_it():
+    a, b, *_ = directions(9)
+    like = np.cos(0.2) * a + np.sin(0.2) * b
+    together, alone = found(8.0 * a, [effect("a", a), effect("like", like), *bystanders()])
+    assert alone["like"] > ALARM and together == ()
+
+
+def test_a_mixture_that_leads_alone_gives_way_to_its_two_causes():
+    """Forward selection alone would keep it, for it explains most at first."""
+    a, b, c, *_ = directions(9)
+    mixture = (a + b + 0.4 * c) / np.linalg.norm(a + b + 0.4 * c)
+    candidates = [effect("mixture", mixture), effect("a", a), effect("b", b), *bystanders()]
+    together, alone = found(9.0 * a + 9.0 * b, candidates)
+    assert max(alone, key=alone.get) == "mixture" and set(together) == {"a", "b"}
+
+
+@pytest.mark.parametrize("seed", [308, 337, 368])
+def test_a_third_that_makes_one_of_two_needless_is_not_added(seed):
+    """Four effects that imitate one another in part: the third alone would pass beside the two."""
+    generator = np.random.default_rng(seed)
+    mixtures = [generator.normal(size=4) for _ in range(4)]
+    basis = directions(9)[:4]
+    candidates = [
+        effect(f"mixture_{place}", weights / np.linalg.norm(weights) @ basis)
+        for place, weights in enumerate(mixtures)
+    ]
+    together, _ = found((generator.normal(size=4) * 9.0) @ basis, candidates)
+    assert len(together) == 2
+
+
+def test_causes_that_hide_each_other_are_found():
+    """Each alone explains next to nothing of their difference, as both are nearly the same."""
+    a, b, *_ = directions(9)
+    near = np.cos(0.35) * a + np.sin(0.35) * b
+    candidates = [effect("a", a), effect("near", near), *bystanders()]
+    together, alone = found(20.0 * (near - a), candidates)
+    assert max(alone.values()) < ALARM and set(together) == {"a", "near"}
+
+
+@pytest.mark.parametrize(
+    ("verdict", "excluded", "may"),
+    [
+        (Verdict("named", "", named=("a",)), (), True),
+        (Verdict("named", "", named=("c",)), (), False),
+        (Verdict("none", ""), (), True),
+        (Verdict("none", ""), ("b",), False),
+        (Verdict("unknown", ""), (), False),
+        (Verdict("tie", "", tie=("a", "c")), (), False),
+    ],
+)
+def test_what_was_said_of_single_effects_decides_whether_several_may_be_named(verdict, excluded, may):
+    assert may_be_several(verdict, ("a", "b"), excluded) is may
+    assert may_be_several(verdict, (), excluded) is False
+
+
+def test_each_has_to_help_with_cycles_kept_back_beside_the_other():
+    both, one = [3.0, 2.0, 4.0, 1.0, 2.0], [1.0, 1.0, 1.0, 0.5, 1.0]
+    gains = {("a", "b"): both, ("a",): one, ("b",): one}
+    assert each_helps(("a", "b"), gains)
+    assert not each_helps(("a", "b"), gains | {("b",): both})
+    assert not each_helps(("a", "b"), gains | {("a",): [4.0, 3.0, 1.0, 0.0, 0.0]})

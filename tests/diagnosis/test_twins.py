@@ -1,0 +1,198 @@
+"""People with nothing amiss: other muscles than the model's, and the same ones each time."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.diagnosis.noise import noise_of_width
+from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
+from wrapjax.calibration.objective import Objective
+from wrapjax.diagnosis import null_replicates
+from wrapjax.diagnosis.linearization import (
+    LinearGap,
+    expectations,
+    moment_slopes,
+    phase_frames,
+    speed_numbers,
+)
+from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors, input_blocks
+from wrapjax.diagnosis.null_replicates import (
+    TwinCurves,
+    TwinWorld,
+    _twin_moments,
+    _with_arms,
+    _with_noise,
+    twin_residuals,
+)
+from wrapjax.model.forward import joint_moments
+from wrapjax.model.freedom import nga
+from wrapjax.model.variables import free_variables
+
+PEOPLE = [TwinCurves.drawn(jax.random.key(seed)) for seed in range(20)]
+
+
+@pytest.mark.parametrize("person", PEOPLE[:3])
+def test_curves_are_normalised_as_the_models_are(person):
+    """One at optimal length held still, none at the fastest shortening, passively one at the strain."""
+    one, zero = jnp.ones(1), jnp.zeros(1)
+    np.testing.assert_allclose(person.active_force(one), 1.0, atol=1e-4)
+    np.testing.assert_allclose(person.force_velocity(-one), 0.0, atol=1e-12)
+    np.testing.assert_allclose(person.force_velocity(zero), 1.0)
+    np.testing.assert_allclose(person.passive_force(one + person.strain), 1.0)
+    np.testing.assert_allclose(person.passive_force(one), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("person", PEOPLE[:3])
+def test_force_over_velocity_has_one_slope_at_zero_and_never_falls(person):
+    slope = jax.grad(lambda v: person.force_velocity(v))
+    below, above = (float(slope(jnp.asarray(v))) for v in (-1e-9, 1e-9))
+    assert below == pytest.approx(above, rel=1e-6)
+    assert below == pytest.approx(1.0 + 1.0 / float(person.shortening))
+    force = np.asarray(person.force_velocity(jnp.linspace(-1.3, 1.8, 200)))
+    assert np.diff(force).min() >= 0.0
+    assert 1.0 < force.max() < person.plateau
+
+
+def test_curves_fall_off_both_sides_and_stay_finite_with_their_slopes():
+    length = jnp.linspace(0.0, 2.5, 300)
+    for person in PEOPLE:
+        active, passive = person.active_force(length), person.passive_force(length)
+        assert float(length[np.argmax(active)]) == pytest.approx(1.0, abs=0.01)
+        assert active.min() >= 0.0
+        assert np.diff(passive).min() >= 0.0
+        assert (np.asarray(passive)[np.asarray(length) < 1.0] == 0.0).all()
+        for curve in (person.active_force, person.passive_force):
+            assert np.isfinite(jax.jvp(curve, (length,), (jnp.ones_like(length),))[1]).all()
+
+
+def test_people_differ():
+    drawn = np.array([np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(one)]) for one in PEOPLE])
+    assert (drawn.std(axis=0) > 0.0).all()
+    assert len(np.unique(drawn, axis=0)) == len(PEOPLE)
+
+
+@pytest.fixture(scope="module")
+def world():
+    """The small leg at its start, with noise; of its straight lines, those that twins look at."""
+    recording, context = small_recording_and_context()
+    base = context.parameters
+    free = free_variables(base, nga(base), context.muscles)
+    measured = joint_moments(CURVES, base, recording)
+    problem = Objective(
+        curves=CURVES, recording=recording, measured=measured, variables=free, penalties=(), limits=()
+    )
+    start = free.start()
+    frames = phase_frames(measured.shape[-1])
+    slopes = moment_slopes(problem, start, recording, frames)
+    spread, away = expectations(problem, start)
+    fitted = np.random.default_rng(0).normal(size=slopes.shape[1:])
+    cycles, coordinates, phases = fitted.shape
+    gap = LinearGap(
+        residual=fitted + np.tensordot(away, slopes, axes=1),
+        fitted=fitted,
+        slopes=slopes,
+        spread=spread,
+        away=away,
+        nuisances=np.zeros((0, *fitted.shape)),
+        candidates=(),
+        input_errors=(),
+        muscle_errors=MuscleErrors(
+            np.zeros((len(MUSCLES), cycles, phases, 3)), np.zeros((len(MUSCLES), *fitted.shape))
+        ),
+        speeds=speed_numbers(context.speeds),
+    )
+    return TwinWorld(problem, np.asarray(start), recording, gap, noise_of_width(np.eye(coordinates), 0.05))
+
+
+def test_equal_seeds_give_equal_twins(world):
+    """All different from each other; a twin is the same however many there are."""
+    two = twin_residuals(world, 2, seed=3)
+    np.testing.assert_array_equal(twin_residuals(world, 2, seed=3), two)
+    other = twin_residuals(world, 2, seed=4)
+    assert np.isfinite(two).all()
+    assert two.shape == (2, world.gap.residual.size)
+    everyone = np.concatenate([two, other])
+    for place, own in enumerate(everyone):
+        assert all(np.abs(own - one).max() > 1e-3 for one in everyone[:place])
+
+
+def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world, monkeypatch):
+    """But for what parameters are off from where they were expected, along the subject's lines."""
+    lived = []
+
+    def own_moments(parameters, recording, *_):
+        lived.append(np.asarray(joint_moments(CURVES, parameters, recording)))
+        return lived[-1]
+
+    monkeypatch.setattr(null_replicates, "_twin_moments", own_moments)
+    monkeypatch.setattr(null_replicates, "PARAMETER_ERROR", 0.02)
+    gap = replace(world.gap, fitted=0.01 * world.gap.fitted)
+    silent = replace(world, gap=gap, noise=noise_of_width(1e-9 * np.eye(3), 0.05))
+    residuals = twin_residuals(silent, 2, seed=3)
+    basis = np.linalg.qr(gap.slopes.reshape(len(gap.slopes), -1).T)[0]
+    frames = phase_frames(lived[0].shape[-1])
+    expected = _along(world)
+    for residual, moments in zip(residuals, lived, strict=True):
+        before = (moments - np.asarray(world.problem.measured))[..., frames].ravel()
+        off = [np.std(one - basis @ (basis.T @ one)) for one in (residual, before)]
+        assert off[0] < 0.2 * off[1]
+        # Where lines are straight, it does not matter where calibration ended.
+        np.testing.assert_allclose(residual, before + expected, atol=0.1 * np.abs(expected).max())
+
+
+def _along(world):
+    """What the way to where parameters were expected makes of the moments."""
+    return np.tensordot(world.gap.away, world.gap.slopes, axes=1).ravel()
+
+
+def test_arms_that_are_off_change_lengths_as_they_must(world):
+    """Of virtual work: velocity is the arm times the joint's, length is about its mean as much longer."""
+    path = world.recording.path.nominal
+    scale = jnp.linspace(0.8, 1.3, len(MUSCLES))
+    other = _with_arms(path, scale)
+    np.testing.assert_allclose(other.moment_arm, path.moment_arm * scale[:, None, None, None])
+    np.testing.assert_allclose(other.velocity, path.velocity * scale[:, None, None])
+    means = [one.length.mean(axis=(1, 2)) for one in (path, other)]
+    np.testing.assert_allclose(*means)
+    swing = [one.length.max(axis=(1, 2)) - one.length.min(axis=(1, 2)) for one in (path, other)]
+    np.testing.assert_allclose(swing[1], swing[0] * scale)
+
+
+def test_muscles_of_one_electrode_have_its_noise(world):
+    """A tenth of the envelope, smooth, and new in each cycle."""
+    emg = world.recording.emg
+    noisy = jax.jit(lambda key: _with_noise(emg, jnp.asarray(0.10), key).coefficients)
+    factors = np.log(np.asarray([noisy(jax.random.key(seed)) / emg.coefficients for seed in range(40)]))
+    np.testing.assert_array_equal(factors[:, 1], factors[:, 2], err_msg="both gastrocnemii")
+    assert np.abs(factors[:, 0] - factors[:, 1]).max() > 0.05
+    assert np.abs(factors[:, :, 0] - factors[:, :, 1]).max() > 0.05
+    assert np.std(factors) == pytest.approx(0.10, rel=0.1)
+    np.testing.assert_allclose(np.ptp(factors, axis=3), 0.0, atol=1e-6)
+
+
+def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
+    """EMG's go through its muscles; what errors of angles make joins the noise of moments, cycle by cycle."""
+    generator = np.random.default_rng(0)
+    shape = world.gap.slopes.shape[1:]
+    emg, angles = (InputErrors(generator.normal(size=(2, *shape)), 0.05) for _ in range(2))
+    noise = replace(world.noise, input_shares=(0.5, 2.0))
+    noisy = replace(world, gap=replace(world.gap, input_errors=(emg, angles)), noise=noise)
+    assert noisy.emg_error == pytest.approx(0.05) and world.emg_error == pytest.approx(0.10)
+    root = noisy.measured_noise(shape[-1])
+    expected = noise.block(shape[-1])[None] + 4.0 * input_blocks(angles)
+    np.testing.assert_allclose(np.einsum("cij,ckj->cik", root, root), expected, atol=1e-8)
+
+
+def test_a_twins_muscles_are_not_the_models(world):
+    parameters = world.problem.parameters(jnp.asarray(world.variables))
+    lived = [
+        np.asarray(_twin_moments(parameters, world.recording, jnp.asarray(0.10), jax.random.key(seed)))
+        for seed in (0, 1)
+    ]
+    for one in lived:
+        apart = np.std(one - np.asarray(world.problem.measured)) / np.std(world.problem.measured)
+        assert 0.02 < apart < 1.0
+    assert np.abs(lived[0] - lived[1]).max() > 0.1

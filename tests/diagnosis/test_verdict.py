@@ -1,0 +1,195 @@
+"""From evidence to words: shares sum to one, ties are of every pair, and no outcome is bolder than that."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wrapjax.diagnosis.result import OUTCOMES
+from wrapjax.diagnosis.verdict import (
+    LEVEL_WITH,
+    TIE,
+    Probabilities,
+    Tuning,
+    credible_set,
+    decision,
+    judge,
+    probabilities,
+    tie_of,
+)
+
+NAMES = ("one", "two", "three", "four")
+TUNING = Tuning("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9)
+nats = st.floats(-200.0, 1000.0)
+evidences = st.dictionaries(st.sampled_from(NAMES), nats)
+
+
+def found(none=0.0, unknown=0.0, **effects):
+    return Probabilities(effects, none, unknown)
+
+
+@settings(max_examples=100, deadline=None)
+@given(evidence=evidences, structured=nats)
+def test_probabilities_sum_to_one(evidence, structured):
+    got = probabilities(evidence, structured, TUNING)
+    every = [*got.effects.values(), got.none, got.unknown]
+    assert sum(every) == pytest.approx(1.0)
+    assert min(every) >= 0.0
+    assert set(got.effects) == set(evidence)
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    evidence=st.dictionaries(st.sampled_from(NAMES), st.floats(-20, 20), min_size=1),
+    structured=st.floats(-50, 150),
+    more=st.floats(0.1, 20),
+)
+def test_probabilities_rise_with_their_evidence(evidence, structured, more):
+    before = probabilities(evidence, structured, TUNING)
+    for name in evidence:
+        after = probabilities({**evidence, name: evidence[name] + more}, structured, TUNING)
+        assert after.effects[name] > before.effects[name]
+        assert after.none < before.none
+        assert all(after.effects[other] < before.effects[other] for other in evidence if other != name)
+    stranger = probabilities(evidence, structured + more, TUNING)
+    assert stranger.unknown > before.unknown
+    assert stranger.effects == pytest.approx(before.effects), "what is unknown takes from nothing alone"
+
+
+def test_offsets_are_where_an_effect_is_as_probable_as_none():
+    got = probabilities({"one": TUNING.offset}, TUNING.structured_offset, TUNING)
+    assert got.effects["one"] == pytest.approx(0.5)
+    assert got.none == pytest.approx(0.25) == got.unknown
+    bolder = probabilities({"one": TUNING.offset + 2.0 * TUNING.temperature}, -1e3, TUNING)
+    assert bolder.effects["one"] / bolder.none == pytest.approx(np.exp(2.0))
+
+
+def alike(*pairs):
+    apart = np.full((4, 4), 10.0 * TIE)
+    for one, other in pairs:
+        apart[NAMES.index(one), NAMES.index(other)] = apart[NAMES.index(other), NAMES.index(one)] = 1.0
+    return apart
+
+
+def test_a_tie_is_of_every_pair():
+    level = dict(zip(NAMES, (10.0, 9.0, 8.0, 7.0), strict=True))
+    chain = alike(("one", "two"), ("two", "three"), ("three", "four"))
+    assert tie_of("one", NAMES, chain, level) == ("one", "two")
+    ring = alike(("one", "two"), ("two", "three"), ("one", "three"))
+    assert tie_of("one", NAMES, ring, level) == ("one", "two", "three")
+    assert tie_of("one", NAMES, alike(), level) == ("one",)
+
+
+def test_a_tie_is_both_ways_and_among_those_level():
+    apart = alike(("one", "two"), ("one", "three"), ("two", "three"))
+    apart[1, 0] = 10.0 * TIE
+    level = dict(zip(NAMES, (10.0, 9.0, 10.0 - LEVEL_WITH, 7.0), strict=True))
+    assert tie_of("one", NAMES, apart, level) == ("one", "three")
+    level["three"] -= 0.1
+    assert tie_of("one", NAMES, apart, level) == ("one",)
+
+
+def test_of_those_that_exclude_each_other_the_more_plausible_is_tied():
+    level = dict(zip(NAMES, (10.0, 8.0, 9.0, 7.0), strict=True))
+    apart = alike(("one", "two"), ("one", "three"))
+    assert tie_of("one", NAMES, apart, level) == ("one", "three")
+
+
+def test_a_credible_set_is_the_fewest_in_order():
+    got = found(one=0.5, two=0.3, three=0.05, none=0.1, unknown=0.05)
+    assert credible_set(got, ("one",), 0.5) == ("one",)
+    assert credible_set(got, ("one",), 0.7) == ("one", "two")
+    assert credible_set(got, ("one",), 0.9) == ("one", "two", "none_of_these")
+    assert credible_set(got, (), 0.97) == ("one", "two", "none_of_these", "three")
+    silent = found(one=0.2, none=0.5, unknown=0.3)
+    assert credible_set(silent, ("one",), 0.75) == ("none_of_these",)
+
+
+def test_members_of_a_tie_come_together():
+    got = found(one=0.3, two=0.35, three=0.3, none=0.05)
+    assert credible_set(got, ("one", "three"), 0.5) == ("one", "three")
+
+
+@settings(max_examples=60, deadline=None)
+@given(evidence=evidences, structured=nats, level=st.floats(0.0, 0.999))
+def test_a_credible_set_holds_its_level(evidence, structured, level):
+    got = probabilities(evidence, structured, TUNING)
+    members = credible_set(got, (), level)
+    shares = {**got.effects, "none_of_these": got.none + got.unknown}
+    assert sum(shares[name] for name in members) >= level - 1e-9
+    assert len(set(members)) == len(members)
+
+
+EVIDENCE = {"one": 20.0, "two": 18.0}
+
+
+def test_every_outcome_has_its_ground():
+    clear = judge(found(one=0.8, two=0.1, none=0.1), EVIDENCE, ("one",), 5.0, ())
+    assert (clear.outcome, clear.named, clear.tie) == ("named", ("one",), ())
+    tied = judge(found(one=0.4, two=0.35, none=0.25), EVIDENCE, ("one", "two"), 5.0, ())
+    assert (tied.outcome, tied.named, tied.tie) == ("tie", (), ("one", "two"))
+    strange = judge(found(one=0.2, two=0.1, none=0.2, unknown=0.5), EVIDENCE, ("one",), 5.0, ())
+    quiet = judge(found(one=0.2, two=0.1, none=0.5, unknown=0.2), EVIDENCE, ("one",), 5.0, ())
+    empty = judge(found(none=1.0), {}, (), 5.0, ())
+    assert [one.outcome for one in (strange, quiet, empty)] == ["unknown", "none", "none"]
+    for one in (clear, tied, strange, quiet, empty):
+        assert one.outcome in OUTCOMES
+        assert one.reason
+
+
+def test_nothing_is_named_below_the_alarm():
+    """However probable beside the others: twins with nothing amiss show as much."""
+    got = judge(found(one=0.9, two=0.05, none=0.05), EVIDENCE, ("one",), 20.0, ())
+    assert (got.outcome, got.named) == ("none", ())
+
+
+def test_a_leading_negative_control_means_something_unknown():
+    shares = found(one=0.9, two=0.05, none=0.05)
+    got = judge(shares, EVIDENCE, ("one",), 5.0, ("one",))
+    assert (got.outcome, got.named, got.tie) == ("unknown", (), ())
+    assert "one" in got.reason
+    assert judge(shares, EVIDENCE, ("one", "two"), 5.0, ("one",)).outcome == "unknown"
+    assert judge(shares, EVIDENCE, ("one",), 5.0, ("two",)).outcome == "named"
+    assert judge(shares, EVIDENCE, ("one",), 30.0, ("one",)).outcome == "none"
+
+
+def test_what_is_made_of_an_effect_follows_what_could_be_seen():
+    assert "best" in decision(20.0, 1.0, 5.0, named=True)
+    assert "not testable" in decision(20.0, 1.0, 5.0, named=False)
+    assert "others" in decision(20.0, 8.0, 5.0, named=False)
+    assert "missed" in decision(1.0, 3.0, 5.0, named=False)
+    assert decision(1.0, 8.0, 5.0, named=False) == "not seen; one of expected size would be"
+
+
+def test_shipped_constants_are_usable():
+    tuning = Tuning.shipped()
+    assert tuning.temperature >= 1.0, "evidence is too bold, never too shy"
+    assert tuning.structured_scale > 0.0
+    assert 0.5 < tuning.set_level < 1.0
+    assert tuning.alarm > 0.0
+    silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, tuning)
+    assert silent.none > 0.5, "without evidence, nothing is the most probable"
+
+
+def test_what_the_recording_could_not_show_is_not_named():
+    found = Probabilities({"one": 0.9}, none=0.06, unknown=0.04)
+    assert judge(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
+    verdict = judge(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
+    assert verdict.outcome == "unknown" and "could not show" in verdict.reason and not verdict.named
+
+
+def test_what_does_not_help_with_cycles_kept_back_is_not_named():
+    """One block of five may be against it, two of eight; not more, and not their sum."""
+    got = found(one=0.9, two=0.05, none=0.05)
+    for gains, outcome in (
+        ((1.0, 2.0, 0.5, 1.0, 3.0), "named"),
+        ((1.0, 2.0, -0.5, 1.0, 3.0), "named"),
+        ((1.0, 2.0, -0.5, 0.0, 3.0), "unknown"),
+        ((1.0, 2.0, -0.5, -0.1, 3.0, 1.0, 1.0, 1.0), "named"),
+        ((1.0, 2.0, -0.5, -0.1, 3.0, 1.0, 0.0, 1.0), "unknown"),
+        ((0.1, 0.1, -3.0, 0.1, 0.1), "unknown"),
+    ):
+        verdict = judge(got, EVIDENCE, ("one",), 5.0, (), (), {"one": gains, "two": (-1.0,) * 5})
+        assert verdict.outcome == outcome
+    assert "kept back" in verdict.reason
+    assert judge(got, EVIDENCE, ("one",), 5.0, (), (), {"two": (-1.0,) * 5}).outcome == "named"

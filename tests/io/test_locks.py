@@ -1,0 +1,134 @@
+"""One run at a time for one folder, whatever becomes of runs; and what killed ones left is cleared away."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wrapjax.cli.command_line import main
+from wrapjax.errors import InputError
+from wrapjax.io.files import new_folder, write_text
+from wrapjax.io.locks import BusyError, working_alone
+
+#: Holds the lock of the folder that it is given until it is killed.
+HOLDER = """
+import sys, time
+from pathlib import Path
+from wrapjax.io.files import new_folder
+with new_folder(Path(sys.argv[1]), force=True) as folder:
+    (folder / "half").write_text("half")
+    print("at work", flush=True)
+    time.sleep(600.0)
+"""
+
+
+@pytest.fixture
+def other_run(tmp_path):
+    """Another process at work on ``run``."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path / "run")],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "at work\n"
+    yield process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_second_run_is_refused_while_the_first_is_at_work(other_run, tmp_path):
+    before = names(tmp_path)
+    refused = pytest.raises(
+        BusyError, match=rf"run: is being written by another run \(process {other_run.pid} "
+    )
+    with refused, new_folder(tmp_path / "run", force=True):
+        pytest.fail("the work must not start")
+    assert names(tmp_path) == before
+    with new_folder(tmp_path / "elsewhere"):
+        pass
+
+
+def test_commands_say_so_before_they_read_anything(other_run, tmp_path, capsys):
+    before = names(tmp_path)
+    for command in (["fit", "nobody"], ["calibrate", "nobody", "--method", "NGA"], ["cohort", "nobody"]):
+        assert main([*command, "--out", str(tmp_path / "run"), "--force"]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "is being written by another run" in said
+    assert names(tmp_path) == before
+
+
+def test_a_killed_run_bars_nobody_and_is_cleared_away(other_run, tmp_path):
+    other_run.send_signal(signal.SIGKILL)
+    other_run.wait()
+    assert len(names(tmp_path)) == 2, "a lock and half a folder were expected"
+    with new_folder(tmp_path / "run") as folder:
+        assert [path.name for path in folder.iterdir()] == []
+    assert names(tmp_path) == ["run"]
+
+
+def test_what_looks_like_it_and_is_none_stays(tmp_path):
+    """Of a folder with a longer name, which another run may be at work on; of nobody; of somebody else."""
+    others = [".run-2-abcdefgh.part", ".run-20240101", ".runs", "run-abcdefgh.part", ".other-abcdefgh.part"]
+    for name in others:
+        (tmp_path / name).mkdir()
+    (tmp_path / ".run-abcdefgh.part").mkdir()
+    with new_folder(tmp_path / "run"):
+        pass
+    assert names(tmp_path) == sorted([*others, "run"])
+
+
+def test_killed_while_replacing_the_old_folder_comes_back(tmp_path):
+    """Between the two steps of a replacement there is neither: the new one may not be whole."""
+    kept = tmp_path / ".run-abcdefgh.old" / "run"
+    kept.mkdir(parents=True)
+    (kept / "mine").write_text("mine")
+    (tmp_path / ".run-hgfedcba.part").mkdir()
+    with pytest.raises(InputError, match="exists already"), new_folder(tmp_path / "run"):
+        pytest.fail("the work must not start")
+    assert names(tmp_path) == ["run"] and (tmp_path / "run" / "mine").read_text() == "mine"
+
+
+def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
+    place = tmp_path / "deep" / "er" / "run"
+    with working_alone(place), working_alone(place):
+        assert (place.parent / ".run.lock").read_text().startswith(f"process {os.getpid()} on ")
+    assert names(tmp_path) == []
+    with pytest.raises(KeyError), working_alone(place):
+        raise KeyError
+    assert names(tmp_path) == []
+
+
+def test_the_same_folder_by_a_link_is_the_same_folder(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    with working_alone(tmp_path / "real" / "run"), working_alone(tmp_path / "link" / "run"):
+        pass
+    with working_alone(Path("/")):
+        pass
+
+
+def test_where_no_lock_can_be_made_the_work_says_why(tmp_path):
+    (tmp_path / "file").write_text("")
+    with working_alone(tmp_path / "file" / "run"):
+        pass
+    assert names(tmp_path) == ["file"]
+
+
+def test_temporary_files_of_killed_writers_go_a_day_later(tmp_path):
+    old, new = tmp_path / ".result-abcdefgh.part.json", tmp_path / ".result-hgfedcba.part.json"
+    for file in (old, new):
+        file.write_text("half")
+    os.utime(old, (0.0, 0.0))
+    write_text(tmp_path / "result.json", "whole")
+    assert names(tmp_path) == sorted([new.name, "result.json"])
+    shutil.rmtree(tmp_path)

@@ -1,0 +1,210 @@
+"""Defends: a fit that has sampled its cylinders says how good it is, comes back from disk, and serves PGA."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.path_sources.round_trip import assert_reproduces_itself
+from tests.subject.synthetic import MODEL, write_subject
+from wrapjax.calibration.calibration import calibrate
+from wrapjax.errors import InputError
+from wrapjax.geometry import training_samples
+from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
+from wrapjax.geometry.physiological import PhysiologicalThresholds
+from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.osim.model import describe_model
+from wrapjax.osim.path_engine import PathEngine
+from wrapjax.osim.personalised_model import write_personalised_model
+from wrapjax.path_sources import wrap_fitting
+from wrapjax.path_sources.fit import load_fit
+from wrapjax.path_sources.fit_poses import fit_poses
+from wrapjax.path_sources.fitting import fit
+from wrapjax.path_sources.wrap_fitting import fit_wraps
+from wrapjax.subject.subject import load_subject as load_subject
+
+#: The synthetic thigh with a cylinder at the knee, which the muscle in front runs over.
+CYLINDER = """<WrapObjectSet><objects><WrapCylinder name="knee_front_l">
+ <quadrant>x</quadrant><translation>0 -0.4 0</translation><radius>0.055</radius><length>0.1</length>
+</WrapCylinder></objects></WrapObjectSet></Body>"""
+WRAP = """</PathPointSet><PathWrapSet><objects><PathWrap name="over_knee">
+ <wrap_object>knee_front_l</wrap_object></PathWrap></objects></PathWrapSet></GeometryPath>"""
+
+
+def wrapped_model():
+    thigh, shank, rest = MODEL.split("</Body>", 2)
+    front, behind = rest.split("</PathPointSet></GeometryPath>", 1)
+    return f"{thigh}{CYLINDER}{shank}</Body>{front}{WRAP}{behind}"
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    folder = write_subject(tmp_path_factory.mktemp("wrapped") / "synthetic")
+    (folder / "model.osim").write_text(wrapped_model(), encoding="utf-8")
+    return load_subject(folder)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_samples():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training_samples, "TRAINING_SAMPLES", 300)
+        patch.setattr(training_samples, "VALIDATION_SAMPLES", 60)
+        yield
+
+
+@pytest.fixture(scope="module")
+def sampled(person, fewer_samples):
+    return fit_wraps(person, fit(person, "engine"))
+
+
+def test_stated_errors_are_those_of_the_engine(person, sampled):
+    """At placements and in poses of our own, those that its limit allows."""
+    error, wraps = sampled.errors["recfem_l"], sampled.wraps
+    assert error.wrapped and not sampled.errors["semiten_l"].wrapped
+    assert 0.0 < error.length_rmse_mm < 0.2 and 0.0 < error.moment_arm_rmse_mm < 0.8
+    coordinates = sampled.surrogate.coordinates
+    engine = ExactPaths(describe_model(person.model_file), ["recfem_l"], coordinates)
+    poses = fit_poses(person, coordinates, seed=77).validation[::5]
+    half = np.asarray(wraps.inner.half_range)[0, 0]
+    changes = 0.5 * np.random.default_rng(3).uniform(-1.0, 1.0, (40, 6)) * half
+    limit = wraps.feasibility["knee_front_l"]
+    if limit is not None:
+        changes = changes[np.asarray(jax.vmap(limit.excess)(jnp.asarray(changes + NOMINAL))) < -0.5]
+    assert len(changes) >= 10
+    truth = wrap_at_samples(engine.posed(poses)["recfem_l"], (changes + NOMINAL)[:, None])
+    assert np.asarray(truth.touching).any()
+    rows = []
+    for change in changes:
+        both = jnp.zeros((2, 6)).at[0].set(change)
+        row = sampled.surrogate.coefficients[0] + wraps.inner(both)[0]
+        used = np.asarray(sampled.surrogate.used[0])
+        rows.append(sampled.surrogate.design("recfem_l", poses) @ np.asarray(row)[used])
+    length = np.array(rows)[:, : len(poses)] - np.asarray(truth.length)
+    assert 1e3 * np.sqrt(np.mean(length**2)) < 2.0 * error.length_rmse_mm
+
+
+def test_errors_are_of_the_models_own_cylinders_where_no_placement_is_physiological(person, sampled):
+    """No sample at all would otherwise count as no error at all."""
+    plain = fit(person, "engine")
+    hopeless = fit_wraps(person, plain, thresholds=PhysiologicalThresholds(length_deviation=1e-12))
+    assert hopeless.wraps.quality["knee_front_l"].physiological_share == 0.0
+    assert hopeless.errors["recfem_l"] == plain.errors["recfem_l"] != sampled.errors["recfem_l"]
+
+
+def test_contract_of_the_folder(sampled, tmp_path):
+    sampled.save(tmp_path / "fit")
+    content = json.loads((tmp_path / "fit" / "fit.json").read_text())
+    entry = content["wraps"]["knee_front_l"]
+    assert list(content["wraps"]) == ["knee_front_l"]
+    assert 0.0 <= entry["physiological_share"] <= 1.0
+    assert {"balanced_accuracy", "false_physiological"} <= set(entry)
+    # Margins can only forbid more than what was learned forbids alone.
+    assert entry["learned_false_physiological"] >= entry["false_physiological"]
+    assert 0.5 < entry["learned_balanced_accuracy"] <= 1.0
+    assert set(content["seconds"]) >= {"analysis", "fit", "boxes", "sampling", "feasibility"}
+
+
+def test_the_report_shows_paths_by_the_thresholds_of_the_fit(person, sampled, tmp_path):
+    """And a fit without cylinders has a report without them."""
+    usual = sampled.wraps.thresholds
+    strict = replace(sampled, wraps=replace(sampled.wraps, thresholds=replace(usual, length_deviation=0.0)))
+    saved = {"usual": sampled, "strict": strict, "plain": fit(person, "engine")}
+    for name, one in saved.items():
+        one.save(tmp_path / name, subject=person)
+    pages = {name: (tmp_path / name / "report.html").read_text() for name in saved}
+    assert "recfem_l (knee_front_l): 0 of 150 accepted" in pages["strict"]
+    assert "<details>" in pages["usual"] and "recfem_l (knee_front_l): 0 of" not in pages["usual"]
+    assert "<details>" not in pages["plain"] and "<h2>Cylinders" not in pages["plain"]
+    assert load_fit(tmp_path / "strict", person).wraps.thresholds.length_deviation == 0.0
+
+
+def test_a_report_that_fails_leaves_no_folder(person, sampled, tmp_path, monkeypatch):
+    monkeypatch.setattr("wrapjax.report.fit_page.render_fit", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        sampled.save(tmp_path / "fit")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match="is no fit of subject"):
+        replace(sampled, key="other-key").save(tmp_path / "fit", subject=person)
+
+
+def test_round_trip(person, sampled, tmp_path):
+    sampled.save(tmp_path / "fit")
+    again = load_fit(tmp_path / "fit", person)
+    for name in ("wraps_of", "translations", "touched", "quality"):
+        assert getattr(again.wraps, name) == getattr(sampled.wraps, name)
+    assert again.errors == sampled.errors and again.geometry == "engine"
+    for kind in ("inner", "feasibility"):
+        leaves = [jax.tree.leaves(getattr(one.wraps, kind)) for one in (again, sampled)]
+        for one, other in zip(*leaves, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("damage", ["arrays gone", "cut short"])
+def test_a_damaged_fit_is_refused(sampled, tmp_path, damage):
+    sampled.save(tmp_path / "fit")
+    file = tmp_path / "fit" / "fit.npz"
+    if damage == "cut short":
+        file.write_bytes(file.read_bytes()[:-2000])
+    else:
+        with np.load(file) as stored:
+            kept = {name: value for name, value in stored.items() if not name.startswith("inner.")}
+        np.savez(file, **kept)
+    with pytest.raises(InputError, match="damaged"):
+        load_fit(tmp_path / "fit")
+
+
+def test_the_same_question_is_answered_from_the_cache(person, sampled, monkeypatch):
+    monkeypatch.setattr(wrap_fitting, "_fit_wraps", None)
+    again = fit_wraps(person, fit(person, "engine"))
+    assert again.wraps.quality == sampled.wraps.quality
+    assert not list(Path(os.environ["WRAPJAX_CACHE"]).rglob("report.html"))
+
+
+def test_a_fit_without_samples_cannot_serve_pga(person):
+    with pytest.raises(InputError, match="has not sampled them"):
+        fit(person, "engine").freedom("PGA", person)
+
+
+def test_all_sampled_cylinders_can_be_free(person, sampled):
+    untouched = replace(sampled, wraps=replace(sampled.wraps, touched=()))
+    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+        untouched.freedom("PGA", person)
+    assert untouched.freedom("PGA", person, "all").wraps.names == ("knee_front_l",)
+
+
+def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled, tmp_path):
+    """And what it says of paths is what OpenSim finds in a model with the cylinder there."""
+    nga, pga = (calibrate(person, method, sampled, starts=1) for method in ("NGA", "PGA"))
+    assert pga.status.converged
+    assert pga.result.solution.cost < nga.result.solution.cost
+    wraps = pga.result.freedom.wraps
+    assert sampled.wraps.touched == ("knee_front_l",)
+    assert wraps.names == ("knee_front_l",)
+    changes = wraps.changes_of(np.asarray(pga.result.parameters.path_changes))[0]
+    assert (np.abs(changes) > 1e-4 * np.asarray(wraps.upper[0])).any()
+    file = person.folder / "moved.osim"
+    write_personalised_model(person.model_file, file, {"knee_front_l": changes + NOMINAL}, {})
+    columns = [person.trials.coordinates.index(name) for name in ("hip_flexion_l", "knee_angle_l")]
+    poses = np.moveaxis(person.trials.angles[0, columns], 0, -1)
+    judge = PathEngine(
+        file, ("hip_flexion_l", "knee_angle_l"), {"recfem_l": ("hip_flexion_l", "knee_angle_l")}
+    )
+    length, _ = judge.analyse(poses)
+    found = np.asarray(pga.result.states.path.length)[0, 0]
+    assert np.sqrt(np.mean((found - length[:, 0]) ** 2)) < 3e-4
+    # The polynomials that its folder keeps are those that followed the cylinder.
+    pga.save(tmp_path / "run")
+    assert_reproduces_itself(tmp_path / "run", person)
+
+
+def test_opensim_gives_what_the_engine_gives(person, sampled):
+    """One cylinder: their paths differ by micrometers."""
+    judged = fit_wraps(person, fit(person, "opensim"), processes=1)
+    by_opensim, by_engine = (one.wraps.quality["knee_front_l"] for one in (judged, sampled))
+    assert by_opensim.physiological_share == pytest.approx(by_engine.physiological_share, abs=0.05)
+    np.testing.assert_allclose(judged.wraps.inner.weights[0], sampled.wraps.inner.weights[0], atol=2e-3)

@@ -1,0 +1,146 @@
+"""Defends: forces of any unit tell which steps were on plates, and what was not measured is not judged."""
+
+import numpy as np
+import pytest
+
+from wrapjax.preprocessing.alignment import forces_against_motion, own_steps_measured
+from wrapjax.preprocessing.force_plates import FootForces
+from wrapjax.preprocessing.measured_steps import all_measured, measured_steps
+
+#: Gait cycles of 1.1 s, 0.7 s of stance: both feet are down for 0.15 s at a time.
+PERIOD, STANCE = 1.1, 0.7
+WEIGHT = 800.0
+TIME = np.arange(0.0, 6.0, 0.002)
+#: Strikes of the left foot; the right foot's are half a period later.
+LEFT, RIGHT = 0.5 + PERIOD * np.arange(4), 1.05 + PERIOD * np.arange(4)
+
+
+def needed(time):
+    """What bodies need: least while one foot bears them, N."""
+    return WEIGHT * (1.0 - 0.2 * np.cos(4.0 * np.pi * (time - 0.85) / PERIOD))
+
+
+def share(time, strike):
+    rise, fall = (
+        (edge / (STANCE - PERIOD / 2)).clip(0.0, 1.0) for edge in (time - strike, strike + STANCE - time)
+    )
+    return rise * fall
+
+
+def plates(left, right=None, gain=1.0, late=0.0):
+    """Forces of these steps alone; of one foot where the other has none."""
+    feet = {"l": left} if right is None else {"l": left, "r": right}
+    wrench = np.zeros((len(feet), 6, TIME.size))
+    for row, strikes in enumerate(feet.values()):
+        wrench[row, 4] = gain * needed(TIME - late) * sum(share(TIME - late, strike) for strike in strikes)
+    return FootForces(tuple(feet), TIME, wrench)
+
+
+def between(start, end):
+    return (start <= TIME) & (end >= TIME)
+
+
+def faults(forces, time=TIME[150:2500:5]):
+    return {check.what: check.fault for check in forces_against_motion(time, needed(time), forces)}
+
+
+def test_steps_are_those_on_plates():
+    steps = measured_steps(plates(LEFT[:2], RIGHT[1:2], gain=1e-3))
+    np.testing.assert_allclose(steps["l"].strikes, LEFT[:2], atol=0.02)
+    np.testing.assert_allclose(steps["r"].offs, RIGHT[1:2] + STANCE, atol=0.02)
+    assert steps["l"].stance == pytest.approx(STANCE, abs=0.03)
+
+
+def test_a_step_under_way_is_no_whole_step():
+    forces = plates(LEFT, RIGHT).during(0.7, 4.0)
+    left = measured_steps(forces)["l"]
+    assert left.strikes[0] == pytest.approx(0.7) and not left.whole[0] and not left.whole[-1]
+    assert left.whole[1:-1].all() and left.stance == pytest.approx(STANCE, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "known", "unknown"),
+    [
+        # One step a plate: since the right foot was surely in the air, until the left one may strike.
+        (LEFT[1:2], RIGHT[1:2], (2.0, 2.45), (2.7, 3.2)),
+        (LEFT[1:2], RIGHT[1:2], (2.0, 2.45), (1.2, 1.7)),
+        # The right foot first.
+        (LEFT[1:2], RIGHT[0:1], (1.45, 1.85), (2.2, 4.0)),
+        # All of them.
+        (LEFT, RIGHT, (0.9, 4.5), (0.0, 0.2)),
+        # One foot: the middle of its stance.
+        (LEFT[1:2], None, (1.8, 2.1), (2.15, 5.0)),
+        # A foot that met no plate.
+        (LEFT[1:2], (), (1.8, 2.1), (2.15, 5.0)),
+        # A step of the right foot was missed between two.
+        (LEFT, RIGHT[[0, 2]], (1.05, 1.7), (2.2, 2.7)),
+    ],
+)
+def test_all_is_measured_where_both_feet_are_known(left, right, known, unknown):
+    steps = [foot for foot in measured_steps(plates(left, right)).values() if foot.strikes.size]
+    complete = all_measured(TIME, steps)
+    assert complete[between(*known)].all()
+    middle = np.zeros(TIME.size, bool)
+    for foot in steps:
+        middle |= foot.alone(TIME)
+    assert not (complete & ~middle)[between(*unknown)].any()
+
+
+PLATES = {
+    "all steps": (LEFT, RIGHT),
+    "one step a plate": (LEFT[1:2], RIGHT[1:2]),
+    "the right foot first": (LEFT[1:2], RIGHT[0:1]),
+    "one foot": (LEFT[1:2], None),
+    "one foot, all its steps": (LEFT, None),
+    "a plate that no foot met": (LEFT[1:2], ()),
+}
+
+
+@pytest.mark.parametrize("steps", PLATES)
+def test_forces_that_belong_to_motion_are_accepted_whatever_was_measured(steps):
+    assert faults(plates(*PLATES[steps])) == {"weight": "", "timing of forces": ""}
+
+
+@pytest.mark.parametrize("late", [0.05, -0.05])
+@pytest.mark.parametrize("steps", PLATES)
+def test_a_shift_of_50_ms_is_told_whatever_was_measured(steps, late):
+    said = faults(plates(*PLATES[steps], late=late))["timing of forces"]
+    assert ("ms late" if late > 0.0 else "ms early") in said
+
+
+@pytest.mark.parametrize("steps", PLATES)
+@pytest.mark.parametrize("gain", [1e-3, 1.0 / 9.81, 1e3])
+def test_a_wrong_unit_is_told_whatever_was_measured(steps, gain):
+    assert faults(plates(*PLATES[steps], gain=gain))["weight"]
+
+
+def test_a_plate_of_half_the_gain_is_told():
+    forces = plates(LEFT, RIGHT)
+    forces.wrench[1] *= 0.5
+    assert faults(forces)["weight"]
+
+
+def test_forces_downward_are_told():
+    assert faults(plates(LEFT, RIGHT, gain=-1.0))["weight"]
+
+
+def test_what_cannot_be_compared_is_said():
+    forces = plates(LEFT[:1], RIGHT[2:3])
+    time = np.arange(2.0, 2.6, 0.01)
+    (check,) = forces_against_motion(time, needed(time), forces)
+    assert "not compared" in check.found and not check.fault
+
+
+def own_fault(forces, *cycles):
+    (check,) = own_steps_measured(forces, "l", cycles)
+    return check.fault, check.hint
+
+
+def test_the_legs_own_steps_have_to_be_measured():
+    cycle, long = (LEFT[1], LEFT[2]), (LEFT[0], LEFT[2])
+    assert own_fault(plates(LEFT[1:2]), cycle) == ("", "")
+    assert own_fault(plates(LEFT), cycle, (0.9, 2.0)) == ("", "")
+    missed, hint = own_fault(plates(LEFT[[0, 2]]), long)
+    assert "off them for 1.5" in missed and "from 0.5 to 2.7 s" in missed and "list as cycles" in hint
+    assert own_fault(plates(LEFT[:1]), cycle)[0] and own_fault(plates(()), cycle)[0]
+    assert "upward" in own_fault(plates(LEFT, gain=-1.0), cycle)[1]

@@ -1,0 +1,165 @@
+"""Defends: a bank is answered once a question, one failing case costs no other, and a fault is told."""
+
+import json
+import pickle
+import types
+from pathlib import Path
+
+import pytest
+
+import wrapjax
+from validation import answering, diagnosed
+from wrapjax.cohorts.scheduling import Finished
+from wrapjax.errors import InputError, Problem
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Cases that were really asked, and what was withheld; one called 'bad' fails."""
+    seen = []
+
+    def diagnose(subject, method, paths, *, starts):
+        if subject.name == "bad":
+            raise ValueError("no such muscle")
+        return answered(subject)
+
+    def answered(subject, *withheld):
+        seen.append((subject.name, withheld))
+        result = types.SimpleNamespace(outcome="named", named=("joint_damping",), ties=(), lines=None)
+
+        def without(*effects):
+            answer = subject.parent.parent / "answers" / subject.name / "question.json"
+            assert answer.exists(), "the truth is for after the answer"
+            return answered(subject, *effects)
+
+        return types.SimpleNamespace(
+            result=result, without=without, save=lambda folder: (folder / "moments").mkdir(parents=True)
+        )
+
+    monkeypatch.setattr(wrapjax, "load_subject", lambda case: case)
+    monkeypatch.setattr(wrapjax, "fit", lambda subject, geometry, processes: None)
+    monkeypatch.setattr(wrapjax, "diagnose", diagnose)
+    monkeypatch.setattr(answering, "set_up_jax", lambda: None)
+    return seen
+
+
+def bank(folder, *names):
+    for name in names:
+        (folder / "cases" / name).mkdir(parents=True)
+        (folder / "cases" / name / "subject.toml").write_text(f"# {name}\n")
+    return folder
+
+
+def answer(monkeypatch, folder, *more):
+    arguments = ["diagnosed", "--bank", str(folder), "--out", str(folder / "answers"), *more]
+    monkeypatch.setattr("sys.argv", arguments)
+    return diagnosed.main()
+
+
+def test_a_case_is_asked_again_only_if_it_or_the_question_is_another(asked, monkeypatch, tmp_path, capsys):
+    folder = bank(tmp_path, "one", "two")
+    assert answer(monkeypatch, folder) == 0
+    assert answer(monkeypatch, folder) == 0
+    assert [name for name, _ in asked] == ["one", "two"]
+    assert capsys.readouterr().err.count("as before") == 2
+    (folder / "cases" / "two" / "subject.toml").write_text("# another two\n")
+    assert answer(monkeypatch, folder) == 0
+    assert [name for name, _ in asked] == ["one", "two", "two"]
+
+
+def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_path, capsys):
+    folder = bank(tmp_path, "bad", "one")
+    assert answer(monkeypatch, folder) == 1
+    assert "bad: FAILED: ValueError: no such muscle" in capsys.readouterr().err
+    assert (folder / "answers" / "one" / "question.json").exists()
+    assert not (folder / "answers" / "bad" / "question.json").exists()
+
+
+def test_withheld_asks_of_single_causes_alone_and_once_the_case_is_answered(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one", "pair", "strange")
+    (folder / "truth").mkdir()
+    known = {
+        "one": ("single", ["cop_offset"]),
+        "pair": ("pair", ["cop_offset", "emg_drift"]),
+        "strange": ("outside", ["electrode_dropout"]),
+    }
+    for name, (tier, causes) in known.items():
+        truth = {"tier": tier, "causes": [{"id": cause} for cause in causes]}
+        (folder / "truth" / f"{name}.json").write_text(json.dumps(truth))
+    for _ in range(2):
+        assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
+        assert asked == [("one", ()), ("one", ("cop_offset",)), ("pair", ()), ("strange", ())]
+    assert [path.name for path in (folder / "withheld").iterdir()] == ["one"]
+
+
+def test_the_first_few_are_those_by_id(asked, monkeypatch, tmp_path):
+    assert answer(monkeypatch, bank(tmp_path, "c", "a", "b"), "--first", "2") == 0
+    assert [name for name, _ in asked] == ["a", "b"]
+
+
+def test_what_is_withheld_can_be_asked_for_later(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    (folder / "truth").mkdir()
+    (folder / "truth" / "one.json").write_text('{"tier": "single", "causes": [{"id": "cop_offset"}]}')
+    assert answer(monkeypatch, folder) == 0
+    assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
+    assert asked[-1] == ("one", ("cop_offset",))
+    assert (folder / "withheld" / "one" / "question.json").exists()
+
+
+def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    assert answer(monkeypatch, folder) == 0
+    (folder / "answers" / "one" / "untouched").write_text("an answer that is there is not written again")
+    assert answer(monkeypatch, folder, "--baselines", str(folder / "others")) == 0
+    assert (folder / "answers" / "one" / "untouched").exists()
+    found = sorted(path.relative_to(folder / "others").as_posix() for path in folder.rglob("gap.json"))
+    assert found == [
+        f"{name}/one/gap.json" for name in ("held_out_drop", "modification_index", "raw_correlation")
+    ]
+
+
+def test_ablations_answer_beside_it(asked, monkeypatch, tmp_path):
+    folder = bank(tmp_path, "one")
+    assert answer(monkeypatch, folder, "--ablations", str(folder / "others")) == 0
+    found = {path.parent.parent.name for path in (folder / "others").rglob("gap.json")}
+    assert {"score_alone", "without_input_errors", "without_muscle_errors", "without_repeated"} < found
+
+
+def test_a_process_makes_room_after_every_case_also_one_that_fails(asked, monkeypatch, tmp_path):
+    looked = []
+    monkeypatch.setattr(answering, "forget_if_crowded", lambda: looked.append(True))
+    assert answer(monkeypatch, bank(tmp_path, "bad", "one"), "--workers", "1") == 1
+    assert len(looked) == 2
+
+
+@pytest.mark.parametrize("more", [("--workers", "3"), ("--scheduler", "tcp://host:8786")])
+def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys):
+    """Under the runner that users get: what its workers are given says all, wherever they are."""
+    called = []
+
+    def run_everywhere(work, jobs, *, scheduler, workers):
+        called.append((scheduler, workers))
+        for name, job in pickle.loads(pickle.dumps(jobs)).items():
+            yield (
+                Finished(name, None, "its worker process died")
+                if name == "bad"
+                else Finished(name, work(job))
+            )
+
+    monkeypatch.setattr(diagnosed, "run_everywhere", run_everywhere)
+    monkeypatch.chdir(bank(tmp_path, "bad", "one"))
+    assert answer(monkeypatch, Path("."), *more) == 1
+    assert called == [(more[1] if more[0] == "--scheduler" else None, 3 if more[0] == "--workers" else 1)]
+    assert "bad: FAILED: its worker process died" in capsys.readouterr().err
+    assert (tmp_path / "answers" / "one" / "question.json").exists()
+
+
+def test_a_scheduler_that_is_not_there_is_told_in_a_sentence(asked, monkeypatch, tmp_path, capsys):
+    def nobody(*given, **more):
+        raise InputError(Problem("tcp://host:8786", "no dask scheduler answers there"))
+        yield
+
+    monkeypatch.setattr(diagnosed, "run_everywhere", nobody)
+    assert answer(monkeypatch, bank(tmp_path, "one"), "--scheduler", "tcp://host:8786") == 2
+    assert "no dask scheduler answers there" in capsys.readouterr().err

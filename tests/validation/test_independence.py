@@ -1,0 +1,57 @@
+"""The judge shares nothing with the judged."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "benchmarks" / "blind"
+#: What the generator and the scorer may import besides Python's own.
+ALLOWED = {"numpy", "scipy", "opensim", "matplotlib", "benchmarks"}
+
+
+def _imports(file: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            found.add(node.module or "")
+    return found
+
+
+def test_nothing_of_ours_is_imported_and_nothing_by_name():
+    import sys
+
+    for file in sorted(PACKAGE.rglob("*.py")):
+        for name in _imports(file):
+            top = name.split(".")[0]
+            assert top in ALLOWED or top in sys.stdlib_module_names, f"{file.name} imports {name}"
+            assert top != "benchmarks" or name.startswith("validation.blind"), f"{file.name} imports {name}"
+            assert name != "importlib", f"{file.name} could import anything"
+        assert "__import__" not in file.read_text(encoding="utf-8")
+
+
+def test_opensim_is_asked_in_one_place():
+    where = {f.name for f in PACKAGE.rglob("*.py") if "opensim" in {n.split(".")[0] for n in _imports(f)}}
+    assert where == {"opensim_leg.py"}
+
+
+def test_the_judged_curves_are_the_test_banks_alone():
+    from validation.blind.families import BANKS
+
+    assert set(BANKS["test"]).isdisjoint(BANKS["development"])
+    assert "millard" not in BANKS["development"] and len(BANKS["development"]) >= 2
+
+
+def test_banks_share_no_seed():
+    from validation.blind.plan import BANK_SIZES
+
+    assert len({bank.seed for bank in BANK_SIZES.values()}) == len(BANK_SIZES)
+    assert all(bank.people >= 40 for bank in BANK_SIZES.values())
+
+
+def test_table_of_forms_is_up_to_date():
+    from validation.blind.forms import forms_text
+
+    assert (PACKAGE / "EFFECTS.md").read_text(encoding="utf-8") == forms_text()

@@ -1,0 +1,82 @@
+"""A bank is made person by person, resumes where it stopped, and comes out the same."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from validation.blind.__main__ import main
+from validation.blind.effects import EFFECTS
+from validation.blind.lot import ALL_CASES
+from validation.blind.make import make
+from validation.blind.outside import OUTSIDE
+from validation.blind.plan import Bank
+from validation.blind.score.records import read_truth
+from validation.blind.seal import broken_seals, digest
+
+
+@pytest.mark.slow
+def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
+    quick = {"slow_fibers", "missing_drive", "joint_damping", "ankle_foot_orthosis"}
+    for name in set(EFFECTS) - quick:
+        monkeypatch.delitem(EFFECTS, name)
+    for name in set(OUTSIDE) - {"joint_friction"}:
+        monkeypatch.delitem(OUTSIDE, name)
+    bank = Bank("development", 11, 2, 4, 2, 2, 2)
+    make(bank, tmp_path)
+    sealed = (tmp_path / "manifest.json").read_bytes()
+    truths = read_truth(tmp_path, ALL_CASES)
+    assert [sum(t.tier == tier for t in truths) for tier in ("single", "none", "outside", "pair")] == [
+        4,
+        2,
+        2,
+        2,
+    ]
+    assert all(t.d_star > 0.3 for t in truths if t.tier != "none")
+
+    # Lose half of what was made, of either person: it is made again to the byte.
+    for truth in truths[::2]:
+        shutil.rmtree(tmp_path / "cases" / truth.id)
+    assert len(broken_seals(tmp_path)) == len(truths[::2])
+    make(bank, tmp_path)
+    assert (tmp_path / "manifest.json").read_bytes() == sealed
+    assert broken_seals(tmp_path) == []
+
+    assert main(["score", "--bank", str(tmp_path), "--answers", f"it={tmp_path / 'nothing'}"]) == 1
+    assert "without an answer" in capsys.readouterr().err
+    assert main(["sheet", "--bank", str(tmp_path), "--out", str(tmp_path / "sheet.png"), "--count", "2"]) == 0
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+#: Makes two people and three cases in the folder that it is given.
+TINY = """
+import sys
+from pathlib import Path
+from validation.blind import make, plan
+from validation.blind.effects import EFFECTS
+from validation.blind.outside import OUTSIDE
+for known, kept in ((EFFECTS, {"joint_damping", "ankle_foot_orthosis"}), (OUTSIDE, {"joint_friction"})):
+    for name in set(known) - kept:
+        del known[name]
+make.make(plan.Bank("development", 11, 2, 1, 1, 1, 0), Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_in_another_folder_makes_the_same_bytes(tmp_path, capsys):
+    """No folder's name, no process's order of sets, and no clock is in any file."""
+    found = []
+    for name, order in (("one", "1"), ("another_place", "2")):
+        folder = tmp_path / name
+        folder.mkdir()
+        environment = {**os.environ, "PYTHONHASHSEED": order, "PYTHONPATH": str(Path(__file__).parents[2])}
+        subprocess.run([sys.executable, "-c", TINY, str(folder)], cwd=folder, env=environment, check=True)
+        files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".log")
+        found.append({path.relative_to(folder).as_posix(): digest(path) for path in files})
+    assert found[0] == found[1] and len(found[0]) > 30
+    manifest = str(tmp_path / "one" / "manifest.json")
+    assert main(["check", "--bank", str(folder), "--manifest", manifest]) == 0
+    assert "byte for byte" in capsys.readouterr().out

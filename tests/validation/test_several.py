@@ -1,0 +1,41 @@
+"""Defends: what is said of several effects is counted where two are true, one, or none."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from tests.validation.made_up_lines import COORDINATES, CYCLES, PHASES, lines
+from validation.lines import save
+from validation.several import main
+
+
+@pytest.fixture
+def bank(tmp_path):
+    """Three people of a development bank, whose effects are hard to mistake."""
+    generator = np.random.default_rng(5)
+    signatures = {name: generator.normal(size=(CYCLES, PHASES, COORDINATES)) for name in "abcd"}
+    for folder in ("truth", "lines"):
+        (tmp_path / folder).mkdir()
+    for case, causes in {"none": "", "single": "a", "pair": "bc"}.items():
+        signal = sum((3.0 * signatures[name] for name in causes), start=0.0 * signatures["a"])
+        save(lines(signal, signatures), tmp_path / "lines" / f"{case}.npz")
+        truth = {"bank": "development", "tier": case, "causes": [{"id": name} for name in causes]}
+        (tmp_path / "truth" / f"{case}.json").write_text(json.dumps(truth))
+    return tmp_path
+
+
+def test_two_are_said_where_two_are_true(bank, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["several", "--bank", str(bank), "--lines", str(bank / "lines")])
+    assert main() == 0
+    counted = capsys.readouterr().out.split("all of them true\n")[1].split()
+    assert counted == ["none", "1", "0", "0", "single", "1", "0", "0", "pair", "1", "1", "1"]
+
+
+def test_what_is_no_development_bank_is_refused(bank, monkeypatch, capsys):
+    truth = bank / "truth" / "pair.json"
+    truth.write_text(truth.read_text().replace("development", "test"))
+    monkeypatch.setattr(sys, "argv", ["several", "--bank", str(bank), "--lines", str(bank / "lines")])
+    assert main() == 2
+    assert "expected a case of a development bank" in capsys.readouterr().err

@@ -1,0 +1,151 @@
+"""Worlds that muscles can live in: force curves and the way from excitation to activation.
+
+`millard` is the test bank's and nobody else's: OpenSim's own Millard 2012 curves and a two-stage twitch. The
+development bank draws `thelen` or `spline`. All curves take fiber lengths in optimal fiber lengths and
+velocities in maximum velocities, lengthening positive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from validation.blind.opensim_leg import millard_tables
+
+Curve = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Curves:
+    active: Curve
+    velocity: Curve
+    passive: Curve
+
+
+@dataclass(frozen=True)
+class Family:
+    """``rate`` gives the two stages' speeds (1/s) from excitation, activation and rise time; ``shape``
+    bends what comes out, its argument 0 for a straight line and 1 for the strongest bend."""
+
+    name: str
+    curves: Callable[[], Curves]
+    stages: int
+    rate: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    shape: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+#: Deactivating takes this many times as long as activating.
+FALL_TO_RISE = 4.0
+
+
+def _clipped(x: np.ndarray, y: np.ndarray) -> Curve:
+    spline = CubicSpline(x, y)
+    return lambda value: spline(np.clip(value, x[0], x[-1]))
+
+
+def millard_curves() -> Curves:
+    return Curves(**{name: _clipped(x, y) for name, (x, y) in millard_tables().items()})
+
+
+def thelen_curves() -> Curves:
+    """Gaussian, exponential and Hill hyperbolas in the manner of Thelen 2003 (doi:10.1115/1.1531112)."""
+    af, plateau = 0.28, 1.45
+
+    def velocity(v):
+        v = np.clip(v, -1.0, 1.5)
+        slow = np.minimum(v, 0.0)
+        shortening = (1.0 + slow) / (1.0 - slow / af)
+        fast = np.maximum(v, 0.0)
+        bend = (2.0 + 2.0 / af) * fast / (plateau - 1.0)
+        lengthening = (1.0 + bend * plateau) / (1.0 + bend)
+        return np.where(v < 0.0, shortening, lengthening)
+
+    def passive(length):
+        strain = np.clip(length - 1.0, 0.0, 0.9) / 0.6
+        return np.expm1(4.0 * strain) / np.expm1(4.0)
+
+    return Curves(lambda length: np.exp(-((length - 1.0) ** 2) / 0.42), velocity, passive)
+
+
+def spline_curves() -> Curves:
+    """Piecewise polynomials in the manner of Blemker 2005 (doi:10.1016/j.jbiomech.2004.04.012)."""
+    active = PchipInterpolator(
+        [0.30, 0.45, 0.60, 0.75, 0.88, 1.00, 1.10, 1.25, 1.40, 1.55, 1.75, 2.2],
+        [0.00, 0.14, 0.45, 0.78, 0.96, 1.00, 0.98, 0.82, 0.55, 0.27, 0.02, 0.0],
+    )
+    velocity = PchipInterpolator(
+        [-1.2, -1.0, -0.8, -0.6, -0.4, -0.25, -0.12, -0.05, 0.0, 0.04, 0.1, 0.2, 0.4, 0.8, 1.2],
+        [0.0, 0.0, 0.045, 0.115, 0.235, 0.39, 0.62, 0.82, 1.0, 1.13, 1.25, 1.35, 1.43, 1.49, 1.51],
+    )
+
+    def passive(length):
+        stretched = np.clip(length - 1.0, 0.0, 1.2)
+        toe = 0.05 * np.expm1(6.6 * np.minimum(stretched, 0.4))
+        return toe + 0.05 * 6.6 * np.exp(6.6 * 0.4) * np.maximum(stretched - 0.4, 0.0)
+
+    return Curves(lambda x: active(np.clip(x, 0.30, 2.2)), lambda v: velocity(np.clip(v, -1.2, 1.2)), passive)
+
+
+def _twitch(u, a, rise, fall):
+    # Two equal stages, critically damped (Milner-Brown 1973): half the time constant each.
+    return 2.0 / rise * (1.0 / fall + (1.0 - 1.0 / fall) * np.sqrt(np.clip(u, 0.0, 1.0)))
+
+
+def _winters(u, a, rise, fall):
+    slower = 0.5 + 1.5 * np.clip(a, 0.0, 1.0)
+    # A soft switch between rising and falling, or the step from one to the other would ring.
+    rising = 0.5 + 0.5 * np.tanh((u - a) / 0.02)
+    return rising / (0.7 * rise * slower) + (1.0 - rising) * slower / (0.7 * rise * fall)
+
+
+def _cascade(u, a, rise, fall):
+    return 2.0 / rise * (1.0 / fall + (1.0 - 1.0 / fall) * u / (0.25 + 0.75 * u + 1e-9))
+
+
+def _exponential(a, bend):
+    power = -(0.3 + 2.2 * bend)
+    return np.expm1(power * a) / np.expm1(power)
+
+
+def _logarithmic(a, bend):
+    steep = 0.2 + 4.0 * bend
+    return np.log1p(steep * a) / np.log1p(steep)
+
+
+def _hyperbolic(a, bend):
+    half = 4.0 - 3.2 * bend
+    return a * (1.0 + half) / (a + half)
+
+
+FAMILIES = {
+    family.name: family
+    for family in (
+        Family("millard", millard_curves, 2, _twitch, _exponential),
+        Family("thelen", thelen_curves, 1, _winters, _logarithmic),
+        Family("spline", spline_curves, 2, _cascade, _hyperbolic),
+    )
+}
+BANKS = {"test": ("millard",), "second_test": ("millard",), "development": ("thelen", "spline")}
+
+
+def activate(
+    family: Family, excitation: np.ndarray, rise: np.ndarray, fall: np.ndarray, step: float
+) -> np.ndarray:
+    """Activation before it is bent. Excitation (..., frame); times (s) and ratios (...) without the frame.
+
+    Exact for an excitation that is constant within a step of the fine time base.
+    """
+    frames = np.moveaxis(np.ascontiguousarray(excitation), -1, 0)
+    out = np.empty_like(frames)
+    stages = [np.array(frames[0]) for _ in range(family.stages)]
+    for index, u in enumerate(frames):
+        keep = np.exp(-step * family.rate(u, stages[-1], rise, fall))
+        target = u
+        for order, value in enumerate(stages):
+            stages[order] = target + (value - target) * keep
+            target = stages[order]
+        out[index] = target
+    return np.moveaxis(out, 0, -1)

@@ -1,0 +1,195 @@
+"""What the generator itself could detect and tell apart: it knows the truth and the noise.
+
+The signal of an effect is what it puts between recorded moments and a prediction without it, from the same
+recorded EMG and angles, at the true parameters. Nuisance is whatever calibration may move, and what it cannot
+know: noise of moments and electrodes, hidden geometry, other families' curves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from validation.blind.anatomy import COORDINATES
+from validation.blind.effects.effect import Effect, Variant
+from validation.blind.families import FAMILIES
+from validation.blind.gait import LEAD
+from validation.blind.geometry import changed_paths, muscle_indices
+from validation.blind.noise import EMG_TIME, MOMENT_CORRELATION, MOMENT_PHASE, MOMENT_SD
+from validation.blind.world import World, joint_moments, moments_by_muscle, record, with_muscles
+
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
+
+PHASES = 25
+CALIBRATION, VALIDATION = 5, 2
+#: What calibration moves: prior standard deviation, step of differences, whether either is a share.
+_MOVED = {
+    "scale": (0.6, 0.05, True),
+    "delay": (0.025, 0.004, False),
+    "rise": (0.4, 0.1, True),
+    "bend": (0.25, 0.04, False),
+    "optimal_fiber_length": (0.15, 0.01, True),
+    "tendon_slack_length": (0.04, 0.002, True),
+}
+#: Hidden error of moment arms (m), and how far from this world's curves another's may be.
+_ARM_SD, _CURVE_SD = 0.0015, 1.0
+#: Below this two causes are one, in squared standard deviations.
+TIE = 9.0
+
+
+def cycles(world: World) -> list[list[tuple[float, float]]]:
+    """The cycles of each recording that are used: calibration first, then validation; the last recording's
+    are all validation."""
+    walk = world.walk
+    found = []
+    for recording in range(len(walk.speeds)):
+        strikes = walk.strikes(recording)
+        # Times are written with four digits, so use those.
+        strikes = np.round(strikes[strikes >= LEAD - 1e-6], 4)
+        pairs = [(float(a), float(b)) for a, b in pairwise(strikes)]
+        pairs = [pair for pair in pairs if pair[1] < walk.time[-1] - 0.3]
+        found.append(pairs[: CALIBRATION + VALIDATION])
+    return found
+
+
+def at_cycles(world: World, values: np.ndarray, uses: list[list[tuple[float, float]]]) -> np.ndarray:
+    """Sample (recording, row, frame) at these cycles' phases: (cycle, phase, row)."""
+    out = []
+    for recording, pairs in enumerate(uses):
+        for start, end in pairs:
+            times = np.linspace(start, end, PHASES, endpoint=False)
+            index = np.clip(np.searchsorted(world.walk.time, times), 0, world.walk.time.size - 1)
+            out.append(values[recording][:, index].T)
+    return np.stack(out)
+
+
+def calibration_cycles(world: World) -> list[list[tuple[float, float]]]:
+    used = cycles(world)
+    return [*(pairs[:CALIBRATION] for pairs in used[:-1]), []]
+
+
+def difference(world: World, effect: Effect, amount: float, variant: Variant) -> tuple[World, np.ndarray]:
+    """The world with the effect, and its signal, (recording, coordinate, frame) in N m."""
+    changed = effect.apply(world, amount, variant)
+    return changed, signal(
+        changed, effect.apply(world, 0.0, variant) if effect.id == "bound_pressure" else world
+    )
+
+
+def signal(changed: World, base: World) -> np.ndarray:
+    """Recorded moments less what the base world would give from the EMG and the angles that are recorded."""
+    seen = record(changed)
+    believed = replace(base, drive=seen.emg)
+    shift = sum(changed.recorded_pose, np.zeros_like(base.walk.pose))[:, 6:]
+    moved = [name for name, row in zip(COORDINATES, np.abs(shift).max(axis=(0, 2)), strict=True) if row > 0.0]
+    if moved:
+        angles = base.walk.angles + shift
+        believed = replace(
+            believed, paths=changed_paths(base, base.leg, angles, muscle_indices(base.leg, moved))
+        )
+    return seen.moments - joint_moments(believed)
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """Inner products under the covariance of everything that is not the effect."""
+
+    factor: tuple[np.ndarray, bool]
+
+    def whiten(self, signals: np.ndarray) -> np.ndarray:
+        """V^-1 times signals (sample, signal)."""
+        return cho_solve(self.factor, signals)
+
+    def gram(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        return left.T @ self.whiten(right)
+
+
+def flat(world: World, values: np.ndarray) -> np.ndarray:
+    """Samples of the calibration cycles in a row: cycle, phase, coordinate."""
+    return at_cycles(world, values, calibration_cycles(world)).ravel()
+
+
+def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
+    """One for each level of EMG noise."""
+    columns, gains = _nuisances(world)
+    plain = columns @ columns.T
+    noise = _moment_covariance(world)
+    electrodes = _emg_covariance(world, gains)
+    ridge = 0.05**2 * np.eye(plain.shape[0])
+    return {
+        level: Oracle(cho_factor(plain + noise + level**2 * electrodes + ridge, lower=True))
+        for level in levels
+    }
+
+
+def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Columns scaled by their prior, (sample, column); and the slope by each channel's log, (sample, channel)."""
+    base = moments_by_muscle(world)
+    m = world.muscles
+    columns, gains = [], np.zeros(0)
+    for name, (prior, step, share) in _MOVED.items():
+        value = getattr(m, name)
+        moved = value * (1.0 + step) if share else value + step
+        change = (moments_by_muscle(with_muscles(world, **{name: moved})) - base) / step
+        by_muscle = _by_muscle(world, change)
+        columns.append(by_muscle * prior)
+        if name == "scale":
+            gains = np.stack(
+                [by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1
+            )
+    for family in FAMILIES.values():
+        # Another family's curves and twitch; the judged bank's are not known elsewhere.
+        if family.name not in (world.family.name, "millard"):
+            other = moments_by_muscle(replace(world, curves=family.curves())) - base
+            columns.append(_by_muscle(world, other) * _CURVE_SD)
+            twitch = replace(world, family=family)
+            columns.append(_by_muscle(world, moments_by_muscle(twitch) - base) * _CURVE_SD)
+    columns.append(_arm_errors(world, base))
+    kept = np.concatenate(columns, axis=1)
+    return kept[:, np.abs(kept).max(0) > 1e-9], gains
+
+
+def _by_muscle(world: World, change: np.ndarray) -> np.ndarray:
+    return np.stack([flat(world, change[:, muscle]) for muscle in range(change.shape[1])], axis=1)
+
+
+def _arm_errors(world: World, moments: np.ndarray) -> np.ndarray:
+    columns = []
+    arms = world.paths.arms
+    crossed = np.abs(arms).max(axis=(0, 3)) > 1e-4
+    strength = np.linalg.norm(moments, axis=2) / np.maximum(np.linalg.norm(arms, axis=2), 1e-3)
+    for muscle, coordinate in np.argwhere(crossed):
+        column = np.zeros_like(world.inverse)
+        column[:, coordinate] = strength[:, muscle] * _ARM_SD
+        columns.append(flat(world, column))
+    return np.stack(columns, axis=1)
+
+
+def _near(width: float) -> np.ndarray:
+    steps = np.arange(PHASES)
+    return np.exp(-0.25 * ((steps[:, None] - steps[None]) / (PHASES * width)) ** 2)
+
+
+def _moment_covariance(world: World) -> np.ndarray:
+    sd = MOMENT_SD * world.leg.mass / 72.0
+    block = np.kron(_near(MOMENT_PHASE), MOMENT_CORRELATION * np.outer(sd, sd))
+    count = sum(map(len, calibration_cycles(world)))
+    return np.kron(np.eye(count), block)
+
+
+def _emg_covariance(world: World, gains: np.ndarray) -> np.ndarray:
+    used = [pair for pairs in calibration_cycles(world) for pair in pairs]
+    size = PHASES * len(COORDINATES)
+    out = np.zeros((size * len(used), size * len(used)))
+    for order, (start, end) in enumerate(used):
+        # Wider than the electrodes' noise: activation smears it.
+        near = np.kron(_near(1.5 * EMG_TIME / (end - start)), np.ones((len(COORDINATES),) * 2))
+        part = slice(order * size, (order + 1) * size)
+        own = gains[part]
+        out[part, part] = (own @ own.T) * near
+    return out

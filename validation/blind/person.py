@@ -1,0 +1,204 @@
+"""A virtual person: what the laboratory believes of their leg, what it really is, how they walk and drive it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from validation.blind.anatomy import CHANNELS, Leg, channel_of, reference_leg
+from validation.blind.families import FALL_TO_RISE, FAMILIES, Family
+from validation.blind.gait import RATE, Walk, lowpass, smooth_noise, walk
+from validation.blind.geometry import ground_moments, paths_along
+from validation.blind.muscles import Muscles, muscle_forces
+from validation.blind.opensim_leg import muscle_paths
+from validation.blind.world import Paths, World
+
+# Tables are easier to read in one line.
+# ruff: noqa: E501
+
+
+_SPEEDS = ((0.5, 0.8, 0.65), (0.5, 0.8, 1.0), (0.6, 1.0, 0.8), (0.7, 1.1, 1.3), (0.8, 1.2, 1.0))
+#: Mean normalised fiber length in walking, where it is not 0.95.
+_FIBER = {"vasmed": 0.85, "vaslat": 0.85, "glmax1": 1.0, "glmax2": 1.0, "bflh": 1.0, "semimem": 1.0, "tibant": 0.9, "iliacus": 1.0, "psoas": 1.0, "recfem": 0.9}  # fmt: skip
+
+# Bursts in the manner of Perry 2010 and Winter 1991: centre and width in % of the cycle, activation.
+_BURSTS = {
+    "Iliopsoas": [(58, 9, 0.22)],
+    "RecFem": [(5, 5, 0.10), (58, 6, 0.12)],
+    "GlutMax": [(6, 7, 0.25), (96, 4, 0.15)],
+    "GlutMed": [(8, 8, 0.35), (30, 12, 0.20)],
+    "Adductors": [(6, 6, 0.08), (62, 7, 0.12), (95, 6, 0.08)],
+    "BicFem": [(94, 6, 0.22), (4, 5, 0.10)],
+    "SemiMem": [(93, 6, 0.22), (4, 4, 0.08)],
+    "VastMed": [(7, 7, 0.22), (97, 3, 0.08)],
+    "VastLat": [(7, 7, 0.22), (97, 3, 0.08)],
+    "Gastroc": [(41, 9, 0.30)],
+    "Soleus": [(38, 12, 0.30)],
+    "TibAnt": [(4, 5, 0.25), (66, 8, 0.16), (92, 7, 0.16)],
+    "PerLong": [(44, 10, 0.22)],
+}
+#: How well the drive tracks each joint (N m), and how far it may stray from the bursts.
+_TRACKING = np.array([4.0, 6.0, 8.0, 4.0, 4.0, 8.0])
+_STRAY = 0.12
+
+
+@dataclass(frozen=True)
+class Person:
+    name: str
+    paretic: bool
+    nominal: Leg  # what the laboratory believes
+    world: World  # what is
+
+
+def person(name: str, seed: tuple[int, ...], family_name: str, paretic: bool = False) -> Person:
+    """Draw a person and their walk; the same seed gives the same person."""
+    rng = np.random.default_rng(seed)
+    mass, height = rng.uniform(58, 92), rng.uniform(1.58, 1.86)
+    family = FAMILIES[family_name]
+    nominal = reference_leg(float(mass), float(height))
+    real = _really(nominal, rng)
+    walked = walk(real, rng, _SPEEDS[int(rng.integers(len(_SPEEDS)))])
+    paths = paths_along(real, walked)
+    nominal = _with_slack(nominal, walked)
+    muscles = _muscles(real, paths, rng)
+    target = ground_moments(real, walked)
+    drive, muscles = _drive(walked, family, paths, muscles, target, rng)
+    curves = family.curves()
+    world = World(
+        real, walked, family, curves, muscles, paths, paths, channel_of(real.names), drive, target, paretic
+    )
+    return Person(name, paretic, nominal, world)
+
+
+def _really(leg: Leg, rng: np.random.Generator) -> Leg:
+    """Hide small errors of geometry: points by a millimeter or two, cylinders by a few percent."""
+
+    def moved(point):
+        body, place = point
+        x, y, z = np.array(place) + 0.0012 * rng.standard_normal(3)
+        return body, (float(x), float(y), float(z))
+
+    muscles = tuple(replace(m, points=tuple(map(moved, m.points))) for m in leg.muscles)
+    cylinders = tuple(
+        replace(
+            c,
+            radius=float(c.radius * (1 + 0.02 * rng.standard_normal())),
+            translation=moved((c.body, c.translation))[1],
+        )
+        for c in leg.cylinders
+    )
+    return replace(leg, muscles=muscles, cylinders=cylinders)
+
+
+def _target_fiber(leg: Leg) -> np.ndarray:
+    return np.array([_FIBER.get(name.removesuffix("_r"), 0.95) for name in leg.names])
+
+
+def _with_slack(leg: Leg, walked: Walk) -> Leg:
+    """Tendon slack lengths that put the fibers where they are in walking."""
+    lengths, _ = muscle_paths(leg, walked.angles[0][:, :: int(RATE / 5)])
+    slack = lengths.mean(axis=1)
+    found = []
+    for m, mean, fiber in zip(leg.muscles, slack, _target_fiber(leg), strict=True):
+        reach = m.optimal_fiber_length * np.cos(m.pennation)
+        found.append(replace(m, tendon_slack_length=float(max(mean - fiber * reach, 0.01))))
+    return replace(leg, muscles=tuple(found))
+
+
+def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
+    count = len(leg.muscles)
+    draw = lambda spread: np.clip(spread * rng.standard_normal(count), -2 * spread, 2 * spread)  # noqa: E731
+    channel = channel_of(leg.names)
+    # Muscles of an electrode are alike, but not the same.
+    common = rng.standard_normal(channel.max() + 1)[channel]
+    fiber = np.array([m.optimal_fiber_length for m in leg.muscles]) * np.exp(draw(0.06))
+    pennation = np.array([m.pennation for m in leg.muscles])
+    mean = paths.length.mean(axis=(0, 2))
+    slack = mean - (_target_fiber(leg) + draw(0.04)) * fiber * np.cos(pennation)
+    zero = np.zeros(count)
+    delay = np.clip(0.045 + 0.010 * common + draw(0.004), 0.015, 0.085)
+    return Muscles(
+        max_isometric_force=np.array([m.max_isometric_force for m in leg.muscles]),
+        optimal_fiber_length=fiber,
+        tendon_slack_length=np.maximum(slack, 0.008),
+        pennation=pennation,
+        scale=np.exp(draw(0.15)),  # finished by the drive
+        delay=np.tile(delay, (paths.length.shape[0], 1)),
+        rise=0.016 * np.exp(draw(0.15)),
+        fall=np.full(count, FALL_TO_RISE),
+        bend=np.clip(0.28 + draw(0.08), 0.05, 0.6),
+        slowness=zero,
+        length_gain=zero,
+        enhancement=zero,
+        tightness=zero,
+        strain=zero,
+        recruitment=zero,
+    )
+
+
+def bursts(walked: Walk) -> np.ndarray:
+    """Activations by channel that the literature shows, (recording, channel, frame)."""
+    phase = 100.0 * (walked.phase % 1.0)
+    out = np.zeros((phase.shape[0], len(CHANNELS), phase.shape[1]))
+    for row, name in enumerate(CHANNELS):
+        for center, width, height in _BURSTS[name]:
+            away = (phase - center + 50.0) % 100.0 - 50.0
+            out[:, row] += height * np.exp(-0.5 * (away / width) ** 2)
+    brisk = 0.55 + 0.45 * np.array(walked.speeds) / 1.2
+    return 0.015 + brisk[:, None, None] * out
+
+
+def _drive(
+    walked: Walk,
+    family: Family,
+    paths: Paths,
+    muscles: Muscles,
+    target: np.ndarray,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, Muscles]:
+    """Envelopes near the bursts whose muscles nearly give the moments; scales that make their peaks 1."""
+    curves, every = family.curves(), 5
+    channel = channel_of(reference_leg(70.0, 1.72).names)
+    ratio = muscles.scale
+    coarse = (slice(None), slice(None), slice(None, None, every))
+    length, rate = paths.length[coarse], paths.rate[coarse]
+    arms, wanted = paths.arms[..., ::every], target[coarse]
+    passive = muscle_forces(curves, muscles, np.zeros_like(length), length, rate, every / RATE)
+    full = muscle_forces(curves, muscles, np.ones_like(length), length, rate, every / RATE) - passive
+    prior = bursts(walked)[coarse]
+    members = np.stack([channel == row for row in range(len(CHANNELS))]) * ratio
+    found = np.zeros_like(prior)
+    for recording in range(prior.shape[0]):
+        by_channel = np.einsum("cm,mkf,mf->fkc", members, arms[recording], full[recording])
+        rest = np.einsum("mkf,mf->fk", arms[recording], passive[recording])
+        for frame in range(prior.shape[2]):
+            rows = by_channel[frame] / _TRACKING[:, None]
+            matrix = np.vstack([rows, np.eye(len(CHANNELS)) / _STRAY])
+            right = np.concatenate(
+                [(wanted[recording, :, frame] - rest[frame]) / _TRACKING, prior[recording, :, frame] / _STRAY]
+            )
+            found[recording, :, frame] = nnls(matrix, right)[0]
+    return _envelopes(walked, family, muscles, channel, found, every, rng)
+
+
+def _envelopes(walked, family, muscles, channel, found, every, rng):
+    time, cycle = walked.time, RATE / np.median(np.diff(walked.phase[0])) / RATE
+    fine = np.stack([[np.interp(time, time[::every], row) for row in part] for part in found])
+    smooth = np.clip(lowpass(fine, 4.5 * max(1.0, 1.2 / (cycle / RATE)), RATE), 0.004, 0.9)
+    # Nobody repeats themselves: every channel wavers a little from cycle to cycle.
+    smooth = smooth * np.exp(0.08 * smooth_noise(rng, smooth.shape, 0.5 * cycle))
+    envelopes, peaks = np.zeros_like(smooth), np.zeros(len(CHANNELS))
+    for row in range(len(CHANNELS)):
+        own = channel == row
+        bend = muscles.bend[own].mean()
+        grid = np.linspace(0.0, 1.0, 400)
+        drive = np.interp(smooth[:, row], family.shape(grid, np.array(bend)), grid)
+        # Earlier by the delay and by what activation adds to it.
+        ahead = muscles.delay[:, own].mean() + 1.6 * muscles.rise[own].mean()
+        envelopes[:, row] = [np.interp(time + ahead, time, part) for part in drive]
+        peaks[row] = np.percentile(envelopes[:, row], 99.5)
+    envelopes /= peaks[None, :, None]
+    scale = np.where(channel >= 0, np.clip(peaks[channel] * muscles.scale, 0.05, 0.95), 0.0)
+    return envelopes, replace(muscles, scale=scale)

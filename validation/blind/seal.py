@@ -1,0 +1,64 @@
+"""The seal: hashes of cases and of their truth, fixed before any diagnosis sees a case."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from validation.blind.lot import ALL_CASES, Lot
+
+
+def digest(path: Path) -> str:
+    """sha256 of a file, or of a folder: of the names and the bytes of all in it."""
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    whole = hashlib.sha256()
+    for file in sorted(path.rglob("*")):
+        if file.is_file():
+            whole.update(file.relative_to(path).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return whole.hexdigest()
+
+
+def seal(folder: Path) -> dict[str, dict[str, str]]:
+    """Write ``manifest.json`` of a bank, sorted by id."""
+    entries = {
+        case.name: {
+            "case": digest(case),
+            "truth": digest(folder / "truth" / f"{case.name}.json"),
+            "clean": digest(folder / "truth" / f"{case.name}.npy"),
+        }
+        for case in sorted((folder / "cases").iterdir())
+    }
+    text = json.dumps({"schema": 1, "cases": entries}, indent=1, sort_keys=True) + "\n"
+    (folder / "manifest.json").write_text(text, encoding="utf-8", newline="\n")
+    return entries
+
+
+def broken_seals(folder: Path, manifest: Path | None = None, lot: Lot = ALL_CASES) -> list[str]:
+    """Say what is not as it was sealed: other bytes, missing, never sealed. Of a case, its folder.
+
+    Only cases of this lot need be there, and what it leaves out may be anything.
+    """
+    sealed = json.loads((manifest or folder / "manifest.json").read_text(encoding="utf-8"))["cases"]
+    needed = set(lot.of(sealed))
+    hashes: dict[str, str] = {}
+    optional: set[str] = set()
+    ignored: set[str] = set()
+    for name, own in sealed.items():
+        places = {"case": f"cases/{name}", "truth": f"truth/{name}.json", "clean": f"truth/{name}.npy"}
+        hashes |= {place: own[kind] for kind, place in places.items()}
+        optional |= set() if name in needed else set(places.values())
+        ignored |= set(places.values()) if name in lot.left_out else set()
+    faults = []
+    for place, expected in hashes.items():
+        if place in ignored:
+            continue
+        if not (folder / place).exists():
+            if place in optional:
+                continue
+            faults.append(f"{place} is missing")
+        elif digest(folder / place) != expected:
+            faults.append(f"{place} is not the one that was sealed")
+    there = {f"{kind}/{path.name}" for kind in ("cases", "truth") for path in (folder / kind).glob("*")}
+    return faults + [f"{place} was never sealed" for place in sorted(there - set(hashes))]

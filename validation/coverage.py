@@ -1,0 +1,141 @@
+"""How often 90 % intervals hold the truth: ``python -m validation.coverage``.
+
+A virtual person's true parameters are known. Their moments get other noise each time (smooth over a cycle,
+new in each), and the person is calibrated from the true parameters: what is measured is the spread about
+that minimum, and the pull of priors. Data are of the model's own form, so model error is in none of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.machine import pin_threads
+from wrapjax.jax_setup import set_up_jax
+
+#: Bell that noise is smoothed with, in frames, as the virtual person's.
+_WIDTH = 3.8
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m validation.coverage", description=__doc__)
+    parser.add_argument("--repeats", type=int, default=40, metavar="N", help="noise draws (default: 40)")
+    parser.add_argument(
+        "--bootstraps", type=int, default=0, metavar="N", help="of how many of them (default: 0)"
+    )
+    parser.add_argument("--draws", type=int, default=50, metavar="N", help="of each bootstrap (default: 50)")
+    parser.add_argument("--noise", type=float, default=2.0, metavar="NM", help="of moments, N m (default: 2)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the person (default: 0)")
+    parser.add_argument(
+        "--limit", type=float, default=np.inf, metavar="SECONDS", help="begin no further draw after it"
+    )
+    parser.add_argument("--subject", type=Path, metavar="DIR", help="a virtual subject (default: made up)")
+    options = parser.parse_args()
+    pin_threads(1)
+    set_up_jax()
+    if options.subject:
+        return _measure(options.subject, options)
+    from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "person"
+        write_virtual_subject(folder, seed=options.seed, emg_noise=0.0, moment_noise=0.0)
+        return _measure(folder, options)
+
+
+def _measure(folder: Path, options: argparse.Namespace) -> int:
+    import jax.numpy as jnp
+    from scipy.ndimage import gaussian_filter1d
+
+    from wrapjax.calibration.problem import build_objective
+    from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
+    from wrapjax.calibration.uncertainty.posterior import posterior
+    from wrapjax.calibration.uncertainty.uncertainty import refits
+    from wrapjax.datasets.virtual_person.truth import parameter_names, read_truth
+    from wrapjax.model.forward import joint_moments
+    from wrapjax.subject.subject import load_subject as load_subject
+
+    subject = load_subject(folder)
+    problem = build_objective(subject, "NGA")
+    base = problem.variables.base
+    truth = read_truth(folder)
+    true = replace(base, **{name: jnp.asarray(getattr(truth, name)) for name in parameter_names()})
+    at = np.asarray(problem.variables.pack(true))
+    clean = np.asarray(joint_moments(problem.curves, true, problem.recording))
+    speeds = [subject.trials.used_for("calibration").speeds]
+    solver = AugmentedLagrangian()
+    found: dict[str, list[Any]] = {"laplace": [], "bootstrap": []}
+    began = time.monotonic()
+    for number in range(options.repeats):
+        if time.monotonic() - began > options.limit:
+            break
+        noise = np.random.default_rng([options.seed, number]).normal(size=clean.shape)
+        smooth = gaussian_filter1d(noise, _WIDTH, axis=-1, mode="wrap")
+        measured = clean + options.noise * smooth / smooth.std()
+        own = replace(problem, measured=jnp.asarray(measured))
+        solution = solver.solve(own, at)
+        judged = posterior(solution.problem, solution.state, speeds)
+        if number == 0:
+            before = judged.without_moments(500, number).std(axis=0)
+        found["laplace"].append(_judged(judged.laplace(500, number), before, judged, at))
+        if number < options.bootstraps:
+            drawn, _ = refits(judged, solver, options.draws, number)
+            found["bootstrap"].append(_judged(drawn, before, judged, at))
+        noises = ", ".join(f"{own:.2f}" for own in judged.noise[0].deviation)
+        print(
+            f"{number}: {solution.status.name}, cost {solution.cost:.4g}, noise {noises} N m, "
+            f"information {judged.information:.0f}",
+            flush=True,
+        )
+    for way, rows in found.items():
+        if rows:
+            print(f"\n{way}, {len(rows)} noise draws, {options.noise:g} N m: truth within the 90 % interval,")
+            print("by how far moments narrow a parameter, and by kind of those narrowed below 0.8")
+            _report(problem.variables.labels, *(np.stack(part) for part in zip(*rows, strict=True)))
+    if found["bootstrap"]:
+        pairs = zip(found["laplace"], found["bootstrap"], strict=False)
+        ratio = np.concatenate([(two[2] / one[2])[one[1] < 0.5] for one, two in pairs])
+        low, middle, high = np.percentile(ratio, [5, 50, 95])
+        print(
+            "\nstandard deviation by bootstrap over that by Laplace, parameters narrowed to half or less: "
+            f"median {middle:.2f}, 5 to 95 % {low:.2f} to {high:.2f}"
+        )
+    return 0
+
+
+def _judged(
+    draws: np.ndarray, before: np.ndarray, judged: Any, true: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whether the interval holds the truth, deviation over that without moments, and the deviation."""
+    from wrapjax.calibration.uncertainty.intervals import spread_of
+
+    labels = tuple("" for _ in true)
+    spread = spread_of(draws, draws, judged.solution, judged.at_bound, labels, labels)
+    held = (spread.low <= true) & (true <= spread.high)
+    return held, spread.deviation / before, spread.deviation
+
+
+def _report(labels: tuple[str, ...], held: np.ndarray, share: np.ndarray, deviation: np.ndarray) -> None:
+    kinds = np.array([label.rsplit(".", 1)[1] for label in labels])
+    for low, high in ((0.0, 0.3), (0.3, 0.5), (0.5, 0.8), (0.0, 0.8), (0.8, np.inf)):
+        chosen = (share >= low) & (share < high)
+        if chosen.any():
+            print(f"  narrowed to {low:.1f} to {high:.1f}: {_share(held, chosen)}")
+    for kind in dict.fromkeys(kinds):
+        chosen = (share < 0.8) & (kinds == kind)
+        if chosen.any():
+            print(f"  {kind}: {_share(held, chosen)}")
+
+
+def _share(held: np.ndarray, chosen: np.ndarray) -> str:
+    return f"{held[chosen].mean():.3f} of {chosen.sum() / len(held):.0f} parameters"
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

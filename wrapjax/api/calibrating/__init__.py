@@ -1,1 +1,0 @@
-"""A subject's model fitted to its moments: the problem, the calibration, and how sure it is."""

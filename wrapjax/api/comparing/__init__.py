@@ -1,1 +1,0 @@
-"""Several methods and persons, side by side."""

@@ -1,1 +1,0 @@
-"""Results as labelled arrays, for people who think in `xarray`: a module a kind of result."""

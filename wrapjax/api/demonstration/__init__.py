@@ -1,1 +1,0 @@
-"""The virtual person, whose truth is known."""

@@ -1,1 +1,0 @@
-"""What a calibrated model still lacks."""

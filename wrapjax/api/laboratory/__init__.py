@@ -1,1 +1,0 @@
-"""From a laboratory's raw files to a subject."""

@@ -1,1 +1,0 @@
-"""Where muscle paths come from: polynomials, or the exact engine."""

@@ -1,0 +1,1 @@
+"""Calibration of the model to a person: objective, penalties, limits, solvers, uncertainty."""

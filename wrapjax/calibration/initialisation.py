@@ -1,0 +1,289 @@
+"""``initialise``: fiber and slack lengths to start a calibration from."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibration.initial_lengths import InitialLengths, LengthErrors
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.path_derivatives import laid_paths
+from wrapjax.io.files import new_folder, write_json, write_text
+from wrapjax.io.model_file import MuscleParameters, read_model_file
+from wrapjax.jax_setup import require_float64
+from wrapjax.model.parameters import initial_parameters
+from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.osim.model import describe_model
+from wrapjax.path_sources.exact import recorded
+from wrapjax.path_sources.undriven_muscles import acting_muscles
+from wrapjax.subject.muscles import CSV_COLUMNS, fiber_length_groups
+from wrapjax.subject.passive import PassiveTrial
+from wrapjax.subject.subject import Subject
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+    from wrapjax.report.initialisation_page import PassiveCurves
+
+#: The file that ``subject.toml`` can name as ``[model] muscle_parameters``.
+PARAMETERS_FILE = "muscle_parameters.csv"
+#: Said where there is none.
+NO_PASSIVE_TRIALS = "No [[passive]] trial: only the ranges that fibers work in acted on lengths."
+
+
+@dataclass(frozen=True)
+class Initialisation:
+    """Lengths found from passive moments and operating ranges.
+
+    Parameters
+    ----------
+    subject
+        Whose.
+    before, after
+        Parameters of all muscles, those without an electrode too.
+    at_bounds
+        Ratios to the model's lengths that ended on a bound, as ``soleus_l.optimal_fiber_length``.
+    ranges
+        Shortest and longest normalised fiber length in walking, before and after.
+    passive
+        Passive moments about the coordinates whose moments are matched, N m: recorded (NaN where not),
+        before, after; the samples of all passive trials one after the other.
+    cost_by_term
+        The parts of the cost at the solution.
+    status
+        Why the solver stopped.
+    """
+
+    subject: Subject
+    before: MuscleParameters
+    after: MuscleParameters
+    at_bounds: tuple[str, ...]
+    ranges: Float[np.ndarray, "2 muscle 2"]
+    passive: Float[np.ndarray, "3 coordinate sample"]
+    cost_by_term: dict[str, float]
+    status: Status
+
+    @property
+    def passive_mae(self) -> dict[str, tuple[float, float]]:
+        """Mean absolute error of passive moments by coordinate, N m, before and after; empty without any."""
+        measured, *modelled = self.passive
+        known = np.isfinite(measured)
+        missed = np.abs(np.array(modelled) - measured)
+        return {
+            name: (float(missed[0, row, own].mean()), float(missed[1, row, own].mean()))
+            for row, (name, own) in enumerate(zip(self.subject.trials.moment_coordinates, known, strict=True))
+            if own.any()
+        }
+
+    @property
+    def dataset(self) -> Dataset:
+        """Lengths before and after, and passive moments, as an `xarray.Dataset` with units."""
+        from wrapjax.report.labelled_arrays import initialisation_dataset
+
+        return initialisation_dataset(self)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is to be known of it, in sentences."""
+        notes = [] if self.subject.passive else [NO_PASSIVE_TRIALS]
+        if self.at_bounds:
+            notes.append(
+                f"{len(self.at_bounds)} lengths ended at half or twice the model's, set by the bound rather "
+                f"than by data: {', '.join(self.at_bounds)}."
+            )
+        return tuple(notes)
+
+    def content(self) -> dict[str, Any]:
+        """Describe it in plain values: what ``initialisation.json`` holds."""
+        lengths = ("optimal_fiber_length", "tendon_slack_length")
+        return {
+            "schema": 1,
+            "subject": self.subject.name,
+            "converged": self.status.converged,
+            "message": self.status.value,
+            "passive_trials": [trial.name for trial in self.subject.passive],
+            "passive_mae_Nm": {
+                name: {"before": before, "after": after} for name, (before, after) in self.passive_mae.items()
+            },
+            "muscles": {
+                muscle: {
+                    **{
+                        f"{name}_m": {
+                            "before": float(getattr(self.before, name)[row]),
+                            "after": float(getattr(self.after, name)[row]),
+                        }
+                        for name in lengths
+                    },
+                    "normalized_fiber_length": {
+                        "before": self.ranges[0, row].tolist(),
+                        "after": self.ranges[1, row].tolist(),
+                    },
+                }
+                for row, muscle in enumerate(self.after.names)
+            },
+            "at_bounds": list(self.at_bounds),
+            "cost_by_term": self.cost_by_term,
+            "notes": list(self.notes),
+        }
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``muscle_parameters.csv``, ``initialisation.json`` and ``report.html``.
+
+        The first is what ``subject.toml`` can name.
+        """
+        from wrapjax.report.initialisation_page import render_initialisation
+
+        content = self.content()
+        with new_folder(Path(folder), force=force) as place:
+            write_text(place / PARAMETERS_FILE, _table(self.after))
+            write_json(place / "initialisation.json", content)
+            write_text(place / "report.html", render_initialisation(content, _passive_curves(self)))
+
+
+def initialise(
+    subject: Subject, *, curves: str = "paper", errors: LengthErrors | None = None
+) -> Initialisation:
+    """Find fiber and slack lengths from passive joint moments and from where fibers work in walking.
+
+    Muscles are those with a channel and the others of the leg that act on the coordinates: passive moments
+    are made by all of them. Paths are the exact engine's. Strengths and pennation stay what they are. The
+    walking cycles are those marked ``calibration``.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`. Without ``[[passive]]`` trials only operating ranges act.
+    curves
+        Hill curves: ``paper`` or ``opensim``.
+    errors
+        Allowable error of each term.
+
+    Raises
+    ------
+    InputError
+        If a muscle's path has something that the engine does not know.
+    """
+    require_float64()
+    before = subject.muscles
+    if subject.undriven_parameters is not None and subject.undriven_muscles:
+        acting, _ = acting_muscles(subject)
+        before = before.followed_by(subject.undriven_parameters.select(acting))
+    problem = _problem(subject, before, curves, errors or LengthErrors())
+    solution = ProjectedLM(ftol=1e-10).solve(problem, problem.start())
+    variables = jnp.asarray(solution.variables)
+    found = problem.lengths(variables)
+    after = replace(
+        before,
+        optimal_fiber_length=np.asarray(found.optimal_fiber_length),
+        tendon_slack_length=np.asarray(found.tendon_slack_length),
+    )
+    ends = [problem.parameters, found]
+    walking = [np.asarray(problem.normalized_lengths(one)) for one in ends]
+    ratios = solution.variables[: 2 * problem.muscles].reshape(2, -1)
+    stuck = (ratios <= problem.lower[0]) | (ratios >= problem.upper[0])
+    return Initialisation(
+        subject=subject,
+        before=before,
+        after=after,
+        at_bounds=tuple(
+            f"{before.names[row]}.{('optimal_fiber_length', 'tendon_slack_length')[kind]}"
+            for kind, row in np.argwhere(stuck)
+        ),
+        ranges=np.array([[one.min(axis=1), one.max(axis=1)] for one in walking]).transpose(0, 2, 1),
+        passive=np.array(
+            [np.where(problem.recorded, problem.moment, np.nan), *map(problem.passive_moments, ends)]
+        ),
+        cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in problem.terms(variables).items()},
+        status=solution.status,
+    )
+
+
+def _problem(
+    subject: Subject, muscles: MuscleParameters, curves: str, errors: LengthErrors
+) -> InitialLengths:
+    model, trials = describe_model(subject.model_file), subject.trials.used_for("calibration")
+    spanned = {name for muscle in muscles.names for name in model.spanned_by(muscle)}
+    engine = ExactPaths(model, muscles.names, tuple(name for name in trials.coordinates if name in spanned))
+    wanted = trials.moment_coordinates
+    walking = laid_paths(engine, *recorded(trials, engine.coordinates), wanted).length
+    count = len(muscles.names)
+    length, arm = jnp.zeros((count, 0)), jnp.zeros((count, len(wanted), 0))
+    moment = np.zeros((len(wanted), 0))
+    if subject.passive:
+        file = read_model_file(subject.model_file)
+        moment = np.concatenate([_moments(trial, wanted) for trial in subject.passive], axis=1)
+        defaults = {info.name: info.default_value for info in file.coordinates}
+        poses = np.concatenate([_poses(trial, engine, defaults) for trial in subject.passive], axis=1)[None]
+        path = laid_paths(engine, poses, np.zeros_like(poses), wanted)
+        length, arm = path.length[:, 0], path.moment_arm[:, 0]
+    groups = fiber_length_groups(read_model_file(subject.model_file).groups, muscles.names, subject.side)
+    grouped = tuple(tuple(muscles.names.index(name) for name in group) for group in groups)
+    alone = tuple((row,) for row in range(count) if not any(row in group for group in grouped))
+    return InitialLengths(
+        curves=HILL_CURVES[curves],
+        parameters=initial_parameters(
+            muscles.max_isometric_force,
+            muscles.optimal_fiber_length,
+            muscles.tendon_slack_length,
+            muscles.pennation_angle,
+        ),
+        walking=walking.reshape(count, -1),
+        length=length,
+        moment_arm=arm,
+        moment=jnp.asarray(np.nan_to_num(moment)),
+        recorded=np.isfinite(moment),
+        groups=(*grouped, *alone),
+        errors=errors,
+    )
+
+
+def _poses(
+    trial: PassiveTrial, engine: ExactPaths, defaults: dict[str, float]
+) -> Float[np.ndarray, "coordinate sample"]:
+    samples = trial.angles.shape[1]
+    given = dict(zip(trial.coordinates, trial.angles, strict=True))
+    return np.array(
+        [given[name] if name in given else np.full(samples, defaults[name]) for name in engine.coordinates]
+    )
+
+
+def _moments(trial: PassiveTrial, wanted: tuple[str, ...]) -> Float[np.ndarray, "coordinate sample"]:
+    """Moments about all coordinates; NaN where none was recorded."""
+    given = dict(zip(trial.moment_coordinates, trial.moments, strict=True))
+    nothing = np.full(trial.moments.shape[1], np.nan)
+    return np.array([given.get(name, nothing) for name in wanted])
+
+
+def _passive_curves(done: Initialisation) -> list[PassiveCurves]:
+    """Take passive moments apart again: one entry a trial and coordinate."""
+    from wrapjax.report.initialisation_page import PassiveCurves
+
+    found, first = [], 0
+    for trial in done.subject.passive:
+        own = slice(first, first := first + trial.moments.shape[1])
+        for row, name in enumerate(done.subject.trials.moment_coordinates):
+            measured, before, after = done.passive[:, row, own]
+            angle = dict(zip(trial.coordinates, trial.angles, strict=True)).get(name)
+            if name in trial.moment_coordinates:
+                place = None if angle is None or np.ptp(angle) == 0.0 else np.rad2deg(angle)
+                found.append(PassiveCurves(trial.name, name, place, measured, before, after))
+    return found
+
+
+def _table(muscles: MuscleParameters) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("muscle", *CSV_COLUMNS))
+    columns = list(vars(muscles).values())
+    for muscle, *values in zip(*columns, strict=True):
+        writer.writerow((muscle, *(float(value) for value in values)))
+    return text.getvalue()

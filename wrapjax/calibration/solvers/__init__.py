@@ -1,0 +1,1 @@
+"""Bounded least squares with inequality constraints, from several starting points, resumable."""

@@ -1,0 +1,143 @@
+"""jaxopt's bounded L-BFGS behind our solver's interface: a second opinion from other arithmetic.
+
+It needs no second derivatives and takes hundreds of times as many iterations. jaxopt is no longer
+maintained, so it is optional, and nothing depends on it.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from wrapjax.calibration.solvers.interface import (
+    FIRST_GROWTH,
+    AbstractBoundedSolver,
+    AbstractLeastSquares,
+    Iteration,
+    Pace,
+    Solution,
+    SolverState,
+    Status,
+)
+from wrapjax.errors import InputError, Problem
+
+# The cost must have fallen by less than ``ftol`` over so many iterations: single ones may be short.
+_PATIENCE = 20
+
+
+@dataclass(frozen=True)
+class BoundedLBFGS(AbstractBoundedSolver):
+    """L-BFGS-B by jaxopt, from first derivatives alone.
+
+    See `AbstractBoundedSolver` for its tolerances; they are looser by default, as what it can reach is.
+    """
+
+    gtol: float = 1e-5
+    ftol: float = 1e-9
+    max_iterations: int = 20000
+
+    def __post_init__(self):
+        if find_spec("jaxopt") is None:
+            raise InputError(
+                Problem(
+                    "jaxopt",
+                    "is not installed",
+                    hint="pip install 'wrapjax[jaxopt]', or use the usual solver",
+                )
+            )
+
+    def compile(self, problem: AbstractLeastSquares, start: Float[Array | np.ndarray, " variable"]) -> None:
+        """Compile the kernels of `solve`."""
+        inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
+        jax.block_until_ready(_advance(problem, inside, _begin(problem, inside)))
+        jax.block_until_ready(problem.linearized_at(inside))
+
+    def solve(
+        self,
+        problem: AbstractLeastSquares,
+        start: Float[Array | np.ndarray, " variable"],
+        callback: Callable[[Iteration, SolverState], None] | None = None,
+        pace: Pace | None = None,
+    ) -> Solution:
+        """Minimise from a start; see `AbstractBoundedSolver`. It has no pace to go on with."""
+        began = time.perf_counter()
+        variables = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
+        pace = Pace(jnp.asarray(0.0), jnp.asarray(FIRST_GROWTH))
+        carry = _begin(problem, variables)
+        linearization = problem.linearized_at(variables)
+        history: list[Iteration] = []
+
+        def note(number: int, step: float) -> None:
+            at_bounds = jnp.sum((variables <= problem.lower) | (variables >= problem.upper))
+            seconds = time.perf_counter() - began
+            history.append(
+                Iteration(number, float(carry.value), float(carry.error), 0.0, step, int(at_bounds), seconds)
+            )
+            if callback:
+                callback(history[-1], SolverState(variables, linearization, pace))
+
+        status, renewed = Status.iterations, np.inf
+        try:
+            note(0, 0.0)
+            for number in range(1, self.max_iterations + 1):
+                if history[-1].optimality <= self.gtol:
+                    status = Status.gradient
+                    break
+                previous = variables
+                variables, carry = _advance(problem, variables, carry)
+                move = jnp.linalg.norm(variables - previous) / (1.0 + jnp.linalg.norm(previous))
+                note(number, float(move))
+                fall = history[max(0, number - _PATIENCE)].cost - history[-1].cost
+                if number > _PATIENCE and fall <= self.ftol * history[-1].cost:
+                    status = Status.cost
+                    break
+                if carry.failed_linesearch:
+                    # Its memory may mislead it: begin anew, unless that was of no use the last time.
+                    if renewed - history[-1].cost <= self.ftol * history[-1].cost:
+                        status = Status.cost
+                        break
+                    renewed = history[-1].cost
+                    carry = _begin(problem, variables)
+        except KeyboardInterrupt:
+            status = Status.interrupted
+        linearization = problem.linearized_at(variables)
+        return Solution(
+            variables=np.asarray(variables),
+            cost=float(linearization.cost),
+            status=status,
+            linearization=linearization,
+            pace=pace,
+            history=tuple(history),
+        )
+
+
+def _solver(problem: AbstractLeastSquares) -> Any:
+    with warnings.catch_warnings():
+        # It says at import that it is no longer maintained.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import jaxopt
+    return jaxopt.LBFGSB(problem.value, tol=0.0)
+
+
+def _bounds(problem: AbstractLeastSquares) -> tuple[Array, Array]:
+    return jnp.asarray(problem.lower), jnp.asarray(problem.upper)
+
+
+@eqx.filter_jit
+def _begin(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) -> Any:
+    return _solver(problem).init_state(variables, bounds=_bounds(problem))
+
+
+@eqx.filter_jit
+def _advance(problem: AbstractLeastSquares, variables: Float[Array, " variable"], carry: Any) -> Any:
+    return tuple(_solver(problem).update(variables, carry, bounds=_bounds(problem)))

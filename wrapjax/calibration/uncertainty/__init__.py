@@ -1,0 +1,1 @@
+"""How well the recordings determine calibrated parameters."""

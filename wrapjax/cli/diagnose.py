@@ -1,0 +1,168 @@
+"""``wrapjax diagnose``.
+
+A diagnosis as plain text for a terminal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, positive, show
+from wrapjax.io.files import refuse_existing
+from wrapjax.jax_setup import set_up_jax
+
+if TYPE_CHECKING:
+    from wrapjax.diagnosis.result import GapResult
+
+_WIDTH = 100
+_MOST_EFFECTS = 6
+
+
+def gap_table(result: GapResult) -> str:
+    """Show how a diagnosis ended, the most probable effects, and what could not be tested."""
+    from wrapjax.report.diagnosis_words import findings, untested
+
+    lines = [textwrap.fill(sentence, _WIDTH) for sentence in findings(result)]
+    if result.effects:
+        lines += ["", *_effect_lines(result)]
+    if result.budget is not None:
+        lines += ["", *_error_lines(result)]
+    if result.advice:
+        lines += ["", "What would tell them apart"]
+        lines += [
+            textwrap.fill(
+                f"{advice.experiment} ({advice.minutes} min): {', '.join(advice.splits)}",
+                _WIDTH,
+                initial_indent="  ",
+                subsequent_indent="    ",
+            )
+            for advice in result.advice
+        ]
+    if said := untested(result):
+        lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in said)]
+    return "\n".join(lines)
+
+
+def _effect_lines(result: GapResult) -> list[str]:
+    from wrapjax.report.diagnosis_words import amounts_in_words
+
+    shown = result.effects[:_MOST_EFFECTS]
+    width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
+    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  amounts"]
+    for effect in shown:
+        lines.append(
+            f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
+            f"  {amounts_in_words(effect.amounts, most=2)}".rstrip()
+        )
+    rest = sum(effect.probability for effect in result.effects[_MOST_EFFECTS:])
+    others = len(result.effects) - len(shown)
+    if others:
+        lines.append(f"{f'{others} others':{width}s}{rest:12.2f}")
+    for name, probability in (
+        ("nothing amiss", result.none_probability),
+        ("not in the catalogue", result.unknown_probability),
+    ):
+        lines.append(f"{name:{width}s}{probability:12.2f}")
+    return lines
+
+
+def _error_lines(result: GapResult) -> list[str]:
+    """Show mean absolute errors of cycles that no fit has seen; what cannot be told is left out."""
+    from wrapjax.report.diagnosis_numbers import mean_absolute_errors
+
+    errors = mean_absolute_errors(result)
+    columns = [which for which, own in errors.items() if math.isfinite(own["mean"])]
+    width = max(len(name) for name in (*result.coordinates, "coordinate"))
+    lines = [
+        "Mean absolute error of the joint moments on cycles that no fit has seen, N m; floor: noise alone",
+        f"{'coordinate':{width}s}" + "".join(f"{which:>10s}" for which in columns),
+    ]
+    for name in (*result.coordinates, "mean"):
+        lines.append(f"{name:{width}s}" + "".join(f"{errors[which][name]:10.2f}" for which in columns))
+    return lines
+
+
+class ListEffects(argparse.Action):
+    """Print the catalogue's effects and end, as ``--version`` does: no subject is needed."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None):
+        super().__init__(option_strings, dest=argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print one line an effect, with its id as files and ``--without`` have it."""
+        from wrapjax.diagnosis.effects.catalogue import effect_meanings
+
+        print("\n".join(f"{id}: {meaning}." for id, meaning in effect_meanings().items()))
+        parser.exit(DONE)
+
+
+def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
+    """Add the command to the parser."""
+    diagnose = command(
+        "diagnose", run, "Say where the remaining error is and what explains it best.", writing
+    )
+    diagnose.add_argument(
+        "--list", action=ListEffects, help="show the effects that a diagnosis looks for, and end"
+    )
+    diagnose.add_argument("subject", type=Path, metavar="SUBJECT")
+    diagnose.add_argument("--out", type=Path, required=True, metavar="GAP")
+    diagnose.add_argument(
+        "--method",
+        choices=["NGA", "SGA", "LSGA", "PGA"],
+        default="NGA",
+        help="of the calibration before it (default: NGA)",
+    )
+    diagnose.add_argument(
+        "--without",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="leave these out of the catalogue; the calibration is not done again",
+    )
+    diagnose.add_argument(
+        "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+    )
+    diagnose.add_argument(
+        "--starts", type=positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    set_up_jax()
+    from wrapjax.calibration.problem import source_for
+    from wrapjax.cli.calibrate import iteration_printer
+    from wrapjax.diagnosis.diagnosis import diagnose
+    from wrapjax.diagnosis.effects.catalogue import refuse_unknown
+    from wrapjax.path_sources.fit import load_fit
+    from wrapjax.progress import say
+    from wrapjax.subject.subject import load_subject as load_subject
+
+    refuse_existing(options.out, options.force)
+    refuse_unknown(options.without)
+    subject = load_subject(options.subject)
+    if options.fit:
+        paths = load_fit(options.fit, subject)
+    else:
+        paths = source_for(
+            (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
+        )
+    done = diagnose(
+        subject,
+        options.method,
+        paths,
+        without=options.without,
+        starts=options.starts,
+        seed=options.seed,
+        callback=iteration_printer(quiet=options.quiet),
+        tell=lambda line: say(line, quiet=options.quiet),
+    )
+    done.save(options.out, force=options.force)
+    show(options, "gap.json", lambda: gap_table(done.result))
+    return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE

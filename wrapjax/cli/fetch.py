@@ -1,0 +1,42 @@
+"""``wrapjax fetch``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from wrapjax.cli.common import DONE, AddCommand, print_json
+from wrapjax.errors import InputError, Problem
+from wrapjax.io.files import refuse_existing
+
+
+def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
+    """Add the command to the parser."""
+    fetch = command("fetch", run, "Download a public recording of walking as a subject folder.")
+    fetch.add_argument("name", nargs="?", metavar="NAME", help="one of those that --list shows")
+    fetch.add_argument("--list", action="store_true", help="show what can be fetched")
+    fetch.add_argument("--out", type=Path, metavar="DIR", help="the subject folder (default: ./NAME)")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from wrapjax.datasets.download import fetch, public_recordings
+
+    known = public_recordings()
+    if options.list:
+        if options.json:
+            print_json(known)
+        else:
+            print("\n".join(f"{name}: {about}." for name, about in known.items()))
+        return DONE
+    if options.name is None:
+        raise InputError(
+            Problem("NAME", f"expected a recording ({', '.join(known)}), found none", hint="see --list")
+        )
+    refuse_existing(options.out or Path(options.name), options.force)
+    folder = fetch(options.name, options.out, force=options.force, quiet=options.quiet)
+    if options.json:
+        print_json({"name": options.name, "folder": str(folder)})
+    else:
+        print(f"written to {folder}; see what is in it with 'wrapjax check {folder}'")
+    return DONE

@@ -1,0 +1,110 @@
+"""``wrapjax fit``.
+
+A fit of muscle paths for a terminal, muscle by muscle and cylinder by cylinder.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wrapjax.cli.common import DONE, AddCommand, add_drive, positive_number, show
+from wrapjax.io.files import refuse_existing
+from wrapjax.jax_setup import set_up_jax
+
+if TYPE_CHECKING:
+    from wrapjax.path_sources.fit import Fit
+    from wrapjax.path_sources.polynomial_paths import WrapFit
+
+
+def fit_table(fit: Fit) -> str:
+    """Show the errors of a fit, muscle by muscle."""
+    titles = ("wrapped", "terms", "length RMSE", "length max", "arm RMSE", "arm max")
+    lines = [
+        "Errors on poses never used in fitting, mm (moment arms pooled over coordinates)",
+        f"{'muscle':16s}" + "".join(f"{title:>13s}" for title in titles),
+    ]
+    for name, error in fit.errors.items():
+        errors = (
+            error.length_rmse_mm,
+            error.length_max_mm,
+            error.moment_arm_rmse_mm,
+            error.moment_arm_max_mm,
+        )
+        wrapped = "yes" if error.wrapped else "no"
+        lines.append(
+            f"{name:16s}{wrapped:>13s}{error.terms:13d}" + "".join(f"{value:13.3f}" for value in errors)
+        )
+    return "\n".join(lines)
+
+
+def wrap_table(wraps: WrapFit) -> str:
+    """Show how a fit's cylinders fared, one by one."""
+    titles = ("box", "physiological", "accuracy", "let through", "touched")
+    lines = [
+        "Cylinders, on samples never used in fitting: half width of the box (mm), share of it that leaves",
+        "paths physiological, balanced accuracy of the limit, share of other samples that it lets through",
+        f"{'cylinder':24s}" + "".join(f"{title:>15s}" for title in titles),
+    ]
+    for name, quality in wraps.quality.items():
+        shares = (quality.physiological_share, quality.balanced_accuracy, quality.false_physiological)
+        columns = "".join(f"{'-':>15s}" if share is None else f"{share:15.3f}" for share in shares)
+        touched = "yes" if name in wraps.touched else "no"
+        lines.append(f"{name:24s}{1e3 * wraps.translations[name]:15.1f}{columns}{touched:>15s}")
+    return "\n".join(lines)
+
+
+#: What a path may differ by from the nominal one and still count as physiological, by the names that
+#: `PhysiologicalThresholds` has, with its defaults.
+THRESHOLDS = {
+    "length_deviation": "length, in any pose, m (default: 0.025)",
+    "moment_arm_deviation": "moment arm, in any pose and about any coordinate, m (default: 0.02)",
+    "variability": "ratio of standard deviations over poses, of length or of a moment arm (default: 3)",
+    "length_step": "change of length from frame to frame of a recorded cycle, m (default: 0.001)",
+    "moment_arm_step": "change of a moment arm from frame to frame of a recorded cycle, m (default: 0.003)",
+}
+
+
+def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
+    """Add the command to the parser."""
+    fit = command("fit", run, "Replace the subject's muscle paths by polynomials.", writing)
+    fit.add_argument("subject", type=Path, metavar="SUBJECT")
+    fit.add_argument("--out", type=Path, required=True, metavar="FIT")
+    fit.add_argument(
+        "--geometry",
+        choices=["opensim", "engine", "engine-parity"],
+        default="opensim",
+        help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
+    )
+    add_drive(fit)
+    limits = fit.add_argument_group("a placement of cylinders is physiological up to these differences")
+    for name, what in THRESHOLDS.items():
+        limits.add_argument(f"--{name.replace('_', '-')}", type=positive_number, metavar="X", help=what)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    set_up_jax()
+    from wrapjax.geometry.physiological import PhysiologicalThresholds
+    from wrapjax.path_sources.fitting import fit
+    from wrapjax.path_sources.undriven_muscles import drive
+    from wrapjax.path_sources.wrap_fitting import fit_wraps
+    from wrapjax.progress import say
+    from wrapjax.subject.subject import load_subject as load_subject
+
+    refuse_existing(options.out, options.force)
+    subject = drive(load_subject(options.subject), options.undriven, options.synergies)
+    how = {"processes": options.threads, "quiet": options.quiet}
+    given = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
+    fitted = fit(subject, options.geometry, seed=options.seed, **how)
+    result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**given), **how)
+    say("drawing the report", quiet=options.quiet)
+    result.save(options.out, subject=subject, force=options.force)
+
+    def tables() -> str:
+        wraps = result.wraps
+        return fit_table(result) + (f"\n\n{wrap_table(wraps)}" if wraps and wraps.quality else "")
+
+    show(options, "fit.json", tables)
+    return DONE

@@ -1,0 +1,37 @@
+"""``wrapjax prepare``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from wrapjax.cli.common import DONE, AddCommand, print_json, stored
+from wrapjax.io.files import refuse_existing
+
+
+def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
+    """Add the command to the parser."""
+    prepare = command(
+        "prepare",
+        run,
+        "Make a subject folder of a laboratory's raw files, or of a project of the NMSM Pipeline.",
+    )
+    prepare.add_argument("settings", type=Path, metavar="SETTINGS", help="TOML, or the project's XML")
+    prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from wrapjax.preprocessing.preparation import prepare_subject
+    from wrapjax.progress import say
+    from wrapjax.subject.description import render_tables
+
+    refuse_existing(options.out, options.force)
+    done = prepare_subject(options.settings, tell=lambda line: say(line, quiet=options.quiet))
+    done.save(options.out, force=options.force)
+    if options.json:
+        print_json(stored(options.out / "preparation.json"))
+    else:
+        print(render_tables(done.tables()))
+        print(f"written to {options.out}; look at {options.out / 'report.html'}")
+    return DONE

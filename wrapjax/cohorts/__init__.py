@@ -1,0 +1,1 @@
+"""Many subjects calibrated side by side."""

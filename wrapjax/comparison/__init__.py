@@ -1,0 +1,1 @@
+"""Several calibration methods compared on the same subjects, with statistics."""

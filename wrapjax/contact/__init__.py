@@ -1,1 +1,0 @@
-"""Forces between the bones of a joint: what muscles press, which muscles nobody recorded, what peaks are."""

@@ -1,0 +1,1 @@
+"""Joint contact forces of a calibrated model."""

@@ -1,0 +1,1 @@
+"""Public recordings to download, and the virtual person."""

@@ -1,0 +1,159 @@
+"""What there is to fetch: each file by its commit and its checksum, so that it can never be another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+
+
+@dataclass(frozen=True)
+class PublicFile:
+    """One file of a public recording.
+
+    Parameters
+    ----------
+    source
+        Its name where it is published.
+    target
+        Its place in the subject folder.
+    sha256
+        Of the published file.
+    renamed
+        Names of other files that it mentions, and what they are called in the subject folder.
+    """
+
+    source: str
+    target: str
+    sha256: str
+    renamed: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class PublicRecording:
+    """Somebody's published recording of walking, which makes a subject folder.
+
+    Parameters
+    ----------
+    name
+        Of the subject.
+    about
+        Who walked, and what was recorded, in a phrase.
+    place
+        Repository, commit and folder, with slashes between.
+    licence
+        What it may be used under.
+    files
+        All that is needed of it.
+    added
+        Files of the project's own beside this one, and their places in the subject folder: what was known
+        of the recording, but not published with it.
+    """
+
+    name: str
+    about: str
+    place: str
+    licence: str
+    files: tuple[PublicFile, ...]
+    added: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def own_files(self) -> dict[str, str]:
+        """The project's own reading of the recording, by place in the folder: ``subject.toml`` first."""
+        own = files("wrapjax.datasets")
+        sources = ((f"{self.name}.toml", "subject.toml"), *self.added)
+        return {target: own.joinpath(source).read_text(encoding="utf-8") for source, target in sources}
+
+    @property
+    def origin(self) -> str:
+        """Say where the files are from."""
+        repository = "/".join(self.place.split("/")[:2])
+        commit = self.place.split("/")[2]
+        return (
+            f"{self.about}.\n\n"
+            f"Downloaded from github.com/{repository}, commit {commit},\n"
+            f"folder {'/'.join(self.place.split('/')[3:])}; licence {self.licence}.\n"
+            f"wrapjax's own: {', '.join(self.own_files)}. Files were renamed, also where one names another;\n"
+            "nothing else was changed.\n"
+        )
+
+
+_OVERGROUND = PublicRecording(
+    name="healthy_overground",
+    about="A healthy adult walking overground: one cycle of the right leg, 10 EMG channels, ground forces",
+    place="opensim-org/opensim-core/0435b081dc383498e217f92ca63bb97616145c14"
+    "/OpenSim/Examples/Moco/example3DWalking",
+    licence="Apache-2.0",
+    files=(
+        PublicFile(
+            "subject_walk_scaled.osim",
+            "model.osim",
+            "806ad1b248c6b2bc48ab43b58865915d1664e144b4ff6846457d80adacc23ce5",
+        ),
+        PublicFile(
+            "coordinates.sto",
+            "trials/walk/angles.sto",
+            "981e94b5d7bb6fcae403a381fee8c3011533d8c683b17460096b400d20044cdb",
+        ),
+        PublicFile(
+            "id_walk.sto",
+            "trials/walk/moments.sto",
+            "5eabf736a0f239b24eed4725289b5217b30d7fa0d88ad6f0f994cb33bdfd4515",
+        ),
+        PublicFile(
+            "electromyography.sto",
+            "trials/walk/emg.sto",
+            "0746a08b1107f816ef35183d7639ca46dc863b60e178404d822ddc42fbb58061",
+        ),
+        PublicFile(
+            "grf_walk.mot",
+            "trials/walk/ground_forces.mot",
+            "372d59855f80d7de81303cb7d3a5c5878ef8e0cb82a53a27cfce44e93357e42c",
+        ),
+        PublicFile(
+            "grf_walk.xml",
+            "trials/walk/external_loads.xml",
+            "3c5313d5680c52fd130a0ed86620472fe3c576a5a9599ed08a53652b84dd82e6",
+            renamed=(("grf_walk.mot", "ground_forces.mot"),),
+        ),
+    ),
+)
+
+_TREADMILL = PublicRecording(
+    name="healthy_treadmill",
+    about="A healthy adult on a treadmill for a minute: 53 cycles of the left leg, 6 EMG channels about knee "
+    "and ankle, ground forces",
+    place="stanfordnmbl/MatlabStaticOptimization/7a54da3008cb9949722681b346ebe8d8f1bf04e7/TestData",
+    licence="Apache-2.0",
+    files=(
+        PublicFile(
+            "Rajagopal_scaled_Sub1_gasAvoid.osim",
+            "model.osim",
+            "eec9c15fa28ca26137454b713b32be1dec87b9b9e683b2ddc9a1b8c05ed31c42",
+        ),
+        PublicFile(
+            "results_ik.sto",
+            "trials/walk/angles.sto",
+            "3d794a53658b1ffa71088aa3b99446a930de8e641f9495c44783d4ec66f0a1e8",
+        ),
+        PublicFile(
+            "results_id.sto",
+            "trials/walk/moments.sto",
+            "bd163bbdf2a2a640a17e05d7a64fa2c9408e323a8d2af253363ce5f81d1e432e",
+        ),
+        PublicFile(
+            "EMG_allMuscles.sto",
+            "trials/walk/emg.sto",
+            "9550875ec3cf959158db92e7ca568a60e3d542a3de458fb6b90a5d1bd5118158",
+        ),
+        PublicFile(
+            "walking_baseline1_forces.mot",
+            "trials/walk/ground_forces.mot",
+            "1c7541c3b9565f0ebf9e2db9cc0221935c23b0715512c8baf323c08a3d44614c",
+        ),
+    ),
+    # Whose columns are whose: inverse dynamics by it give the published moments.
+    added=(("healthy_treadmill_external_loads.xml", "trials/walk/external_loads.xml"),),
+)
+
+#: By name.
+PUBLIC_RECORDINGS = {recording.name: recording for recording in (_OVERGROUND, _TREADMILL)}

@@ -1,0 +1,1 @@
+"""What ``wrapjax demo`` does: calibration, recovery of moved wraps, diagnosis of a hidden effect."""

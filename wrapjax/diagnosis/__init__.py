@@ -1,0 +1,1 @@
+"""Which unmodelled effect best explains the remaining error, among those that the data can test."""

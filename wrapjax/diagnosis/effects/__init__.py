@@ -1,0 +1,1 @@
+"""The catalogue of unmodelled effects, each off at zero."""

@@ -1,0 +1,1 @@
+"""Finished calibrations read back and tested on other trials."""

@@ -1,1 +1,0 @@
-"""What is said in the end: probabilities, the verdict, and which experiment would tell more."""

@@ -1,1 +1,0 @@
-"""The catalogued effects, one module a family."""

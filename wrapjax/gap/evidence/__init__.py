@@ -1,1 +1,0 @@
-"""Which effect explains it: straight lines, what nobody can name, and the evidence against that."""

@@ -1,1 +1,0 @@
-"""Where the error is: its parts, and the muscles that may make them."""

@@ -1,0 +1,178 @@
+"""``fit``: replace a subject's muscle paths by polynomials."""
+
+from __future__ import annotations
+
+import time
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.errors import InputError
+from wrapjax.geometry.engine import ExactPaths, Wrapping, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
+from wrapjax.io.files import cache_folder, content_hash
+from wrapjax.jax_setup import require_float64
+from wrapjax.osim.model import describe_model, spanned_coordinates
+from wrapjax.osim.muscle_analysis import PathGeometry, analyse_muscles, touching_muscles
+from wrapjax.path_sources.exact import WRAPPINGS
+from wrapjax.path_sources.fit import Fit, PathError, read_fit
+from wrapjax.path_sources.fit import load_fit as load_fit
+from wrapjax.path_sources.fit_poses import fit_poses
+from wrapjax.progress import say
+from wrapjax.subject.subject import Subject
+
+#: Where lengths and moment arms may come from.
+GEOMETRIES = ("opensim", *WRAPPINGS)
+# Raise when the same subject and seed would give another fit.
+_FORMAT = 4
+
+
+def fit(
+    subject: Subject,
+    geometry: str = "opensim",
+    *,
+    seed: int = 0,
+    processes: int | None = None,
+    quiet: bool = True,
+) -> Fit:
+    """Fit polynomials to length and moment arms of every driven muscle.
+
+    That is the outer level, all that NGA, SGA and LSGA need. PGA also needs to know how the paths follow
+    their cylinders: give the result to `wrapjax.fit_wraps`, a stage of its own because it analyses a
+    thousand times as much.
+
+    Poses are 400 random ones in the belt that the recorded cycles sweep, frame by frame, and the 100
+    of the fastest cycle; errors are measured on 500 other random ones.
+
+    Parameters
+    ----------
+    subject
+        From `load_subject`.
+    geometry
+        Where lengths and moment arms come from: ``opensim`` is its muscle analysis; ``engine`` wraps the
+        shortest way, ``engine-parity`` as OpenSim 4.6 does.
+    seed
+        Of the random poses.
+    processes
+        Worker processes for OpenSim; by default one a core.
+    quiet
+        Print no progress.
+
+    Returns
+    -------
+    Fit
+        Also kept in the user's cache: the same question is answered at once.
+    """
+    require_float64()
+    if geometry not in GEOMETRIES:
+        raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
+    key = _key(subject, geometry, seed)
+    cached = cache_folder("fit") / key
+    if (cached / "fit.json").exists():
+        try:
+            return read_fit(cached)
+        except (InputError, OSError, ValueError, KeyError):
+            say(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
+    result = _fit(subject, geometry, key, seed, processes, quiet)
+    result.keep(cached)
+    return result
+
+
+def _key(subject: Subject, geometry: str, seed: int) -> str:
+    trials = subject.trials
+    question = content_hash(
+        repr(subject.muscles.names),
+        repr(trials.coordinates),
+        trials.angles,
+        trials.time,
+        geometry,
+        seed,
+        _FORMAT,
+    )
+    return f"{content_hash(subject.model_file)}-{question}"
+
+
+def _fit(subject: Subject, geometry: str, key: str, seed: int, processes: int | None, quiet: bool) -> Fit:
+    muscles = subject.muscles.names
+    spans = spanned_coordinates(subject.model_file, muscles)
+    # Coordinates that were not recorded stay at the model's defaults.
+    recorded = subject.trials.coordinates
+    coordinates = tuple(name for name in recorded if any(name in spans[one] for one in muscles))
+    poses = fit_poses(subject, coordinates, seed)
+    model = describe_model(subject.model_file)
+    started = time.perf_counter()
+    both = np.concatenate([poses.training, poses.validation])
+    if geometry == "opensim":
+        analysed = analyse_muscles(
+            subject.model_file, muscles, coordinates, both, processes=processes, quiet=quiet
+        )
+    else:
+        engine = ExactPaths(model, muscles, coordinates)
+        analysed, _ = _analyse_by_engine(engine, both, WRAPPINGS[geometry])
+    analysed_at = time.perf_counter()
+    count = len(poses.training)
+    surrogate = fit_surrogate(
+        muscles, coordinates, spans, poses.training, analysed.length[:count], analysed.moment_arm[:count]
+    )
+    fitted_at = time.perf_counter()
+    if geometry == "opensim":
+        touching = touching_muscles(subject.model_file, muscles, coordinates, poses.recorded)
+    else:
+        _, touching = _analyse_by_engine(engine, poses.recorded, WRAPPINGS[geometry])
+    touched_at = time.perf_counter()
+    wrapped = {muscle.name: bool(muscle.wraps) for muscle in model.muscles}
+    return Fit(
+        key=key,
+        surrogate=surrogate,
+        errors=path_errors(surrogate, poses.validation, analysed, slice(count, None), wrapped),
+        touching=touching,
+        seconds={
+            "analysis": analysed_at - started,
+            "fit": fitted_at - analysed_at,
+            "contact": touched_at - fitted_at,
+        },
+        geometry=geometry,
+        seed=seed,
+    )
+
+
+def _analyse_by_engine(
+    engine: ExactPaths, poses: Float[np.ndarray, "pose coordinate"], wrapping: Wrapping
+) -> tuple[PathGeometry, tuple[str, ...]]:
+    """Lay all paths as the model has them; also name the muscles that lie on a cylinder in some pose."""
+    found = {
+        name: wrap_at_samples(posed, nominal_parameters(len(engine.wraps_of(name)))[None], wrapping)
+        for name, posed in engine.posed(poses).items()
+    }
+    length = np.stack([path.length[0] for path in found.values()], axis=-1)
+    moment_arm = np.stack([path.moment_arm[0] for path in found.values()], axis=-1)
+    touching = tuple(name for name, path in found.items() if path.touching.any())
+    return PathGeometry(engine.muscles, engine.coordinates, length, moment_arm), touching
+
+
+def path_errors(
+    surrogate: PathSurrogate,
+    poses: np.ndarray,
+    truth: PathGeometry,
+    rows: slice,
+    wrapped: dict[str, bool],
+) -> dict[str, PathError]:
+    """Compare a surrogate with analysed paths, muscle by muscle.
+
+    Moment-arm errors are pooled over the poses and the coordinates that the muscle spans.
+    """
+    grid = jnp.asarray(poses.T[None])
+    path = eqx.filter_jit(surrogate)(grid, jnp.zeros_like(grid))
+    length_error = np.asarray(path.length)[:, 0] - truth.length[rows].T
+    arm_error = np.asarray(path.moment_arm)[:, 0] - np.transpose(truth.moment_arm[rows], (2, 1, 0))
+    return {
+        muscle: PathError.of(
+            length_error[index],
+            arm_error[index, surrogate.slots(muscle)],
+            wrapped=wrapped[muscle],
+            terms=int(np.asarray(surrogate.used[index]).sum()),
+        )
+        for index, muscle in enumerate(surrogate.muscles)
+    }

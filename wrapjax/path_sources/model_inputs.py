@@ -1,0 +1,127 @@
+"""From a subject and its fitted paths to what the model takes in."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from wrapjax.geometry.paths import AbstractPath, AdjustablePath, PathState, fixed_path
+from wrapjax.geometry.surrogate import PathSurrogate
+from wrapjax.model.forward import Recording
+from wrapjax.model.parameters import ModelParameters, initial_parameters
+from wrapjax.muscle.excitation import CommandSplines, EmgSpline, fit_emg_spline
+from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import Trials
+
+
+def model_parameters(subject: Subject, *, path_modes: int = 0) -> ModelParameters:
+    """Build the parameter tree that a subject's calibration starts from.
+
+    Its paths have ``path_modes`` modes, none of them in use; see `AdjustablePath`.
+    """
+    muscles = subject.muscles
+    return initial_parameters(
+        muscles.max_isometric_force,
+        muscles.optimal_fiber_length,
+        muscles.tendon_slack_length,
+        muscles.pennation_angle,
+        path_modes=path_modes,
+        commands=None if subject.synergies is None else subject.synergies.basis.count,
+    )
+
+
+def surrogate_paths(
+    surrogate: PathSurrogate,
+    subject: Subject,
+    trials: Trials,
+    modes: Float[np.ndarray, "muscle term mode"] | None = None,
+) -> AdjustablePath:
+    """Evaluate the fitted paths of the subject's muscles over its cycles.
+
+    Moment arms are given about the coordinates whose moments are matched, in their order.
+
+    Parameters
+    ----------
+    surrogate
+        Of at least the subject's muscles.
+    subject, trials
+        Whose cycles.
+    modes
+        Coefficients, in m, of the changes that are possible; the subject's muscles in their order.
+    """
+    angles, velocities = _recorded(surrogate, trials)
+    own = surrogate.of_muscles(subject.muscles.names)
+    arms = functools.partial(_about, surrogate.coordinates, trials.moment_coordinates)
+    nominal = arms(eqx.filter_jit(own)(angles, velocities))
+    if modes is None:
+        return fixed_path(nominal)
+    changes = eqx.filter_jit(PathSurrogate.along_modes)(own, angles, velocities, jnp.asarray(modes))
+    return AdjustablePath(nominal, arms(changes))
+
+
+def coefficient_paths(surrogate: PathSurrogate, muscles: Sequence[str], trials: Trials) -> PathState:
+    """Evaluate what a unit (1 m) of each coefficient adds to paths; leaves lead with ``muscle term``."""
+    own = surrogate.of_muscles(muscles)
+    count, terms = own.coefficients.shape
+    single = jnp.broadcast_to(jnp.eye(terms), (count, terms, terms))
+    path = eqx.filter_jit(PathSurrogate.along_modes)(own, *_recorded(surrogate, trials), single)
+    return _about(surrogate.coordinates, trials.moment_coordinates, path)
+
+
+def _recorded(
+    surrogate: PathSurrogate, trials: Trials
+) -> tuple[Float[Array, "trial coordinate frame"], Float[Array, "trial coordinate frame"]]:
+    """Angles and angular velocities of the surrogate's coordinates."""
+    columns = [trials.coordinates.index(name) for name in surrogate.coordinates]
+    return jnp.asarray(trials.angles[:, columns]), jnp.asarray(trials.angular_velocities[:, columns])
+
+
+def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:
+    """Pick the moment arms about other coordinates; zero about those that no path was fitted over."""
+    places = np.array([given.index(name) if name in given else len(given) for name in wanted])
+    arms = np.asarray(path.moment_arm)
+    moment_arm = np.append(arms, np.zeros_like(arms[..., :1, :]), axis=-2)[..., places, :]
+    return PathState(path.length, path.velocity, jnp.asarray(moment_arm))
+
+
+def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording:
+    """Join the EMG of each muscle's channel, or the commands that it takes instead, with its path."""
+    splines = fit_emg_spline(trials.emg_time, trials.emg)
+    channels = np.array(subject.muscle_channels)
+    emg = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[channels]), splines)
+    if subject.synergies is not None:
+        emg = _with_commands(emg, subject, trials)
+    return Recording(emg=emg, path=path, padding=trials.padding)
+
+
+def _with_commands(emg: EmgSpline, subject: Subject, trials: Trials) -> EmgSpline:
+    """Append the muscles without a channel, whose own EMG is zero, and give all of them the commands."""
+    assert subject.synergies is not None
+    added = len(subject.synergies.muscles)
+    driven, *shape = emg.coefficients.shape
+    silent = jnp.zeros((added, *shape))
+    step = jnp.broadcast_to(emg.step[:1], (added, len(trials)))
+    read = subject.synergies.basis.commands(trials.emg, trials.channels)
+    commands = fit_emg_spline(trials.emg_time, read).coefficients
+    everyone = jnp.broadcast_to(
+        jnp.moveaxis(commands, 0, 1), (driven + added, len(trials), len(commands), *commands.shape[2:])
+    )
+    share = jnp.repeat(jnp.array([0.0, 1.0]), np.array([driven, added]), total_repeat_length=driven + added)
+    return EmgSpline(
+        coefficients=jnp.concatenate([emg.coefficients, silent]),
+        step=jnp.concatenate([emg.step, step]),
+        commands=CommandSplines(everyone, jnp.broadcast_to(share[:, None], (driven + added, len(trials)))),
+    )
+
+
+def group_indices(
+    groups: tuple[tuple[str, ...], ...], muscles: tuple[str, ...]
+) -> tuple[tuple[int, ...], ...]:
+    """Turn groups of names into groups of positions."""
+    return tuple(tuple(muscles.index(name) for name in group) for group in groups)

@@ -1,0 +1,214 @@
+"""What a ``.c3d`` file holds: markers, analog channels, force plates. Its first frame is at time zero.
+
+Whether a ``.c3d`` file is laid out as one, looked at before ezc3d reads it, which trusts what it finds.
+
+A single wrong byte can send it through counts and sizes that no file has, for minutes and gigabytes. The
+layout is that of the C3D User Guide (https://www.c3d.org/docs/C3D_User_Guide.pdf): blocks of 512 bytes; a
+header; parameters, each with the way to the next; frames.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.io.files import read_content
+from wrapjax.io.storage import Storage
+from wrapjax.preprocessing.force_plates import FootForces, ForceColumns
+from wrapjax.preprocessing.markers import METERS, Markers, checked
+
+_BLOCK = 512
+_KEY = 0x50
+_MOST_DIMENSIONS = 7
+#: What the fourth byte of the parameters says of the order of bytes: Intel, DEC and MIPS.
+_ORDERS = {84: "<", 85: "<", 86: ">"}
+
+
+def check_layout(content: bytes, path: Path) -> None:
+    """Raise an error unless header and parameters hold together and the frames are there.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file, is cut off, or a parameter leads nowhere.
+    """
+    try:
+        _check(content)
+    except (ValueError, struct.error, IndexError) as error:
+        raise InputError(Problem(str(path), f"cannot be read as a C3D file ({error})")) from None
+
+
+def _check(content: bytes) -> None:
+    if len(content) < 2 * _BLOCK or content[1] != _KEY or content[0] < 2:
+        raise ValueError("its first bytes are not those of one")
+    start = (content[0] - 1) * _BLOCK
+    blocks, kind = content[start + 2], content[start + 3]
+    if kind not in _ORDERS:
+        raise ValueError(f"expected 84, 85 or 86 as the kind of processor, found {kind}")
+    order = _ORDERS[kind]
+    points, analog, first, last = struct.unpack_from(f"{order}4H", content, 2)
+    data_block, samples = struct.unpack_from(f"{order}2H", content, 16)
+    _check_parameters(content[start : start + max(blocks, 1) * _BLOCK], order)
+    # Integers of 2 bytes at least. Recordings beyond 65,535 frames say their length elsewhere, and have more.
+    least = 2 * (4 * points + analog) * max(last - first + 1, 0)
+    found = len(content) - (data_block - 1) * _BLOCK
+    if data_block < 2 or least > found or (analog and analog % max(samples, 1)):
+        raise ValueError(f"its header promises {least} bytes of frames or more, found {max(found, 0)}")
+
+
+def _check_parameters(section: bytes, order: str) -> None:
+    """Go from parameter to parameter: each lies within the section, and its values within it."""
+    at = 4
+    while at < len(section) and section[at] != 0:
+        length, group = (
+            abs(struct.unpack_from("b", section, at)[0]),
+            struct.unpack_from("b", section, at + 1)[0],
+        )
+        name = section[at + 2 : at + 2 + length]
+        here = at + 2 + length
+        (step,) = struct.unpack_from(f"{order}H", section, here)
+        if not name.isascii() or not name.decode("ascii").isprintable() or group == 0:
+            raise ValueError(f"a parameter without a proper name at byte {at} of its parameters")
+        end = here + step if step else len(section)
+        if end > len(section) or (step and step < 3):
+            raise ValueError(f"the parameter {name.decode('ascii')} leads out of the parameters")
+        remark = here + 2  # where the length of the description stands
+        if group > 0:
+            size, count = struct.unpack_from("bB", section, here + 2)
+            sizes = section[here + 4 : here + 4 + count]
+            remark = here + 4 + count + abs(size) * math.prod(sizes)
+            if size not in (-1, 1, 2, 4) or count > _MOST_DIMENSIONS:
+                raise ValueError(f"the parameter {name.decode('ascii')} is of no known kind")
+        if remark >= end or remark + 1 + section[remark] > end:
+            raise ValueError(f"the parameter {name.decode('ascii')} is larger than its place")
+        if step == 0:
+            return
+        at = end
+
+
+def read_c3d_markers(path: Path) -> Markers:
+    """Read all markers, in m, in the laboratory's axes; prefixes such as ``Person:`` are cut off.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file, holds no markers, or markers that are no person's.
+    """
+    content = _open(path)
+    points = content["data"]["points"]
+    unit = _unit(content["parameters"]["POINT"], path)
+    names = tuple(label.rsplit(":", 1)[-1].strip() for label in _labels(content["parameters"]["POINT"]))
+    if not names or points.shape[2] == 0:
+        raise InputError(Problem(str(path), "expected markers, found none"))
+    time = np.arange(points.shape[2]) / float(content["parameters"]["POINT"]["RATE"]["value"][0])
+    positions = np.moveaxis(points[:3, : len(names)], 0, -1) * unit
+    # What was not seen is NaN, or, as older programs write it, the origin.
+    positions = np.where((positions == 0.0).all(axis=-1, keepdims=True), np.nan, positions)
+    return checked(Markers(names, time, positions.astype(np.float64)), path)
+
+
+def read_c3d_analog(path: Path) -> Storage:
+    """Read all analog channels in the units of the file.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file or holds no analog channels.
+    """
+    content = _open(path)
+    values = content["data"]["analogs"][0]
+    labels = tuple(label.strip() for label in _labels(content["parameters"]["ANALOG"]))
+    if not labels or values.shape[1] < 2:
+        raise InputError(Problem(str(path), "expected analog channels, found none"))
+    rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
+    time = np.arange(values.shape[1]) / rate
+    return Storage("analog", labels, time, values[: len(labels)].T.astype(np.float64))
+
+
+def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarray, "3 3"]) -> FootForces:
+    """Read what plates do to each foot, summed over the plates that are its own.
+
+    Plates differ in sign: the ground pushes up, and all of a plate is turned over where it seems to pull.
+
+    Parameters
+    ----------
+    path
+        The file.
+    feet
+        Plates of each foot.
+    axes
+        Rotation from the laboratory's axes to OpenSim's.
+
+    Raises
+    ------
+    InputError
+        If the file is no C3D file or has no plate of that number.
+    """
+    content = _open(path, plates=True)
+    platforms = content["data"].get("platform", [])
+    problems = [
+        Problem(
+            str(path), f"expected force plate {number}, found {len(platforms)} plates", f"[forces.{side}]"
+        )
+        for side, foot in feet.items()
+        for number in foot.plates
+        if number > len(platforms)
+    ]
+    if problems:
+        raise InputError(problems)
+    # ezc3d takes plates for measured in m where the file says nothing.
+    _unit(content["parameters"]["POINT"], path)
+    rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
+    wrench = [
+        np.sum([_wrench(platforms[number - 1], axes, path) for number in foot.plates], axis=0)
+        for foot in feet.values()
+    ]
+    time = np.arange(wrench[0].shape[1]) / rate
+    return FootForces(tuple(feet), time, np.array(wrench))
+
+
+def _wrench(platform: Any, axes: Float[np.ndarray, "3 3"], path: Path) -> Float[np.ndarray, "6 sample"]:
+    length_unit = platform["unit_position"].strip().lower()
+    if length_unit not in METERS:
+        message = f"expected {', '.join(METERS)} as the unit of force plates' corners, found '{length_unit}'"
+        raise InputError(Problem(str(path), message))
+    moment_unit = platform["unit_moment"].strip().lower().removeprefix("n").lstrip(".* ")
+    if platform["unit_force"].strip().lower() != "n" or moment_unit not in METERS:
+        found = f"{platform['unit_force']} and {platform['unit_moment']}"
+        raise InputError(Problem(str(path), f"expected forces in N and moments in Nmm or Nm, found {found}"))
+    force = axes @ platform["force"]
+    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * METERS[length_unit]
+    free = axes @ np.nan_to_num(platform["Tz"]) * METERS[moment_unit]
+    wrench = np.concatenate([np.cross(center, force, axis=0) + free, force])
+    return wrench * (-1.0 if wrench[4].sum() < 0.0 else 1.0)
+
+
+def _open(path: Path, plates: bool = False) -> Any:
+    check_layout(read_content(path, "a .c3d file"), path)
+    import ezc3d
+
+    try:
+        return ezc3d.c3d(str(path), extract_forceplat_data=plates)
+    except (OSError, ValueError, RuntimeError, KeyError, IndexError, TypeError) as error:
+        message = f"cannot be read as a C3D file ({' '.join(str(error).split())})"
+        raise InputError(Problem(str(path), message)) from None
+
+
+def _labels(group: Any) -> list[str]:
+    """List labels; what does not fit into one list of 255 goes on in ``LABELS2``."""
+    keys = ["LABELS", *(f"LABELS{number}" for number in range(2, 20))]
+    return [label for key in keys if key in group for label in group[key]["value"]]
+
+
+def _unit(group: Any, path: Path) -> float:
+    units = group["UNITS"]["value"] if "UNITS" in group else []
+    unit = units[0].strip().lower() if len(units) else ""
+    if unit not in METERS:
+        raise InputError(Problem(str(path), f"expected {', '.join(METERS)} as POINT:UNITS, found '{unit}'"))
+    return METERS[unit]

@@ -1,1 +1,0 @@
-"""Many subjects at a glance: errors and outcomes over the population, and the page that shows them."""

@@ -1,1 +1,0 @@
-"""Methods beside one another: what is compared, the tests, and the folder they are written to."""

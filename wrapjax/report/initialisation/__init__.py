@@ -1,1 +1,0 @@
-"""The page of lengths to start from."""

@@ -1,0 +1,143 @@
+"""A calibration in numbers: the content of ``summary.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.calibration.result import CalibrationResult, describe_limits
+from wrapjax.evaluation.metrics import MomentErrors, moment_errors, pooled_mae
+from wrapjax.report.curves import describe_drive
+from wrapjax.report.moment_curves import MomentCurves
+from wrapjax.report.starts import describe_starts
+from wrapjax.subject.subject import Subject
+
+#: Version of the layout of ``summary.json``.
+SCHEMA = 1
+USES = ("calibration", "validation")
+
+
+def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
+    """Summarize a calibration as plain numbers and words.
+
+    Returns
+    -------
+    dict
+        The contract's keys, moment errors in N m over all frames of the cycles. Beyond the contract:
+        the errors before calibration, root-mean-square errors by use, what drove each muscle, the hard
+        limits, where each start ended, the cost and its parts, and of each trial the name of its files.
+    """
+    errors = errors_of(result.measured, result.modelled)
+    before = errors_of(result.measured, result.initial_modelled)
+    solution = result.solution
+    return {
+        "schema": SCHEMA,
+        "subject": subject.name,
+        "method": result.method,
+        "converged": solution.status.converged,
+        "message": solution.status.value,
+        "iterations": solution.iterations,
+        "starts": len(result.outcomes),
+        "n_variables": len(solution.variables),
+        "n_residuals": result.n_residuals,
+        "seconds": {"compile": result.compile_seconds, "solve": result.solve_seconds},
+        "max_constraint_violation": solution.max_violation,
+        "mae_Nm": by_use(pooled_mae, errors, result),
+        "rmse_Nm": by_use(pooled_rmse, errors, result),
+        "before": {
+            "mae_Nm": by_use(pooled_mae, before, result),
+            "rmse_Nm": by_use(pooled_rmse, before, result),
+        },
+        "trials": by_trial(errors, result),
+        "drive": describe_drive(subject),
+        "geometry_change": geometry_change(result),
+        "at_bounds": list(result.at_bounds),
+        "limits": describe_limits(result),
+        "start_costs": describe_starts(result),
+        "cost": solution.cost,
+        "cost_by_term": dict(result.cost_by_term),
+    }
+
+
+def geometry_change(result: CalibrationResult) -> dict[str, float]:
+    """Compare calibrated with nominal paths: mean absolute changes over all frames of all cycles.
+
+    Of moment arms, those of coordinates that a muscle spans count.
+    """
+    before, after = result.initial_states.path, result.states.path
+    arms = np.asarray(before.moment_arm)
+    spanned = np.broadcast_to((arms != 0.0).any(axis=(1, 3), keepdims=True), arms.shape)
+    return {
+        "length_mae_m": float(np.abs(after.length - before.length).mean()),
+        "moment_arm_mae_m": float(np.abs(after.moment_arm - before.moment_arm)[spanned].mean()),
+    }
+
+
+def file_stems(trials: Sequence[str]) -> dict[str, str]:
+    """Name the files of each trial: its own name with ``/`` as ``_``.
+
+    Where two names come to the same (also for file systems that ignore case), the later one is
+    numbered, so that no trial's files replace another's.
+    """
+    stems: dict[str, str] = {}
+    taken: set[str] = set()
+    for trial in trials:
+        plain = stem = trial.replace("/", "_")
+        number = 1
+        while stem.lower() in taken:
+            number += 1
+            stem = f"{plain}-{number}"
+        taken.add(stem.lower())
+        stems[trial] = stem
+    return stems
+
+
+def errors_of(
+    measured: Float[np.ndarray, "trial coordinate frame"],
+    modelled: Float[np.ndarray, "trial coordinate frame"],
+) -> list[MomentErrors]:
+    """Compare modelled with measured moments (N m), cycle by cycle."""
+    return [moment_errors(*pair) for pair in zip(measured, modelled, strict=True)]
+
+
+def by_trial(errors: list[MomentErrors], cycles: MomentCurves) -> dict[str, dict[str, Any]]:
+    """Give each cycle's use, errors in N m, and the name of its files."""
+    files = file_stems(cycles.trials)
+    return {
+        trial: {
+            "use": use,
+            "mae_Nm": pooled_mae([error], cycles.coordinates),
+            "rmse_Nm": pooled_rmse([error], cycles.coordinates),
+            "file": files[trial],
+        }
+        for trial, use, error in zip(cycles.trials, cycles.uses, errors, strict=True)
+    }
+
+
+def by_use(
+    pool: Callable[[Sequence[MomentErrors], Sequence[str]], dict[str, float] | None],
+    errors: list[MomentErrors],
+    cycles: MomentCurves,
+) -> dict[str, dict[str, float] | None]:
+    """Pool the errors of the cycles of each use; None for a use without cycles."""
+    return {
+        use: pool(
+            [error for error, given in zip(errors, cycles.uses, strict=True) if given == use],
+            cycles.coordinates,
+        )
+        for use in USES
+    }
+
+
+def pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
+    """Pool root-mean-square errors over the frames of all cycles, by coordinate.
+
+    ``mean`` is their average over coordinates. None without any cycle.
+    """
+    if not errors:
+        return None
+    pooled = np.sqrt(np.mean([error.root_mean_square**2 for error in errors], axis=0))
+    return dict(zip(coordinates, pooled.tolist(), strict=True)) | {"mean": float(pooled.mean())}

@@ -1,0 +1,144 @@
+"""What a subject folder holds, as plain tables: `wrapjax check` prints them, or gives them as JSON."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wrapjax.subject.subject import Subject
+
+Cell = str | float | int | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A title, the names of the columns with their units, and the rows. A missing value is None."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+def describe_subject(subject: Subject) -> tuple[Table, ...]:
+    """Describe a subject: who, EMG channels, trials, joint angles and moments, notes.
+
+    Returns
+    -------
+    tuple of Table
+        Angles are in degrees, everything else in SI units.
+    """
+    return (
+        _overview(subject),
+        _channels(subject),
+        _trials(subject),
+        _coordinates(subject),
+        Table("Notes", ("note",), tuple((note,) for note in subject.notes)),
+    )
+
+
+def render_tables(tables: tuple[Table, ...]) -> str:
+    """Write tables as text with aligned columns, numbers to the right; tables without rows are left out."""
+    return "\n\n".join(_render(table) for table in tables if table.rows) + "\n"
+
+
+def _overview(subject: Subject) -> Table:
+    trials = subject.trials
+    counts = {use: len(trials.used_for(use)) for use in ("calibration", "validation")}
+    rows: tuple[tuple[str, Cell], ...] = (
+        ("folder", str(subject.folder)),
+        ("mass (kg)", subject.mass_kg),
+        ("side", {"l": "left", "r": "right"}[subject.side]),
+        ("paretic", {True: "yes", False: "no", None: None}[subject.paretic]),
+        ("other leg", None if subject.other_leg is None else str(subject.other_leg)),
+        ("model", str(subject.model_file)),
+        ("coordinates", ", ".join(trials.moment_coordinates)),
+        ("coordinates recorded", len(trials.coordinates)),
+        ("driven muscles", len(subject.muscles.names)),
+        ("undriven muscles", ", ".join(subject.undriven_muscles) or None),
+        ("activation groups", len(subject.activation_groups)),
+        ("fiber length groups", len(subject.fiber_length_groups)),
+        ("calibration cycles", counts["calibration"]),
+        ("validation cycles", counts["validation"]),
+        ("frames a cycle", trials.time.shape[1]),
+        ("EMG frames before and after", trials.padding),
+    )
+    return Table(f"Subject {subject.name}", ("what", "value"), rows)
+
+
+def _channels(subject: Subject) -> Table:
+    """Muscles, peak and mean of each channel over all cycles, padding included."""
+    rows = []
+    for index, channel in enumerate(subject.trials.channels):
+        muscles = ", ".join(name for name, driver in subject.channel_of.items() if driver == channel)
+        emg = subject.trials.emg[:, index]
+        rows.append((channel, float(emg.max()), float(emg.mean()), muscles))
+    return Table("EMG channels", ("channel", "peak", "mean", "muscles"), tuple(rows))
+
+
+def _trials(subject: Subject) -> Table:
+    rows = []
+    for recording, rate in zip(subject.recordings, subject.emg_rates, strict=True):
+        durations = [end - start for start, end in recording.cycles]
+        rows.append(
+            (
+                recording.name,
+                recording.use,
+                None if math.isnan(recording.speed) else recording.speed,
+                len(durations),
+                min(durations),
+                max(durations),
+                rate,
+                "yes" if recording.ground_forces else "no",
+            )
+        )
+    header = (
+        "trial",
+        "use",
+        "speed (m/s)",
+        "cycles",
+        "shortest (s)",
+        "longest (s)",
+        "EMG (Hz)",
+        "ground forces",
+    )
+    return Table("Trials", header, tuple(rows))
+
+
+def _coordinates(subject: Subject) -> Table:
+    trials = subject.trials
+    rows = []
+    for index, name in enumerate(trials.moment_coordinates):
+        angles = np.rad2deg(trials.angles[:, trials.coordinates.index(name)])
+        moments = trials.moments[:, index]
+        rows.append(
+            (name, float(angles.min()), float(angles.max()), float(moments.min()), float(moments.max()))
+        )
+    header = ("coordinate", "angle min (deg)", "max (deg)", "moment min (N m)", "max (N m)")
+    return Table("Joint angles and moments over all cycles", header, tuple(rows))
+
+
+def _render(table: Table) -> str:
+    cells = [[_shown(cell) for cell in row] for row in table.rows]
+    numeric = [
+        all(isinstance(row[place], (int, float)) or row[place] is None for row in table.rows)
+        for place in range(len(table.header))
+    ]
+    widths = [max(len(row[place]) for row in [table.header, *cells]) for place in range(len(table.header))]
+
+    def line(row: list[str] | tuple[str, ...]) -> str:
+        padded = (
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row, widths, numeric, strict=True)
+        )
+        return "  ".join(padded).rstrip()
+
+    rule = "  ".join("-" * width for width in widths)
+    return "\n".join([table.title, line(table.header), rule, *map(line, cells)])
+
+
+def _shown(cell: Cell) -> str:
+    if cell is None:
+        return "-"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
