@@ -17,7 +17,7 @@ from benchmarks.case import Case, moment_residuals, total_cost
 from benchmarks.machine import THREAD_VARIABLES
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.calibration.solvers.interface import Pace, SolverState
+from wrapjax.calibration.solvers.interface import DampingState, SolverState
 from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
 from wrapjax.model.forward import joint_moments
 
@@ -33,7 +33,7 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
     linearize = case.compiled(lambda problem, x: problem.linearize(x))
     by_muscle = case.compiled(lambda problem, x: problem.moment_jacobian(x))
     plain = case.compiled(jax.jacfwd(moment_residuals, argnums=1))
-    state = SolverState(point, linearize(point), Pace(jnp.asarray(1e-4), jnp.asarray(2.0)))
+    state = SolverState(point, linearize(point), DampingState(jnp.asarray(1e-4), jnp.asarray(2.0)))
     hessian = state.linearization.gauss_newton + state.linearization.remainder
     bounds = jnp.asarray(case.problem.lower), jnp.asarray(case.problem.upper)
     seconds = median_seconds(

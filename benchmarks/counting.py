@@ -28,7 +28,7 @@ class Evaluations:
 
 @contextmanager
 def counted_evaluations() -> Iterator[Evaluations]:
-    """Count what `ProjectedLM` asks of its problem meanwhile."""
+    """Count what `ProjectedLevenbergMarquardt` asks of its problem meanwhile."""
     count = Evaluations()
     value, linearize = interface._value, interface._linearize
 

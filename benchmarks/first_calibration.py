@@ -11,7 +11,7 @@ import time
 
 import wrapjax
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 
 def main() -> None:
@@ -20,7 +20,7 @@ def main() -> None:
     moments = [time.perf_counter()]
     problem = build_objective(subject, "NGA", fit)
     moments.append(time.perf_counter())
-    solver, start = ProjectedLM(), problem.variables.start()
+    solver, start = ProjectedLevenbergMarquardt(), problem.variables.start()
     solver.compile(problem, start)
     moments.append(time.perf_counter())
     solver.solve(problem, start)

@@ -13,7 +13,7 @@ from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
 from wrapjax.calibration.problem import stages
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.calibration.solvers.interface import Pace, SolverState
+from wrapjax.calibration.solvers.interface import DampingState, SolverState
 from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
 from wrapjax.path_sources.fit import Fit
 from wrapjax.subject.subject import Subject
@@ -67,8 +67,8 @@ def _kernels(subject: Subject, fit: Fit, method: str) -> list[Metric]:
     start = problem.start(problem.variables.base)
     linearize = eqx.filter_jit(lambda problem, x: problem.linearize(x))
     cost = eqx.filter_jit(lambda problem, x: problem.value(x))
-    pace = Pace(jnp.asarray(1e-4), jnp.asarray(2.0))
-    state = SolverState(start, linearize(problem, start), pace)
+    damping_state = DampingState(jnp.asarray(1e-4), jnp.asarray(2.0))
+    state = SolverState(start, linearize(problem, start), damping_state)
     hessian = state.linearization.gauss_newton + state.linearization.remainder
     bounds = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
     seconds = median_seconds(

@@ -17,7 +17,7 @@ from scipy.optimize import Bounds, least_squares, minimize
 
 from benchmarks.case import Case, total_cost
 from benchmarks.jacobian import residual_jacobian
-from benchmarks.race import Run, Watch, race
+from benchmarks.race import IterationCallback, Run, race
 
 _MANY = 1_000_000
 
@@ -45,7 +45,7 @@ def _trf(name: str, case: Case, limit: float, jacobian: str | Callable[[Any], An
     residuals = case.compiled(lambda problem, x: problem.residuals(x))
     jax.block_until_ready(residuals(case.start))
 
-    def optimize(watch: Watch) -> str:
+    def optimize(watch: IterationCallback) -> str:
         def function(x):
             rows = np.asarray(residuals(x))
             watch.see(x, rows @ rows)
@@ -87,7 +87,7 @@ def lbfgsb_differences(case: Case, limit: float) -> Run:
 
 
 def _lbfgsb(name: str, case: Case, limit: float, evaluate: Callable[[Any], Any], jacobian: str | bool) -> Run:
-    def optimize(watch: Watch) -> str:
+    def optimize(watch: IterationCallback) -> str:
         def function(x):
             value = evaluate(x)
             watch.see(x, value[0] if jacobian is True else value)
@@ -108,7 +108,7 @@ def slsqp_differences(case: Case, limit: float) -> Run:
     cost = case.compiled(total_cost)
     jax.block_until_ready(cost(case.start))
 
-    def optimize(watch: Watch) -> str:
+    def optimize(watch: IterationCallback) -> str:
         def function(x):
             value = float(cost(x))
             watch.see(x, value)
@@ -144,7 +144,7 @@ def jaxopt_lbfgsb(case: Case, limit: float) -> Run:
     start = (case.start, begin(case.start))
     jax.block_until_ready((advance(start), cost(case.start)))
 
-    def optimize(watch: Watch) -> str:
+    def optimize(watch: IterationCallback) -> str:
         carry = start
         for _ in range(_MANY):
             watch.see(np.asarray(carry[0]), float(carry[1].value))
@@ -186,7 +186,7 @@ def optimistix_lm(case: Case, limit: float) -> Run:
     cost = case.compiled(lambda problem, free: total_cost(problem, inside(free)))
     jax.block_until_ready((advance(case.problem, free, state)[0], cost(free)))
 
-    def optimize(watch: Watch) -> str:
+    def optimize(watch: IterationCallback) -> str:
         point, carry, done = free, state, False
         while not done:
             watch.see(np.asarray(inside(point)), float(cost(point)))

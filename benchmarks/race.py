@@ -52,7 +52,7 @@ class _TimeIsUp(Exception):
     """Ends an optimizer from within the function that it minimises."""
 
 
-class Watch:
+class IterationCallback:
     """Notes every point that an optimizer evaluates; ends it when its time is up."""
 
     def __init__(self, limit: float):
@@ -86,7 +86,7 @@ class Watch:
         )
 
 
-def race(name: str, limit: float, optimize: Callable[[Watch], str]) -> Run:
+def race(name: str, limit: float, optimize: Callable[[IterationCallback], str]) -> Run:
     """Let an optimizer run, for ``limit`` seconds at most.
 
     Parameters
@@ -98,7 +98,7 @@ def race(name: str, limit: float, optimize: Callable[[Watch], str]) -> Run:
     optimize
         Reports every evaluation to the watch; returns how it ended.
     """
-    watch = Watch(limit)
+    watch = IterationCallback(limit)
     try:
         ending = optimize(watch)
     except _TimeIsUp:

@@ -8,12 +8,12 @@ from benchmarks.counting import counted_programs
 from benchmarks.metric import Metric
 from benchmarks.tiled import another_person
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 
 def recompilations(problem: Objective) -> list[Metric]:
     """Count the programs that XLA is asked for by a second solve, and by two steps with a second person."""
-    solver = ProjectedLM(max_iterations=2)
+    solver = ProjectedLevenbergMarquardt(max_iterations=2)
     # Indefinite Hessians need a program of their own, which not every solve meets; this one compiles it, too.
     solver.compile(problem, problem.variables.start())
     solver.solve(problem, problem.variables.start())

@@ -13,7 +13,7 @@ from benchmarks.metric import INFORMATION, Metric
 from benchmarks.peers import PEERS
 from benchmarks.published import NMSM_PIPELINE, beside_published
 from benchmarks.race import Run
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 #: A peer has arrived when its cost is this close to ours, relatively. The problem has several minima
 #: less than one percent apart, and which of them an optimizer meets is luck.
@@ -54,7 +54,7 @@ def solves(case: Case, *, quick: bool = False, limit: float = 120.0) -> list[Met
 
 
 def _our_run(case: Case, repeats: int) -> Run:
-    solver = ProjectedLM()
+    solver = ProjectedLevenbergMarquardt()
     solver.compile(case.problem, case.start)
     # The first solve may still compile what only the second step needs; it is counted, but not timed.
     with counted_evaluations() as asked:

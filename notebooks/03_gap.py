@@ -20,7 +20,7 @@ set_up_jax()  # 64 bits; what is compiled is kept for the next run
 import numpy as np
 
 import wrapjax
-from wrapjax.cli.diagnose import gap_table
+from wrapjax.cli.diagnose import diagnosis_table
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
@@ -40,9 +40,9 @@ subject = wrapjax.load_subject(folder / "person")
 ASKED = {"ankle_foot_orthosis", "curve_family", "emg_drift", "joint_damping"}
 others = sorted(set(CATALOGUE) - ASKED)
 paths = wrapjax.fit(subject, "engine")
-diagnosis = wrapjax.diagnose(subject, "NGA", paths, starts=2, twins=10, without=others)
+diagnosis = wrapjax.diagnose(subject, "NGA", paths, starts=2, null_replicates=10, without=others)
 found = diagnosis.result
-print(gap_table(found))
+print(diagnosis_table(found))
 
 # %% [markdown]
 # ## Where

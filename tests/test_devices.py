@@ -10,7 +10,7 @@ from benchmarks.devices import on_device
 from benchmarks.tiled import another_person
 from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, wrap_at_samples
 from wrapjax.osim.model import describe_model
 
@@ -49,9 +49,9 @@ def test_solves_end_in_the_same_place():
     point = problem.start(problem.initial)
     cpu = jax.devices("cpu")[0]
     with jax.default_device(device):
-        there = ProjectedLM().solve(on_device(device, problem), on_device(device, point))
+        there = ProjectedLevenbergMarquardt().solve(on_device(device, problem), on_device(device, point))
     with jax.default_device(cpu):
-        here = ProjectedLM().solve(on_device(cpu, problem), on_device(cpu, point))
+        here = ProjectedLevenbergMarquardt().solve(on_device(cpu, problem), on_device(cpu, point))
     assert there.cost == pytest.approx(here.cost, rel=TOLERANCE)
 
 

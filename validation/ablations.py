@@ -12,16 +12,18 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.score import score_each
 
 Sizes = Float[np.ndarray, " coordinate"]
 #: Straight lines, and standard deviations of measured moments (N m), with a term left out of them.
-Ablation = Callable[[LinearGap, Sizes], tuple[LinearGap, Sizes]]
+Ablation = Callable[[LinearizedModel, Sizes], tuple[LinearizedModel, Sizes]]
 
 
-def ablated(ablation: Ablation, gap: LinearGap, sizes: Sizes, alarm: float) -> dict[str, tuple[float, bool]]:
+def ablated(
+    ablation: Ablation, gap: LinearizedModel, sizes: Sizes, detection_threshold: float
+) -> dict[str, tuple[float, bool]]:
     """Score all effects with a term left out.
 
     Returns
@@ -30,33 +32,33 @@ def ablated(ablation: Ablation, gap: LinearGap, sizes: Sizes, alarm: float) -> d
     """
     gap, sizes = ablation(gap, sizes)
     (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
-    return {one.id: (one.evidence, one.evidence > alarm) for one in found.scores}
+    return {one.id: (one.evidence, one.evidence > detection_threshold) for one in found.scores}
 
 
-def _whole(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _whole(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     return gap, sizes
 
 
-def _without_input_errors(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _without_input_errors(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     """EMG and angles are taken for exact; what differs between cycles is all noise of moments."""
     return replace(gap, input_errors=()), sizes
 
 
-def _without_muscle_errors(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _without_muscle_errors(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     none = replace(gap.muscle_errors, arms=np.zeros_like(gap.muscle_errors.arms))
     return replace(gap, muscle_errors=none), sizes
 
 
-def _without_repeated(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _without_repeated(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     return gap, np.zeros_like(sizes)
 
 
-def _without_nuisances(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _without_nuisances(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     """No other force curves or activation dynamics, and envelopes that no filter has touched."""
     return replace(gap, nuisances=np.zeros_like(gap.nuisances)), sizes
 
 
-def _without_give(gap: LinearGap, sizes: Sizes) -> tuple[LinearGap, Sizes]:
+def _without_give(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
     """What was calibrated is taken for known: it gives way to nothing, and residuals are as it left them."""
     return replace(gap, spread=np.zeros_like(gap.spread), residual=gap.fitted), sizes
 

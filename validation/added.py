@@ -1,7 +1,7 @@
 """Who leads when a known signal is added to people with nothing amiss, along straight lines.
 
 ``python -m validation.added --bank BANK --lines LINES`` takes the people of a development bank that have no
-effect, each once, and their straight lines (see `validation.lines`). To each one's residual it adds every
+effect, each once, and their straight lines (see `validation.linearizations`). To each one's residual it adds every
 signal that the simulator knows of this person, in turn and as large as the null hypothesis leaves so many
 standard deviations of it (``--sizes``), and scores all effects: how often the right one comes first, or among
 three, what share of the signal (of its square) its signatures can form, its evidence, and who leads in its
@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg
 
 from validation.blind.library import Library, library_of
-from validation.lines import Lines, development_lines
+from validation.linearizations import Lines, development_lines
 from validation.losses import captured_share, in_rows, white
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import project

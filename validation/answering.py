@@ -53,7 +53,7 @@ def _answer(job: Job) -> str:
     # Imported by a worker, after its threads are set.
     import wrapjax
 
-    question = question_of(job.case)
+    question = calibration_fingerprint(job.case)
     kept = _kept(job.answer, question)
     # Beside an answer to another question they are of that one, too.
     others = {name: own for name, own in _others(job).items() if not (kept and (own / "gap.json").exists())}
@@ -74,7 +74,7 @@ def _answer(job: Job) -> str:
     return said
 
 
-def question_of(case: Path) -> dict[str, object]:
+def calibration_fingerprint(case: Path) -> dict[str, object]:
     """Name what an answer depends on: a subject's files and the package."""
     from wrapjax.io.files import code_hash, content_hash
 
@@ -104,7 +104,7 @@ def write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
             write_answer(BASELINES[name](lines), folder)
         else:
             sizes = done.case.measured_sizes
-            write_answer(ablated(ABLATIONS[name], lines, sizes, done.result.alarm), folder)
+            write_answer(ablated(ABLATIONS[name], lines, sizes, done.result.detection_threshold), folder)
 
 
 def _kept(folder: Path, question: Mapping[str, object]) -> bool:

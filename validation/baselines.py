@@ -15,7 +15,7 @@ from jaxtyping import Float
 from scipy.special import softmax
 from scipy.stats import chi2
 
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.io.files import write_json
 
 Rows = Float[np.ndarray, "column row"]
@@ -26,7 +26,7 @@ LEVEL = 0.05
 BLOCKS = 5
 
 
-def raw_correlation(gap: LinearGap) -> dict[str, tuple[float, bool]]:
+def raw_correlation(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
     """Correlate each effect's signatures with the residual; it has no threshold, so that all are named.
 
     Returns
@@ -43,7 +43,7 @@ def raw_correlation(gap: LinearGap) -> dict[str, tuple[float, bool]]:
     return {one.id: (max(map(of, one.variants)), True) for one in gap.candidates}
 
 
-def modification_index(gap: LinearGap) -> dict[str, tuple[float, bool]]:
+def modification_index(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
     """Test effects as structural equation models do: independent noise, what is calibrated projected out.
 
     Returns
@@ -69,7 +69,7 @@ def modification_index(gap: LinearGap) -> dict[str, tuple[float, bool]]:
     return {id: (value, value > limit) for id, value in found.items()}
 
 
-def held_out_drop(gap: LinearGap) -> dict[str, tuple[float, bool]]:
+def held_out_drop(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
     """Refit each effect along straight lines, with all that is calibrated, to parts of the cycles.
 
     Returns
@@ -112,7 +112,7 @@ def _in_deviations(
 
 
 #: By the name under which it is scored.
-BASELINES: dict[str, Callable[[LinearGap], dict[str, tuple[float, bool]]]] = {
+BASELINES: dict[str, Callable[[LinearizedModel], dict[str, tuple[float, bool]]]] = {
     "modification_index": modification_index,
     "raw_correlation": raw_correlation,
     "held_out_drop": held_out_drop,

@@ -1,7 +1,7 @@
 """Who would lead if every effect's shape were known: the score, with the simulator's signatures for ours.
 
 ``python -m validation.borrowed --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.lines`) and scores every case twice: with the catalogue's signatures, and with those that the
+(see `validation.linearizations`) and scores every case twice: with the catalogue's signatures, and with those that the
 simulator itself has of this person, at its true parameters. The null hypothesis stays. What the second ranks
 no better does not hang on the shapes of the catalogue; evidence where nothing is amiss shows along which
 directions the plain model differs from the simulated people as a whole.
@@ -19,9 +19,9 @@ import numpy as np
 
 from validation.blind.library import Library, library_of
 from validation.known_cases import Scored, ranking
-from validation.lines import Lines, development_lines
+from validation.linearizations import Lines, development_lines
 from validation.losses import in_rows
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import Candidate
 from wrapjax.diagnosis.score import score_each
@@ -62,7 +62,7 @@ def both(truth: dict[str, Any], lines: Lines, library: Library) -> tuple[Scored,
     )
 
 
-def borrowed(gap: LinearGap, library: Library) -> tuple[Candidate, ...]:
+def borrowed(gap: LinearizedModel, library: Library) -> tuple[Candidate, ...]:
     """Make candidates of all that the simulator knows; a shape for each muscle or joint it can be about."""
     # Of either sign: the library holds each at one amount, which is as large as it is plausible.
     shapes: dict[str, list[Any]] = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from validation.banks import CLEAR
-from validation.lines import development_lines
+from validation.linearizations import development_lines
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.score import score_each
 from wrapjax.diagnosis.verdict import Probabilities

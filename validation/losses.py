@@ -1,7 +1,7 @@
 """Where evidence for a known cause is lost, from the simulator's signal to a diagnosis's signatures.
 
 ``python -m validation.losses --bank BANK --lines LINES`` takes a development bank and its straight lines (see
-`validation.lines`) and follows the true signal of each single cause, which the bank's library holds, all in
+`validation.linearizations`) and follows the true signal of each single cause, which the bank's library holds, all in
 standard deviations:
 
 - ``d*``, what the simulator could see of it, knowing its own curves and parameters;
@@ -28,8 +28,8 @@ from jaxtyping import Float
 from validation.banks import CLEAR
 from validation.blind.effects import EFFECTS
 from validation.blind.library import SHARE, library_of
-from validation.lines import Lines, development_lines
-from wrapjax.diagnosis.linearization import LinearGap
+from validation.linearizations import Lines, development_lines
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.null_covariance import Matrix
 from wrapjax.diagnosis.projection import Candidate, project
@@ -101,7 +101,7 @@ def loss(
     return Loss(d_star, seen, captured_share(left, candidate, factor), float(left @ residual) / seen)
 
 
-def in_rows(signal: Float[np.ndarray, "..."], gap: LinearGap) -> Float[np.ndarray, " row"]:
+def in_rows(signal: Float[np.ndarray, "..."], gap: LinearizedModel) -> Float[np.ndarray, " row"]:
     """Put a signal of the simulator (cycle, phase, coordinate) in the order of residuals."""
     cycles, coordinates, phases = gap.residual.shape
     return np.reshape(signal, (cycles, phases, coordinates)).transpose(0, 2, 1).ravel()

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import pin_threads
-from validation.answering import question_of
+from validation.answering import calibration_fingerprint
 from validation.injected import Variant, injections, knock_outs, write_variant
 from wrapjax.errors import InputError, Problem
 
@@ -90,7 +90,7 @@ def _once(
     began = time.perf_counter()
     folder = options.out / "subjects" / variant.name
     write_variant(options.subject, folder, variant)
-    question = {**question_of(folder), "starts": options.starts}
+    question = {**calibration_fingerprint(folder), "starts": options.starts}
     kept = _kept(variant, options)
     if kept is None or kept["question"] != question:
         kept = {"question": question, **ask(folder)}

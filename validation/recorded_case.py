@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 import wrapjax
-from wrapjax.calibration.calibration import Calibration, kept_calibration
-from wrapjax.diagnosis.diagnosis import diagnose_calibrated, investigation
+from wrapjax.calibration.calibration import Calibration, cached_calibration
+from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
 from wrapjax.diagnosis.effects.drive import drive_over_cycle
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.pipeline import straight_lines
+from wrapjax.diagnosis.pipeline import linearize_effects
 from wrapjax.diagnosis.refit import fit_jointly, joint_problem
 from wrapjax.diagnosis.score import Score, score_each
 from wrapjax.subject.subject import Subject
@@ -44,11 +44,11 @@ def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]
     dict
         Evidence in nats by effect, the cost, and the variables where the calibration ended.
     """
-    case = investigation(_calibrated(wrapjax.load_subject(folder), starts))
+    case = diagnosis_input(_calibrated(wrapjax.load_subject(folder), starts))
     problem = joint_problem(case.problem, Effects(()), case.variables, np.zeros(0), 0.0)
     begun = [case.variables, *([np.array(beside)] if len(beside) else [])]
     fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
-    _, _, gap = straight_lines(case, fitted.calibrated)
+    _, _, gap = linearize_effects(case, fitted.calibrated)
     return {
         "evidence": {one.id: one.evidence for one in _scores(gap, case.measured_sizes)},
         "cost": float(fitted.cost),
@@ -87,16 +87,16 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
 
 def _calibrated(subject: Subject, starts: int) -> Calibration:
     alone = replace(subject, other_leg=None)
-    return kept_calibration(alone, "NGA", wrapjax.fit(alone, "engine", processes=1), starts=starts)
+    return cached_calibration(alone, "NGA", wrapjax.fit(alone, "engine", processes=1), starts=starts)
 
 
-def _scores(gap: LinearGap, sizes: Float[np.ndarray, " coordinate"]) -> tuple[Score, ...]:
+def _scores(gap: LinearizedModel, sizes: Float[np.ndarray, " coordinate"]) -> tuple[Score, ...]:
     (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
     return found.scores
 
 
 def _drive(
-    gap: LinearGap,
+    gap: LinearizedModel,
     sizes: Float[np.ndarray, " coordinate"],
     groups: Sequence[tuple[str, tuple[str, ...]]],
     whole: Subject,
@@ -118,7 +118,7 @@ def _drive(
     )
     found = []
     for (group, members), score in zip(groups, _scores(replace(gap, candidates=each), sizes), strict=True):
-        drive = np.asarray(drive_over_cycle(jnp.asarray(score.amounts), PHASES))
+        drive = np.asarray(drive_over_cycle(jnp.asarray(score.effect_sizes), PHASES))
         found.append(
             {
                 "group": group,

@@ -1,7 +1,7 @@
 """How often several effects stand out together, where one, two or none are true.
 
 ``python -m validation.several --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.lines`), and looks for effects that each stand out beside the others, as a diagnosis does
+(see `validation.linearizations`), and looks for effects that each stand out beside the others, as a diagnosis does
 before it asks whether each helps with cycles kept back. The alarm is the shipped one; a diagnosis' own people
 with nothing amiss may raise it.
 """
@@ -14,12 +14,12 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from validation.lines import Lines, development_lines
+from validation.linearizations import Lines, development_lines
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import project
 from wrapjax.diagnosis.score import score_projected
 from wrapjax.diagnosis.together import standing_together
-from wrapjax.diagnosis.verdict import Tuning
+from wrapjax.diagnosis.verdict import DecisionConstants
 from wrapjax.errors import InputError
 
 #: Cases whose causes the catalogue has, by how many they are.
@@ -47,20 +47,20 @@ def main() -> int:
 
 def judged(bank: Path, lines: Path) -> Iterator[tuple[str, tuple[str, ...], set[str]]]:
     """Give of each case what it is called, what stands out together, and its causes."""
-    tuning = Tuning.shipped()
+    constants = DecisionConstants.shipped()
     for truth, own in development_lines(bank, lines):
         if truth["tier"] in TIERS:
-            yield truth["tier"], together(own, tuning), {cause["id"] for cause in truth["causes"]}
+            yield truth["tier"], together(own, constants), {cause["id"] for cause in truth["causes"]}
 
 
-def together(lines: Lines, tuning: Tuning) -> tuple[str, ...]:
+def together(lines: Lines, constants: DecisionConstants) -> tuple[str, ...]:
     """Name the effects that each stand out beside the others; none where one explains as much."""
     gap = lines.gap
     residual = lines.gap.residual.reshape(1, -1)
     projections = [project(residual, null, gap.candidates) for null in nulls(gap, lines.sizes)]
     (scored,) = score_projected(projections, gap.candidates)
     scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}
-    return standing_together(projections, gap.candidates, scores, tuning.alarm)
+    return standing_together(projections, gap.candidates, scores, constants.detection_threshold)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -11,12 +11,12 @@ from benchmarks.counting import counted_evaluations
 from benchmarks.growth import Growth
 from benchmarks.jacobian import residual_jacobian
 from benchmarks.published import NMSM_PIPELINE, beside_published
-from benchmarks.race import Watch
+from benchmarks.race import IterationCallback
 from benchmarks.roofline import Roof, work_of
 from benchmarks.tiled import another_person, tiled
-from tests.calibration.test_projected_lm import dense
+from tests.calibration.test_levenberg_marquardt import dense
 from tests.model.small import small_objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +77,14 @@ def test_evaluations_are_those_that_the_solver_asks_for():
         lambda x: jnp.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]), -2.0 * jnp.ones(2), 2.0 * jnp.ones(2)
     )
     with counted_evaluations() as asked:
-        found = ProjectedLM(max_iterations=12).solve(valley, np.array([-1.2, 1.0]))
+        found = ProjectedLevenbergMarquardt(max_iterations=12).solve(valley, np.array([-1.2, 1.0]))
     taken = int((np.diff([one.cost for one in found.history]) < 0.0).sum())
     assert 0 < taken < found.iterations
     assert (asked.values, asked.linearizations, asked.total) == (12, 1 + taken, 13 + taken)
 
 
 def test_published_figures_are_over_ours():
-    watch = Watch(1e9)
+    watch = IterationCallback(1e9)
     for cost in (3.0, 2.0):
         watch.see(np.zeros(1), cost)
     run = watch.finish("wrapjax", "")

@@ -12,9 +12,9 @@ from scipy.optimize import LinearConstraint, minimize
 from tests.model.small import small_limited_objective, small_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
-TIGHT = AugmentedLagrangian(ProjectedLM(gtol=1e-10, ftol=1e-15), ctol=1e-9)
+TIGHT = AugmentedLagrangian(ProjectedLevenbergMarquardt(gtol=1e-10, ftol=1e-15), ctol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_trust_constr_agrees_on_paths_alone(problem, solution):
 def test_without_limits_it_is_the_inner_solver():
     problem = small_objective()
     start = problem.start(problem.initial)
-    inner = ProjectedLM()
+    inner = ProjectedLevenbergMarquardt()
     ours, theirs = AugmentedLagrangian(inner).solve(problem, start), inner.solve(problem, start)
     np.testing.assert_array_equal(ours.variables, theirs.variables)
     assert ours.status is theirs.status and ours.iterations == theirs.iterations
@@ -147,7 +147,7 @@ def test_limits_that_cannot_be_met_are_said(problem, start):
 
 
 def test_iterations_are_counted_over_all_rounds(problem, start):
-    few = AugmentedLagrangian(ProjectedLM(max_iterations=4))
+    few = AugmentedLagrangian(ProjectedLevenbergMarquardt(max_iterations=4))
     stopped = few.solve(problem, start)
     assert stopped.status is Status.iterations and stopped.iterations == 4
     assert [one.number for one in stopped.history] == list(range(5))

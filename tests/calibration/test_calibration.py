@@ -11,7 +11,7 @@ import pytest
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.calibration.problem import build_objective, objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError
 from wrapjax.model.freedom import nga
 from wrapjax.path_sources.fitting import fit
@@ -108,7 +108,7 @@ def test_a_freedom_of_ones_own(person, paths, start):
 
 def test_callback_sees_every_iteration(person, paths):
     seen = []
-    solver = AugmentedLagrangian(ProjectedLM(max_iterations=2))
+    solver = AugmentedLagrangian(ProjectedLevenbergMarquardt(max_iterations=2))
     result = calibrate(
         person,
         "NGA",

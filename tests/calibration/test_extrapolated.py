@@ -9,7 +9,7 @@ import pytest
 from tests.calibration.dense import dense_derivatives
 from tests.model.small import PADDING, small_objective
 from tests.model.small_extrapolated import COMMANDS, small_extrapolated_objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.model.forward import muscle_states
 from wrapjax.muscle.excitation import within_unit
 
@@ -135,7 +135,7 @@ def test_a_hidden_excitation_is_found_again():
     without = dataclasses.replace(problem, variables=dataclasses.replace(problem.variables, base=weak))
     errors, excitations = [], []
     for one in (problem, without):
-        solution = ProjectedLM().solve(one, one.variables.start())
+        solution = ProjectedLevenbergMarquardt().solve(one, one.variables.start())
         assert solution.status.converged
         found = muscle_states(one.curves, one.parameters(jnp.asarray(solution.variables)), one.recording)
         errors.append(float(jnp.abs(found.moment.sum(axis=0) - one.measured).mean()))

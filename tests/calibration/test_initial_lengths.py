@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wrapjax.calibration.initial_lengths import InitialLengths, LengthErrors
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.model.parameters import initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES
 
@@ -56,14 +56,14 @@ def test_true_lengths_are_found_where_moments_decide(problem):
     for weak in (1.0, 10.0, 100.0, 1e3, 1e4):
         errors = jax.tree.map(lambda error, by=weak: by * error, LengthErrors())
         errors = dataclasses.replace(errors, passive_moment=2.0)
-        solution = ProjectedLM().solve(dataclasses.replace(problem, errors=errors), variables)
+        solution = ProjectedLevenbergMarquardt().solve(dataclasses.replace(problem, errors=errors), variables)
         assert solution.status.converged
         variables = jnp.asarray(solution.variables)
     np.testing.assert_allclose(variables[: 2 * MUSCLES], TRUE.ravel(), rtol=2e-3)
 
 
 def test_usual_weights_come_nearer_to_moments_and_lengths(problem):
-    solution = ProjectedLM().solve(problem, problem.start())
+    solution = ProjectedLevenbergMarquardt().solve(problem, problem.start())
     assert solution.status.converged
     found = jnp.asarray(solution.variables)
     before, after = (
@@ -100,7 +100,7 @@ def test_terms_are_mean_squares_in_allowable_errors(problem):
 def test_without_passive_moments_only_ranges_act(problem):
     bare = dataclasses.replace(problem, recorded=np.zeros_like(problem.recorded))
     assert not np.any(bare.terms(bare.start())["passive_moment"])
-    solution = ProjectedLM().solve(bare, bare.start())
+    solution = ProjectedLevenbergMarquardt().solve(bare, bare.start())
     longest = np.asarray(bare.normalized_lengths(bare.lengths(jnp.asarray(solution.variables)))).max(axis=1)
     np.testing.assert_allclose(longest, 1.0, atol=0.05)
 

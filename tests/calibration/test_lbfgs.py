@@ -11,7 +11,7 @@ from tests.model.small import small_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.lbfgs import BoundedLBFGS
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError
 
 pytest.importorskip("jaxopt")
@@ -24,7 +24,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def ours(problem):
-    return ProjectedLM().solve(problem, problem.start(problem.initial))
+    return ProjectedLevenbergMarquardt().solve(problem, problem.start(problem.initial))
 
 
 def test_it_stays_at_our_optimum(problem, ours):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.model.small import small_limited_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import best, solve_from_starts, starting_points
 from wrapjax.errors import InputError
@@ -86,7 +86,7 @@ def _stop_at(start, number):
 @pytest.mark.parametrize(("start", "share"), [(0, 0.05), (0, 0.6), (1, 0.05), (1, 0.9)])
 def test_interrupted_work_goes_on_to_the_same_optimum(stages, starts, undisturbed, tmp_path, start, share):
     number = max(1, int(share * undisturbed[start].solution.iterations))
-    book = Journal.open(tmp_path / "book", "question", resume=False)
+    book = Checkpoints.open(tmp_path / "book", "question", resume=False)
     stopped = solve_from_starts(stages, starts, SOLVER, _stop_at(start, number), book)
     assert stopped[-1].solution.status is Status.interrupted and len(stopped) == start + 1
     seen = []
@@ -95,7 +95,7 @@ def test_interrupted_work_goes_on_to_the_same_optimum(stages, starts, undisturbe
         starts,
         SOLVER,
         lambda own, iteration, state: seen.append(own),
-        Journal.open(tmp_path / "book", "question", resume=True),
+        Checkpoints.open(tmp_path / "book", "question", resume=True),
     )
     assert start == 0 or 0 not in seen, "a finished start was solved again"
     for ours, theirs in zip(resumed, undisturbed, strict=True):
@@ -107,7 +107,7 @@ def test_interrupted_work_goes_on_to_the_same_optimum(stages, starts, undisturbe
 
 
 def test_a_damaged_entry_counts_as_absent(stages, starts, undisturbed, tmp_path):
-    book = Journal.open(tmp_path / "book", "question", resume=False)
+    book = Checkpoints.open(tmp_path / "book", "question", resume=False)
     solve_from_starts(stages[:1], starts[:1], SOLVER, None, book)
     assert book.read("start_0_stage_0").status.converged
     file = tmp_path / "book" / "start_0_stage_0.npz"
@@ -117,11 +117,11 @@ def test_a_damaged_entry_counts_as_absent(stages, starts, undisturbed, tmp_path)
 
 
 def test_a_journal_of_something_else_is_refused(tmp_path):
-    Journal.open(tmp_path / "book", "one question", resume=False)
+    Checkpoints.open(tmp_path / "book", "one question", resume=False)
     with pytest.raises(InputError, match="other data or settings"):
-        Journal.open(tmp_path / "book", "another", resume=True)
+        Checkpoints.open(tmp_path / "book", "another", resume=True)
     with pytest.raises(InputError, match="no interrupted work"):
-        Journal.open(tmp_path / "nowhere", "one question", resume=True)
-    book = Journal.open(tmp_path / "book", "one question", resume=True)
+        Checkpoints.open(tmp_path / "nowhere", "one question", resume=True)
+    book = Checkpoints.open(tmp_path / "book", "one question", resume=True)
     book.close()
     assert not (tmp_path / "book").exists()

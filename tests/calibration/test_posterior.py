@@ -13,7 +13,7 @@ import scipy.stats
 from tests.model.small import MUSCLES, small_parameters, small_recording
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.uncertainty.intervals import spread_of
 from wrapjax.calibration.uncertainty.posterior import Posterior, draw_within, posterior
@@ -284,9 +284,9 @@ def test_draws_that_are_done_are_not_done_again(judged, tmp_path):
         def solve(self, *arguments):
             raise AssertionError("a draw was done again")
 
-    journal = Journal.open(tmp_path / "book", "question", resume=False)
-    done, _ = refits(judged, SOLVER, 3, seed=0, journal=journal)
-    again, statuses = refits(judged, NoWork(), 3, seed=0, journal=journal)
+    checkpoints = Checkpoints.open(tmp_path / "book", "question", resume=False)
+    done, _ = refits(judged, SOLVER, 3, seed=0, checkpoints=checkpoints)
+    again, statuses = refits(judged, NoWork(), 3, seed=0, checkpoints=checkpoints)
     np.testing.assert_array_equal(again, done)
     assert len(statuses) == 3
     few, _ = refits(judged, SOLVER, 2, seed=0)

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.counting import counted_programs
 from tests.model.small import small_limited_objective, small_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 
 def moments_alone(seed: int):
@@ -18,9 +18,12 @@ def moments_alone(seed: int):
 @pytest.mark.parametrize(
     ("make", "solver"),
     [
-        pytest.param(moments_alone, ProjectedLM(max_iterations=3), id="moments alone"),
+        pytest.param(moments_alone, ProjectedLevenbergMarquardt(max_iterations=3), id="moments alone"),
         pytest.param(
-            small_objective, ProjectedLM(max_iterations=5), id="all penalties", marks=pytest.mark.slow
+            small_objective,
+            ProjectedLevenbergMarquardt(max_iterations=5),
+            id="all penalties",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
             small_limited_objective, AugmentedLagrangian(), id="paths and limits", marks=pytest.mark.slow

@@ -11,7 +11,7 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.model.freedom import nga
 from wrapjax.path_sources.fitting import fit
 from wrapjax.path_sources.model_inputs import model_parameters
@@ -87,7 +87,7 @@ def reduced(subject, paths):
 def test_optimum_is_that_of_scipy(reduced):
     """EMG scales alone have one minimum, a third of them at bounds: both find it from the same start."""
     problem = reduced(SCALE)
-    ours = ProjectedLM().solve(problem, problem.variables.start())
+    ours = ProjectedLevenbergMarquardt().solve(problem, problem.variables.start())
     theirs = scipy_trf(problem, problem.variables.start())
     assert theirs.success, theirs.message
     np.testing.assert_allclose(ours.cost, 2.0 * theirs.cost, rtol=1e-6)
@@ -111,7 +111,7 @@ def test_scipy_and_we_cannot_better_each_other(reduced, names):
     SciPy's first evaluations (it creeps along bounds), end no higher than it did.
     """
     problem = reduced(names)
-    solver = ProjectedLM()
+    solver = ProjectedLevenbergMarquardt()
     ours = solver.solve(problem, problem.variables.start())
     assert projected_gradient(problem, ours.variables) < 1e-6
     after_ours = scipy_trf(problem, ours.variables)

@@ -12,7 +12,7 @@ import pytest
 
 import wrapjax
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.calibration.uncertainty.intervals import laplace_deviation
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.truth import parameter_names
@@ -35,7 +35,7 @@ def recovered(tmp_path_factory):
     variables = recorded.variables.start()
     for moment_error in (2.5, 0.5, 0.1, 0.02, 0.005, 0.0025):
         problem = dataclasses.replace(recorded, measured=moments, moment_error=np.array(moment_error))
-        solution = ProjectedLM().solve(problem, variables)
+        solution = ProjectedLevenbergMarquardt().solve(problem, variables)
         assert solution.status.converged
         variables = jnp.asarray(solution.variables)
     found = problem.variables.unpack(variables)

@@ -193,14 +193,14 @@ def test_the_other_leg_decides_what_can_be_resumed(folders, tmp_path):
     left, right = (shutil.copytree(folder, tmp_path / folder.name) for folder in folders)
 
     book = tmp_path / "journal"
-    stopped = calibrate(load_subject(left), "NGA", starts=1, callback=stop, journal=book)
+    stopped = calibrate(load_subject(left), "NGA", starts=1, callback=stop, checkpoints=book)
     assert stopped.status is Status.interrupted
-    resumed = calibrate(load_subject(left), "NGA", starts=1, journal=book, resume=True)
+    resumed = calibrate(load_subject(left), "NGA", starts=1, checkpoints=book, resume=True)
     assert resumed.status.converged
     replace_text(right / "subject.toml", "mass_kg", "# heavier\nmass_kg")
     scale_moments(right, 1.1)
     with pytest.raises(InputError, match="other data or settings"):
-        calibrate(load_subject(left), "NGA", starts=1, journal=book, resume=True)
+        calibrate(load_subject(left), "NGA", starts=1, checkpoints=book, resume=True)
 
 
 def test_a_broken_other_leg_is_named(tmp_path, capsys):

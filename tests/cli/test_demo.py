@@ -14,12 +14,12 @@ import wrapjax.demonstration.demo
 from tests.report.made_up_gap import named
 from wrapjax.cli.command_line import main
 from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
-from wrapjax.demonstration.demo import NOT_DRAWN, GapDemonstration, drawn_effect
+from wrapjax.demonstration.demo import NOT_DRAWN, DiagnosisDemonstration, drawn_effect
 
 
 def made_up_answer(folder, hidden, **options):
     """What a diagnosis would say: the notebook about it runs one, and the slow tests do."""
-    answer = object.__new__(GapDemonstration)
+    answer = object.__new__(DiagnosisDemonstration)
     object.__setattr__(answer, "hidden", hidden)
     object.__setattr__(answer, "diagnosis", SimpleNamespace(result=named()))
     return answer

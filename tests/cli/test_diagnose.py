@@ -17,7 +17,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    monkeypatch.setattr("wrapjax.diagnosis.diagnosis.kept_calibration", started)
+    monkeypatch.setattr("wrapjax.diagnosis.diagnosis.cached_calibration", started)
     monkeypatch.setattr("wrapjax.calibration.problem.fit_paths", started)
 
 

@@ -27,7 +27,7 @@ def words(subject: Path, run: Path, *more: str) -> list[str]:
     return ["calibrate", str(subject), *method, "--out", str(run), "--quiet", *more]
 
 
-def journal(run: Path) -> Path:
+def checkpoints(run: Path) -> Path:
     return run.with_name(f".{run.name}.unfinished")
 
 
@@ -40,7 +40,7 @@ def kill_at_work(subject: Path, run: Path) -> None:
         stderr=subprocess.PIPE,
     )
     deadline = time.monotonic() + 240.0
-    while not (journal(run) / "start_1_stage_1.npz").exists():
+    while not (checkpoints(run) / "start_1_stage_1.npz").exists():
         try:
             process.wait(timeout=0.005)
         except subprocess.TimeoutExpired:
@@ -81,7 +81,7 @@ def test_other_settings_are_not_resumed(subject, tmp_path, capsys):
     other = [word if word != "3" else "4" for word in words(subject, run, "--resume")]
     assert main(other) == 2
     assert "other data or settings" in capsys.readouterr().err
-    assert journal(run).exists(), "what could still be resumed was thrown away"
+    assert checkpoints(run).exists(), "what could still be resumed was thrown away"
     # --force begins anew, and leaves nothing behind.
     short = [word if word != STARTS else "1" for word in words(subject, run, "--force")]
     assert main(short) == 0

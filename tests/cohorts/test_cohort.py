@@ -122,7 +122,7 @@ def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp
         calculated.append(subject.folder.name)
         raise InputError(Problem(subject.name, "stopped by the test"))
 
-    monkeypatch.setattr("wrapjax.calibration.calibration.kept_calibration", calculate)
+    monkeypatch.setattr("wrapjax.calibration.calibration.cached_calibration", calculate)
     again = cohort(moved, place, diagnose=True, starts=1, resume=True)
     assert not (place / ".anna-torn").exists()
     assert calculated == [] and list(again.failed) == ["broken"]
@@ -164,9 +164,9 @@ def test_folders_that_are_there_are_not_touched(here, done, subjects, tmp_path):
 
 
 def test_names_that_meet_are_refused(here, subjects, tmp_path):
-    twin = write_subject(tmp_path / "Anna")
+    null_replicate = write_subject(tmp_path / "Anna")
     with pytest.raises(InputError, match="would have the same folder in the result"):
-        cohort([*subjects, twin], tmp_path / "out")
+        cohort([*subjects, null_replicate], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

@@ -31,8 +31,8 @@ def wrapped(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def done(wrapped, tmp_path_factory):
-    journal = tmp_path_factory.mktemp("journals") / "journal"
-    return compare([wrapped], WITHOUT_CYLINDERS, starts=1, journal=journal)
+    checkpoints = tmp_path_factory.mktemp("journals") / "journal"
+    return compare([wrapped], WITHOUT_CYLINDERS, starts=1, checkpoints=checkpoints)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_folder(saved, done):
             expected = summary["geometry_change"]
             assert change[0]["mean"] == pytest.approx(expected["length_mae_m"])
             assert change[1]["mean"] == pytest.approx(expected["moment_arm_mae_m"])
-    assert not done.journal.exists(), "the journal is thrown away once all is written"
+    assert not done.checkpoints.exists(), "the journal is thrown away once all is written"
 
 
 def test_saving_again_is_refused(saved, done):
@@ -103,7 +103,7 @@ def test_saving_again_is_refused(saved, done):
 
 
 def test_interrupted_and_resumed(wrapped, done, tmp_path):
-    journal = tmp_path / "journal"
+    checkpoints = tmp_path / "journal"
     lengths = [len(one.result.solution.history) for one in done.calibrations[0]]
     calls = []
 
@@ -113,7 +113,7 @@ def test_interrupted_and_resumed(wrapped, done, tmp_path):
             raise KeyboardInterrupt
 
     def again(methods, **options):
-        return compare([wrapped], methods, starts=1, journal=journal, **options)
+        return compare([wrapped], methods, starts=1, checkpoints=checkpoints, **options)
 
     with pytest.raises(KeyboardInterrupt):
         again(WITHOUT_CYLINDERS, callback=stop)
@@ -170,7 +170,7 @@ class TestRefused:
 
     def test_nothing_to_resume(self, person, no_work, tmp_path):
         with pytest.raises(InputError, match="no interrupted work"):
-            compare([person], BOTH, journal=tmp_path / "journal", resume=True)
+            compare([person], BOTH, checkpoints=tmp_path / "journal", resume=True)
 
 
 class TestNames:

@@ -80,7 +80,7 @@ def test_true_cylinders_are_where_a_calibration_can_get_to(tmp_path):
     places = freedom.wraps.places
     changes = np.where((places >= 0)[..., None], moved[places], 0.0).reshape(len(places), -1)
     paths = geometry.paths(subject, subject.trials, freedom)
-    assert np.isfinite(eqx.filter_jit(paths.at)(jnp.asarray(changes)).closeness).all()
+    assert np.isfinite(eqx.filter_jit(paths.at)(jnp.asarray(changes)).proximity).all()
 
 
 def test_true_paths_do_not_jump(hidden_folder, hidden, tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.prediction import predicted_moments
@@ -17,7 +17,7 @@ TOGETHER = ("joint_damping", "emg_nonlinearity")
 #: What a squared prior standard deviation costs: next to nothing.
 WEIGHT = 1e-9
 #: Data without noise can be fitted until nothing is left.
-FINE = ProjectedLM(gtol=1e-8, ftol=1e-12, max_iterations=200)
+FINE = ProjectedLevenbergMarquardt(gtol=1e-8, ftol=1e-12, max_iterations=200)
 
 
 def effects_of(context, ids=TOGETHER) -> Effects:
@@ -35,9 +35,9 @@ def damped_leg():
     variables = free_variables(base, nga(base), context.muscles)
     known = np.asarray(variables.prior_precision) > 0.0
     truth = np.where(known, variables.prior_mean, variables.start())
-    amounts = np.resize([1.5, 0.8, 0.5, 0.6], effects.count) * effects.prior_sd
+    effect_sizes = np.resize([1.5, 0.8, 0.5, 0.6], effects.count) * effects.prior_sd
     measured = predicted_moments(
-        CURVES, variables.unpack(jnp.asarray(truth)), recording, effects, jnp.asarray(amounts)
+        CURVES, variables.unpack(jnp.asarray(truth)), recording, effects, jnp.asarray(effect_sizes)
     )
     problem = Objective(
         curves=CURVES,
@@ -47,4 +47,4 @@ def damped_leg():
         penalties=(),
         limits=(),
     )
-    return problem, effects, truth, amounts
+    return problem, effects, truth, effect_sizes

@@ -90,8 +90,8 @@ def _moved_ends(directions: PathState, changes):
     return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), directions)
 
 
-def _pushed(pattern, amounts):
-    return jnp.tensordot(amounts, pattern, axes=1)
+def _pushed(pattern, effect_sizes):
+    return jnp.tensordot(effect_sizes, pattern, axes=1)
 
 
 def small_recording_and_context() -> tuple[Recording, Context]:

@@ -8,7 +8,7 @@ import pytest
 
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
-from wrapjax.demonstration.demo import NOT_DRAWN, demonstrate_gap
+from wrapjax.demonstration.demo import NOT_DRAWN, demonstrate_diagnosis
 from wrapjax.diagnosis import conclusion, pipeline
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
@@ -20,7 +20,7 @@ WITHOUT = sorted(set(CATALOGUE) - KEPT)
 
 @pytest.fixture(scope="module")
 def gap(calibrated):
-    return diagnose_calibrated(calibrated, without=WITHOUT, twins=2).result
+    return diagnose_calibrated(calibrated, without=WITHOUT, null_replicates=2).result
 
 
 def test_too_few_cycles_are_said_and_nothing_is_named(gap):
@@ -61,7 +61,7 @@ def several(person):
 
 @pytest.fixture(scope="module")
 def found(several, paths):
-    return diagnose(several, "NGA", paths, without=WITHOUT, starts=2, twins=4)
+    return diagnose(several, "NGA", paths, without=WITHOUT, starts=2, null_replicates=4)
 
 
 def test_a_diagnosis_is_whole(found, several, tmp_path):
@@ -72,7 +72,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
     assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
     by_evidence = sorted(result.effects, key=lambda effect: -effect.evidence)
     assert list(result.effects) == by_evidence, "evidence along straight lines ranks, and nothing else"
-    assert result.certificate.holds and result.certificate.conflicts["by_half"]
+    assert result.convergence_check.holds and result.convergence_check.conflicts["by_half"]
     dataset = found.dataset
     assert (
         set(dataset["effect"].values) == KEPT - {"curve_family"}
@@ -94,7 +94,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
 def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(found):
     withheld = (*WITHOUT, "emg_drift")
     afterwards = found.without(*withheld).result
-    at_once = diagnose_calibrated(found.calibration, without=withheld, twins=4).result
+    at_once = diagnose_calibrated(found.calibration, without=withheld, null_replicates=4).result
     assert afterwards.withheld == at_once.withheld == withheld
     assert [one.id for one in afterwards.effects] == ["joint_damping"]
     assert afterwards.effects == at_once.effects
@@ -132,7 +132,7 @@ def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
     worse = dataclasses.replace(result.outcomes[1].solution, cost=1.5 * result.solution.cost)
     outcomes = (result.outcomes[0], dataclasses.replace(result.outcomes[1], solution=worse))
     apart = dataclasses.replace(calibration, result=dataclasses.replace(result, outcomes=outcomes, chosen=0))
-    stopped = diagnose_calibrated(apart, without=WITHOUT, twins=1).result
+    stopped = diagnose_calibrated(apart, without=WITHOUT, null_replicates=1).result
     assert stopped.outcome == "not_converged" and "apart" in stopped.reason
     assert not stopped.effects and stopped.budget is not None
 
@@ -140,14 +140,14 @@ def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in NOT_DRAWN), None])
 def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
-    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
     assert shown.right, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", NOT_DRAWN)
 def test_what_is_hidden_too_well_to_be_named_leads_and_is_not_mistaken(hidden, tmp_path):
-    shown = demonstrate_gap(tmp_path, hidden, seed=2)
+    shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
     result = shown.diagnosis.result
     assert max(result.effects, key=lambda effect: effect.probability).id == hidden
     assert shown.right or not (result.named or result.ties)

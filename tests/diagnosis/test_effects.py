@@ -15,7 +15,7 @@ from wrapjax.diagnosis.context import change_id
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import FAMILIES, Effect, Effects, NotTestable, Variant
 from wrapjax.diagnosis.effects.kinematics import dragged_by
-from wrapjax.diagnosis.prediction import predicted_moments, secants, signatures
+from wrapjax.diagnosis.prediction import finite_difference_signatures, predicted_moments, signatures
 from wrapjax.errors import InputError
 from wrapjax.geometry.paths import fixed_path
 from wrapjax.model.forward import Recording, joint_moments
@@ -38,8 +38,10 @@ def all_at_once(number: int) -> Effects:
     return Effects(tuple(unlabelled))
 
 
-def predict(effects: Effects, amounts) -> np.ndarray:
-    return np.asarray(predicted_moments(CURVES, CONTEXT.parameters, RECORDING, effects, jnp.asarray(amounts)))
+def predict(effects: Effects, effect_sizes) -> np.ndarray:
+    return np.asarray(
+        predicted_moments(CURVES, CONTEXT.parameters, RECORDING, effects, jnp.asarray(effect_sizes))
+    )
 
 
 def own_places(id: str) -> np.ndarray:
@@ -52,8 +54,8 @@ def plain():
     return np.asarray(joint_moments(CURVES, CONTEXT.parameters, RECORDING))
 
 
-def slopes_at(effects: Effects, amounts) -> np.ndarray:
-    return np.asarray(signatures(CURVES, CONTEXT.parameters, RECORDING, effects, jnp.asarray(amounts)))
+def slopes_at(effects: Effects, effect_sizes) -> np.ndarray:
+    return np.asarray(signatures(CURVES, CONTEXT.parameters, RECORDING, effects, jnp.asarray(effect_sizes)))
 
 
 @pytest.fixture(scope="module")
@@ -90,12 +92,12 @@ def test_derivative_is_the_difference(effect, slopes):
 
 def test_a_secant_is_what_an_amount_of_the_expected_size_changes():
     effects = all_at_once(0)
-    found = np.asarray(secants(CURVES, CONTEXT.parameters, RECORDING, effects))
+    found = np.asarray(finite_difference_signatures(CURVES, CONTEXT.parameters, RECORDING, effects))
     for place, (size, parameter) in enumerate(zip(effects.prior_sd, effects.parameters, strict=True)):
-        amounts = np.zeros(effects.count)
-        amounts[place] = size
-        other = -amounts if parameter.sign == 0 else 0.0 * amounts
-        expected = predict(effects, amounts) - predict(effects, other)
+        effect_sizes = np.zeros(effects.count)
+        effect_sizes[place] = size
+        other = -effect_sizes if parameter.sign == 0 else 0.0 * effect_sizes
+        expected = predict(effects, effect_sizes) - predict(effects, other)
         span = size if parameter.sign else 2.0 * size
         scale = np.abs(expected).max()
         np.testing.assert_allclose(span * found[place], expected, rtol=0, atol=1e-9 * scale + 1e-9)
@@ -116,10 +118,10 @@ def test_no_effects_at_all_are_the_plain_model(plain):
 
 def test_derivative_is_the_difference_with_all_effects_at_work():
     effects = all_at_once(0)
-    amounts = 0.3 * effects.prior_sd
+    effect_sizes = 0.3 * effects.prior_sd
     direction = effects.prior_sd * np.random.default_rng(7).normal(size=effects.count)
-    slope = np.tensordot(direction, slopes_at(effects, amounts), axes=1)
-    ends = [predict(effects, amounts + sign * 1e-5 * direction) for sign in (1.0, -1.0)]
+    slope = np.tensordot(direction, slopes_at(effects, effect_sizes), axes=1)
+    ends = [predict(effects, effect_sizes + sign * 1e-5 * direction) for sign in (1.0, -1.0)]
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-5, rtol=0, atol=1e-5 * np.abs(slope).max())
 
 
@@ -145,10 +147,10 @@ def test_effects_together_differ_from_the_sum_of_each():
     effects = all_at_once(0)
 
     def changed(*ids: str):
-        amounts = np.zeros(effects.count)
+        effect_sizes = np.zeros(effects.count)
         for id in ids:
-            amounts[own_places(id)] = effects.prior_sd[own_places(id)]
-        return predict(effects, amounts) - predict(effects, np.zeros(effects.count))
+            effect_sizes[own_places(id)] = effects.prior_sd[own_places(id)]
+        return predict(effects, effect_sizes) - predict(effects, np.zeros(effects.count))
 
     both, one, other = (
         changed("tendon_compliance", "slow_fibers"),
@@ -177,12 +179,12 @@ def test_some_cycles_alone_are_predicted_as_among_all():
     emg, path = jax.tree.map(lambda leaf: leaf[:, keep], (RECORDING.emg, RECORDING.path.nominal))
     some = CONTEXT.select([3, 2, 1]).select([0, 1])
     few, whole = Effects(tuple(CATALOGUE[id].on(some) for id in CATALOGUE if id in ids)), all_at_once(0)
-    amounts = np.zeros(whole.count)
-    amounts[[whole.labels.index(label) for label in few.labels]] = 0.5 * few.prior_sd
+    effect_sizes = np.zeros(whole.count)
+    effect_sizes[[whole.labels.index(label) for label in few.labels]] = 0.5 * few.prior_sd
     recording = Recording(emg, fixed_path(path), RECORDING.padding)
     own = jnp.asarray(0.5 * few.prior_sd)
     found = predicted_moments(CURVES, CONTEXT.parameters, recording, few, own)
-    np.testing.assert_allclose(found, predict(whole, amounts)[keep], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(found, predict(whole, effect_sizes)[keep], rtol=1e-10, atol=1e-9)
 
 
 # ---- What effects say of themselves
@@ -211,8 +213,8 @@ def test_parameters_say_what_they_are(effect):
 
 
 def test_scored_amounts_have_their_names_and_physical_values():
-    def readings(id: str, *amounts: float) -> dict[str, float]:
-        return {name: float(value) for name, value in ENTRIES[id].readings(jnp.array(amounts)).items()}
+    def readings(id: str, *effect_sizes: float) -> dict[str, float]:
+        return {name: float(value) for name, value in ENTRIES[id].readings(jnp.array(effect_sizes)).items()}
 
     assert readings("tendon_compliance", 0.05) == {"strain_at_max_force": 0.05}
     assert readings("slow_fibers", 0.0) == {"max_velocity_factor": 1.0}
@@ -226,36 +228,36 @@ def test_scored_amounts_have_their_names_and_physical_values():
     assert set(readings("cop_offset", 0.01, 0.0)) == {"anterior_m", "lateral_m"}
 
 
-def change(id: str, *amounts: float, number: int = 0) -> np.ndarray:
+def change(id: str, *effect_sizes: float, number: int = 0) -> np.ndarray:
     """What amounts of one effect do, by trial, coordinate and frame."""
     effects = all_at_once(number)
     vector = np.zeros(effects.count)
-    vector[own_places(id)] = amounts
+    vector[own_places(id)] = effect_sizes
     return predict(effects, vector) - predict(effects, np.zeros(effects.count))
 
 
 def test_what_resists_takes_work_out():
     """Damping always; springs where they are stretched, and an orthosis against bending."""
     for coordinate, entry in enumerate(ENTRIES["joint_damping"].parameters):
-        amounts = np.zeros(3)
-        amounts[coordinate] = entry.prior_sd
-        power = change("joint_damping", *amounts) * CONTEXT.velocities
+        effect_sizes = np.zeros(3)
+        effect_sizes[coordinate] = entry.prior_sd
+        power = change("joint_damping", *effect_sizes) * CONTEXT.velocities
         assert (power <= 1e-12).all() and power[:, coordinate].min() < -0.1
     ankle = np.rad2deg(CONTEXT.angles[:, 2])
     orthosis = change("ankle_foot_orthosis", 2.0, 0.0, 0.0, number=1)[:, 2]
     np.testing.assert_allclose(orthosis, -2.0 * np.maximum(ankle, 0.0), atol=1e-9)
     for number in range(3):
         for coordinate in range(3):
-            amounts = np.zeros(6)
-            amounts[2 * coordinate] = 5.0
-            upper = change("passive_joint_moment", *amounts, number=number)[:, coordinate]
+            effect_sizes = np.zeros(6)
+            effect_sizes[2 * coordinate] = 5.0
+            upper = change("passive_joint_moment", *effect_sizes, number=number)[:, coordinate]
             assert upper.max() <= 1e-9 and upper.min() == pytest.approx(-5.0)
 
 
 def test_delay_is_longer_when_slow():
     """A lag of one frame shifts moments by about a frame; fast cycles come earlier instead."""
-    amounts = np.zeros(all_at_once(0).count)
-    amounts[own_places("speed_dependent_delay")] = 0.02
+    effect_sizes = np.zeros(all_at_once(0).count)
+    effect_sizes[own_places("speed_dependent_delay")] = 0.02
     moved = Effects((ENTRIES["speed_dependent_delay"],)).alterations(jnp.array([0.02]))[0]
     np.testing.assert_allclose(moved.emg(RECORDING.emg).lag[0], [0.01, 0.01, -0.01, -0.01], atol=1e-15)
 
@@ -270,9 +272,9 @@ def test_drift_has_no_mean_and_runs_from_first_to_last():
 def test_crosstalk_takes_a_share_of_the_neighbour_from_all_muscles_of_a_channel():
     effect = ENTRIES["emg_crosstalk"]
     names = [entry.name for entry in effect.parameters]
-    amounts = np.zeros(len(names))
-    amounts[names.index("Sol_in_Gas")] = 0.2
-    altered = np.asarray(effect.alteration(jnp.asarray(amounts)).emg(RECORDING.emg).coefficients)
+    effect_sizes = np.zeros(len(names))
+    effect_sizes[names.index("Sol_in_Gas")] = 0.2
+    altered = np.asarray(effect.alteration(jnp.asarray(effect_sizes)).emg(RECORDING.emg).coefficients)
     emg = np.asarray(RECORDING.emg.coefficients)
     for head in (1, 2):
         np.testing.assert_allclose(altered[head], emg[head] - 0.2 * emg[0], atol=1e-15)
@@ -327,12 +329,12 @@ def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word)
 
 def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     """Where these are known; of each shape what is its own."""
-    amounts = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
+    effect_sizes = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
     pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
     known = {change_id("soft_tissue_artifact", "loading"): Partial(_summed, pattern)}
     effect = CATALOGUE["soft_tissue_artifact"].on(dataclasses.replace(CONTEXT, measured_changes=known))
-    loading, swing = (variant.form(amounts) for variant in effect.variants)
-    np.testing.assert_allclose(loading.moment, amounts.sum() * pattern)
+    loading, swing = (variant.form(effect_sizes) for variant in effect.variants)
+    np.testing.assert_allclose(loading.moment, effect_sizes.sum() * pattern)
     assert swing.moment is None and swing.paths is not None
 
 
@@ -351,13 +353,13 @@ def test_skin_is_dragged_by_the_neighbouring_joint():
 
 def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
     """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
-    amounts = jnp.array([0.05])
+    effect_sizes = jnp.array([0.05])
     effect = CATALOGUE["foot_deformation"].on(CONTEXT)
     assert [variant.label for variant in effect.variants] == ["whole foot", "forefoot"]
-    whole, forefoot = (variant.form(amounts) for variant in effect.variants)
+    whole, forefoot = (variant.form(effect_sizes) for variant in effect.variants)
     assert whole.paths is None and whole.moment is not None
     np.testing.assert_array_equal(
-        forefoot.moment, CONTEXT.measured_changes["foot_deformation, forefoot"](amounts)
+        forefoot.moment, CONTEXT.measured_changes["foot_deformation, forefoot"](effect_sizes)
     )
     paths, slopes = forefoot.paths(CONTEXT.paths), CONTEXT.path_changes["foot_deformation, forefoot"]
     for field in ("length", "velocity", "moment_arm"):
@@ -365,8 +367,8 @@ def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
         np.testing.assert_allclose(getattr(paths, field), expected)
 
 
-def _summed(pattern, amounts):
-    return amounts.sum() * pattern
+def _summed(pattern, effect_sizes):
+    return effect_sizes.sum() * pattern
 
 
 def test_effects_can_be_left_out_and_unknown_ones_are_refused():

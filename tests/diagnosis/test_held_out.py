@@ -10,7 +10,7 @@ from tests.diagnosis.joint_leg import WEIGHT, damped_leg
 from tests.diagnosis.subject import CURVES
 from wrapjax.calibration.solvers.interface import Linearization
 from wrapjax.diagnosis import held_out
-from wrapjax.diagnosis.held_out import amount_covariance, cross_fit, plan_of, speed_conflict
+from wrapjax.diagnosis.held_out import cross_fit, effect_size_covariance, plan_of, speed_conflict
 from wrapjax.diagnosis.linearization import speed_numbers
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.refit import allowed_errors, fit_jointly, joint_problem
@@ -72,20 +72,20 @@ def test_without_calibration_cycles_nothing_is_left_out():
 @pytest.fixture(scope="module")
 def leg():
     """The damped leg with noise, and what predicts its moments."""
-    plain, effects, truth, amounts = damped_leg()
+    plain, effects, truth, effect_sizes = damped_leg()
     generator = np.random.default_rng(0)
     phase = 2 * np.pi * np.linspace(0.0, 1.0, plain.measured.shape[-1])
     noise = generator.normal(size=(4, 3, 2)) @ np.stack([np.sin(phase), np.cos(phase)])
     plain = replace(plain, measured=plain.measured + 2.0 * noise)
-    problem = joint_problem(plain, effects, truth, amounts, WEIGHT)
+    problem = joint_problem(plain, effects, truth, effect_sizes, WEIGHT)
 
-    def predict(variables, amounts):
+    def predict(variables, effect_sizes):
         parameters = plain.variables.unpack(jnp.asarray(variables))
         return np.asarray(
-            predicted_moments(CURVES, parameters, plain.recording, effects, jnp.asarray(amounts))
+            predicted_moments(CURVES, parameters, plain.recording, effects, jnp.asarray(effect_sizes))
         )
 
-    return problem, np.concatenate([truth, amounts / effects.prior_sd]), predict
+    return problem, np.concatenate([truth, effect_sizes / effects.prior_sd]), predict
 
 
 def changed(problem, place, by=10.0):
@@ -128,7 +128,8 @@ def test_a_prediction_at_the_other_speed_has_seen_none_of_its_own(from_one_start
 
 def _amounts_of_speeds(first, second):
     return [
-        (one.amounts, other.amounts) for one, other in zip(first.of_speeds, second.of_speeds, strict=True)
+        (one.effect_sizes, other.effect_sizes)
+        for one, other in zip(first.of_speeds, second.of_speeds, strict=True)
     ]
 
 
@@ -144,7 +145,7 @@ def test_starting_at_the_whole_fit_gives_little_away(leg):
     plan = plan_of(uses("cccc"), SPEEDS)
     first, second = (cross_fit(own, start, plan, SPEEDS, predict) for own in (problem, changed(problem, 1)))
     left_out = np.std((first.predicted - second.predicted)[1])
-    whole = [predict(fit.full.calibrated, fit.full.amounts)[1] for fit in (first, second)]
+    whole = [predict(fit.full.calibrated, fit.full.effect_sizes)[1] for fit in (first, second)]
     assert left_out < 0.2 * np.std(whole[0] - whole[1])
 
 
@@ -152,17 +153,17 @@ def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
     """A fifth cycle, the first one's like, at the slow speed, and at a new one that no fit has seen."""
     problem, start, predict = leg
 
-    def five(variables, amounts):
-        found = predict(variables, amounts)
+    def five(variables, effect_sizes):
+        found = predict(variables, effect_sizes)
         return np.concatenate([found, found[:1]])
 
     for speed, new in ((0, False), (2, True)):
         speeds = np.array([*SPEEDS, speed])
         found = cross_fit(problem, start, plan_of(uses("ccccv"), speeds), speeds, five)
-        expected = five(found.full.calibrated, found.full.amounts)[4]
+        expected = five(found.full.calibrated, found.full.effect_sizes)[4]
         np.testing.assert_array_equal(found.predicted[4], expected)
         assert np.array_equal(found.at_other_speed[4], expected) is new
-        fast = five(found.of_speeds[1].calibrated, found.of_speeds[1].amounts)
+        fast = five(found.of_speeds[1].calibrated, found.of_speeds[1].effect_sizes)
         assert np.array_equal(found.at_other_speed[4], fast[4]) is not new
 
 
@@ -175,7 +176,7 @@ def test_of_one_speed_there_is_no_other(leg):
 
 
 def information(fit, weight):
-    return np.linalg.inv(amount_covariance(fit, weight))
+    return np.linalg.inv(effect_size_covariance(fit, weight))
 
 
 def ended(fit, used, curvature, away):
@@ -210,8 +211,8 @@ def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_st
     shared[0, place] = shared[place, 0] = 0.8
     mixed = replace(alone, model=replace(alone.model, gauss_newton=jnp.asarray(shared)))
     sizes = np.asarray(fit.problem.amount_sd) ** 2
-    np.testing.assert_allclose(np.diag(amount_covariance(alone, 0.1)), 0.1 * sizes, rtol=1e-6)
-    ratio = np.diag(amount_covariance(mixed, 0.1)) / np.diag(amount_covariance(alone, 0.1))
+    np.testing.assert_allclose(np.diag(effect_size_covariance(alone, 0.1)), 0.1 * sizes, rtol=1e-6)
+    ratio = np.diag(effect_size_covariance(mixed, 0.1)) / np.diag(effect_size_covariance(alone, 0.1))
     np.testing.assert_allclose(ratio, [1.0 / (1.0 - 0.64), 1.0, 1.0, 1.0], rtol=1e-6)
 
 

@@ -30,14 +30,16 @@ def problem(leg):
 @pytest.fixture(scope="module")
 def place(leg):
     """Somewhere off the minimum, within bounds."""
-    _, effects, truth, amounts = leg
-    return jnp.concatenate([jnp.asarray(truth * 1.05 + 0.01), jnp.asarray(0.7 * amounts / effects.prior_sd)])
+    _, effects, truth, effect_sizes = leg
+    return jnp.concatenate(
+        [jnp.asarray(truth * 1.05 + 0.01), jnp.asarray(0.7 * effect_sizes / effects.prior_sd)]
+    )
 
 
 def counting(problem, used=USED, weight=WEIGHT):
     """The problem as a fit to these cycles sees it."""
     plain = replace(problem.plain, moment_error=allowed_errors(problem.plain, used))
-    return replace(problem, plain=plain, amount_weight=jnp.asarray(weight))
+    return replace(problem, plain=plain, effect_size_weight=jnp.asarray(weight))
 
 
 @pytest.mark.parametrize("used", [np.ones(4, dtype=bool), USED])
@@ -57,9 +59,9 @@ def test_the_gradient_is_the_slope_of_the_cost(problem, place, used):
 
 def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem, leg, place):
     """Where nothing is left of the moments, and slopes were drawn: there differences show nothing else."""
-    plain, effects, truth, amounts = leg
-    own = counting(joint_problem(plain, effects, truth, amounts, WEIGHT), weight=0.3)
-    at = jnp.concatenate([jnp.asarray(truth), jnp.asarray(amounts / effects.prior_sd)])
+    plain, effects, truth, effect_sizes = leg
+    own = counting(joint_problem(plain, effects, truth, effect_sizes, WEIGHT), weight=0.3)
+    at = jnp.concatenate([jnp.asarray(truth), jnp.asarray(effect_sizes / effects.prior_sd)])
     found = own.linearized_at(at)
     direction = np.random.default_rng(1).normal(size=len(at))
     # All residuals are zero there but those of amounts and priors, which are linear.
@@ -71,18 +73,18 @@ def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem
 
 
 def test_data_made_with_effects_give_their_amounts(problem, leg):
-    _, effects, truth, amounts = leg
+    _, effects, truth, effect_sizes = leg
     found = fit_jointly(problem, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
-    np.testing.assert_allclose(found.amounts, amounts, rtol=0.02)
+    np.testing.assert_allclose(found.effect_sizes, effect_sizes, rtol=0.02)
     np.testing.assert_allclose(found.calibrated, truth, atol=0.01)
     assert found.cost < 1e-6
 
 
 def test_amounts_that_cost_much_stay_small(problem, leg):
-    _, effects, truth, amounts = leg
-    dear = replace(problem, amount_weight=jnp.asarray(1e4))
+    _, effects, truth, effect_sizes = leg
+    dear = replace(problem, effect_size_weight=jnp.asarray(1e4))
     found = fit_jointly(dear, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
-    assert np.abs(found.amounts / amounts).max() < 0.01
+    assert np.abs(found.effect_sizes / effect_sizes).max() < 0.01
 
 
 def test_cycles_that_do_not_count_change_nothing(problem, leg):

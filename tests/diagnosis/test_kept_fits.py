@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
-from wrapjax.calibration.solvers.checkpoints import KeptSolves, name_of_solve
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.checkpoints import SolveCache, solve_fingerprint
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.refit import SOLVER, fit_jointly, joint_problem
 
 
 @pytest.fixture(scope="module")
 def leg():
     """A problem and a start off its minimum."""
-    plain, effects, truth, amounts = damped_leg()
+    plain, effects, truth, effect_sizes = damped_leg()
     problem = joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
-    return problem, np.concatenate([truth, 0.5 * amounts / effects.prior_sd])
+    return problem, np.concatenate([truth, 0.5 * effect_sizes / effects.prior_sd])
 
 
 @pytest.fixture(scope="module")
 def done(leg, tmp_path_factory):
     """The folder and the fit that it keeps."""
-    kept = KeptSolves(tmp_path_factory.mktemp("kept"))
+    kept = SolveCache(tmp_path_factory.mktemp("kept"))
     return kept, fit_jointly(*leg, kept=kept)
 
 
@@ -33,7 +33,7 @@ def solving(monkeypatch, wrong=KeyboardInterrupt):
     def step(*_):
         raise wrong
 
-    monkeypatch.setattr(ProjectedLM, "_advance", step)
+    monkeypatch.setattr(ProjectedLevenbergMarquardt, "_advance", step)
 
 
 def test_what_was_done_is_not_done_again(leg, done, monkeypatch):
@@ -64,23 +64,23 @@ def test_what_decides_where_a_fit_ends_is_in_its_name(leg):
         "curves": replace(problem, plain=replace(plain, curves=curves)),
         "cycles": replace(problem, plain=replace(plain, moment_error=np.ones((4, 1, 1)))),
         "effects": replace(problem, forms=problem.forms[::-1], counts=problem.counts[::-1]),
-        "priors": replace(problem, amount_weight=2.0 * problem.amount_weight),
+        "priors": replace(problem, effect_size_weight=2.0 * problem.effect_size_weight),
     }
-    names = {name_of_solve(one, start, SOLVER) for one in others.values()}
+    names = {solve_fingerprint(one, start, SOLVER) for one in others.values()}
     names |= {
-        name_of_solve(problem, start, SOLVER),
-        name_of_solve(problem, start + 1e-12, SOLVER),
-        name_of_solve(problem, start, replace(SOLVER, ftol=1e-6)),
+        solve_fingerprint(problem, start, SOLVER),
+        solve_fingerprint(problem, start + 1e-12, SOLVER),
+        solve_fingerprint(problem, start, replace(SOLVER, ftol=1e-6)),
     }
     assert len(names) == len(others) + 3
-    assert name_of_solve(jax.tree.map(np.asarray, problem), start, SOLVER) in names
+    assert solve_fingerprint(jax.tree.map(np.asarray, problem), start, SOLVER) in names
 
 
 @pytest.mark.parametrize("content", [b"", b"rubbish", None])
 def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content):
     kept, first = done
     (whole,) = kept.folder.iterdir()
-    own = KeptSolves(tmp_path)
+    own = SolveCache(tmp_path)
     (tmp_path / whole.name).write_bytes(whole.read_bytes()[:100] if content is None else content)
     np.testing.assert_array_equal(fit_jointly(*leg, kept=own).variables, first.variables)
     assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
@@ -89,5 +89,5 @@ def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content)
 def test_an_interrupted_fit_ends_the_work_and_is_not_kept(leg, monkeypatch, tmp_path):
     solving(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
-        fit_jointly(*leg, kept=KeptSolves(tmp_path))
+        fit_jointly(*leg, kept=SolveCache(tmp_path))
     assert not list(tmp_path.iterdir())

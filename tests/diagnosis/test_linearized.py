@@ -13,7 +13,7 @@ from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.linearization import in_the_mean, linear_gap, moment_slopes, phase_frames
+from wrapjax.diagnosis.linearization import in_the_mean, linearized_model, moment_slopes, phase_frames
 from wrapjax.diagnosis.null import known_covariance, nulls
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.score import score_each
@@ -32,8 +32,8 @@ def setting():
     free = free_variables(base, nga(base), context.muscles)
     effects = tuple(CATALOGUE[id].on(context) for id in EFFECTS)
     damping = Effects(effects[:1])
-    amounts = 2.0 * damping.prior_sd
-    moments = np.asarray(predicted_moments(CURVES, base, recording, damping, jnp.asarray(amounts)))
+    effect_sizes = 2.0 * damping.prior_sd
+    moments = np.asarray(predicted_moments(CURVES, base, recording, damping, jnp.asarray(effect_sizes)))
     generator = np.random.default_rng(2)
     measured = moments + 0.5 * generator.normal(size=(*moments.shape[:2], 1))
     problem = Objective(
@@ -44,8 +44,8 @@ def setting():
         variables=free,
         penalties=(),
     )
-    gap = linear_gap(problem, free.start(), recording, measured, context, effects)
-    return problem, recording, measured, gap, amounts
+    gap = linearized_model(problem, free.start(), recording, measured, context, effects)
+    return problem, recording, measured, gap, effect_sizes
 
 
 def test_residual_is_taken_to_where_parameters_were_expected(setting):
@@ -77,8 +77,8 @@ def test_parameters_far_from_expected_leave_no_noise_of_emg(setting):
     gap = setting[3]
     moved = (gap.residual - gap.fitted).ravel()
     lines = gap.calibrated.reshape(gap.calibrated.shape[0], -1)
-    amounts = np.linalg.lstsq(lines.T, moved, rcond=None)[0]
-    np.testing.assert_allclose(lines.T @ amounts, moved, atol=1e-9 * np.abs(moved).max())
+    effect_sizes = np.linalg.lstsq(lines.T, moved, rcond=None)[0]
+    np.testing.assert_allclose(lines.T @ effect_sizes, moved, atol=1e-9 * np.abs(moved).max())
 
 
 def test_noise_of_emg_is_not_in_the_lines(setting):
@@ -97,7 +97,7 @@ def test_noise_of_emg_is_not_in_the_lines(setting):
         noise = np.random.default_rng(seed).normal(size=emg.coefficients[:, :, :1].shape)
         heard = dataclasses.replace(emg, coefficients=emg.coefficients * (1.0 + 0.3 * noise))
         noisy = dataclasses.replace(true, emg=heard)
-        gap = linear_gap(problem, free.start(), noisy, measured, context, ())
+        gap = linearized_model(problem, free.start(), noisy, measured, context, ())
         as_recorded = moment_slopes(problem, free.start(), noisy, frames)
         lines = np.stack([as_recorded[gains], gap.slopes[gains]]).reshape(2, len(gains), -1)
         alike.append(lines @ gap.fitted.ravel() / np.linalg.norm(lines, axis=-1) / np.linalg.norm(gap.fitted))
@@ -160,10 +160,10 @@ def test_candidates_know_how_large_amounts_may_be(setting):
 
 
 def test_the_effect_at_work_has_most_evidence(setting):
-    *_, measured, gap, amounts = setting
+    *_, measured, gap, effect_sizes = setting
     sizes = measured.std(axis=(0, 2))
     (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
     first = max(found.scores, key=lambda one: one.evidence)
     assert first.id == "joint_damping"
     assert first.evidence > 5.0
-    assert np.all(np.abs(first.amounts - amounts) < 3.0 * first.sd)
+    assert np.all(np.abs(first.effect_sizes - effect_sizes) < 3.0 * first.sd)

@@ -45,11 +45,11 @@ def leg(subject):
     return time, synthetic.angles(time), synthetic.angular_velocities(time), accelerations
 
 
-def change(found, id, shape="", **amounts):
+def change(found, id, shape="", **effect_sizes):
     names = [row[0] for row in CHAIN[id][1]]
     vector = np.zeros(len(names))
-    for name, amount in amounts.items():
-        vector[names.index(name)] = amount
+    for name, effect_size in effect_sizes.items():
+        vector[names.index(name)] = effect_size
     # Hip and knee, trials, frames.
     return np.moveaxis(np.asarray(found[change_id(id, shape)](jnp.asarray(vector))), 1, 0)
 
@@ -291,9 +291,9 @@ def test_skin_that_slides_gives_other_moments(recorded):
         moved, _ = recorded_walk(dataclasses.replace(subject, trials=other))
         before, after = moments_of(walk), moments_of(moved)
         expected = np.stack([after[name] - before[name] for name in names])
-        amounts = np.zeros(3 * len(names))
-        amounts[knee :: len(names)] = 0.02, 0.01, 0.03
-        slope = np.asarray(found[change_id("soft_tissue_artifact", when)](jnp.asarray(amounts)))
+        effect_sizes = np.zeros(3 * len(names))
+        effect_sizes[knee :: len(names)] = 0.02, 0.01, 0.03
+        slope = np.asarray(found[change_id("soft_tissue_artifact", when)](jnp.asarray(effect_sizes)))
         slope = np.moveaxis(slope, 1, 0)
         assert np.abs(expected).max() > 1.0
         np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.05 * np.abs(expected).max())
@@ -332,18 +332,18 @@ def test_a_leg_that_hangs_on_a_displaced_hip_has_the_force_elsewhere(recorded, t
 
     ahead, behind = displaced(step), displaced(-step)
     expected = np.stack([0.5 * (ahead[name] - behind[name]) for name in names])
-    amount = {("anterior_m", "superior_m", "lateral_m")[axis]: step}
-    slope = change(found, "hip_center_offset", FOOT_DISPLACED, **amount)
+    effect_size = {("anterior_m", "superior_m", "lateral_m")[axis]: step}
+    slope = change(found, "hip_center_offset", FOOT_DISPLACED, **effect_size)
     assert np.abs(expected[names.index("ankle_angle_r")]).max() > 0.5
     np.testing.assert_allclose(slope, expected, atol=0.01 * np.abs(expected).max())
     # Where markers hold the foot, all but the hip is as it was.
-    held = change(found, "hip_center_offset", FOOT_HELD, **amount)
+    held = change(found, "hip_center_offset", FOOT_HELD, **effect_size)
     beyond = [row for row, name in enumerate(names) if not name.startswith("hip")]
     assert np.abs(held[beyond]).max() == 0.0 < np.abs(held).max()
 
 
-@pytest.mark.parametrize(("amount", "axis"), [("knee_rad", 1), ("knee_tilt_rad", 0)])
-def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded, tmp_path, amount, axis):
+@pytest.mark.parametrize(("effect_size", "axis"), [("knee_rad", 1), ("knee_tilt_rad", 0)])
+def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded, tmp_path, effect_size, axis):
     """By the slope, and by OpenSim's inverse dynamics with the axis there and all angles as they were."""
     subject, _, found = recorded
     names = subject.trials.moment_coordinates
@@ -363,8 +363,8 @@ def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded,
     sign = -1.0
     more, less = turned(sign * step), turned(-sign * step)
     expected = np.stack([0.5 * (more[name] - less[name]) for name in names])
-    slope = change(found, "joint_axis_rotation", FOOT_DISPLACED, **{amount: step})
-    held = change(found, "joint_axis_rotation", FOOT_HELD, **{amount: step})
+    slope = change(found, "joint_axis_rotation", FOOT_DISPLACED, **{effect_size: step})
+    held = change(found, "joint_axis_rotation", FOOT_HELD, **{effect_size: step})
     knee, ankle = names.index("knee_angle_r"), names.index("ankle_angle_r")
     np.testing.assert_allclose(slope, expected, atol=0.02 * np.abs(expected).max())
     # Where markers hold the foot, the axis alone is another; a knee that is straight puts nothing elsewhere.

@@ -64,7 +64,7 @@ def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
     (without,), (within,) = (
         score_each(residual[None], [Null(covariance)], [one])[0].scores for one in (free, held)
     )
-    assert without.amounts[0] > 9.0 and within.amounts[0] == 0.5
+    assert without.effect_sizes[0] > 9.0 and within.effect_sizes[0] == 0.5
     assert within.evidence < without.evidence
     prior_sd = [np.minimum(0.7 * size, [0.25, np.inf]) for size in SIZES]
     likelihoods = [
@@ -78,14 +78,14 @@ def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
 
 def test_evidence_of_a_one_sided_amount_is_that_of_a_half_normal_prior():
     for slope in (-3.0, 0.5, 6.0):
-        evidence, amounts, _, _ = evidence_of(
+        evidence, effect_sizes, _, _ = evidence_of(
             np.array([slope]), np.array([[2.0]]), np.array([0.7]), np.array([True])
         )
         integral, _ = quad(
             lambda t, slope=slope: 2 * norm.pdf(t, scale=0.7) * np.exp(slope * t - t * t), 0, 12, epsabs=1e-13
         )
         assert evidence == pytest.approx(np.log(integral), abs=1e-8)
-        assert amounts[0] >= 0.0
+        assert effect_sizes[0] >= 0.0
 
 
 def test_variants_and_nulls_are_averaged(generator, covariance):
@@ -117,7 +117,7 @@ def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
     found = score_each(residual[None], [Null(covariance)], effects)[0].scores
     best = max(found, key=lambda one: one.evidence)
     assert best.id == "3"
-    assert abs(best.amounts[0] - 1.5) < 3 * best.sd[0]
+    assert abs(best.effect_sizes[0] - 1.5) < 3 * best.sd[0]
     assert best.detectability > 5
 
 
@@ -153,9 +153,9 @@ def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
 
 def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
     one, other = (candidate(generator, name).variants[0] for name in ("one", "other"))
-    twin = np.concatenate([2.0 * one, other])
-    signals = (one[0], other[0], np.array([0.5, 1.0]) @ twin)
-    apart = likeness(signals, (one, other, twin), covariance)
+    null_replicate = np.concatenate([2.0 * one, other])
+    signals = (one[0], other[0], np.array([0.5, 1.0]) @ null_replicate)
+    apart = likeness(signals, (one, other, null_replicate), covariance)
     assert apart[0, 2] < 1e-9 and np.diag(apart).max() < 1e-9
     assert apart[0, 1] > 9.0 and apart[2, 0] > 9.0
 
@@ -181,8 +181,8 @@ def test_covariances_are_what_random_draws_have(generator):
     drawn = np.einsum("nicp,ickp->nckp", errors, signatures).reshape(draws, -1)
     _same(drawn, input_covariance(InputErrors(signatures, 0.2)))
 
-    amounts = generator.normal(size=(draws, 2)) * [0.5, 2.0]
-    drawn = np.einsum("ni,ickp->nckp", amounts, signatures).reshape(draws, -1)
+    effect_sizes = generator.normal(size=(draws, 2)) * [0.5, 2.0]
+    drawn = np.einsum("ni,ickp->nckp", effect_sizes, signatures).reshape(draws, -1)
     _same(drawn, parameter_covariance(signatures, np.array([0.5, 2.0])))
 
     states, arms = generator.normal(size=(1, 2, 4, 3)), generator.normal(size=(1, 2, 2, 4))

@@ -14,7 +14,7 @@ from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
 from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.subject_context import gap_context, misplaced_joints, wrap_changes
+from wrapjax.diagnosis.subject_context import diagnosis_context, misplaced_joints, wrap_changes
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.joint_changes import with_moved_ends
 from wrapjax.muscle.curves import HILL_CURVES
@@ -31,7 +31,7 @@ def gathered(calibrated):
         undriven_muscles=without,
         undriven_parameters=calibrated.subject.muscles.select(without),
     )
-    return gap_context(dataclasses.replace(calibrated, subject=subject))
+    return diagnosis_context(dataclasses.replace(calibrated, subject=subject))
 
 
 def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
@@ -143,7 +143,7 @@ def test_paths_follow_cylinders(tmp_path):
 @pytest.fixture(scope="module")
 def with_ground(calibrated, tmp_path_factory):
     subject = with_forces(tmp_path_factory.mktemp("ground") / "person")
-    return gap_context(dataclasses.replace(calibrated, subject=subject))[1]
+    return diagnosis_context(dataclasses.replace(calibrated, subject=subject))[1]
 
 
 def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
@@ -199,6 +199,8 @@ def test_effects_are_told_and_some_cycles_are_a_part_of_all(with_ground):
     assert change_id("soft_tissue_artifact", "loading") in context.measured_changes
     part = context.select([2, 0])
     for id, whole in context.measured_changes.items():
-        amounts = jnp.array(sizes[id])
-        np.testing.assert_array_equal(part.measured_changes[id](amounts), whole(amounts)[np.array([2, 0])])
-        assert np.abs(whole(0.0 * amounts)).max() == 0.0
+        effect_sizes = jnp.array(sizes[id])
+        np.testing.assert_array_equal(
+            part.measured_changes[id](effect_sizes), whole(effect_sizes)[np.array([2, 0])]
+        )
+        assert np.abs(whole(0.0 * effect_sizes)).max() == 0.0

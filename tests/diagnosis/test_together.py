@@ -68,10 +68,10 @@ def test_a_second_cause_needs_more_evidence_than_a_first():
     assert found(9.0 * a + 6.0 * b, candidates, (1.0,))[0] == ("a", "b")
 
 
-@pytest.mark.parametrize("amount", [0.0, 8.0])
-def test_one_cause_stands_alone_and_nothing_by_nothing(amount):
+@pytest.mark.parametrize("effect_size", [0.0, 8.0])
+def test_one_cause_stands_alone_and_nothing_by_nothing(effect_size):
     a, b, *_ = directions(9)
-    together, _ = found(amount * a, [effect("a", a), effect("b", b), *bystanders()])
+    together, _ = found(effect_size * a, [effect("a", a), effect("b", b), *bystanders()])
     assert together == ()
 
 

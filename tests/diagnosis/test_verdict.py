@@ -9,8 +9,8 @@ from wrapjax.diagnosis.result import OUTCOMES
 from wrapjax.diagnosis.verdict import (
     LEVEL_WITH,
     TIE,
+    DecisionConstants,
     Probabilities,
-    Tuning,
     credible_set,
     decision,
     judge,
@@ -19,7 +19,7 @@ from wrapjax.diagnosis.verdict import (
 )
 
 NAMES = ("one", "two", "three", "four")
-TUNING = Tuning("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9)
+TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9)
 nats = st.floats(-200.0, 1000.0)
 evidences = st.dictionaries(st.sampled_from(NAMES), nats)
 
@@ -162,12 +162,12 @@ def test_what_is_made_of_an_effect_follows_what_could_be_seen():
 
 
 def test_shipped_constants_are_usable():
-    tuning = Tuning.shipped()
-    assert tuning.temperature >= 1.0, "evidence is too bold, never too shy"
-    assert tuning.structured_scale > 0.0
-    assert 0.5 < tuning.set_level < 1.0
-    assert tuning.alarm > 0.0
-    silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, tuning)
+    constants = DecisionConstants.shipped()
+    assert constants.temperature >= 1.0, "evidence is too bold, never too shy"
+    assert constants.structured_scale > 0.0
+    assert 0.5 < constants.set_level < 1.0
+    assert constants.detection_threshold > 0.0
+    silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, constants)
     assert silent.none > 0.5, "without evidence, nothing is the most probable"
 
 

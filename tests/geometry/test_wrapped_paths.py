@@ -43,7 +43,7 @@ def moved(paths):
     """A change of every freed cylinder, small enough to stay off the walls."""
     size = np.array([1e-3, 1e-3, 1e-3, 0.03, 0.03, 0.03])
     change = np.tile(size, 2) * np.random.default_rng(4).uniform(-1, 1, (len(MUSCLES), 12))
-    assert np.isfinite(paths.at(jnp.asarray(change)).closeness).all()
+    assert np.isfinite(paths.at(jnp.asarray(change)).proximity).all()
     return jnp.asarray(change)
 
 
@@ -81,11 +81,11 @@ def test_walls_stand_in_cycles_beside_too(s1_left, motion):
     kept = wrapped_paths(engine, angles[1:], velocities[1:], MOMENTS, FREE[:1], beside=angles[:1])[0].nominal
     np.testing.assert_allclose(kept.length, both.length[:, 1:], atol=1e-14)
     np.testing.assert_allclose(kept.moment_arm, both.moment_arm[:, 1:], atol=1e-14)
-    squares = np.sum(np.asarray(both.closeness) ** 2, axis=1)
-    assert (squares > 1.1 * np.asarray(both.closeness)[:, 1] ** 2).any()
-    np.testing.assert_allclose(kept.closeness[:, 0] ** 2, squares, rtol=1e-12, atol=1e-20)
+    squares = np.sum(np.asarray(both.proximity) ** 2, axis=1)
+    assert (squares > 1.1 * np.asarray(both.proximity)[:, 1] ** 2).any()
+    np.testing.assert_allclose(kept.proximity[:, 0] ** 2, squares, rtol=1e-12, atol=1e-20)
     three = wrapped_paths(engine, angles[:1], velocities[:1], MOMENTS, FREE[:1], beside=angles[[1, 1]])[0]
-    assert three.nominal.closeness.shape == kept.closeness.shape
+    assert three.nominal.proximity.shape == kept.proximity.shape
 
 
 def test_first_derivatives_equal_differences(paths, moved):
@@ -136,13 +136,13 @@ def test_of_paths_round_several_only_walls_bend(paths, moved):
     several = replace(paths, alike=tuple(group for group in paths.alike if muscle in group.muscles))
     linearized = jax.jit(lambda at: several.linearized(at))
     weights = jax.tree.map(jnp.ones_like, paths.nominal)
-    blind = replace(weights, closeness=jnp.zeros_like(weights.closeness))
+    blind = replace(weights, proximity=jnp.zeros_like(weights.proximity))
     np.testing.assert_array_equal(several.curvature(moved, blind, linearized(moved)), 0.0)
     # Two millimeters before the cylinder is where the wall stands.
     near, step = moved.at[muscle, 1].add(-0.016), 1e-6
-    assert 5.0 < linearized(near)[0].closeness[muscle].max() < 50.0
+    assert 5.0 < linearized(near)[0].proximity[muscle].max() < 50.0
     here = several.curvature(near, weights, linearized(near))[muscle, 1, 1]
-    ends = [linearized(near.at[muscle, 1].add(by))[1].closeness[muscle, 1].sum() for by in (step, -step)]
+    ends = [linearized(near.at[muscle, 1].add(by))[1].proximity[muscle, 1].sum() for by in (step, -step)]
     np.testing.assert_allclose(here, (ends[0] - ends[1]) / (2.0 * step), rtol=0.2)
 
 
@@ -153,11 +153,11 @@ def test_closeness_grows_without_bound_towards_a_wall(paths):
     largest = []
     for step in reach:
         change = jnp.zeros((4, 12)).at[0, 1].set(-step)
-        largest.append(float(jnp.max(at(change).closeness[0])))
-    wall = np.flatnonzero(np.isinf(largest))
-    assert wall.size
-    assert np.isinf(largest[wall[0] :]).all()
-    assert largest[wall[0] - 1] > 3.0 * largest[0]
+        largest.append(float(jnp.max(at(change).proximity[0])))
+    barrier = np.flatnonzero(np.isinf(largest))
+    assert barrier.size
+    assert np.isinf(largest[barrier[0] :]).all()
+    assert largest[barrier[0] - 1] > 3.0 * largest[0]
     # The nearest wall is as near to the nominal path as makes closeness one; others are far.
     assert largest[0] == pytest.approx(1.0, rel=1e-3)
 
@@ -167,9 +167,9 @@ def test_to_lose_a_cylinder_is_a_wall(paths):
     at = jax.jit(lambda changes: paths.at(changes))
     psoas = MUSCLES.index("psoas_l")
     lost = at(jnp.zeros((4, 12)).at[psoas, 0].set(-0.05))
-    assert np.isinf(lost.closeness[psoas]).all()
+    assert np.isinf(lost.proximity[psoas]).all()
     np.testing.assert_array_less(lost.length[psoas], paths.nominal.length[psoas].max())
-    assert np.isfinite(lost.closeness[MUSCLES.index("gasmed_l")]).all()
+    assert np.isfinite(lost.proximity[MUSCLES.index("gasmed_l")]).all()
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +178,7 @@ def guarded(s1_left, motion):
     engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
     every_third = tuple(one[:, :, ::3] for one in motion)
     exact = wrapped_paths(engine, *every_third, MOMENTS, ("PS_at_brim_l",))[0]
-    held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, closeness=None)
+    held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, proximity=None)
     none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
     return guarded_paths(AdjustablePath(held, none), exact, 3)
 
@@ -193,18 +193,18 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(guarded):
     known = jax.jit(lambda changes: exact.at(changes))(CHANGES)
     np.testing.assert_array_equal(state.length, held.length)
     length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
-    assert np.isfinite(known.closeness).all()
+    assert np.isfinite(known.proximity).all()
     assert np.abs(length).max() > 3e-5 and np.abs(arm).max() > 3e-5
     strayed = (length / LENGTH_STRAYING) ** 2 + np.sum((arm / ARM_STRAYING) ** 2, axis=2)
-    expected = np.sqrt(known.closeness**2 + strayed)
+    expected = np.sqrt(known.proximity**2 + strayed)
     frames = [0, 0, 0, 1]
-    np.testing.assert_allclose(state.closeness, expected[..., frames], atol=1e-11)
-    np.testing.assert_allclose(guarded.nominal.closeness, exact.nominal.closeness[..., frames], atol=1e-11)
+    np.testing.assert_allclose(state.proximity, expected[..., frames], atol=1e-11)
+    np.testing.assert_allclose(guarded.nominal.proximity, exact.nominal.proximity[..., frames], atol=1e-11)
     for mode in range(6):
         step = jnp.zeros((2, 6)).at[0, mode].set(1e-7)
-        difference = (at(CHANGES + step).closeness - at(CHANGES - step).closeness) / 2e-7
-        np.testing.assert_allclose(slopes.closeness[:, mode], difference, atol=1e-5, rtol=1e-5)
-    assert np.abs(slopes.closeness[0]).max() > 0.0
+        difference = (at(CHANGES + step).proximity - at(CHANGES - step).proximity) / 2e-7
+        np.testing.assert_allclose(slopes.proximity[:, mode], difference, atol=1e-5, rtol=1e-5)
+    assert np.abs(slopes.proximity[0]).max() > 0.0
     assert not np.asarray(slopes.length).any()
 
 
@@ -217,7 +217,7 @@ def test_second_derivatives_of_guarded_paths_equal_differences_of_first_ones(gua
     changes = CHANGES.at[1].set(CHANGES[0])
     weights = jax.tree.map(lambda leaf: jnp.asarray(generator.normal(size=leaf.shape)), moving.nominal)
     # As a sum of squares has it: the root alone has a kink where nothing is near and nothing strays.
-    weights = replace(weights, closeness=jax.jit(lambda changes: moving.at(changes))(changes).closeness)
+    weights = replace(weights, proximity=jax.jit(lambda changes: moving.at(changes))(changes).proximity)
     curvature = jax.jit(lambda at: moving.curvature(at, weights, moving.linearized(at)))(changes)
 
     @jax.jit

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.calibration.uncertainty.intervals import moment_arm_deviation
 from wrapjax.demonstration.wrap_recovery import TOLD_APART
 from wrapjax.geometry.wrapping import NOMINAL
@@ -29,7 +29,7 @@ MOMENT_ERRORS = (2.5, 0.5, 0.1, 0.02, 4e-3, 8e-4, 1.6e-4, 8e-5)
 #: its box for good; then they are weak from the start.
 BEGINNINGS = (0, 3)
 #: A step need not reach its minimum: the next one goes on from where it ends.
-SOLVER = ProjectedLM(max_iterations=60)
+SOLVER = ProjectedLevenbergMarquardt(max_iterations=60)
 
 
 def hidden(problem, wraps, true_wraps, **true):

@@ -18,7 +18,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import (
     ConstrainedSolution,
     LagrangianState,
 )
-from wrapjax.calibration.solvers.interface import Iteration, Linearization, Pace, Status
+from wrapjax.calibration.solvers.interface import DampingState, Iteration, Linearization, Status
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.geometry.paths import PathState
 from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
@@ -112,7 +112,7 @@ def _solution() -> ConstrainedSolution:
     )
     square = jnp.eye(4)
     variables = np.array([0.05, 0.06, 0.4, 0.07])
-    pace = Pace(jnp.array(1e-6), jnp.array(2.0))
+    damping_state = DampingState(jnp.array(1e-6), jnp.array(2.0))
     # Only where the variables belong matters here, not what their cost is.
     problem = replace(small_objective(), variables=free_variables(_parameters(), _freedom(), MUSCLES))
     return ConstrainedSolution(
@@ -120,11 +120,13 @@ def _solution() -> ConstrainedSolution:
         cost=9.0,
         status=Status.gradient,
         linearization=Linearization(jnp.array(9.0), jnp.zeros(4), square, square),
-        pace=pace,
+        damping_state=damping_state,
         history=history,
         max_violation=0.0,
         problem=problem,
-        state=LagrangianState(jnp.asarray(variables), pace, (), (), jnp.array(0.0), jnp.array(jnp.inf)),
+        state=LagrangianState(
+            jnp.asarray(variables), damping_state, (), (), jnp.array(0.0), jnp.array(jnp.inf)
+        ),
     )
 
 

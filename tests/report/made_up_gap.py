@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from wrapjax.diagnosis.effects.effect import NotTestable
-from wrapjax.diagnosis.error_budget import BINS, gap_map, split_error
+from wrapjax.diagnosis.error_budget import BINS, repeatable_error_map, split_error
 from wrapjax.diagnosis.result import (
     Advice,
     Alternative,
-    Amount,
-    Certificate,
+    ConvergenceCheck,
+    DiagnosisResult,
     EffectFinding,
+    EffectSize,
     Estimate,
-    GapResult,
     MuscleShare,
     Released,
 )
@@ -46,17 +46,17 @@ def _moments():
 
 
 def finding(id, probability, evidence, detectability=4.0, decision="possible", **others):
-    amounts = others.pop("amounts", (Amount("amount", 0.5, 0.1, "1"),))
-    return EffectFinding(id, probability, evidence, detectability, decision, amounts, **others)
+    effect_sizes = others.pop("amounts", (EffectSize("amount", 0.5, 0.1, "1"),))
+    return EffectFinding(id, probability, evidence, detectability, decision, effect_sizes, **others)
 
 
 def _effects():
-    stiffness = Amount("dorsiflexion_stiffness", 1.9, 0.3, "N m/deg")
-    gains = tuple(Amount(f"gain_change_Ch{n}", 0.02 * n, 0.05, "1") for n in range(5))
+    stiffness = EffectSize("dorsiflexion_stiffness", 1.9, 0.3, "N m/deg")
+    gains = tuple(EffectSize(f"gain_change_Ch{n}", 0.02 * n, 0.05, "1") for n in range(5))
     return (
-        finding(ORTHOSIS, 0.62, 31.0, 7.2, "supported", amounts=(stiffness,)),
+        finding(ORTHOSIS, 0.62, 31.0, 7.2, "supported", effect_sizes=(stiffness,)),
         finding(CENTER, 0.2, 27.0, 5.1, "possible"),
-        finding("emg_drift", 0.05, 3.0, 2.4, "not supported", amounts=gains),
+        finding("emg_drift", 0.05, 3.0, 2.4, "not supported", effect_sizes=gains),
         finding("slow_fibers", 0.03, -2.0, 1.1, "not detectable"),
         finding("short_range_stiffness", 0.0, -4.0, decision="quiet", negative_control=True),
     )
@@ -80,7 +80,7 @@ def _alternative(ids, share, missing, plain, speed=None):
     )
 
 
-def named() -> GapResult:
+def named() -> DiagnosisResult:
     """An orthosis; the hip's center comes second."""
     speeds, measured, missing = _moments()
     plain = measured - missing - np.random.default_rng(5).normal(scale=1.0, size=measured.shape)
@@ -89,7 +89,7 @@ def named() -> GapResult:
         [[0.0, 4.0, 60.0, 200.0], [5.0, 0.0, 40.0, 90.0], [30.0, 30.0, 0.0, 8.0], [3.0, 0.5, 12.0, 0.0]]
     )
     force = np.outer([80.0, -30.0, 240.0, 60.0, 10.0], _bump(0.4, 0.2, 1.0)).reshape(5, 1, FRAMES)
-    return GapResult(
+    return DiagnosisResult(
         outcome="named",
         reason="its evidence is above the alarm level and it holds on all left-out cycles",
         named=(ORTHOSIS,),
@@ -110,7 +110,9 @@ def named() -> GapResult:
         plain=plain,
         budget=split_error(measured - plain, (speeds > 0.6).astype(int)),
         budget_speeds=np.array(SPEEDS),
-        map=gap_map(measured - plain, (speeds > 0.6).astype(int), np.zeros((2, len(COORDINATES), FRAMES))),
+        map=repeatable_error_map(
+            measured - plain, (speeds > 0.6).astype(int), np.zeros((2, len(COORDINATES), FRAMES))
+        ),
         explainable_share=Estimate(0.61, 0.52, 0.7),
         alternatives=(
             _alternative((ORTHOSIS,), 0.48, missing, plain),
@@ -119,10 +121,10 @@ def named() -> GapResult:
         shares={ORTHOSIS: 0.4, CENTER: 0.1},
         likeness=(ids, likeness),
         muscles=MuscleShare(MUSCLES, np.repeat(force, 2, axis=1), np.array([0.9, 0.6, 0.95, 0.4, 0.1])),
-        alarm=12.4,
+        detection_threshold=12.4,
         global_p=0.004,
         advice=(Advice((ORTHOSIS, CENTER), "walk once without the orthosis", 3, 2),),
-        certificate=Certificate(
+        convergence_check=ConvergenceCheck(
             problems=(),
             costs=(16.97, 16.99, 17.4),
             spread=0.0012,
@@ -133,12 +135,12 @@ def named() -> GapResult:
     )
 
 
-def tie() -> GapResult:
+def tie() -> DiagnosisResult:
     """The orthosis and the hip's center, which this recording cannot tell apart."""
     return replace(named(), outcome="tie", named=(), ties=((ORTHOSIS, CENTER),), reason="")
 
 
-def unknown() -> GapResult:
+def unknown() -> DiagnosisResult:
     """Something is wrong that no effect explains; the best of them was fitted all the same."""
     quiet = tuple(replace(effect, probability=0.02, evidence=1.0) for effect in _effects())
     return replace(
@@ -157,7 +159,7 @@ def unknown() -> GapResult:
     )
 
 
-def none() -> GapResult:
+def none() -> DiagnosisResult:
     """Nothing amiss, so nothing was fitted."""
     return replace(
         unknown(),
@@ -171,7 +173,7 @@ def none() -> GapResult:
     )
 
 
-def insufficient_data() -> GapResult:
+def insufficient_data() -> DiagnosisResult:
     """Too few cycles for anything."""
     return replace(
         named(),
@@ -191,21 +193,21 @@ def insufficient_data() -> GapResult:
         shares={},
         likeness=((), np.zeros((0, 0))),
         muscles=None,
-        alarm=np.nan,
+        detection_threshold=np.nan,
         global_p=np.nan,
         advice=(),
         seconds={},
     )
 
 
-def not_converged() -> GapResult:
+def not_converged() -> DiagnosisResult:
     """Starts that end apart."""
     return replace(
         insufficient_data(),
         outcome="not_converged",
         reason="the two best starts end 8 % apart",
         plain=named().plain,
-        certificate=Certificate(("The two best starts end 8 % apart.",), (15.0, 16.2), 0.08, 0.3),
+        convergence_check=ConvergenceCheck(("The two best starts end 8 % apart.",), (15.0, 16.2), 0.08, 0.3),
     )
 
 

@@ -13,16 +13,16 @@ import pytest
 from tests.report.made_up_gap import CENTER, COORDINATES, ENDINGS, ORTHOSIS, SPEEDS, finding, named
 from tests.report.test_html import Page
 from wrapjax import InputError
-from wrapjax.cli.diagnose import gap_table
+from wrapjax.cli.diagnose import diagnosis_table
 from wrapjax.diagnosis.effects.effect import NotTestable
 from wrapjax.diagnosis.error_budget import BINS, Budget
-from wrapjax.diagnosis.result import OUTCOMES, Amount, Estimate, Released
+from wrapjax.diagnosis.result import OUTCOMES, EffectSize, Estimate, Released
 from wrapjax.io.storage import read_storage
 from wrapjax.report import diagnosis_page as gap_folder
 from wrapjax.report.diagnosis_effects import alike_pairs, half_interval
 from wrapjax.report.diagnosis_location import resolved
-from wrapjax.report.diagnosis_numbers import describe_gap, mean_absolute_errors, moment_table, where
-from wrapjax.report.diagnosis_page import render_gap, write_gap
+from wrapjax.report.diagnosis_numbers import describe_diagnosis, mean_absolute_errors, moment_table, where
+from wrapjax.report.diagnosis_page import render_diagnosis, write_diagnosis
 from wrapjax.report.diagnosis_shrinkage import MOST_RELEASED, accepted_shares, most_released
 from wrapjax.report.diagnosis_words import findings, untested
 
@@ -46,7 +46,7 @@ def written(tmp_path_factory):
     def write(ending, subject):
         if ending not in folders:
             folders[ending] = tmp_path_factory.mktemp("gaps") / ending
-            write_gap(subject, ENDINGS[ending](), folders[ending])
+            write_diagnosis(subject, ENDINGS[ending](), folders[ending])
         return folders[ending]
 
     return write
@@ -90,8 +90,8 @@ def test_what_a_named_effect_says(written, subject):
     assert content["named"] == [ORTHOSIS] and content["credible_set"] == [ORTHOSIS, CENTER]
     first = content["effects"][0]
     assert first["evidence_nats"] == 31.0 and first["detectability"] == 7.2 and first["decision"]
-    (amount,) = first["parameters"]
-    assert amount == {"name": "dorsiflexion_stiffness", "value": 1.9, "sd": 0.3, "unit": "N m/deg"}
+    (effect_size,) = first["parameters"]
+    assert effect_size == {"name": "dorsiflexion_stiffness", "value": 1.9, "sd": 0.3, "unit": "N m/deg"}
     assert content["explainable_share"] == {"estimate": 0.61, "ci95": [0.52, 0.7], "reason": None}
     shrinkage = content["shrinkage"]
     assert shrinkage["held_out_cycles"]["estimate"] == 0.48
@@ -103,7 +103,7 @@ def test_what_a_named_effect_says(written, subject):
 
 
 def test_a_ties_shrinkage_is_the_range_over_its_members(subject):
-    content = describe_gap(subject, ENDINGS["tie"]())
+    content = describe_diagnosis(subject, ENDINGS["tie"]())
     cycles = content["shrinkage"]["held_out_cycles"]
     assert cycles["estimate"] == [0.41, 0.48]
     assert cycles["ci95"] == pytest.approx([0.32, 0.58])
@@ -285,7 +285,7 @@ def test_a_loud_negative_control_is_no_secret(subject):
     doubtful = replace(result, effects=(*result.effects[:-1], loud))
     assert "with doubt: short range stiffness" in findings(doubtful)[-1]
     assert "with doubt" not in " ".join(findings(result))
-    assert "not quiet, 30.0 nats" in Page(render_gap(subject, replace(doubtful, alternatives=()))).text
+    assert "not quiet, 30.0 nats" in Page(render_diagnosis(subject, replace(doubtful, alternatives=()))).text
 
 
 def test_two_effects_at_once_and_no_shrinkage_to_tell():
@@ -309,7 +309,7 @@ def test_a_single_speed_that_is_not_given(subject):
         map=named().map[:1],
         muscles=None,
     )
-    text = Page(render_gap(subject, result)).text
+    text = Page(render_diagnosis(subject, result)).text
     assert "speed not given" in text
 
 
@@ -336,25 +336,25 @@ def test_released_parameters_are_those_that_moved_farthest_first():
 def test_muscles_that_cannot_be_told_are_marked(subject):
     share = named().muscles
     assert resolved(share).tolist() == [True, True, True, False, False]
-    text = render_gap(subject, replace(named(), alternatives=(), budget=None))
+    text = render_diagnosis(subject, replace(named(), alternatives=(), budget=None))
     assert "the largest change that can be told is 240 N, of soleus_l" in Page(text).all("img")[-1]["alt"]
 
 
 def test_what_an_effect_lacks_is_a_dash(subject):
-    vague = finding("emg_drift", 0.9, np.nan, np.nan, amounts=(Amount("gain", 0.2, np.nan, "1"),))
-    text = Page(render_gap(subject, replace(ENDINGS["none"](), effects=(vague,), budget=None))).text
+    vague = finding("emg_drift", 0.9, np.nan, np.nan, effect_sizes=(EffectSize("gain", 0.2, np.nan, "1"),))
+    text = Page(render_diagnosis(subject, replace(ENDINGS["none"](), effects=(vague,), budget=None))).text
     assert "gain 0.2" in text and "nan" not in re.findall(r"\w+", text)
 
 
 def test_names_are_escaped(subject):
     result = replace(ENDINGS["not_converged"](), reason="a <b> & c")
-    text = render_gap(replace(subject, name="<i>"), result)
+    text = render_diagnosis(replace(subject, name="<i>"), result)
     assert "<i>" not in text and "A &lt;b&gt; &amp; c" in text
 
 
 @pytest.mark.parametrize("ending", OUTCOMES)
 def test_the_terminal_says_the_same(ending):
-    text = gap_table(ENDINGS[ending]())
+    text = diagnosis_table(ENDINGS[ending]())
     assert "cop offset" in text and "joint damping" in text
     assert "nan" not in re.findall(r"\w+", text.lower())
     assert ("ankle_foot_orthosis" in text) == (ending not in SILENT)
@@ -365,9 +365,9 @@ def test_an_existing_folder_is_refused_and_left_alone(subject, tmp_path):
     (tmp_path / "gap" / "mine.txt").write_text("precious")
     result = ENDINGS["not_converged"]()
     with pytest.raises(InputError, match="--force"):
-        write_gap(subject, result, tmp_path / "gap")
+        write_diagnosis(subject, result, tmp_path / "gap")
     assert _files(tmp_path) == ["gap/mine.txt"]
-    write_gap(subject, result, tmp_path / "gap", force=True)
+    write_diagnosis(subject, result, tmp_path / "gap", force=True)
     assert "mine.txt" not in _files(tmp_path / "gap") and (tmp_path / "gap" / "gap.json").is_file()
 
 
@@ -382,7 +382,7 @@ def test_failing_half_way_leaves_nothing_and_takes_nothing(writer, force, subjec
         (tmp_path / "gap" / "old.txt").write_text("old")
     monkeypatch.setattr(gap_folder, writer, fail)
     with pytest.raises(OSError, match="disk full"):
-        write_gap(subject, ENDINGS["not_converged"](), tmp_path / "gap", force=force)
+        write_diagnosis(subject, ENDINGS["not_converged"](), tmp_path / "gap", force=force)
     assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == (
         ["gap", "gap/old.txt"] if force else []
     )

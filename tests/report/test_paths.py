@@ -13,7 +13,7 @@ from tests.path_sources.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import write_subject
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.cli.calibrate import calibration_table
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.path_sources.fitting import fit
@@ -26,7 +26,7 @@ from wrapjax.subject.subject import load_subject as load_subject
 def done(tmp_path_factory):
     """Two muscles, both paths free, from two starts."""
     subject = load_subject(write_subject(tmp_path_factory.mktemp("subjects") / "person"))
-    solver = AugmentedLagrangian(inner=ProjectedLM(max_iterations=100))
+    solver = AugmentedLagrangian(inner=ProjectedLevenbergMarquardt(max_iterations=100))
     return calibrate(subject, "SGA", fit(subject), solver=solver, starts=2)
 
 

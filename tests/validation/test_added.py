@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_lines import COORDINATES, CYCLES, PHASES, lines
+from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.added import added, main, told
 from validation.blind.library import Library
-from validation.lines import save
+from validation.linearizations import save
 
 
 def shape(seed):

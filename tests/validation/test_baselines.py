@@ -13,7 +13,7 @@ from validation.ablations import ABLATIONS, ablated
 from validation.answering import write_others
 from validation.baselines import BASELINES, modification_index, write_answer, write_silence
 from validation.blind.score.records import read_answer
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import MuscleErrors
 from wrapjax.diagnosis.projection import Candidate
 
@@ -21,7 +21,7 @@ CYCLES, COORDINATES, PHASES, EFFECTS = 6, 2, 10, 12
 ROWS = CYCLES * COORDINATES * PHASES
 
 
-def lines(generator, amount, at_work=3):
+def lines(generator, effect_size, at_work=3):
     """Independent noise, three calibrated variables, and one effect of this size."""
     slopes = generator.normal(size=(3, ROWS))
     candidates = tuple(
@@ -30,10 +30,10 @@ def lines(generator, amount, at_work=3):
         )
         for number in range(EFFECTS)
     )
-    residual = generator.normal(size=ROWS) + amount * candidates[at_work].variants[0][0]
+    residual = generator.normal(size=ROWS) + effect_size * candidates[at_work].variants[0][0]
     left = residual - slopes.T @ np.linalg.lstsq(slopes.T, residual, rcond=None)[0]
     shape = (CYCLES, COORDINATES, PHASES)
-    return LinearGap(
+    return LinearizedModel(
         residual=residual.reshape(shape),
         fitted=left.reshape(shape),
         slopes=slopes.reshape(3, *shape),
@@ -71,7 +71,7 @@ def test_the_modification_index_alarms_as_often_as_it_says_under_its_own_assumpt
 def test_a_term_that_is_left_out_takes_nothing_else_with_it(name):
     """A plain case stays plain, and only the score test alone sees all terms."""
     gap = lines(np.random.default_rng(0), 0.5)
-    found = ablated(ABLATIONS[name], gap, np.ones(COORDINATES), alarm=3.0)
+    found = ablated(ABLATIONS[name], gap, np.ones(COORDINATES), detection_threshold=3.0)
     assert max(found, key=lambda id: found[id][0]) == "effect_3"
     assert {id for id, (_, named) in found.items() if named} == {
         id for id, (evidence, _) in found.items() if evidence > 3.0
@@ -110,7 +110,7 @@ def test_what_a_term_explains_is_taken_for_an_effect_without_it(name):
 def test_everybody_answers_on_the_lines_of_one_diagnosis(tmp_path):
     gap = lines(np.random.default_rng(0), 0.5)
     done = SimpleNamespace(
-        result=SimpleNamespace(lines=gap, outcome="named", alarm=3.0),
+        result=SimpleNamespace(lines=gap, outcome="named", detection_threshold=3.0),
         case=SimpleNamespace(measured_sizes=np.random.default_rng(1).uniform(0.5, 1.5, COORDINATES)),
     )
     write_others(done, {name: tmp_path / name for name in (*BASELINES, *ABLATIONS)})

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_lines import COORDINATES, CYCLES, PHASES, lines
+from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.blind.library import Library
 from validation.borrowed import both, main, usual
 from validation.known_cases import Scored
-from validation.lines import save
+from validation.linearizations import save
 
 
 def shape(seed):

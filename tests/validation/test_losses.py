@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.validation.made_up_lines import COORDINATES, CYCLES, PHASES, lines
+from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.losses import loss
 
 

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from tests.validation.made_up_lines import COORDINATES, CYCLES, PHASES, lines
-from validation.lines import save
+from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
+from validation.linearizations import save
 from validation.several import main
 
 

@@ -120,8 +120,8 @@ def test_all_effects_start_at_zero_and_stay_finite(who, base, name):
 
 def test_d_star_grows_with_the_amount_and_is_hit(who, oracle, library):
     effect = EFFECTS["ankle_foot_orthosis"]
-    amount, reached = amount_for(who.world, oracle[LEVEL], effect, (), 1, 6.0, None)
-    assert 5.2 < reached < 6.8 and 0.0 < amount < effect.most
+    effect_size, reached = amount_for(who.world, oracle[LEVEL], effect, (), 1, 6.0, None)
+    assert 5.2 < reached < 6.8 and 0.0 < effect_size < effect.most
 
 
 def test_d_star_is_what_can_be_detected(who, oracle):

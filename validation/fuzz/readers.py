@@ -227,12 +227,12 @@ def _fit_part(name: str) -> Callable[[Path, Path], Prepared]:
 
 
 def _journal(finished: Path, place: Path) -> Prepared:
-    from wrapjax.calibration.solvers.checkpoints import Journal
+    from wrapjax.calibration.solvers.checkpoints import Checkpoints
 
     folder = Path(shutil.copytree(finished / "journal", place / "journal"))
     question = json.loads((folder / "question.json").read_text())["question"]
     entries = sorted(folder.glob("start_*.npz"))
-    book = Journal.open(folder, question, resume=True)
+    book = Checkpoints.open(folder, question, resume=True)
 
     def read() -> None:
         # A damaged entry counts as none: that work is done again.
@@ -242,13 +242,13 @@ def _journal(finished: Path, place: Path) -> Prepared:
     return Prepared(entries[0], (entries[0].read_bytes(),), read)
 
 
-def _question(finished: Path, place: Path) -> Prepared:
-    from wrapjax.calibration.solvers.checkpoints import Journal
+def _fingerprint(finished: Path, place: Path) -> Prepared:
+    from wrapjax.calibration.solvers.checkpoints import Checkpoints
 
     folder = Path(shutil.copytree(finished / "journal", place / "journal"))
     file = folder / "question.json"
     question = json.loads(file.read_text())["question"]
-    return Prepared(file, (file.read_bytes(),), lambda: Journal.open(folder, question, resume=True))
+    return Prepared(file, (file.read_bytes(),), lambda: Checkpoints.open(folder, question, resume=True))
 
 
 def _redrawn(kind: str, file: str) -> Callable[[Path, Path], Prepared]:
@@ -303,7 +303,7 @@ READERS: dict[str, Reader] = {
         Reader("fit.json", _fit_part("fit.json")),
         Reader("fit.npz", _fit_part("fit.npz"), archive=True),
         Reader("journal's entry (.npz)", _journal, archive=True),
-        Reader("journal's question (.json)", _question),
+        Reader("journal's question (.json)", _fingerprint),
         Reader("evaluation.json", _redrawn("evaluation", "evaluation.json"), 0.05),
         Reader("cohort.json", _redrawn("cohort", "cohort.json"), 0.05),
         Reader("results for an index (.json)", _overview, 0.5),

@@ -173,7 +173,7 @@ def finished_results(place: Path) -> Path:
     subject = load_subject(write_subject(place / "subject"))
     paths = fit(subject, processes=1)
     paths.save(place / "fit", subject=subject)
-    done = calibrate(subject, "NGA", paths, starts=1, journal=place / "book")
+    done = calibrate(subject, "NGA", paths, starts=1, checkpoints=place / "book")
     shutil.copytree(place / "book", place / "journal")
     done.save(place / "run")
     evaluate(load_run(place / "run"), subject).save(place / "evaluation")

@@ -21,10 +21,23 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import source_for, stages
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
-from wrapjax.calibration.solvers.multistart import Outcome, Watch, best, solve_from_starts, starting_points
-from wrapjax.calibration.two_legs import Law, Leg, gather_legs, join_legs, question_of, solution_of_leg
+from wrapjax.calibration.solvers.multistart import (
+    IterationCallback,
+    Outcome,
+    best,
+    solve_from_starts,
+    starting_points,
+)
+from wrapjax.calibration.two_legs import (
+    Leg,
+    MuscleLaw,
+    calibration_fingerprint,
+    gather_legs,
+    join_legs,
+    solution_of_leg,
+)
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.files import cache_folder
 from wrapjax.io.model_file import MuscleParameters, read_model_file
@@ -110,7 +123,7 @@ class Calibration:
     #: The person's other leg, where both were calibrated together.
     other_leg: Calibration | None = None
     #: Where the work is kept until it is saved.
-    journal: Journal | None = None
+    checkpoints: Checkpoints | None = None
 
     @property
     def legs(self) -> tuple[Calibration, ...]:
@@ -135,8 +148,8 @@ class Calibration:
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
         write_run(legs, Path(folder), force=force, describe_model=describe_model, write_model=write_model)
-        if self.journal is not None:
-            self.journal.close()
+        if self.checkpoints is not None:
+            self.checkpoints.close()
 
 
 def calibrate(
@@ -148,13 +161,13 @@ def calibrate(
     solver: AugmentedLagrangian | None = None,
     starts: int = STARTS,
     seed: int = 0,
-    callback: Watch | None = None,
+    callback: IterationCallback | None = None,
     curves: str = "paper",
     tendon: str = "rigid",
     surfaces: str = SURFACES[0],
     undriven: str = STRATEGIES[0],
     synergies: int = COMMANDS,
-    journal: Path | None = None,
+    checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
     """Calibrate a subject's model on its trials marked ``calibration``.
@@ -210,15 +223,15 @@ def calibrate(
     """
     solver = solver or AugmentedLagrangian()
     legs = gather_legs(subject, fit, method, freedom, undriven, synergies, surfaces)
-    law = Law(curves, tendon)
-    question = question_of(legs, solver, law, starts, seed)
+    law = MuscleLaw(curves, tendon)
+    question = calibration_fingerprint(legs, solver, law, starts, seed)
     by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
         problems = tuple(starmap(join_legs, zip(*by_leg, strict=True)))
     book = None
-    if journal is not None:
-        book = Journal.open(journal, question, resume=resume)
+    if checkpoints is not None:
+        book = Checkpoints.open(checkpoints, question, resume=resume)
     first = np.asarray(problems[0].start(problems[0].initial))
     began = time.perf_counter()
     for problem in problems:
@@ -232,26 +245,33 @@ def calibrate(
         own = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
         result = _result(leg, own, best(outcomes), solver, law, compiled)
         finished.append(Calibration(leg.subject, leg.fit, result))
-    return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, journal=book)
+    return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, checkpoints=book)
 
 
-def kept_calibration(
+def cached_calibration(
     subject: Subject,
     method: str = "NGA",
     fit: Fit | ExactGeometry | None = None,
     *,
     starts: int = STARTS,
     seed: int = 0,
-    callback: Watch | None = None,
+    callback: IterationCallback | None = None,
 ) -> Calibration:
     """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
     fitted = source_for((method,), subject) if fit is None else fit
     legs = gather_legs(subject, fitted, method, None)
-    question = question_of(legs, AugmentedLagrangian(), Law(), starts, seed)
-    journal = cache_folder("calibrations") / question
-    begun = (journal / "question.json").exists()
+    question = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleLaw(), starts, seed)
+    checkpoints = cache_folder("calibrations") / question
+    begun = (checkpoints / "question.json").exists()
     return calibrate(
-        subject, method, fitted, starts=starts, seed=seed, callback=callback, journal=journal, resume=begun
+        subject,
+        method,
+        fitted,
+        starts=starts,
+        seed=seed,
+        callback=callback,
+        checkpoints=checkpoints,
+        resume=begun,
     )
 
 
@@ -265,7 +285,7 @@ def _result(
     outcomes: tuple[Outcome, ...],
     chosen: int,
     solver: AugmentedLagrangian,
-    law: Law,
+    law: MuscleLaw,
     compile_seconds: float,
 ) -> CalibrationResult:
     subject, fit, freedom = leg.subject, leg.fit, leg.freedom

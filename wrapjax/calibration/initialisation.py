@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from wrapjax.calibration.initial_lengths import InitialLengths, LengthErrors
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_derivatives import laid_paths
 from wrapjax.io.files import new_folder, write_json, write_text
@@ -178,7 +178,7 @@ def initialise(
         acting, _ = acting_muscles(subject)
         before = before.followed_by(subject.undriven_parameters.select(acting))
     problem = _problem(subject, before, curves, errors or LengthErrors())
-    solution = ProjectedLM(ftol=1e-10).solve(problem, problem.start())
+    solution = ProjectedLevenbergMarquardt(ftol=1e-10).solve(problem, problem.start())
     variables = jnp.asarray(solution.variables)
     found = problem.lengths(variables)
     after = replace(

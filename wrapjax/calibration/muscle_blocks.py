@@ -163,6 +163,6 @@ def _chain(by: dict[str, Array], modes: PathState) -> Array:
         by_frame = by["length"][None] * length + by["velocity"][None] * rate
         return by_frame + by["moment_arm"][None] * modes.moment_arm
     total = by["length"][None] * modes.length + by["velocity"][None] * modes.velocity
-    if modes.closeness is None:
+    if modes.proximity is None:
         return total
-    return total + by["closeness"][None] * modes.closeness
+    return total + by["proximity"][None] * modes.proximity

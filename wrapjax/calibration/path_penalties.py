@@ -18,11 +18,11 @@ from wrapjax.model.parameters import ModelParameters
 
 #: Working range of normalised fiber length (the NMSM Pipeline's).
 FIBER_LENGTH_RANGE = (0.3, 1.3)
-_CLOSENESS_NAME = "closeness"
+_PROXIMITY_NAME = "proximity"
 #: Names of penalties that paths are asked about, and that mean nothing where these are held.
-PATH_PENALTIES = (_CLOSENESS_NAME,)
+PATH_PENALTIES = (_PROXIMITY_NAME,)
 #: Allowable closeness to a jump in length, root mean square over muscles and frames.
-CLOSENESS = 2.0
+PROXIMITY = 2.0
 # Moment arms are limited in units of this (m), to be of the order of fiber lengths.
 _ARM_UNIT = 0.01
 # At first the excess of one unit costs this; the solver raises it as it needs.
@@ -90,7 +90,7 @@ def _infeasibility(parameters: ModelParameters, state: MuscleState) -> Float[Arr
     return state.path.infeasibility
 
 
-def closeness_penalty(muscles: int) -> MusclePenalty:
+def proximity_penalty(muscles: int) -> MusclePenalty:
     """Keep paths round cylinders from where their length would jump.
 
     Closeness grows without bound there, so that no path ever gets over. It is seen from afar, unlike a
@@ -98,12 +98,12 @@ def closeness_penalty(muscles: int) -> MusclePenalty:
     arms have no hard limits here: cylinders of possible place and size keep paths physiological, and
     fiber lengths are held as in NGA.
     """
-    return MusclePenalty(_CLOSENESS_NAME, _closeness, whole, jnp.zeros((muscles, 1)), CLOSENESS)
+    return MusclePenalty(_PROXIMITY_NAME, _proximity, whole, jnp.zeros((muscles, 1)), PROXIMITY)
 
 
-def _closeness(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
-    assert state.path.closeness is not None
-    return state.path.closeness
+def _proximity(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
+    assert state.path.proximity is not None
+    return state.path.proximity
 
 
 def _moment_arm(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial coordinate frame"]:

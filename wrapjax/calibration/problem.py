@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.path_penalties import closeness_penalty, feasibility_limits, path_limits
+from wrapjax.calibration.path_penalties import feasibility_limits, path_limits, proximity_penalty
 from wrapjax.calibration.penalties import pipeline_penalties
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
@@ -116,7 +116,7 @@ def stages(
     )
     if freedom.wraps is None:
         return held, replace(moving, limits=path_limits(paths.nominal))
-    kept = () if paths.nominal.closeness is None else (closeness_penalty(len(names)),)
+    kept = () if paths.nominal.proximity is None else (proximity_penalty(len(names)),)
     moving = replace(moving, penalties=(*held.penalties, *kept), limits=feasibility_limits(paths.nominal))
     return held, moving
 

@@ -252,19 +252,21 @@ def gather_legs(
 
 
 @dataclass(frozen=True)
-class Law:
+class MuscleLaw:
     """Of muscles: the names of their Hill curves and tendons."""
 
     curves: str = "paper"
     tendon: str = "rigid"
 
 
-def question_of(legs: list[Leg], solver: AugmentedLagrangian, law: Law, starts: int, seed: int) -> str:
+def calibration_fingerprint(
+    legs: list[Leg], solver: AugmentedLagrangian, law: MuscleLaw, starts: int, seed: int
+) -> str:
     """Name a calibration by all that decides where it goes."""
-    return content_hash(code_hash(), *map(_question, legs), repr((solver, law, starts, seed)))
+    return content_hash(code_hash(), *map(_fingerprint, legs), repr((solver, law, starts, seed)))
 
 
-def _question(leg: Leg) -> str:
+def _fingerprint(leg: Leg) -> str:
     """Name a leg's part in a calibration by all that decides where it goes."""
     subject, trials = leg.subject, leg.subject.trials
     return content_hash(

@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     from wrapjax.calibration.result import CalibrationResult
     from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
     from wrapjax.calibration.solvers.interface import Iteration
-    from wrapjax.calibration.solvers.multistart import Watch
+    from wrapjax.calibration.solvers.multistart import IterationCallback
     from wrapjax.calibration.uncertainty.intervals import LegSpread
     from wrapjax.calibration.uncertainty.uncertainty import Uncertainty
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.path_sources.fit import Fit
 
 
-def iteration_printer(*, quiet: bool = False) -> Watch | None:
+def iteration_printer(*, quiet: bool = False) -> IterationCallback | None:
     """Give a callback that prints one line an iteration to standard error."""
     if quiet:
         return None
@@ -210,7 +210,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
     from wrapjax.calibration.solvers.interface import Status
     from wrapjax.calibration.solvers.lbfgs import BoundedLBFGS
-    from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+    from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
     from wrapjax.path_sources.exact import exact_geometry
     from wrapjax.path_sources.fit import load_fit
@@ -228,8 +228,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Problem("--draws", "expected at least 2, found 1: one draw has no spread"))
     if options.surfaces != "touched" and options.method != "PGA":
         raise InputError(Problem("--surfaces", "is for --method PGA: the others move no cylinders"))
-    journal = unfinished(options)
-    inner = {"lm": ProjectedLM, "lbfgs": BoundedLBFGS}[options.solver]()
+    checkpoints = unfinished(options)
+    inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
@@ -258,7 +258,7 @@ def run(options: argparse.Namespace) -> int:
         surfaces=options.surfaces,
         undriven=options.undriven,
         synergies=options.synergies,
-        journal=journal,
+        checkpoints=checkpoints,
         resume=options.resume,
     )
     if done.status is Status.interrupted:

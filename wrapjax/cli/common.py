@@ -67,8 +67,8 @@ def show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> No
 
 def unfinished(options: argparse.Namespace) -> Path:
     """Name the folder of unfinished work, which is not thrown away unasked."""
-    journal = options.out.with_name(f".{options.out.name}.unfinished")
-    if journal.exists() and not (options.resume or options.force):
+    checkpoints = options.out.with_name(f".{options.out.name}.unfinished")
+    if checkpoints.exists() and not (options.resume or options.force):
         raise InputError(
             Problem(
                 str(options.out),
@@ -76,4 +76,4 @@ def unfinished(options: argparse.Namespace) -> Path:
                 hint="go on with --resume, or begin anew with --force",
             )
         )
-    return journal
+    return checkpoints

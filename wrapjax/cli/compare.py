@@ -88,15 +88,15 @@ def run(options: argparse.Namespace) -> int:
     set_up_jax()
     from wrapjax.calibration.problem import METHODS
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-    from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+    from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.comparison.comparison import compare
     from wrapjax.progress import say
     from wrapjax.subject.subject import load_subject as load_subject
 
     refuse_existing(options.out, options.force)
-    journal = unfinished(options)
-    inner = ProjectedLM()
+    checkpoints = unfinished(options)
+    inner = ProjectedLevenbergMarquardt()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     try:
@@ -111,11 +111,11 @@ def run(options: argparse.Namespace) -> int:
             curves=options.curves,
             processes=options.threads,
             quiet=options.quiet,
-            journal=journal,
+            checkpoints=checkpoints,
             resume=options.resume,
         )
     except KeyboardInterrupt:
-        if not journal.exists():
+        if not checkpoints.exists():
             raise
         say("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         subject=options.subject,
         undriven=options.undriven,
         condyle_distance=options.condyle_distance,
-        tell=lambda line: say(line, quiet=options.quiet),
+        log=lambda line: say(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
     show(options, "contact.json", lambda: contact_table(done))

@@ -72,17 +72,17 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.cli.calibrate import calibration_table, iteration_printer
-    from wrapjax.cli.diagnose import gap_table
+    from wrapjax.cli.diagnose import diagnosis_table
     from wrapjax.demonstration.demo import demo
 
-    journal = unfinished(options)
-    begun = options.resume and journal.exists()
+    checkpoints = unfinished(options)
+    begun = options.resume and checkpoints.exists()
     refuse_existing(options.out, options.force or begun)
     shown = demo(
         options.out,
         seed=options.seed,
         force=options.force,
-        journal=journal,
+        checkpoints=checkpoints,
         resume=begun,
         quiet=options.quiet,
         callback=iteration_printer(quiet=options.quiet),
@@ -97,6 +97,6 @@ def run(options: argparse.Namespace) -> int:
         print()
         print(wrap_recovery_table(shown))
         print(f"\nhidden in another person: {shown.gap.hidden}; a diagnosis (unit test, no accuracy) says:\n")
-        print(gap_table(shown.gap.diagnosis.result))
+        print(diagnosis_table(shown.gap.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
     return DONE if shown.converged else NOT_CONVERGED

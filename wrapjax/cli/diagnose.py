@@ -17,13 +17,13 @@ from wrapjax.io.files import refuse_existing
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.diagnosis.result import GapResult
+    from wrapjax.diagnosis.result import DiagnosisResult
 
 _WIDTH = 100
 _MOST_EFFECTS = 6
 
 
-def gap_table(result: GapResult) -> str:
+def diagnosis_table(result: DiagnosisResult) -> str:
     """Show how a diagnosis ended, the most probable effects, and what could not be tested."""
     from wrapjax.report.diagnosis_words import findings, untested
 
@@ -48,8 +48,8 @@ def gap_table(result: GapResult) -> str:
     return "\n".join(lines)
 
 
-def _effect_lines(result: GapResult) -> list[str]:
-    from wrapjax.report.diagnosis_words import amounts_in_words
+def _effect_lines(result: DiagnosisResult) -> list[str]:
+    from wrapjax.report.diagnosis_words import effect_sizes_in_words
 
     shown = result.effects[:_MOST_EFFECTS]
     width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
@@ -57,7 +57,7 @@ def _effect_lines(result: GapResult) -> list[str]:
     for effect in shown:
         lines.append(
             f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
-            f"  {amounts_in_words(effect.amounts, most=2)}".rstrip()
+            f"  {effect_sizes_in_words(effect.effect_sizes, most=2)}".rstrip()
         )
     rest = sum(effect.probability for effect in result.effects[_MOST_EFFECTS:])
     others = len(result.effects) - len(shown)
@@ -71,7 +71,7 @@ def _effect_lines(result: GapResult) -> list[str]:
     return lines
 
 
-def _error_lines(result: GapResult) -> list[str]:
+def _error_lines(result: DiagnosisResult) -> list[str]:
     """Show mean absolute errors of cycles that no fit has seen; what cannot be told is left out."""
     from wrapjax.report.diagnosis_numbers import mean_absolute_errors
 
@@ -161,8 +161,8 @@ def run(options: argparse.Namespace) -> int:
         starts=options.starts,
         seed=options.seed,
         callback=iteration_printer(quiet=options.quiet),
-        tell=lambda line: say(line, quiet=options.quiet),
+        log=lambda line: say(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
-    show(options, "gap.json", lambda: gap_table(done.result))
+    show(options, "gap.json", lambda: diagnosis_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE

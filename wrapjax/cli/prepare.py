@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.subject.description import render_tables
 
     refuse_existing(options.out, options.force)
-    done = prepare_subject(options.settings, tell=lambda line: say(line, quiet=options.quiet))
+    done = prepare_subject(options.settings, log=lambda line: say(line, quiet=options.quiet))
     done.save(options.out, force=options.force)
     if options.json:
         print_json(stored(options.out / "preparation.json"))

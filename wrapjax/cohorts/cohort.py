@@ -60,7 +60,7 @@ class Job:
 def kept_answer(job: Job) -> dict[str, Any] | None:
     """Recall what was answered to the same question of the same files; None if that is not there."""
     try:
-        return _kept(Path(job.place), _question(job, load_subject(job.folder))) if job.resume else None
+        return _kept(Path(job.place), _fingerprint(job, load_subject(job.folder))) if job.resume else None
     except (InputError, OSError):
         return None  # whoever is to answer says why
 
@@ -86,22 +86,22 @@ def answer(job: Job) -> dict[str, Any]:
 
 def _answer(job: Job) -> dict[str, Any]:
     # Imported by a worker, after its threads are set.
-    from wrapjax.calibration.calibration import kept_calibration
+    from wrapjax.calibration.calibration import cached_calibration
     from wrapjax.calibration.problem import source_for
     from wrapjax.calibration.solvers.interface import Status
     from wrapjax.diagnosis.diagnosis import diagnose
 
     began = time.perf_counter()
     subject = load_subject(job.folder)
-    question = _question(job, subject)
+    question = _fingerprint(job, subject)
     place = Path(job.place)
     paths = source_for((job.method,), subject, seed=job.seed, processes=1)
-    calibration = kept_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
+    calibration = cached_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
     if calibration.status is Status.interrupted:
         raise RuntimeError("interrupted; what was done of it is kept")
     with new_folder(place, force=True) as folder:
         # Its journal stays, so that the diagnosis need not calibrate again.
-        replace(calibration, journal=None).save(folder / CALIBRATION)
+        replace(calibration, checkpoints=None).save(folder / CALIBRATION)
         gap = None
         if job.diagnose:
             diagnosis = diagnose(subject, job.method, paths, starts=job.starts, seed=job.seed)
@@ -141,7 +141,7 @@ def _kept(place: Path, question: str) -> dict[str, Any] | None:
     return content if isinstance(content, dict) and content.get("question") == question else None
 
 
-def _question(job: Job, subject: Subject) -> str:
+def _fingerprint(job: Job, subject: Subject) -> str:
     """Name what is asked by all files of the subject and by all settings."""
     files: set[Path] = set()
     for leg in read_legs(subject):

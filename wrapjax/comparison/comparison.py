@@ -13,7 +13,7 @@ from wrapjax.calibration.calibration import STARTS, Calibration, calibrate
 from wrapjax.calibration.problem import METHODS, method_freedom, source_for, source_like
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.solvers.multistart import Watch
+from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.comparison.samples import file_name, labels_of, persons_of
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import new_folder
@@ -54,7 +54,7 @@ class Comparison:
     methods: tuple[str, ...]
     calibrations: tuple[tuple[Calibration, ...], ...]
     labels: tuple[str, ...]
-    journal: Path | None = None
+    checkpoints: Path | None = None
 
     @property
     def converged(self) -> bool:
@@ -113,10 +113,10 @@ class Comparison:
             for label, row in zip(self.labels, self.calibrations, strict=True):
                 for method, one in zip(self.methods, row, strict=True):
                     # Journals are kept until all is written.
-                    replace(one, journal=None).save(place / label / method)
+                    replace(one, checkpoints=None).save(place / label / method)
             write_comparison(self.legs, self.methods, self.rows, place)
-        if self.journal is not None:
-            shutil.rmtree(self.journal, ignore_errors=True)
+        if self.checkpoints is not None:
+            shutil.rmtree(self.checkpoints, ignore_errors=True)
 
 
 def compare(
@@ -127,11 +127,11 @@ def compare(
     solver: AugmentedLagrangian | None = None,
     starts: int = STARTS,
     seed: int = 0,
-    callback: Watch | None = None,
+    callback: IterationCallback | None = None,
     curves: str = "paper",
     processes: int | None = None,
     quiet: bool = True,
-    journal: Path | None = None,
+    checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Comparison:
     """Calibrate every subject by every method, and test whether the methods differ.
@@ -186,14 +186,14 @@ def compare(
     sources = [
         _sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet) for person in persons
     ]
-    if journal is not None:
-        _open(journal, resume=resume)
+    if checkpoints is not None:
+        _open(checkpoints, resume=resume)
     done = []
     for label, person, source in zip(labels, persons, sources, strict=True):
         row = []
         for method in methods:
             say(f"calibrating {label} by {method}", quiet=quiet)
-            place = None if journal is None else journal / label / method
+            place = None if checkpoints is None else checkpoints / label / method
             one = calibrate(
                 person,
                 method,
@@ -203,14 +203,14 @@ def compare(
                 seed=seed,
                 callback=callback,
                 curves=curves,
-                journal=place,
+                checkpoints=place,
                 resume=place is not None and (place / "question.json").exists(),
             )
             if one.status is Status.interrupted:
                 raise KeyboardInterrupt
             row.append(one)
         done.append(tuple(row))
-    return Comparison(methods, tuple(done), labels, journal)
+    return Comparison(methods, tuple(done), labels, checkpoints)
 
 
 def _source(calibration: Calibration) -> str:
@@ -274,11 +274,11 @@ def _sources(
     return found
 
 
-def _open(journal: Path, *, resume: bool) -> None:
-    if resume and not journal.is_dir():
+def _open(checkpoints: Path, *, resume: bool) -> None:
+    if resume and not checkpoints.is_dir():
         raise InputError(
-            Problem(str(journal), "holds no interrupted work to resume", hint="leave out --resume")
+            Problem(str(checkpoints), "holds no interrupted work to resume", hint="leave out --resume")
         )
     if not resume:
-        shutil.rmtree(journal, ignore_errors=True)
-    journal.mkdir(parents=True, exist_ok=True)
+        shutil.rmtree(checkpoints, ignore_errors=True)
+    checkpoints.mkdir(parents=True, exist_ok=True)

@@ -84,7 +84,7 @@ def contact(
     subject: Subject | str | Path | None = None,
     undriven: str = TREATMENTS[0],
     condyle_distance: float | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Contact:
     """Say what the joints of a leg bear with the muscle forces of a finished calibration.
 
@@ -134,9 +134,9 @@ def contact(
     undivided = _undivided(joints, whole=walk is not None, asked=condyle_distance is not None)
     found = []
     for entry, model_file, label in zip(runs, models, _labels(runs), strict=True):
-        tell(f"{label}: muscles without an electrode")
+        log(f"{label}: muscles without an electrode")
         others = _undriven(entry, model_file, undriven)
-        tell(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
+        log(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
         muscles = (*entry.run.muscles, *others.muscles)
         force = np.concatenate([entry.force, others.force])
         compartments = None

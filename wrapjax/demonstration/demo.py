@@ -16,7 +16,7 @@ import numpy as np
 from wrapjax.calibration.calibration import Calibration, calibrate
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.calibration.solvers.multistart import Watch
+from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.intervals import laplace_deviation
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
@@ -43,7 +43,7 @@ NOT_DRAWN = ("emg_crosstalk",)
 
 
 @dataclass(frozen=True)
-class GapDemonstration:
+class DiagnosisDemonstration:
     """What was hidden in a virtual person, and what a diagnosis says."""
 
     #: None for nothing.
@@ -77,16 +77,16 @@ def drawn_effect(seed: int) -> str:
     return names[int(np.random.default_rng([seed, 5]).integers(len(names)))]
 
 
-def demonstrate_gap(
+def demonstrate_diagnosis(
     folder: Path,
     hidden: str | None,
     *,
     seed: int = 0,
     force: bool = False,
     quiet: bool = True,
-    callback: Watch | None = None,
-    tell: Callable[[str], None] = lambda line: None,
-) -> GapDemonstration:
+    callback: IterationCallback | None = None,
+    log: Callable[[str], None] = lambda line: None,
+) -> DiagnosisDemonstration:
     """Make up a person with something amiss, and diagnose them.
 
     Parameters
@@ -111,12 +111,12 @@ def demonstrate_gap(
         fit(subject, "engine", seed=seed, quiet=quiet),
         starts=_DIAGNOSIS_STARTS,
         seed=seed,
-        twins=_TWINS,
+        null_replicates=_TWINS,
         callback=callback,
-        tell=tell,
+        log=log,
     )
     found.save(folder / "gap", force=force, note=NOTE)
-    return GapDemonstration(hidden, found)
+    return DiagnosisDemonstration(hidden, found)
 
 
 #: Of the virtual recordings, N m.
@@ -151,7 +151,7 @@ class Demonstration:
     #: Of PGA's cylinders and moment arms.
     wraps: WrapRecovery
     #: Of a person with something amiss.
-    gap: GapDemonstration
+    gap: DiagnosisDemonstration
 
     @property
     def converged(self) -> bool:
@@ -182,8 +182,8 @@ def demo(
     seed: int = 0,
     force: bool = False,
     quiet: bool = True,
-    callback: Watch | None = None,
-    journal: Path | None = None,
+    callback: IterationCallback | None = None,
+    checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Demonstration:
     """Make up a person, let them walk, calibrate by every method, and compare with the truth.
@@ -227,7 +227,7 @@ def demo(
     for method, starts in _STARTS.items():
         say(f"calibrating by {method}", quiet=quiet)
         paths = exact_geometry(subject) if method == "PGA" else fitted
-        book = None if journal is None else journal / method
+        book = None if checkpoints is None else checkpoints / method
         calibrations[method] = calibrate(
             subject,
             method,
@@ -235,20 +235,20 @@ def demo(
             starts=starts,
             seed=seed,
             callback=callback,
-            journal=book,
+            checkpoints=book,
             resume=resume and book is not None and book.exists(),
         )
         # Saving closes a journal: not before the last one is done.
-        replace(calibrations[method], journal=None).save(folder / method, force=force)
+        replace(calibrations[method], checkpoints=None).save(folder / method, force=force)
     say("hiding something in another virtual person, and diagnosing it", quiet=quiet)
-    gap = demonstrate_gap(
+    gap = demonstrate_diagnosis(
         folder,
         drawn_effect(seed),
         seed=seed,
         force=force,
         quiet=quiet,
         callback=callback,
-        tell=lambda line: say(line, quiet=quiet),
+        log=lambda line: say(line, quiet=quiet),
     )
     shown = Demonstration(
         calibrations,
@@ -258,8 +258,8 @@ def demo(
         gap,
     )
     shown.save(folder)
-    if journal is not None:
-        shutil.rmtree(journal, ignore_errors=True)
+    if checkpoints is not None:
+        shutil.rmtree(checkpoints, ignore_errors=True)
     return shown
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.objective import MOMENT_ERROR
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.case import Scene
 from wrapjax.diagnosis.effects.effect import Effect, Effects
 from wrapjax.diagnosis.held_out import CrossFit, cross_fit, speed_conflict
@@ -17,7 +17,7 @@ from wrapjax.diagnosis.result import Alternative, Estimate, Released
 from wrapjax.diagnosis.shrinkage import cycle_errors, shrinkage
 
 #: Slopes by amounts are drawn anew where this one ends: far from where a refit starts they mislead it.
-_FIRST = ProjectedLM(gtol=1e-2, ftol=1e-3, max_iterations=15)
+_FIRST = ProjectedLevenbergMarquardt(gtol=1e-2, ftol=1e-3, max_iterations=15)
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,16 @@ def refit(scene: Scene, ids: tuple[str, ...]) -> Refitted:
         )
         for every in (scene.effects, known)
     )
-    amounts = np.concatenate([scores[id].amounts[list(part)] for id, part in zip(ids, parts, strict=True)])
-    start = np.clip(amounts, seen.lower, seen.upper)
+    effect_sizes = np.concatenate(
+        [scores[id].effect_sizes[list(part)] for id, part in zip(ids, parts, strict=True)]
+    )
+    start = np.clip(effect_sizes, seen.lower, seen.upper)
     plain = scene.look.plain.full.calibrated
-    first = joint_problem(case.problem, seen, plain, start, scene.look.amount_weight)
+    first = joint_problem(case.problem, seen, plain, start, scene.look.effect_size_weight)
     near = fit_jointly(first, np.concatenate([plain, start / seen.prior_sd]), solver=_FIRST, kept=case.kept)
-    problem = joint_problem(case.problem, seen, near.calibrated, near.amounts, scene.look.amount_weight)
+    problem = joint_problem(
+        case.problem, seen, near.calibrated, near.effect_sizes, scene.look.effect_size_weight
+    )
     return Refitted(ids, seen, whole, fit_jointly(problem, near.variables, kept=case.kept))
 
 
@@ -72,15 +76,15 @@ def alternative(scene: Scene, refitted: Refitted) -> Alternative:
         held_out_cycles=shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted]),
         held_out_speed=_at_other_speed(scene, fit),
         gains=_gains(scene, before - after),
-        speed_conflict=speed_conflict(fit, scene.look.amount_weight),
+        speed_conflict=speed_conflict(fit, scene.look.effect_size_weight),
         released=_released(scene, fit),
     )
 
 
 def _gains(scene: Scene, fall: Float[np.ndarray, " cycle"]) -> tuple[float, ...]:
-    """Turn falls of mean squared errors into nats, block by block: see `amount_weight`."""
+    """Turn falls of mean squared errors into nats, block by block: see `effect_size_weight`."""
     plan = scene.case.plan
-    by_cycle = 0.5 * fall / (MOMENT_ERROR**2 * scene.look.amount_weight * len(plan.calibration))
+    by_cycle = 0.5 * fall / (MOMENT_ERROR**2 * scene.look.effect_size_weight * len(plan.calibration))
     return tuple(float(np.sum(by_cycle[plan.calibration[block]])) for block in plan.blocks)
 
 

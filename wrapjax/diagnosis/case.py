@@ -10,26 +10,26 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.solvers.checkpoints import KeptSolves
+from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.held_out import CrossFit, Plan, Predict, plan_of
-from wrapjax.diagnosis.linearization import LinearGap, speed_numbers
+from wrapjax.diagnosis.linearization import LinearizedModel, speed_numbers
 from wrapjax.diagnosis.place import Where
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.projection import Candidate
-from wrapjax.diagnosis.result import Certificate
+from wrapjax.diagnosis.result import ConvergenceCheck
 from wrapjax.diagnosis.score import Score, Scored
-from wrapjax.diagnosis.verdict import Tuning
+from wrapjax.diagnosis.verdict import DecisionConstants
 from wrapjax.model.forward import Recording
 
 #: Share of people with nothing amiss whose strongest evidence is above the alarm level.
-ALARM_SHARE = 0.025
+FALSE_ALARM_RATE = 0.025
 
 
 @dataclass(frozen=True)
-class Investigation:
+class DiagnosisInput:
     """A calibrated model and all that was recorded.
 
     Parameters
@@ -67,7 +67,7 @@ class Investigation:
     time: Float[np.ndarray, "cycle frame"]
     measured: Float[np.ndarray, "cycle coordinate frame"]
     inputs: Float[np.ndarray, "cycle input frame"]
-    kept: KeptSolves | None = None
+    kept: SolveCache | None = None
 
     @property
     def speeds(self) -> Int[np.ndarray, " cycle"]:
@@ -88,11 +88,11 @@ class Investigation:
         """Give what predicts all cycles with these effects."""
 
         def predicted(
-            variables: Float[np.ndarray, " variable"], amounts: Float[np.ndarray, " amount"]
+            variables: Float[np.ndarray, " variable"], effect_sizes: Float[np.ndarray, " amount"]
         ) -> Float[np.ndarray, "cycle coordinate frame"]:
             parameters = self.problem.parameters(jnp.asarray(variables))
             found = predicted_moments(
-                self.problem.curves, parameters, self.recording, effects, jnp.asarray(amounts)
+                self.problem.curves, parameters, self.recording, effects, jnp.asarray(effect_sizes)
             )
             return np.asarray(found)
 
@@ -114,14 +114,14 @@ class Look:
     amount_weight
         What a squared prior standard deviation of an effect's amount costs in a refit.
     twins
-        Residuals of people with nothing amiss (see `twin_residuals`); None until they are made.
+        Residuals of people with nothing amiss (see `null_replicate_residuals`); None until they are made.
     """
 
     plain: CrossFit
     place: Where
-    certificate: Certificate
-    amount_weight: float
-    twins: Float[np.ndarray, "twin row"] | None = None
+    convergence_check: ConvergenceCheck
+    effect_size_weight: float
+    null_replicates: Float[np.ndarray, "twin row"] | None = None
 
 
 @dataclass(frozen=True)
@@ -146,22 +146,22 @@ class Scene:
         Effects that each stand out beside the others (see `standing_together`).
     """
 
-    case: Investigation
+    case: DiagnosisInput
     effects: dict[str, Effect]
-    gap: LinearGap
+    gap: LinearizedModel
     sizes: Float[np.ndarray, " coordinate"]
     look: Look
     scored: Scored
-    strongest_of_twins: Float[np.ndarray, " twin"]
-    tuning: Tuning
+    strongest_of_null: Float[np.ndarray, " twin"]
+    constants: DecisionConstants
     together: tuple[str, ...] = ()
 
     @property
-    def alarm(self) -> float:
+    def detection_threshold(self) -> float:
         """Evidence (nats) that has to be exceeded: rarely seen where nothing is amiss, here or elsewhere."""
-        twins = self.strongest_of_twins
-        own = float(np.quantile(twins, 1.0 - ALARM_SHARE)) if len(twins) else 0.0
-        return max(self.tuning.alarm, own)
+        null_replicates = self.strongest_of_null
+        own = float(np.quantile(null_replicates, 1.0 - FALSE_ALARM_RATE)) if len(null_replicates) else 0.0
+        return max(self.constants.detection_threshold, own)
 
     @property
     def candidates(self) -> dict[str, Candidate]:

@@ -12,21 +12,21 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.advice import advise
 from wrapjax.diagnosis.alternatives import Refitted, alternative, refit
-from wrapjax.diagnosis.case import Investigation, Look, Scene
+from wrapjax.diagnosis.case import DiagnosisInput, Look, Scene
 from wrapjax.diagnosis.convergence_check import unfinished
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.error_budget import BINS
-from wrapjax.diagnosis.held_out import amount_covariance
+from wrapjax.diagnosis.held_out import effect_size_covariance
 from wrapjax.diagnosis.linearization import phase_frames
 from wrapjax.diagnosis.muscle_share import muscle_share
 from wrapjax.diagnosis.null import best_null
 from wrapjax.diagnosis.result import (
     Advice,
     Alternative,
-    Amount,
+    DiagnosisResult,
     EffectFinding,
+    EffectSize,
     Estimate,
-    GapResult,
     MuscleShare,
 )
 from wrapjax.diagnosis.score import SIZES, Score, likeness
@@ -51,9 +51,9 @@ from wrapjax.progress import Stopwatch
 COMPARED, TRIED = 8, 2
 
 
-def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
+def conclude(scene: Scene, watch: Stopwatch) -> DiagnosisResult:
     """Say which effects explain the error, and how far it shrinks."""
-    case, tuning, scores = scene.case, scene.tuning, scene.scores
+    case, constants, scores = scene.case, scene.constants, scene.scores
     evidence = {id: one.evidence for id, one in scores.items()}
     order = list(scores)
     tried = [id for id in order if evidence[id] > 0.0][:TRIED]
@@ -65,12 +65,12 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         compared = tuple(order[:COMPARED])
         apart = _apart(scene, compared)
         tie = tie_of(order[0], compared, apart, evidence) if order else ()
-        twins, alarm = scene.strongest_of_twins, scene.alarm
-        found = probabilities(evidence, scene.scored.structured, tuning)
+        null_replicates, detection_threshold = scene.strongest_of_null, scene.detection_threshold
+        found = probabilities(evidence, scene.scored.structured, constants)
         controls = [id for id, effect in scene.effects.items() if effect.negative_control]
         unseen = [id for id, one in scores.items() if max(SIZES) * one.detectability < UNSEEN]
         gains = {id: one.gains for id, one in shrunk.items()}
-        verdict = judge(found, evidence, tie, alarm, controls, unseen, gains)
+        verdict = judge(found, evidence, tie, detection_threshold, controls, unseen, gains)
     accepted = verdict.named or verdict.tie
     shown = [id for id in order if id in shrunk]
     shown.sort(key=lambda id: (id not in accepted, order.index(id)))
@@ -84,7 +84,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
             others = [one for one in alternatives if one.ids not in parts]
             alternatives = (*sorted(parts.values(), key=lambda one: -len(one.ids)), *others)
     findings = tuple(
-        _finding(scene, scores[id], found.effects[id], refits.get(id), alarm, id in accepted)
+        _finding(scene, scores[id], found.effects[id], refits.get(id), detection_threshold, id in accepted)
         for id in sorted(scores, key=lambda id: -found.effects[id])
     )
     hidden = tuple(
@@ -105,7 +105,7 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         silent,
         named=verdict.named,
         ties=(verdict.tie,) if verdict.tie else (),
-        credible_set=credible_set(found, tie, tuning.set_level),
+        credible_set=credible_set(found, tie, constants.set_level),
         effects=findings,
         none_probability=found.none,
         unknown_probability=found.unknown,
@@ -114,8 +114,10 @@ def conclude(scene: Scene, watch: Stopwatch) -> GapResult:
         shares=_shares(alternatives, verdict.named),
         likeness=(compared, apart),
         muscles=_muscles(scene),
-        alarm=alarm,
-        global_p=float((1 + np.sum(twins >= evidence[order[0]])) / (1 + len(twins))) if order else 1.0,
+        detection_threshold=detection_threshold,
+        global_p=float((1 + np.sum(null_replicates >= evidence[order[0]])) / (1 + len(null_replicates)))
+        if order
+        else 1.0,
         advice=_advice(scene, verdict.tie, compared, apart),
         lines=scene.gap,
     )
@@ -134,16 +136,16 @@ def _parts_of(scene: Scene, known: Mapping[str, Alternative]) -> dict[tuple[str,
 
 
 def stopped(
-    case: Investigation,
+    case: DiagnosisInput,
     outcome: str,
     reason: str,
     seconds: dict[str, float],
     look: Look | None = None,
-) -> GapResult:
+) -> DiagnosisResult:
     """Say why there is no diagnosis, and what is known all the same; effects are not spoken of."""
     nothing = Effects(())
     modelled = case.predict(nothing)(case.variables, np.zeros(0)) if look is None else look.plain.predicted
-    return GapResult(
+    return DiagnosisResult(
         outcome=outcome,
         reason=reason,
         named=(),
@@ -170,10 +172,10 @@ def stopped(
         shares={},
         likeness=((), np.zeros((0, 0))),
         muscles=None,
-        alarm=np.nan,
+        detection_threshold=np.nan,
         global_p=np.nan,
         advice=(),
-        certificate=unfinished(case.outcomes, reason) if look is None else look.certificate,
+        convergence_check=unfinished(case.outcomes, reason) if look is None else look.convergence_check,
         seconds=seconds,
     )
 
@@ -184,7 +186,7 @@ def _apart(scene: Scene, ids: Sequence[str]) -> Float[np.ndarray, "effect effect
     scores, candidates = scene.scores, scene.candidates
     wholes = [candidates[id].variants[scores[id].variant] for id in ids]
     shapes = [whole[list(scores[id].part)] for id, whole in zip(ids, wholes, strict=True)]
-    signals = [scores[id].amounts @ whole for id, whole in zip(ids, wholes, strict=True)]
+    signals = [scores[id].effect_sizes @ whole for id, whole in zip(ids, wholes, strict=True)]
     return np.asarray(likeness(signals, shapes, covariance)) if ids else np.zeros((0, 0))
 
 
@@ -201,41 +203,41 @@ def _finding(
     score: Score,
     probability: float,
     refit: Refitted | None,
-    alarm: float,
+    detection_threshold: float,
     accepted: bool,
 ) -> EffectFinding:
     effect = scene.effects[score.id]
-    amounts, sd = score.amounts, score.sd
+    effect_sizes, sd = score.effect_sizes, score.sd
     if refit is not None:
         own = list(score.part)
-        amounts, sd = np.zeros(len(score.amounts)), np.zeros(len(score.amounts))
-        amounts[own] = refit.fit.amounts
-        sd[own] = np.sqrt(np.diag(amount_covariance(refit.fit, scene.look.amount_weight)))
+        effect_sizes, sd = np.zeros(len(score.effect_sizes)), np.zeros(len(score.effect_sizes))
+        effect_sizes[own] = refit.fit.effect_sizes
+        sd[own] = np.sqrt(np.diag(effect_size_covariance(refit.fit, scene.look.effect_size_weight)))
     return EffectFinding(
         id=score.id,
         probability=probability,
         evidence=score.evidence,
         detectability=score.detectability,
-        decision=decision(score.evidence, score.detectability, alarm, accepted),
-        amounts=_amounts(effect, amounts, sd),
+        decision=decision(score.evidence, score.detectability, detection_threshold, accepted),
+        effect_sizes=_amounts(effect, effect_sizes, sd),
         negative_control=effect.negative_control,
     )
 
 
 def _amounts(
-    effect: Effect, amounts: Float[np.ndarray, " amount"], sd: Float[np.ndarray, " amount"]
-) -> tuple[Amount, ...]:
+    effect: Effect, effect_sizes: Float[np.ndarray, " amount"], sd: Float[np.ndarray, " amount"]
+) -> tuple[EffectSize, ...]:
     """Read amounts in what is reported; deviations by differences."""
-    values = {name: float(value) for name, value in effect.readings(jnp.asarray(amounts)).items()}
+    values = {name: float(value) for name, value in effect.readings(jnp.asarray(effect_sizes)).items()}
     spread = dict.fromkeys(values, 0.0)
     for place, own in enumerate(sd):
-        moved = np.array(amounts, dtype=float)
+        moved = np.array(effect_sizes, dtype=float)
         moved[place] += 1e-3 * own
         for name, value in effect.readings(jnp.asarray(moved)).items():
             spread[name] += ((float(value) - values[name]) / 1e-3) ** 2
     units = dict(effect.reported) or {entry.name: entry.unit for entry in effect.parameters}
     return tuple(
-        Amount(name, value, float(np.sqrt(spread[name])), units[name]) for name, value in values.items()
+        EffectSize(name, value, float(np.sqrt(spread[name])), units[name]) for name, value in values.items()
     )
 
 

@@ -239,6 +239,6 @@ def _cut_changes(changes: PathChanges | None, keep: Int[Array, " trial"]) -> Pat
 
 
 def _chosen_trials(
-    change: MeasuredChange, keep: Int[Array, " trial"], amounts: Float[Array, " parameter"]
+    change: MeasuredChange, keep: Int[Array, " trial"], effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
-    return change(amounts)[keep]
+    return change(effect_sizes)[keep]

@@ -9,19 +9,19 @@ from jaxtyping import Float
 
 from wrapjax.calibration.solvers.interface import Linearization
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.diagnosis.result import Certificate
+from wrapjax.diagnosis.result import ConvergenceCheck
 
 #: Relative difference of the two lowest starts, and share of the explainable error that could still be won,
 #: above which a fit is no ground for a diagnosis.
 SPREAD, DECREMENT = 0.01, 0.01
 
 
-def certify(
+def check_convergence(
     outcomes: Sequence[Outcome],
     decrement: float,
     explainable: float,
     conflicts: Mapping[str, Mapping[str, float]],
-) -> Certificate:
+) -> ConvergenceCheck:
     """Judge a fit from several starts.
 
     Parameters
@@ -33,7 +33,7 @@ def certify(
     explainable
         What the explainable error costs.
     conflicts
-        See `Certificate`.
+        See `ConvergenceCheck`.
     """
     ended = sorted(outcomes, key=lambda one: _height(one.solution.cost))
     costs, spread = _spread(outcomes)
@@ -50,7 +50,7 @@ def certify(
         )
     if not share <= DECREMENT:
         problems.append(f"{100.0 * share:.1f} % of the explainable error could still be won by fitting on")
-    return Certificate(
+    return ConvergenceCheck(
         tuple(problems),
         costs,
         float(spread),
@@ -59,9 +59,9 @@ def certify(
     )
 
 
-def unfinished(outcomes: Sequence[Outcome], reason: str) -> Certificate:
+def unfinished(outcomes: Sequence[Outcome], reason: str) -> ConvergenceCheck:
     """Give what is known of a fit that was not looked at further."""
-    return Certificate((reason,), *_spread(outcomes), np.nan)
+    return ConvergenceCheck((reason,), *_spread(outcomes), np.nan)
 
 
 def _spread(outcomes: Sequence[Outcome]) -> tuple[tuple[float, ...], float]:

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrapjax.calibration.calibration import STARTS, Calibration, kept_calibration
+from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibration
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import PATH_PENALTIES
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.calibration.solvers.checkpoints import KeptSolves
+from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.solvers.multistart import Watch
-from wrapjax.diagnosis.case import Investigation, Look
+from wrapjax.calibration.solvers.multistart import IterationCallback
+from wrapjax.diagnosis.case import DiagnosisInput, Look
 from wrapjax.diagnosis.effects.catalogue import catalogue
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown as refuse_unknown
 from wrapjax.diagnosis.pipeline import investigate
-from wrapjax.diagnosis.result import GapResult
-from wrapjax.diagnosis.subject_context import gap_context
-from wrapjax.diagnosis.verdict import Tuning
+from wrapjax.diagnosis.result import DiagnosisResult
+from wrapjax.diagnosis.subject_context import diagnosis_context
+from wrapjax.diagnosis.verdict import DecisionConstants
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.io.files import cache_folder
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 #: No-effect twins that the alarm level is read off.
-TWINS = 60
+NULL_REPLICATES = 60
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ class Diagnosis:
     """
 
     calibration: Calibration
-    result: GapResult
-    case: Investigation = field(repr=False)
+    result: DiagnosisResult
+    case: DiagnosisInput = field(repr=False)
     look: Look | None = field(repr=False)
 
     @property
@@ -65,15 +65,15 @@ class Diagnosis:
     @property
     def dataset(self) -> Dataset:
         """Moments measured and predicted, and evidence by effect, as an `xarray.Dataset` with units."""
-        from wrapjax.report.labelled_arrays import gap_dataset
+        from wrapjax.report.labelled_arrays import diagnosis_dataset
 
-        return gap_dataset(self.result)
+        return diagnosis_dataset(self.result)
 
     def without(
         self,
         *effects: str,
-        tuning: Tuning | None = None,
-        tell: Callable[[str], None] = lambda line: None,
+        constants: DecisionConstants | None = None,
+        log: Callable[[str], None] = lambda line: None,
     ) -> Diagnosis:
         """Say what would be said if nobody knew of these effects; what does not depend on them is kept.
 
@@ -91,15 +91,19 @@ class Diagnosis:
         """
         case = replace(self.case, entries=catalogue(self.case.context, effects), withheld=effects)
         found, look = investigate(
-            case, tuning=tuning or Tuning.shipped(), twins=TWINS, seen=self.look, tell=tell
+            case,
+            constants=constants or DecisionConstants.shipped(),
+            null_replicates=NULL_REPLICATES,
+            seen=self.look,
+            log=log,
         )
         return Diagnosis(self.calibration, found, case, look)
 
     def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
         """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
-        from wrapjax.report.diagnosis_page import write_gap
+        from wrapjax.report.diagnosis_page import write_diagnosis
 
-        write_gap(self.subject, self.result, Path(folder), force=force, note=note)
+        write_diagnosis(self.subject, self.result, Path(folder), force=force, note=note)
 
 
 def diagnose(
@@ -110,10 +114,10 @@ def diagnose(
     without: Sequence[str] = (),
     starts: int = STARTS,
     seed: int = 0,
-    twins: int = TWINS,
-    tuning: Tuning | None = None,
-    callback: Watch | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    null_replicates: int = NULL_REPLICATES,
+    constants: DecisionConstants | None = None,
+    callback: IterationCallback | None = None,
+    log: Callable[[str], None] = lambda line: None,
 ) -> Diagnosis:
     """Calibrate one leg and say what its model still lacks.
 
@@ -150,7 +154,7 @@ def diagnose(
     refuse_unknown(without)
     began = time.perf_counter()
     alone = replace(subject, other_leg=None)
-    calibration = kept_calibration(alone, method, fit, starts=starts, seed=seed, callback=callback)
+    calibration = cached_calibration(alone, method, fit, starts=starts, seed=seed, callback=callback)
     if calibration.status is Status.interrupted:
         raise KeyboardInterrupt
     calibrated = time.perf_counter() - began
@@ -158,9 +162,9 @@ def diagnose(
         calibration,
         without=without,
         seed=seed,
-        twins=twins,
-        tuning=tuning,
-        tell=tell,
+        null_replicates=null_replicates,
+        constants=constants,
+        log=log,
         seconds={"calibration": calibrated},
     )
 
@@ -170,9 +174,9 @@ def diagnose_calibrated(
     *,
     without: Sequence[str] = (),
     seed: int = 0,
-    twins: int = TWINS,
-    tuning: Tuning | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    null_replicates: int = NULL_REPLICATES,
+    constants: DecisionConstants | None = None,
+    log: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
 ) -> Diagnosis:
     """Say what a calibrated model of one leg still lacks; see `diagnose`.
@@ -189,22 +193,22 @@ def diagnose_calibrated(
         where = f"the calibration of {calibration.subject.name}"
         raise InputError(Problem(where, message, hint='calibrate with tendon="rigid"'))
     began = time.perf_counter()
-    case = investigation(calibration, without)
+    case = diagnosis_input(calibration, without)
     known = dict(seconds or {}, context=time.perf_counter() - began)
     found, look = investigate(
         case,
-        tuning=tuning or Tuning.shipped(),
-        twins=twins,
+        constants=constants or DecisionConstants.shipped(),
+        null_replicates=null_replicates,
         seed=seed,
-        tell=tell,
+        log=log,
         seconds=known,
     )
     return Diagnosis(calibration, found, case, look)
 
 
-def investigation(calibration: Calibration, without: Sequence[str] = ()) -> Investigation:
+def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:
     """Gather what is looked at; paths are held as calibration left them."""
-    recording, context = gap_context(calibration)
+    recording, context = diagnosis_context(calibration)
     subject, result = calibration.subject, calibration.result
     trials, solution = subject.trials, result.solution
     problem, variables = solution.problem, np.asarray(solution.variables)
@@ -221,7 +225,7 @@ def investigation(calibration: Calibration, without: Sequence[str] = ()) -> Inve
         trials.emg[..., inside],
         order,
     )
-    return Investigation(
+    return DiagnosisInput(
         problem=problem,
         variables=variables,
         outcomes=result.outcomes,
@@ -234,7 +238,7 @@ def investigation(calibration: Calibration, without: Sequence[str] = ()) -> Inve
         time=trials.time,
         measured=trials.moments,
         inputs=np.concatenate(inputs, axis=1),
-        kept=KeptSolves(cache_folder("diagnoses")),
+        kept=SolveCache(cache_folder("diagnoses")),
     )
 
 

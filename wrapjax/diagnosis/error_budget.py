@@ -267,7 +267,7 @@ def _contrasts(
 TOWARDS_ALL = 0.3
 
 
-def gap_map(
+def repeatable_error_map(
     residuals: Float[np.ndarray, "cycle coordinate frame"],
     speeds: Int[np.ndarray, " cycle"],
     noise: Float[np.ndarray, "speed coordinate frame"],

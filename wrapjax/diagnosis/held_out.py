@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.calibration.solvers.checkpoints import KeptSolves
+from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.diagnosis.refit import JointProblem, Refit, fit_jointly
 
 #: From five cycles a speed on, one of each is left out at a time; below, single cycles are.
@@ -100,7 +100,7 @@ def cross_fit(
     plan: Plan,
     speeds: Int[np.ndarray, " cycle"],
     predict: Predict,
-    kept: KeptSolves | None = None,
+    kept: SolveCache | None = None,
 ) -> CrossFit:
     """Fit to all cycles, and to all but each block, and but each speed; starts are the whole fit's end.
 
@@ -142,7 +142,7 @@ def cross_fit(
     return CrossFit(full, predicted, of_speeds, elsewhere)
 
 
-def speed_conflict(fit: CrossFit, amount_weight: float) -> float | None:
+def speed_conflict(fit: CrossFit, effect_size_weight: float) -> float | None:
     """Give how far amounts fitted to two speeds are apart, in squared standard deviations.
 
     The mean over amounts, and of several speeds the largest; None where there is one speed.
@@ -150,16 +150,18 @@ def speed_conflict(fit: CrossFit, amount_weight: float) -> float | None:
     count = len(fit.full.problem.amount_sd)
     if len(fit.of_speeds) < 2 or not count:
         return None
-    found = [(refit.amounts, amount_covariance(refit, amount_weight)) for refit in fit.of_speeds]
+    found = [
+        (refit.effect_sizes, effect_size_covariance(refit, effect_size_weight)) for refit in fit.of_speeds
+    ]
     worst = 0.0
-    for place, (amounts, covariance) in enumerate(found):
+    for place, (effect_sizes, covariance) in enumerate(found):
         for other, spread in found[:place]:
-            apart = amounts - other
+            apart = effect_sizes - other
             worst = max(worst, float(apart @ np.linalg.solve(covariance + spread, apart)) / count)
     return worst
 
 
-def amount_covariance(refit: Refit, amount_weight: float) -> Float[np.ndarray, "amount amount"]:
+def effect_size_covariance(refit: Refit, effect_size_weight: float) -> Float[np.ndarray, "amount amount"]:
     """Covariance of amounts in their units, by Laplace; the weight turns curvature of the cost into it."""
     curvature = np.asarray(refit.model.gauss_newton)
     count, sizes = refit.problem.plain.variables.count, np.asarray(refit.problem.amount_sd)
@@ -168,9 +170,9 @@ def amount_covariance(refit: Refit, amount_weight: float) -> Float[np.ndarray, "
     own = curvature[count:, count:] - across.T @ np.linalg.solve(kept, across)
     # A fit to some cycles lets them weigh what all did, and they say less.
     seen = np.mean(np.isfinite(refit.problem.plain.moment_error))
-    unit = amount_weight / seen * np.linalg.inv(0.5 * (own + own.T))
+    unit = effect_size_weight / seen * np.linalg.inv(0.5 * (own + own.T))
     return unit * np.outer(sizes, sizes)
 
 
 def _predicted(refit: Refit, predict: Predict) -> Float[np.ndarray, "cycle coordinate frame"]:
-    return np.asarray(predict(refit.calibrated, refit.amounts))
+    return np.asarray(predict(refit.calibrated, refit.effect_sizes))

@@ -32,7 +32,7 @@ from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.effects.effect import Effect, Effects
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
-from wrapjax.diagnosis.prediction import secants
+from wrapjax.diagnosis.prediction import finite_difference_signatures
 from wrapjax.diagnosis.projection import Candidate
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import MuscleState, Recording, joint_moments, muscle_states
@@ -145,7 +145,7 @@ PHASES = 25
 
 
 @dataclass(frozen=True)
-class LinearGap:
+class LinearizedModel:
     """What a score test takes in; signatures lead with what they are by, then ``cycle coordinate phase``.
 
     Parameters
@@ -200,14 +200,14 @@ class LinearGap:
         return np.tensordot(self.spread.T, self.slopes, axes=1)
 
 
-def linear_gap(
+def linearized_model(
     problem: Objective,
     variables: Float[Array, " variable"],
     recording: Recording,
     measured: Float[np.ndarray, "trial coordinate frame"],
     context: Context,
     effects: Sequence[Effect],
-) -> LinearGap:
+) -> LinearizedModel:
     """Draw all straight lines at a calibrated model.
 
     Parameters
@@ -241,7 +241,7 @@ def linear_gap(
             ]
         else:
             candidates.append(own)
-    return LinearGap(
+    return LinearizedModel(
         residual=fitted + np.tensordot(away, by_variable, axes=1),
         fitted=fitted,
         slopes=by_variable,
@@ -307,7 +307,9 @@ def _candidate(
 ) -> Candidate:
     variants = []
     for number in range(len(effect.variants)):
-        found = secants(problem.curves, parameters, recording, Effects((effect,), (number,)))
+        found = finite_difference_signatures(
+            problem.curves, parameters, recording, Effects((effect,), (number,))
+        )
         variants.append(np.asarray(found)[..., frames].reshape(len(effect.parameters), -1))
     return Candidate(
         effect.id,

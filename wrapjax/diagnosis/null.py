@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import (
     Matrix,
     input_covariance,
@@ -27,7 +27,7 @@ FORCE_ERRORS, EXPECTED_FORCE_ERROR = (0.005, 0.01, 0.02, 0.04), 0.02
 REPEATED_ERRORS, EXPECTED_REPEATED_ERROR = (0.0, 0.03, 0.1), 0.02
 
 
-def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]:
+def nulls(gap: LinearizedModel, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]:
     """Build null covariances over a grid of the strengths that nobody knows beforehand, one after the other.
 
     Parameters
@@ -47,7 +47,7 @@ def nulls(gap: LinearGap, sizes: Sequence[float] | np.ndarray) -> Iterator[Null]
         yield Null(known + force**2 * by_force + offset**2 * repeated, log_prior)
 
 
-def known_covariance(gap: LinearGap) -> Matrix:
+def known_covariance(gap: LinearizedModel) -> Matrix:
     """Sum what is always there: noise, errors of inputs, calibrated parameters and nuisances."""
     cycles, _, phases = gap.residual.shape
     total = gap.noise.covariance(cycles, phases)
@@ -58,7 +58,7 @@ def known_covariance(gap: LinearGap) -> Matrix:
     return total
 
 
-def best_null(gap: LinearGap, sizes: Sequence[float] | np.ndarray, found: Scored) -> Null:
+def best_null(gap: LinearizedModel, sizes: Sequence[float] | np.ndarray, found: Scored) -> Null:
     """Build the null that residuals speak for."""
     wanted = int(np.argmax(found.plausible))
     return next(null for place, null in enumerate(nulls(gap, sizes)) if place == wanted)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.cycle_noise import CycleNoise
-from wrapjax.diagnosis.linearization import EMG_ERROR, EMG_WIDTH, LinearGap, moment_slopes, phase_frames
+from wrapjax.diagnosis.linearization import EMG_ERROR, EMG_WIDTH, LinearizedModel, moment_slopes, phase_frames
 from wrapjax.diagnosis.null_covariance import input_blocks
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import Recording, joint_moments
@@ -84,7 +84,7 @@ class TwinCurves(AbstractCurves):
 
 
 @dataclass(frozen=True)
-class TwinWorld:
+class NullModel:
     """What all twins of a subject share.
 
     Parameters
@@ -102,7 +102,7 @@ class TwinWorld:
     problem: Objective
     variables: Float[np.ndarray, " variable"]
     recording: Recording
-    gap: LinearGap
+    gap: LinearizedModel
     noise: CycleNoise
 
     @property
@@ -123,8 +123,8 @@ class TwinWorld:
         return np.linalg.cholesky(whole + 1e-9 * np.eye(len(block)))
 
 
-def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndarray, "twin row"]:
-    """Make twins and calibrate them; give residuals as a score test takes them in (see `LinearGap`).
+def null_replicate_residuals(world: NullModel, count: int, seed: int = 0) -> Float[np.ndarray, "twin row"]:
+    """Make twins and calibrate them; give residuals as a score test takes them in (see `LinearizedModel`).
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def twin_residuals(world: TwinWorld, count: int, seed: int = 0) -> Float[np.ndar
 
 
 def _expected_residual(
-    world: TwinWorld, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
+    world: NullModel, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
 ) -> Float[np.ndarray, " row"]:
     """Calibrate by damped Gauss-Newton steps, and take what is left to where parameters are expected."""
     problem, gap = world.problem, world.gap

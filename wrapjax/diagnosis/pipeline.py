@@ -9,22 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.case import Investigation, Look, Scene
+from wrapjax.diagnosis.case import DiagnosisInput, Look, Scene
 from wrapjax.diagnosis.conclusion import conclude, stopped
 from wrapjax.diagnosis.cycle_noise import cycle_noise
 from wrapjax.diagnosis.effects.catalogue import catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effect, Effects
 from wrapjax.diagnosis.held_out import cross_fit
-from wrapjax.diagnosis.linearization import LinearGap, linear_gap, phase_frames
+from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model, phase_frames
 from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.null_replicates import TwinWorld, twin_residuals
-from wrapjax.diagnosis.place import InputMade, amount_weight, certificate_of, where
+from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
+from wrapjax.diagnosis.place import InputMade, convergence_check_of, effect_size_weight, where
 from wrapjax.diagnosis.projection import project
 from wrapjax.diagnosis.refit import joint_problem
-from wrapjax.diagnosis.result import GapResult
+from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.diagnosis.score import score_projected
 from wrapjax.diagnosis.together import standing_together
-from wrapjax.diagnosis.verdict import Tuning
+from wrapjax.diagnosis.verdict import DecisionConstants
 from wrapjax.model.forward import Recording
 from wrapjax.progress import Stopwatch
 
@@ -32,7 +32,7 @@ from wrapjax.progress import Stopwatch
 FEWEST_CYCLES = 3
 
 
-def look(case: Investigation, watch: Stopwatch) -> Look:
+def look(case: DiagnosisInput, watch: Stopwatch) -> Look:
     """Fit the plain model to parts of the cycles, and say where the error is: no effect is asked for.
 
     Parameters
@@ -50,14 +50,14 @@ def look(case: Investigation, watch: Stopwatch) -> Look:
         frames = phase_frames(residual.shape[-1])
         spread = cycle_noise(residual[plan.calibration][..., frames], plan.speeds)
         place = where(residual, case.speeds, case.context.speeds, case.inputs, spread.independent_values)
-        weight = amount_weight(spread, len(plan.calibration))
-        certificate = certificate_of(case.outcomes, plain, place, problem, plan, weight)
-    return Look(plain, place, certificate, weight)
+        weight = effect_size_weight(spread, len(plan.calibration))
+        convergence_check = convergence_check_of(case.outcomes, plain, place, problem, plan, weight)
+    return Look(plain, place, convergence_check, weight)
 
 
-def straight_lines(
-    case: Investigation, variables: Float[np.ndarray, " variable"]
-) -> tuple[Recording, tuple[Effect, ...], LinearGap]:
+def linearize_effects(
+    case: DiagnosisInput, variables: Float[np.ndarray, " variable"]
+) -> tuple[Recording, tuple[Effect, ...], LinearizedModel]:
     """Give the calibration cycles, the effects that they can show, and all straight lines at the variables.
 
     Parameters
@@ -70,20 +70,22 @@ def straight_lines(
     chosen = case.plan.calibration
     known, cycles = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
     effects = effects_in(catalogue(known, case.withheld))
-    gap = linear_gap(case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects)
+    gap = linearized_model(
+        case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects
+    )
     return cycles, effects, gap
 
 
 def investigate(
-    case: Investigation,
+    case: DiagnosisInput,
     *,
-    tuning: Tuning,
-    twins: int,
+    constants: DecisionConstants,
+    null_replicates: int,
     seed: int = 0,
     seen: Look | None = None,
-    tell: Callable[[str], None] = lambda line: None,
+    log: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
-) -> tuple[GapResult, Look | None]:
+) -> tuple[DiagnosisResult, Look | None]:
     """Say where the error is, which effect explains it best, and how far it shrinks.
 
     Parameters
@@ -107,7 +109,7 @@ def investigate(
     result, seen
         The second is None where cycles are too few to look.
     """
-    watch = Stopwatch(tell, dict(seconds or {}))
+    watch = Stopwatch(log, dict(seconds or {}))
     plan, problem = case.plan, case.problem
     fewest = int(plan.counts.min()) if len(plan.counts) else 0
     if fewest < FEWEST_CYCLES:
@@ -116,24 +118,24 @@ def investigate(
         )
         return stopped(case, "insufficient_data", reason, watch.seconds), None
     seen = seen or look(case, watch)
-    if not seen.certificate.holds:
-        return stopped(case, "not_converged", seen.certificate.problems[0], watch.seconds, seen), seen
+    if not seen.convergence_check.holds:
+        return stopped(case, "not_converged", seen.convergence_check.problems[0], watch.seconds, seen), seen
     with watch.during("signatures", "drawing the signature of every effect"):
         ended = seen.plain.full.calibrated
-        inputs, effects, gap = straight_lines(case, ended)
+        inputs, effects, gap = linearize_effects(case, ended)
     left = case.measured - seen.plain.predicted
     made = InputMade(gap.input_variance, np.diag(gap.noise.between))
     place = where(left, case.speeds, case.context.speeds, case.inputs, gap.noise.independent_values, made)
     sizes = case.measured_sizes
-    if seen.twins is None:
-        with watch.during("twins", f"making {twins} people with nothing amiss"):
-            world = TwinWorld(problem, ended, inputs, gap, gap.noise)
-            seen = replace(seen, twins=twin_residuals(world, twins, seed))
-    assert seen.twins is not None
+    if seen.null_replicates is None:
+        with watch.during("twins", f"making {null_replicates} people with nothing amiss"):
+            world = NullModel(problem, ended, inputs, gap, gap.noise)
+            seen = replace(seen, null_replicates=null_replicate_residuals(world, null_replicates, seed))
+    assert seen.null_replicates is not None
     with watch.during("score", "scoring effects"):
-        residuals = np.concatenate([gap.residual.reshape(1, -1), seen.twins])
+        residuals = np.concatenate([gap.residual.reshape(1, -1), seen.null_replicates])
         projections = [project(residuals, null, gap.candidates) for null in nulls(gap, sizes)]
-        first, *of_twins = score_projected(projections, gap.candidates)
+        first, *of_null = score_projected(projections, gap.candidates)
     scene = Scene(
         case=case,
         effects={effect.id: effect for effect in effects},
@@ -141,12 +143,14 @@ def investigate(
         sizes=sizes,
         look=replace(seen, place=place),
         scored=first,
-        strongest_of_twins=np.array(
-            [max((one.evidence for one in twin.scores), default=0.0) for twin in of_twins]
+        strongest_of_null=np.array(
+            [max((one.evidence for one in null_replicate.scores), default=0.0) for null_replicate in of_null]
         ),
-        tuning=tuning,
+        constants=constants,
     )
     with watch.during("score", "scoring effects beside one another"):
         own = [replace(one, weight=one.weight[:1], slope=one.slope[:1]) for one in projections]
-        scene = replace(scene, together=standing_together(own, gap.candidates, scene.scores, scene.alarm))
+        scene = replace(
+            scene, together=standing_together(own, gap.candidates, scene.scores, scene.detection_threshold)
+        )
     return conclude(scene, watch), seen

@@ -10,12 +10,12 @@ from jaxtyping import Float, Int
 
 from wrapjax.calibration.objective import MOMENT_ERROR, Objective
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.diagnosis.convergence_check import certify, conflict, decrement_of
+from wrapjax.diagnosis.convergence_check import check_convergence, conflict, decrement_of
 from wrapjax.diagnosis.cycle_noise import CycleNoise
-from wrapjax.diagnosis.error_budget import Budget, driven_variance, gap_map, split_error
+from wrapjax.diagnosis.error_budget import Budget, driven_variance, repeatable_error_map, split_error
 from wrapjax.diagnosis.held_out import CrossFit, Plan
 from wrapjax.diagnosis.refit import fit_jointly
-from wrapjax.diagnosis.result import Certificate, Estimate
+from wrapjax.diagnosis.result import ConvergenceCheck, Estimate
 from wrapjax.diagnosis.shrinkage import Floor, cycle_errors, cycle_floor, explainable_share
 
 
@@ -46,7 +46,7 @@ class Where:
     budget, speeds
         Its parts, and the speed of each row, m/s; of speeds with two cycles or more.
     map
-        Root mean square of what repeats, N m: see `gap_map`.
+        Root mean square of what repeats, N m: see `repeatable_error_map`.
     floor
         What a right model would leave of each cycle.
     explainable
@@ -99,7 +99,7 @@ def where(
         whole = np.mean(driven, axis=(1, 2), keepdims=True)
         left = 1.0 - made.variance.mean() / np.where(whole > 0.0, whole, np.inf)
         driven = np.maximum(left, 0.0) * driven
-    mapped = gap_map(residual[several], own, noise)
+    mapped = repeatable_error_map(residual[several], own, noise)
     by_speed = np.zeros(speeds.max() + 1)
     by_speed[kept] = driven.mean(axis=(1, 2))
     floor = cycle_floor(residual, speeds, independent, by_speed)
@@ -114,7 +114,7 @@ def where(
     )
 
 
-def amount_weight(noise: CycleNoise, cycles: int) -> float:
+def effect_size_weight(noise: CycleNoise, cycles: int) -> float:
     """Say what a squared prior standard deviation costs, beside moments with this noise.
 
     A calibration's cost is a mean square in allowable errors. Times half the number of independent moments
@@ -123,14 +123,14 @@ def amount_weight(noise: CycleNoise, cycles: int) -> float:
     return float(np.mean(np.diag(noise.between)) / (MOMENT_ERROR**2 * cycles * noise.independent_values))
 
 
-def certificate_of(
+def convergence_check_of(
     outcomes: Sequence[Outcome],
     plain: CrossFit,
     place: Where,
     problem: Objective,
     plan: Plan,
     weight: float,
-) -> Certificate:
+) -> ConvergenceCheck:
     """Judge the plain model's fit.
 
     Parameters
@@ -142,7 +142,7 @@ def certificate_of(
     problem, plan
         What was fitted.
     weight
-        From `amount_weight`.
+        From `effect_size_weight`.
     """
     full = plain.full
     lower, upper = np.asarray(problem.lower), np.asarray(problem.upper)
@@ -161,4 +161,4 @@ def certificate_of(
         conflicts["by_speed"] = conflict(labels, slow, fast, sd)
     explainable = float(np.mean(np.maximum(cycle_errors(place.residual) - place.floor.each, 0.0)))
     decrement = decrement_of(full.model, full.variables, lower, upper)
-    return certify(outcomes, decrement, explainable / MOMENT_ERROR**2, conflicts)
+    return check_convergence(outcomes, decrement, explainable / MOMENT_ERROR**2, conflicts)

@@ -18,7 +18,7 @@ from wrapjax.muscle.curves import AbstractCurves
 
 Forms = tuple[Form, ...]
 #: One vector an effect.
-Amounts = tuple[Float[Array, " _"], ...]
+EffectSizes = tuple[Float[Array, " _"], ...]
 #: What `joint_moments` takes in, where EMG, paths and moments are as effects make them.
 Inputs = tuple[Recording, tuple[Alteration, ...]]
 
@@ -28,7 +28,7 @@ def predicted_moments(
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
-    amounts: Float[Array | np.ndarray, " parameter"],
+    effect_sizes: Float[Array | np.ndarray, " parameter"],
 ) -> Float[Array, "trial coordinate frame"]:
     """Predict what is measured of all cycles, N m, with effects at these amounts.
 
@@ -39,7 +39,7 @@ def predicted_moments(
     effects, amounts
         What it leaves out, and how much of it.
     """
-    own = effects.split(jnp.asarray(amounts))
+    own = effects.split(jnp.asarray(effect_sizes))
     return _moments(curves, parameters, carry_out(recording, parameters, effects.forms, own))
 
 
@@ -48,7 +48,7 @@ def signatures(
     parameters: ModelParameters,
     recording: Recording,
     effects: Effects,
-    amounts: Float[Array | np.ndarray, " parameter"] | None = None,
+    effect_sizes: Float[Array | np.ndarray, " parameter"] | None = None,
 ) -> Float[np.ndarray, "parameter trial coordinate frame"]:
     """Differentiate the predicted moments by each amount, at zero or at these amounts.
 
@@ -61,7 +61,7 @@ def signatures(
     effects, amounts
         What it leaves out, and how much of it; none of it if not given.
     """
-    at = effects.split(effects.zero if amounts is None else jnp.asarray(amounts))
+    at = effects.split(effects.zero if effect_sizes is None else jnp.asarray(effect_sizes))
     inputs = carry_out(recording, parameters, effects.forms, at)
     found = np.zeros((effects.count, *inputs[0].path.nominal.moment_arm.shape[1:]))
     # One after the other: all at once would fill memory with muscles times frames times amounts.
@@ -71,7 +71,7 @@ def signatures(
     return found
 
 
-def secants(
+def finite_difference_signatures(
     curves: AbstractCurves, parameters: ModelParameters, recording: Recording, effects: Effects
 ) -> Float[np.ndarray, "parameter trial coordinate frame"]:
     """Divide what each amount changes, when it is as large as expected, by its size: N m a unit.
@@ -100,7 +100,9 @@ def secants(
 
 
 @eqx.filter_jit
-def carry_out(recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts) -> Inputs:
+def carry_out(
+    recording: Recording, parameters: ModelParameters, forms: Forms, effect_sizes: EffectSizes
+) -> Inputs:
     """Give what the model takes in with effects at these amounts; see `carried_out`.
 
     Parameters
@@ -110,7 +112,7 @@ def carry_out(recording: Recording, parameters: ModelParameters, forms: Forms, a
     forms, amounts
         Of effects, one of each an effect.
     """
-    alterations = tuple(form(own) for form, own in zip(forms, amounts, strict=True))
+    alterations = tuple(form(own) for form, own in zip(forms, effect_sizes, strict=True))
     return carried_out(recording, parameters, alterations)
 
 
@@ -123,14 +125,18 @@ def _moments(
 
 @eqx.filter_jit
 def _moved(
-    recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts, direction: Amounts
+    recording: Recording,
+    parameters: ModelParameters,
+    forms: Forms,
+    effect_sizes: EffectSizes,
+    direction: EffectSizes,
 ) -> Any:
     """Slope, along a direction, of all numbers that the model takes in."""
 
-    def numbers(amounts: Amounts) -> Any:
-        return eqx.filter(carry_out(recording, parameters, forms, amounts), eqx.is_inexact_array)
+    def numbers(effect_sizes: EffectSizes) -> Any:
+        return eqx.filter(carry_out(recording, parameters, forms, effect_sizes), eqx.is_inexact_array)
 
-    return jax.jvp(numbers, (amounts,), (direction,))[1]
+    return jax.jvp(numbers, (effect_sizes,), (direction,))[1]
 
 
 @eqx.filter_jit

@@ -12,16 +12,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibration.objective import MOMENT_ERROR, Objective
-from wrapjax.calibration.solvers.checkpoints import KeptSolves, name_of_solve
+from wrapjax.calibration.solvers.checkpoints import SolveCache, solve_fingerprint
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, Linearization, Status
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
-from wrapjax.diagnosis.effects.effect import Effects, split_amounts
-from wrapjax.diagnosis.prediction import Amounts, Forms, carry_out, signatures
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
+from wrapjax.diagnosis.effects.effect import Effects, split_effect_sizes
+from wrapjax.diagnosis.prediction import EffectSizes, Forms, carry_out, signatures
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import ModelParameters
 
 #: Solver of every refit. Amounts and predictions are looked at to a few digits, and starts are near.
-SOLVER = ProjectedLM(gtol=1e-3, ftol=1e-5, max_iterations=40)
+SOLVER = ProjectedLevenbergMarquardt(gtol=1e-3, ftol=1e-5, max_iterations=40)
 
 
 class JointProblem(AbstractLeastSquares):
@@ -41,7 +41,7 @@ class JointProblem(AbstractLeastSquares):
     amount_sd: Float[Array, " amount"]
     amount_bounds: Float[Array, "end amount"]
     #: What one squared prior standard deviation of an amount costs.
-    amount_weight: Float[Array, ""]
+    effect_size_weight: Float[Array, ""]
     #: Of the predicted moments by amounts in prior standard deviations, N m.
     slopes: Float[Array, "amount row"]
 
@@ -55,7 +55,7 @@ class JointProblem(AbstractLeastSquares):
         """Upper bounds."""
         return np.concatenate([self.plain.upper, self.amount_bounds[1]])
 
-    def amounts(self, variables: Float[Array, " variable"]) -> Float[Array, " amount"]:
+    def effect_sizes(self, variables: Float[Array, " variable"]) -> Float[Array, " amount"]:
         """Read the amounts, in their units."""
         return variables[self.plain.variables.count :] * self.amount_sd
 
@@ -67,7 +67,7 @@ class JointProblem(AbstractLeastSquares):
     def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
         """Sum of squares, the amounts' own too."""
         count = self.plain.variables.count
-        own = self.amount_weight * jnp.sum(variables[count:] ** 2)
+        own = self.effect_size_weight * jnp.sum(variables[count:] ** 2)
         return self.altered(variables).value_at(variables[:count]) + own
 
     def value_at(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
@@ -87,7 +87,7 @@ class JointProblem(AbstractLeastSquares):
             by_amount * self.amount_sd,
             self.slopes * self.plain.row_scale()[None],
             variables[count:],
-            self.amount_weight,
+            self.effect_size_weight,
         )
 
     def linearized_at(self, variables: Float[Array, " variable"]) -> Linearization:
@@ -98,8 +98,8 @@ class JointProblem(AbstractLeastSquares):
     def _plain_inputs(self) -> tuple[Recording, ModelParameters]:
         return self.plain.recording, self.plain.initial
 
-    def _own_amounts(self, variables: Float[Array, " variable"]) -> Amounts:
-        return split_amounts(self.amounts(variables), self.counts)
+    def _own_amounts(self, variables: Float[Array, " variable"]) -> EffectSizes:
+        return split_effect_sizes(self.effect_sizes(variables), self.counts)
 
 
 @eqx.filter_jit
@@ -119,14 +119,14 @@ def _expand(
 
 @eqx.filter_jit
 def _pulled_back(
-    recording: Recording, parameters: ModelParameters, forms: Forms, amounts: Amounts, by_input: Any
+    recording: Recording, parameters: ModelParameters, forms: Forms, effect_sizes: EffectSizes, by_input: Any
 ) -> Float[Array, " amount"]:
     """Slope by each amount, from slopes by what the amounts alter."""
 
-    def numbers(amounts: Amounts) -> Any:
-        return eqx.filter(carry_out(recording, parameters, forms, amounts), eqx.is_inexact_array)
+    def numbers(effect_sizes: EffectSizes) -> Any:
+        return eqx.filter(carry_out(recording, parameters, forms, effect_sizes), eqx.is_inexact_array)
 
-    return jnp.concatenate(jax.vjp(numbers, amounts)[1](by_input)[0])
+    return jnp.concatenate(jax.vjp(numbers, effect_sizes)[1](by_input)[0])
 
 
 @jax.jit
@@ -135,17 +135,17 @@ def _joined(
     by_calibrated: Float[Array, "row variable"],
     gradient: Float[Array, " amount"],
     by_amounts: Float[Array, "amount row"],
-    amounts: Float[Array, " amount"],
+    effect_sizes: Float[Array, " amount"],
     weight: Float[Array, ""],
 ) -> Linearization:
     """Put amounts, which have a cost of their own, after what is calibrated."""
     across = by_amounts @ by_calibrated
-    corner = by_amounts @ by_amounts.T + weight * jnp.eye(len(amounts))
+    corner = by_amounts @ by_amounts.T + weight * jnp.eye(len(effect_sizes))
     return Linearization(
-        cost=model.cost + weight * jnp.sum(amounts**2),
-        gradient=jnp.concatenate([model.gradient, gradient + weight * amounts]),
+        cost=model.cost + weight * jnp.sum(effect_sizes**2),
+        gradient=jnp.concatenate([model.gradient, gradient + weight * effect_sizes]),
         gauss_newton=jnp.block([[model.gauss_newton, across.T], [across, corner]]),
-        remainder=jnp.pad(model.remainder, (0, len(amounts))),
+        remainder=jnp.pad(model.remainder, (0, len(effect_sizes))),
     )
 
 
@@ -179,17 +179,17 @@ class Refit:
         return self.variables[: self.problem.plain.variables.count]
 
     @property
-    def amounts(self) -> Float[np.ndarray, " amount"]:
+    def effect_sizes(self) -> Float[np.ndarray, " amount"]:
         """Of the effects, in their units."""
-        return np.asarray(self.problem.amounts(jnp.asarray(self.variables)))
+        return np.asarray(self.problem.effect_sizes(jnp.asarray(self.variables)))
 
 
 def joint_problem(
     plain: Objective,
     effects: Effects,
     calibrated: Float[np.ndarray, " variable"],
-    amounts: Float[np.ndarray, " amount"],
-    amount_weight: float,
+    effect_sizes: Float[np.ndarray, " amount"],
+    effect_size_weight: float,
 ) -> JointProblem:
     """Draw the slopes by amounts where a refit will start.
 
@@ -206,7 +206,7 @@ def joint_problem(
     """
     parameters = plain.parameters(jnp.asarray(calibrated))
     if effects.count:
-        found = signatures(plain.curves, parameters, plain.recording, effects, jnp.asarray(amounts))
+        found = signatures(plain.curves, parameters, plain.recording, effects, jnp.asarray(effect_sizes))
         slopes = jnp.asarray(found.reshape(effects.count, -1) * effects.prior_sd[:, None])
     else:
         slopes = jnp.zeros((0, plain.measured.size))
@@ -216,7 +216,7 @@ def joint_problem(
         counts=effects.counts,
         amount_sd=jnp.asarray(effects.prior_sd),
         amount_bounds=jnp.asarray(np.stack([effects.lower, effects.upper]) / effects.prior_sd),
-        amount_weight=jnp.asarray(amount_weight),
+        effect_size_weight=jnp.asarray(effect_size_weight),
         slopes=slopes,
     )
 
@@ -225,8 +225,8 @@ def fit_jointly(
     problem: JointProblem,
     start: Float[np.ndarray, " variable"],
     used: Bool[np.ndarray, " trial"] | None = None,
-    solver: ProjectedLM = SOLVER,
-    kept: KeptSolves | None = None,
+    solver: ProjectedLevenbergMarquardt = SOLVER,
+    kept: SolveCache | None = None,
 ) -> Refit:
     """Fit calibrated parameters and amounts together.
 
@@ -249,7 +249,7 @@ def fit_jointly(
         If the user stops it: nothing may be concluded from half a fit.
     """
     own = replace(problem, plain=replace(problem.plain, moment_error=allowed_errors(problem.plain, used)))
-    name = name_of_solve(own, start, solver) if kept else ""
+    name = solve_fingerprint(own, start, solver) if kept else ""
     known = kept.read(name) if kept else None
     if known is not None:
         variables, status = known

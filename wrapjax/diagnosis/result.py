@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.effects.effect import NotTestable
 from wrapjax.diagnosis.error_budget import Budget
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 
 #: How a diagnosis can end.
 #:
@@ -57,7 +57,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Amount:
+class EffectSize:
     """How much of an effect there is, in physical units."""
 
     name: str
@@ -93,7 +93,7 @@ class EffectFinding:
     evidence: float
     detectability: float
     decision: str
-    amounts: tuple[Amount, ...]
+    effect_sizes: tuple[EffectSize, ...]
     negative_control: bool = False
 
 
@@ -149,7 +149,7 @@ class Alternative:
 
 
 @dataclass(frozen=True)
-class Certificate:
+class ConvergenceCheck:
     """Whether the plain model was fitted as well as it can be.
 
     Parameters
@@ -219,7 +219,7 @@ class MuscleShare:
 
 
 @dataclass(frozen=True)
-class GapResult:
+class DiagnosisResult:
     """Where the error is, which effect explains it best, and how far it shrinks.
 
     Parameters
@@ -294,9 +294,9 @@ class GapResult:
     shares: dict[str, float]
     likeness: tuple[tuple[str, ...], Float[np.ndarray, "effect effect"]]
     muscles: MuscleShare | None
-    alarm: float
+    detection_threshold: float
     global_p: float
     advice: tuple[Advice, ...]
-    certificate: Certificate
+    convergence_check: ConvergenceCheck
     seconds: dict[str, float]
-    lines: LinearGap | None = None
+    lines: LinearizedModel | None = None

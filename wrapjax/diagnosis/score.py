@@ -50,7 +50,7 @@ class Score:
     variant: int
     part: tuple[int, ...]
     size: float
-    amounts: Float[np.ndarray, " parameter"]
+    effect_sizes: Float[np.ndarray, " parameter"]
     sd: Float[np.ndarray, " parameter"]
     detectability: float
 
@@ -119,7 +119,7 @@ def score_projected(projections: Sequence[Projection], candidates: Sequence[Cand
                     one.variant,
                     one.part,
                     one.size,
-                    one.amounts[sample],
+                    one.effect_sizes[sample],
                     one.sd,
                     detectability,
                 )
@@ -135,7 +135,7 @@ class _Hypothesis:
     size: float
     evidence: Float[np.ndarray, " sample"]
     #: Zero beside the part.
-    amounts: Float[np.ndarray, "sample parameter"]
+    effect_sizes: Float[np.ndarray, "sample parameter"]
     sd: Float[np.ndarray, " parameter"]
     detectability: float
     log_prior: float
@@ -175,7 +175,7 @@ def _against(
     for variant, (slope, information) in enumerate(shapes):
         for (part, share), size in product(candidate.hypotheses, SIZES):
             own = np.array(part)
-            evidence, amounts, sd, detectability = evidence_of(
+            evidence, effect_sizes, sd, detectability = evidence_of(
                 slope[:, own],
                 information[np.ix_(own, own)],
                 candidate.expected(size)[own],
@@ -183,7 +183,7 @@ def _against(
             )
             placed = np.zeros((len(slope), len(candidate.prior_sd)))
             # A normal posterior ends nowhere.
-            placed[:, own] = np.clip(amounts, -limit[own], limit[own])
+            placed[:, own] = np.clip(effect_sizes, -limit[own], limit[own])
             spread = np.zeros(len(candidate.prior_sd))
             spread[own] = sd
             log_prior = np.log(share / len(candidate.variants) / len(SIZES))

@@ -182,7 +182,7 @@ def _along(slopes: PathState, changes: Float[Array, "muscle mode"]) -> PathState
     return jax.tree.map(lambda leaf: jnp.einsum("mk,mk...->m...", changes, leaf), slopes)
 
 
-def gap_context(calibration: Calibration) -> tuple[Recording, Context]:
+def diagnosis_context(calibration: Calibration) -> tuple[Recording, Context]:
     """Gather what effects need, over all of a subject's cycles, those for validation too.
 
     Paths are held as calibration left them. What cannot be had (cylinders that the exact engine does not

@@ -29,7 +29,7 @@ def standing_together(
     projections: Sequence[Projection],
     candidates: Sequence[Candidate],
     scores: Mapping[str, Score],
-    alarm: float,
+    detection_threshold: float,
 ) -> tuple[str, ...]:
     """Find several effects that each stand out beside the others.
 
@@ -73,7 +73,7 @@ def standing_together(
 
     beside_one = {one.id: beside(one.id) for one in pool}
     pairs = list(combinations([one.id for one in pool], 2))
-    least = alarm + float(np.log(len(pairs)))
+    least = detection_threshold + float(np.log(len(pairs)))
     standing = [(a, b) for a, b in pairs if min(beside_one[a][b], beside_one[b][a]) > least]
     if not standing:
         return ()

@@ -24,7 +24,7 @@ UNSEEN, WEAK = 2.0, 5.0
 
 
 @dataclass(frozen=True)
-class Tuning:
+class DecisionConstants:
     """Constants from cases with known truth, of a simulator that shares nothing with the model.
 
     Parameters
@@ -48,15 +48,19 @@ class Tuning:
     sha256: str
     temperature: float
     offset: float
-    alarm: float
+    detection_threshold: float
     structured_offset: float
     structured_scale: float
     set_level: float
 
     @classmethod
-    def shipped(cls) -> Tuning:
+    def shipped(cls) -> DecisionConstants:
         """Read the constants that come with the package."""
-        text = resources.files("wrapjax.diagnosis").joinpath("calibration.json").read_text(encoding="utf-8")
+        text = (
+            resources.files("wrapjax.diagnosis")
+            .joinpath("decision_constants.json")
+            .read_text(encoding="utf-8")
+        )
         return cls(**json.loads(text))
 
 
@@ -69,7 +73,9 @@ class Probabilities:
     unknown: float
 
 
-def probabilities(evidence: Mapping[str, float], structured: float, tuning: Tuning) -> Probabilities:
+def probabilities(
+    evidence: Mapping[str, float], structured: float, constants: DecisionConstants
+) -> Probabilities:
     """Temper evidence.
 
     Parameters
@@ -82,9 +88,9 @@ def probabilities(evidence: Mapping[str, float], structured: float, tuning: Tuni
         How bold evidence is.
     """
     names = list(evidence)
-    logits = np.array([*(evidence[name] for name in names), tuning.offset]) / tuning.temperature
+    logits = np.array([*(evidence[name] for name in names), constants.offset]) / constants.temperature
     share = np.exp(logits - logsumexp(logits))
-    unknown = float(expit((structured - tuning.structured_offset) / tuning.structured_scale))
+    unknown = float(expit((structured - constants.structured_offset) / constants.structured_scale))
     silent = float(share[-1])
     return Probabilities(
         dict(zip(names, share[:-1].tolist(), strict=True)), silent * (1.0 - unknown), silent * unknown
@@ -151,7 +157,7 @@ def judge(
     found: Probabilities,
     evidence: Mapping[str, float],
     tie: Sequence[str],
-    alarm: float,
+    detection_threshold: float,
     controls: Sequence[str],
     unseen: Sequence[str] = (),
     gains: Mapping[str, Sequence[float]] = MappingProxyType({}),
@@ -176,7 +182,7 @@ def judge(
     """
     first = tie[0] if tie else None
     together = sum(found.effects[name] for name in tie)
-    stands_out = first is not None and evidence[first] > alarm and together >= LEAST_PROBABILITY
+    stands_out = first is not None and evidence[first] > detection_threshold and together >= LEAST_PROBABILITY
     if stands_out and first in unseen:
         return Verdict(
             "unknown",
@@ -245,13 +251,13 @@ def _helps(gains: Sequence[float]) -> bool:
     return not len(gains) or (sum(gains) > 0.0 and against <= math.ceil(len(gains) / 5))
 
 
-def decision(evidence: float, detectability: float, alarm: float, named: bool) -> str:
+def decision(evidence: float, detectability: float, detection_threshold: float, named: bool) -> str:
     """Put into words what to make of one effect."""
     if named:
         return "explains the error best"
     if detectability < UNSEEN:
         return "not testable with these data"
-    if evidence > alarm:
+    if evidence > detection_threshold:
         return "would explain error, but others do better"
     if detectability < WEAK:
         return "not seen; a weak one could be missed"

@@ -23,7 +23,7 @@ class PathState(eqx.Module):
     #: m (m/rad)
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
     #: How near to where the length would jump, for paths that can: see `wrapped_paths`.
-    closeness: Float[Array, "*muscle trial frame"] | None = None
+    proximity: Float[Array, "*muscle trial frame"] | None = None
     #: How far each of its cylinders is beyond where paths are physiological (`Feasibility.excess`; no
     #: unit), for paths that have learned it.
     infeasibility: Float[Array, "*muscle wrap"] | None = None

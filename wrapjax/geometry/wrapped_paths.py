@@ -44,7 +44,7 @@ class Walls(eqx.Module):
     #: nominal path does not touch.
     grip: Float[Array, "*muscle wrap"]
 
-    def closeness(
+    def proximity(
         self, clearances: Float[Array, "pose wall"], on_surface: Float[Array, "pose wrap"]
     ) -> Float[Array, " pose"]:
         """Root of the sum over walls of ``(room / clearance)**4``; infinite beyond a wall.
@@ -62,8 +62,8 @@ class Walls(eqx.Module):
 
 def walls_before(nominal: WrappedPath, frames: int) -> Walls:
     """Set up walls where nominal paths leave room; in cycles where they cross one, a little further on."""
-    muscles, poses, walls = nominal.clearances.shape
-    by_cycle = nominal.clearances.reshape(muscles, poses // frames, frames, walls)
+    muscles, poses, barriers = nominal.clearances.shape
+    by_cycle = nominal.clearances.reshape(muscles, poses // frames, frames, barriers)
     least = jnp.repeat(jnp.min(by_cycle, axis=2), frames, axis=1)
     free = least > _CROSSED
     limit = jnp.where(free, jnp.minimum(0.5 * least, _KEPT), least - _ROOM)
@@ -77,7 +77,7 @@ def walls_before(nominal: WrappedPath, frames: int) -> Walls:
 
 def bent_by_walls(
     weights: Float[Array, "muscle trial frame"],
-    closeness: Float[Array, "muscle trial frame"],
+    proximity: Float[Array, "muscle trial frame"],
     slopes: Float[Array, "muscle mode trial frame"],
 ) -> Float[Array, "muscle mode mode"]:
     """Differentiate closeness twice as if one wall stood in each frame, which its slopes tell all of.
@@ -86,18 +86,18 @@ def bent_by_walls(
     clearance bends. Near a wall that is more than slopes alone show a solver of least squares, which would
     step too far and zigzag along it.
     """
-    near = closeness > 0.0
-    factor = 1.5 * weights * jnp.where(near, 1.0 / jnp.where(near, closeness, 1.0), 0.0)
+    near = proximity > 0.0
+    factor = 1.5 * weights * jnp.where(near, 1.0 / jnp.where(near, proximity, 1.0), 0.0)
     return jnp.einsum("mtf,mitf,mjtf->mij", factor, slopes, slopes)
 
 
-def folded(closeness: Float[Array, "_ frame"], trials: int) -> Float[Array, "trial frame"]:
+def folded(proximity: Float[Array, "_ frame"], trials: int) -> Float[Array, "trial frame"]:
     """Lay the closeness of cycles beside over that of the first so many: squares add up to the same sum."""
-    beside = closeness[trials:]
+    beside = proximity[trials:]
     if not len(beside):
-        return closeness
-    layers = jnp.pad(beside, ((0, -len(beside) % trials), (0, 0))).reshape(-1, trials, closeness.shape[1])
-    squares = closeness[:trials] ** 2 + jnp.sum(layers**2, axis=0)
+        return proximity
+    layers = jnp.pad(beside, ((0, -len(beside) % trials), (0, 0))).reshape(-1, trials, proximity.shape[1])
+    squares = proximity[:trials] ** 2 + jnp.sum(layers**2, axis=0)
     within = jnp.isfinite(squares)
     return jnp.where(within, jnp.sqrt(jnp.where(within, squares, 0.0) + _TINY), jnp.inf)
 
@@ -113,7 +113,7 @@ class _Alike(eqx.Module):
     muscles: Int[np.ndarray, " muscle"]
     #: Leaves lead with ``muscle pose``.
     posed: PosedPath
-    walls: Walls
+    barriers: Walls
 
 
 class WrappedPaths(AbstractPath):
@@ -148,7 +148,7 @@ class WrappedPaths(AbstractPath):
         state = self.nominal
         for group in self.alike:
             own = changes[group.muscles, : _changes_of(group)]
-            moved = jax.vmap(self._path)(group.posed, group.walls, own)
+            moved = jax.vmap(self._path)(group.posed, group.barriers, own)
             state = jax.tree.map(
                 lambda whole, part, rows=group.muscles: whole.at[rows].set(part), state, moved
             )
@@ -160,7 +160,9 @@ class WrappedPaths(AbstractPath):
         slopes = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], count, *leaf.shape[1:])), state)
         for group in self.alike:
             rows, size = group.muscles, _changes_of(group)
-            moved, by_change = jax.vmap(self._linearized_path)(group.posed, group.walls, changes[rows, :size])
+            moved, by_change = jax.vmap(self._linearized_path)(
+                group.posed, group.barriers, changes[rows, :size]
+            )
             state = jax.tree.map(lambda whole, part, rows=rows: whole.at[rows].set(part), state, moved)
             slopes = jax.tree.map(
                 lambda whole, part, rows=rows, size=size: whole.at[rows, :size].set(part), slopes, by_change
@@ -179,11 +181,11 @@ class WrappedPaths(AbstractPath):
         """
 
         def of_one(
-            posed: PosedPath, walls: Walls, changes: Float[Array, " mode"], weights: PathState
+            posed: PosedPath, barriers: Walls, changes: Float[Array, " mode"], weights: PathState
         ) -> Array:
             def total(at: Float[Array, " mode"]) -> Float[Array, ""]:
                 products = jax.tree.map(
-                    lambda one, weight: jnp.vdot(one, weight), self._path(posed, walls, at), weights
+                    lambda one, weight: jnp.vdot(one, weight), self._path(posed, barriers, at), weights
                 )
                 return jax.tree.reduce(jnp.add, products)
 
@@ -196,22 +198,22 @@ class WrappedPaths(AbstractPath):
             rows, size = group.muscles, _changes_of(group)
             own, state, slopes = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (weights, *expansion))
             if isinstance(group.posed.path, StraightPath):
-                found = jax.vmap(of_one)(group.posed, group.walls, changes[rows, :size], own)
+                found = jax.vmap(of_one)(group.posed, group.barriers, changes[rows, :size], own)
             else:
-                found = bent_by_walls(own.closeness, state.closeness, slopes.closeness[:, :size])
+                found = bent_by_walls(own.proximity, state.proximity, slopes.proximity[:, :size])
             curvature = curvature.at[rows, :size, :size].set(found)
         return curvature
 
-    def _path(self, posed: PosedPath, walls: Walls, changes: Float[Array, " mode"]) -> PathState:
+    def _path(self, posed: PosedPath, barriers: Walls, changes: Float[Array, " mode"]) -> PathState:
         parameters = changes.reshape(-1, _PER_WRAP) + jnp.asarray(NOMINAL)[None]
         path = posed.wrapped(parameters, self.wrapping)
-        return _over_cycles(path, walls, self.velocities, self.columns)
+        return _over_cycles(path, barriers, self.velocities, self.columns)
 
     def _linearized_path(
-        self, posed: PosedPath, walls: Walls, changes: Float[Array, " mode"]
+        self, posed: PosedPath, barriers: Walls, changes: Float[Array, " mode"]
     ) -> tuple[PathState, PathState]:
         def along(direction: Float[Array, " mode"]) -> tuple[PathState, PathState]:
-            return jax.jvp(lambda at: self._path(posed, walls, at), (changes,), (direction,))
+            return jax.jvp(lambda at: self._path(posed, barriers, at), (changes,), (direction,))
 
         return jax.vmap(along, out_axes=(None, 0))(jnp.eye(changes.size))
 
@@ -222,7 +224,7 @@ def _changes_of(group: _Alike) -> int:
 
 def _over_cycles(
     path: WrappedPath,
-    walls: Walls,
+    barriers: Walls,
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
@@ -230,12 +232,12 @@ def _over_cycles(
     trials, coordinates, frames = velocities.shape
     arms = jnp.moveaxis(path.moment_arm.reshape(-1, frames, coordinates)[:trials], -1, 1)
     nothing = jnp.zeros((trials, 1, frames))
-    closeness = walls.closeness(path.clearances, path.on_surface).reshape(-1, frames)
+    proximity = barriers.proximity(path.clearances, path.on_surface).reshape(-1, frames)
     return PathState(
         length=path.length.reshape(-1, frames)[:trials],
         velocity=-jnp.sum(arms * velocities, axis=1),
         moment_arm=jnp.concatenate([arms, nothing], axis=1)[:, columns],
-        closeness=folded(closeness, trials),
+        proximity=folded(proximity, trials),
     )
 
 
@@ -288,14 +290,14 @@ def wrapped_paths(
     for kind in _kinds(posed):
         posed_alike = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in kind))
         wrapped = _wrapped(posed_alike, wrapping)
-        walls = walls_before(wrapped, angles.shape[2])
+        barriers = walls_before(wrapped, angles.shape[2])
         rows = [engine.muscles.index(name) for name in kind]
         touching[rows, : wrapped.touching.shape[-1]] = np.asarray(wrapped.touching).any(axis=1)
         order += rows
-        states.append(_each_over_cycles(wrapped, walls, jnp.asarray(velocities), columns))
+        states.append(_each_over_cycles(wrapped, barriers, jnp.asarray(velocities), columns))
         own = np.flatnonzero([bool(set(engine.wraps_of(name)) & set(free)) for name in kind])
         if own.size:
-            movable.append(_Alike(np.array(rows)[own], *_rows_of((posed_alike, walls), own)))
+            movable.append(_Alike(np.array(rows)[own], *_rows_of((posed_alike, barriers), own)))
     paths = WrappedPaths(
         nominal=jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[np.argsort(order)], *states),
         alike=tuple(movable),
@@ -310,12 +312,12 @@ def wrapped_paths(
 @eqx.filter_jit
 def _each_over_cycles(
     path: WrappedPath,
-    walls: Walls,
+    barriers: Walls,
     velocities: Float[Array, "trial coordinate frame"],
     columns: Int[Array | np.ndarray, " moment_coordinate"],
 ) -> PathState:
     """Arrange many muscles' paths; leaves lead with ``muscle``."""
-    return jax.vmap(_over_cycles, in_axes=(0, 0, None, None))(path, walls, velocities, columns)
+    return jax.vmap(_over_cycles, in_axes=(0, 0, None, None))(path, barriers, velocities, columns)
 
 
 def _rows_of(tree: _Tree, rows: Int[np.ndarray, " row"]) -> _Tree:

@@ -225,9 +225,9 @@ class GuardedPaths(AbstractPath):
 
         def by_paths(state: PathState, exact: PathState) -> tuple[PathState, PathState]:
             def total(state: PathState, exact: PathState) -> Float[Array, ""]:
-                closeness = self._guarded(state, exact).closeness
-                assert closeness is not None and weights.closeness is not None, "guarded paths have it"
-                return jnp.vdot(weights.closeness, closeness)
+                proximity = self._guarded(state, exact).proximity
+                assert proximity is not None and weights.proximity is not None, "guarded paths have it"
+                return jnp.vdot(weights.proximity, proximity)
 
             return jax.grad(total, argnums=(0, 1))(state, exact)
 
@@ -240,13 +240,13 @@ class GuardedPaths(AbstractPath):
         )
         of_guard = jax.tree.reduce(jnp.add, products)
         by_state, by_exact = by_paths(state, exact)
-        of_state = jax.tree.map(jnp.add, replace(weights, closeness=None), by_state)
+        of_state = jax.tree.map(jnp.add, replace(weights, proximity=None), by_state)
         of_paths = self.paths.curvature(changes, of_state, (state, slopes))
         return of_guard + of_paths + self.exact.curvature(changes, by_exact, (exact, exact_slopes))
 
     def _guarded(self, state: PathState, exact: PathState) -> PathState:
         """Add the closeness; it is held from one frame in which it is known to the next."""
-        assert exact.closeness is not None, "the engine's paths know it"
+        assert exact.proximity is not None, "the engine's paths know it"
         length, arm = (
             (own - usual)[..., :: self.every] - (true - usually_true)
             for own, usual, true, usually_true in (
@@ -256,12 +256,12 @@ class GuardedPaths(AbstractPath):
         )
         # Squares, and no higher powers: they are what a solver of least squares sees through.
         strayed = (length / LENGTH_STRAYING) ** 2 + jnp.sum((arm / ARM_STRAYING) ** 2, axis=-2)
-        within = jnp.isfinite(exact.closeness)
+        within = jnp.isfinite(exact.proximity)
         # Beyond a wall nothing has a slope.
-        to_wall = jnp.where(within, exact.closeness, 0.0)
-        closeness = jnp.where(within, jnp.sqrt(to_wall**2 + strayed + _TINY), jnp.inf)
+        to_wall = jnp.where(within, exact.proximity, 0.0)
+        proximity = jnp.where(within, jnp.sqrt(to_wall**2 + strayed + _TINY), jnp.inf)
         frames = state.length.shape[-1]
-        return replace(state, closeness=jnp.repeat(closeness, self.every, axis=-1)[..., :frames])
+        return replace(state, proximity=jnp.repeat(proximity, self.every, axis=-1)[..., :frames])
 
 
 def guarded_paths(paths: AbstractPath, exact: WrappedPaths, every: int) -> GuardedPaths:

@@ -52,7 +52,7 @@ class Difference:
         return f"{self.muscle}{about} {size:.2f} mm (rms {mean:.2f}) in {self.trial}"
 
 
-def geometry_notes(project: Project, tell: Callable[[str], None] = lambda line: None) -> tuple[str, ...]:
+def geometry_notes(project: Project, log: Callable[[str], None] = lambda line: None) -> tuple[str, ...]:
     """Compare a project's ``MAData`` with its model's own muscle paths at the angles of its gait cycles.
 
     Parameters
@@ -78,7 +78,7 @@ def geometry_notes(project: Project, tell: Callable[[str], None] = lambda line: 
     analyses = read_muscle_analyses(settings.data_directory, files, settings.coordinates)
     if not analyses:
         return ()
-    tell("comparing MAData with the model's own muscle paths")
+    log("comparing MAData with the model's own muscle paths")
     try:
         found = differences(project, analyses)
     except InputError as error:

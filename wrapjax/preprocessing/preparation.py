@@ -134,7 +134,7 @@ class ProjectPreparation:
 
 
 def prepare_subject(
-    settings_file: Path | str, *, tell: Callable[[str], None] = lambda line: None
+    settings_file: Path | str, *, log: Callable[[str], None] = lambda line: None
 ) -> Preparation | ProjectPreparation:
     """Read a laboratory's raw files, check that they belong together, and solve motion and moments.
 
@@ -167,13 +167,13 @@ def prepare_subject(
     """
     if Path(settings_file).suffix.lower() == ".xml":
         project = read_project(settings_file)
-        notes = (*project.notes, *geometry_notes(project, tell))
+        notes = (*project.notes, *geometry_notes(project, log))
         return ProjectPreparation(replace(project, notes=notes))
     settings = read_raw_settings(Path(settings_file))
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         path = settings.model_file
         if settings.scaling is not None:
-            tell("scaling the model")
+            log("scaling the model")
             path = Path(folder) / "scaled.osim"
             scale_model(settings.model_file, settings.scaling, settings.mass_kg, path)
         model = _model(path, settings)
@@ -181,7 +181,7 @@ def prepare_subject(
         trials = []
         for trial in settings.trials:
             with collecting(problems):
-                trials.append(prepare_trial(trial, settings, model, tell))
+                trials.append(prepare_trial(trial, settings, model, log))
         if problems:
             raise InputError(dict.fromkeys(problems))
         return Preparation(settings, path.read_bytes(), tuple(trials))

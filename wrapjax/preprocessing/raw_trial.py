@@ -69,7 +69,7 @@ class RawModel:
 
 
 def prepare_trial(
-    trial: RawTrial, settings: RawSettings, model: RawModel, tell: Callable[[str], None]
+    trial: RawTrial, settings: RawSettings, model: RawModel, log: Callable[[str], None]
 ) -> PreparedTrial:
     """Read a recording, solve its motion and moments, and check that all of it belongs together.
 
@@ -92,7 +92,7 @@ def prepare_trial(
 
     checks: list[Check] = []
     if isinstance(recorded, Markers):
-        tell(f"{trial.name}: inverse kinematics")
+        log(f"{trial.name}: inverse kinematics")
         motion = _followed(recorded.filtered(cutoff).during(*window), trial, settings, model, checks, notes)
     else:
         motion = _smoothed(recorded, window, cutoff, model)
@@ -101,7 +101,7 @@ def prepare_trial(
     posed_at, mechanics = _moving_bodies(motion, settings, model)
     mechanical = tuple(_mechanical_checks(posed_at, mechanics, forces, cycles, settings))
     _refuse(trial, trial.forces, mechanical)
-    tell(f"{trial.name}: inverse dynamics")
+    log(f"{trial.name}: inverse dynamics")
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         write_forces(Path(folder), forces, settings.feet)
         loads = Path(folder) / "external_loads.xml"

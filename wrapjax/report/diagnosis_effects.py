@@ -10,10 +10,10 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.result import Advice, EffectFinding, GapResult
+from wrapjax.diagnosis.result import Advice, DiagnosisResult, EffectFinding
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_numbers import at_speed, speed_label
-from wrapjax.report.diagnosis_words import amounts_in_words, listed, loud_controls, meaning, words
+from wrapjax.report.diagnosis_words import effect_sizes_in_words, listed, loud_controls, meaning, words
 from wrapjax.report.moment_curves import mark_gait_cycle
 from wrapjax.report.style import (
     BAND_ALPHA,
@@ -42,7 +42,7 @@ _HEADER = (
 )
 
 
-def signature_section(result: GapResult) -> list[str]:
+def signature_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on what fitted effects add; nothing where none was fitted."""
     drawn = result.alternatives[: len(DRAWN_COLORS)]
     if not drawn:
@@ -65,7 +65,7 @@ def signature_section(result: GapResult) -> list[str]:
 
 
 @in_style
-def signature_figure(result: GapResult) -> Figure:
+def signature_figure(result: DiagnosisResult) -> Figure:
     """Draw the mean residual and what fitted effects add, one row a coordinate, one column a speed."""
     speeds = np.unique(result.speeds).tolist()  # NaNs count as one, the last
     count = len(speeds) * len(result.coordinates)
@@ -107,7 +107,7 @@ def half_interval(curves: Float[np.ndarray, "cycle frame"]) -> Float[np.ndarray,
     return stdtrit(count - 1, 0.975) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
 
-def evidence_section(result: GapResult) -> list[str]:
+def evidence_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on the evidence; nothing where no effect was scored."""
     if not result.effects:
         return []
@@ -116,15 +116,15 @@ def evidence_section(result: GapResult) -> list[str]:
         ("nothing amiss", decimals(result.none_probability), *[_DASH] * 4),
         ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 4),
     ]
-    alarm = (
-        f" Data without any effect exceed {result.alarm:.1f} nats in few cases (alarm level)."
-        if math.isfinite(result.alarm)
+    detection_threshold = (
+        f" Data without any effect exceed {result.detection_threshold:.1f} nats in few cases (alarm level)."
+        if math.isfinite(result.detection_threshold)
         else ""
     )
     caption = (
         "All effects that these data can test, the most probable first; probabilities of all rows sum to "
         "one. Evidence: natural logarithm of how much likelier the error is with the effect than without (3: "
-        f"20 times as likely), above zero speaks for it.{alarm} "
+        f"20 times as likely), above zero speaks for it.{detection_threshold} "
         "Detectability: in standard deviations, of an effect of expected size; below 2 "
         "this recording could not show it. Amounts: most plausible value ± standard deviation. Names in "
         "files have underscores for blanks; the last two are none and unknown there."
@@ -138,7 +138,7 @@ def evidence_section(result: GapResult) -> list[str]:
     return [markup.section("Evidence for each effect", *_controls(result), *parts)]
 
 
-def _controls(result: GapResult) -> list[str]:
+def _controls(result: DiagnosisResult) -> list[str]:
     controls = [effect for effect in result.effects if effect.negative_control]
     if not controls:
         return []
@@ -159,7 +159,7 @@ def _line(effect: EffectFinding) -> tuple[str, ...]:
         plain(effect.id) + mark,
         decimals(effect.probability),
         *map(_one_decimal, (effect.evidence, effect.detectability)),
-        amounts_in_words(effect.amounts),
+        effect_sizes_in_words(effect.effect_sizes),
         effect.decision,
     )
 
@@ -176,7 +176,7 @@ _MOST_EFFECTS = 14
 _LEAST, _MOST = 0.1, 810.0
 
 
-def ties_section(result: GapResult) -> list[str]:
+def ties_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on ties; nothing where there is neither a map nor advice."""
     ids, likeness = _shown(result)
     parts = []
@@ -253,7 +253,7 @@ def ties_figure(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect
     return figure
 
 
-def _shown(result: GapResult) -> tuple[tuple[str, ...], Float[np.ndarray, "shown shown"]]:
+def _shown(result: DiagnosisResult) -> tuple[tuple[str, ...], Float[np.ndarray, "shown shown"]]:
     """Keep the most probable effects of the map."""
     ids, likeness = result.likeness
     probability = {effect.id: effect.probability for effect in result.effects}

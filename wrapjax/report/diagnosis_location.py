@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from wrapjax.diagnosis.error_budget import BIN_PERCENT, BINS, Budget
-from wrapjax.diagnosis.result import GapResult, MuscleShare
+from wrapjax.diagnosis.result import DiagnosisResult, MuscleShare
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_numbers import mean_absolute_errors, speed_label, where
 from wrapjax.report.moment_curves import mark_gait_cycle
@@ -43,7 +43,7 @@ PARTS = {
 _MOST_ROWS = 8
 
 
-def where_section(result: GapResult) -> list[str]:
+def where_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on where the error is; nothing where it could not be split."""
     if result.budget is None:
         return []
@@ -98,7 +98,7 @@ def where_section(result: GapResult) -> list[str]:
 
 
 @in_style
-def map_figure(result: GapResult, budget: Budget) -> Figure:
+def map_figure(result: DiagnosisResult, budget: Budget) -> Figure:
     """Draw the error that repeats over coordinates and the gait cycle, one panel a speed."""
     from matplotlib.patches import Rectangle
 
@@ -143,7 +143,7 @@ def map_figure(result: GapResult, budget: Budget) -> Figure:
 
 
 @in_style
-def parts_figure(result: GapResult, budget: Budget) -> Figure:
+def parts_figure(result: DiagnosisResult, budget: Budget) -> Figure:
     """Draw the parts of each coordinate's mean squared error, and mean absolute errors beside them."""
     names, pooled = result.coordinates, budget.pooled()
     rows = np.arange(len(names))
@@ -169,7 +169,7 @@ def parts_figure(result: GapResult, budget: Budget) -> Figure:
     return figure
 
 
-def _draw_absolute(panel: Axes, result: GapResult) -> None:
+def _draw_absolute(panel: Axes, result: DiagnosisResult) -> None:
     rows = np.arange(len(result.coordinates))
     errors = mean_absolute_errors(result)
     before, after, floor = (
@@ -196,7 +196,7 @@ RESOLVED = 0.5
 _WORDS = "resolution below 0.5"
 
 
-def muscles_section(result: GapResult) -> list[str]:
+def muscles_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on muscles; nothing where it could not be told."""
     share = result.muscles
     if share is None or not share.muscles:
@@ -231,7 +231,7 @@ def resolved(share: MuscleShare) -> Bool[np.ndarray, " muscle"]:
 
 
 @in_style
-def muscle_figure(result: GapResult, share: MuscleShare) -> Figure:
+def muscle_figure(result: DiagnosisResult, share: MuscleShare) -> Figure:
     """Draw the change of force by muscle and phase, one panel a speed."""
     from matplotlib.patches import Rectangle
 
@@ -291,7 +291,7 @@ def _largest(force: Float[np.ndarray, "muscle speed phase"]) -> float:
     return float(np.abs(force).max(initial=0.0))
 
 
-def _speeds(result: GapResult, count: int) -> list[str]:
+def _speeds(result: DiagnosisResult, count: int) -> list[str]:
     """Name the speeds that muscles were calibrated at; not at all if these are others."""
     calibrated = np.array([use == "calibration" for use in result.uses], dtype=bool)
     speeds = np.unique(result.speeds[calibrated]).tolist()  # NaNs count as one, the last

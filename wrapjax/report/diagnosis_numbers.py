@@ -13,7 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.diagnosis.error_budget import BIN_PERCENT, Budget
-from wrapjax.diagnosis.result import Alternative, Certificate, EffectFinding, Estimate, GapResult
+from wrapjax.diagnosis.result import (
+    Alternative,
+    ConvergenceCheck,
+    DiagnosisResult,
+    EffectFinding,
+    Estimate,
+)
 from wrapjax.evaluation.metrics import moment_errors, pooled_mae
 from wrapjax.io.storage import Storage
 from wrapjax.report.run_summary import file_stems
@@ -23,7 +29,7 @@ from wrapjax.subject.subject import Subject
 HELD_OUT = ("held_out_cycles", "held_out_speed")
 
 
-def leading(result: GapResult) -> tuple[Alternative, ...]:
+def leading(result: DiagnosisResult) -> tuple[Alternative, ...]:
     """Give the fitted effects that the outcome speaks of: what it names, all of a tie, else the best one."""
     if result.outcome == "tie":
         members = {id for tie in result.ties for id in tie}
@@ -34,12 +40,12 @@ def leading(result: GapResult) -> tuple[Alternative, ...]:
     return named[:1] or result.alternatives[:1]
 
 
-def best(result: GapResult) -> Alternative | None:
+def best(result: DiagnosisResult) -> Alternative | None:
     """Give the first of them: its moments are those of the model after."""
     return next(iter(leading(result)), None)
 
 
-def shrinkage(result: GapResult, which: str) -> list[Estimate]:
+def shrinkage(result: DiagnosisResult, which: str) -> list[Estimate]:
     """Give the share of the explainable error that each of them removes, those that can be told.
 
     Parameters
@@ -52,7 +58,7 @@ def shrinkage(result: GapResult, which: str) -> list[Estimate]:
     return [own for one in leading(result) if (own := getattr(one, which)).known]
 
 
-def why_no_shrinkage(result: GapResult, which: str) -> str:
+def why_no_shrinkage(result: DiagnosisResult, which: str) -> str:
     """Say why it cannot be told of any of them; empty where it can of one."""
     if shrinkage(result, which):
         return ""
@@ -60,7 +66,7 @@ def why_no_shrinkage(result: GapResult, which: str) -> str:
     return "no effect was fitted" if first is None else getattr(first, which).reason
 
 
-def mean_absolute_errors(result: GapResult) -> dict[str, dict[str, float]]:
+def mean_absolute_errors(result: DiagnosisResult) -> dict[str, dict[str, float]]:
     """Give mean absolute errors of cycles that no fit has seen, N m, by coordinate and (``mean``) over them.
 
     Returns
@@ -87,16 +93,18 @@ def speed_label(speed: float) -> str:
     return "speed not given" if math.isnan(speed) else f"{speed:g} m/s"
 
 
-def _pooled(result: GapResult, predicted: Float[np.ndarray, "cycle coordinate frame"]) -> dict[str, float]:
+def _pooled(
+    result: DiagnosisResult, predicted: Float[np.ndarray, "cycle coordinate frame"]
+) -> dict[str, float]:
     errors = [moment_errors(*pair) for pair in zip(result.measured, predicted, strict=True)]
     return pooled_mae(errors, result.coordinates) or _unknown(result)
 
 
-def _unknown(result: GapResult) -> dict[str, float]:
+def _unknown(result: DiagnosisResult) -> dict[str, float]:
     return dict.fromkeys((*result.coordinates, "mean"), math.nan)
 
 
-def _floor(result: GapResult, budget: Budget) -> dict[str, float]:
+def _floor(result: DiagnosisResult, budget: Budget) -> dict[str, float]:
     """Give the mean absolute value of noise with these mean squares.
 
     Noise is taken for normal, whose mean absolute value is sqrt(2 / pi) of its deviation. Each bin has its
@@ -114,7 +122,7 @@ SCHEMA = 1
 _SAME_TIME = 1e-6
 
 
-def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
+def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, Any]:
     """Describe a diagnosis as plain numbers and words.
 
     Returns
@@ -155,17 +163,17 @@ def describe_gap(subject: Subject, result: GapResult) -> dict[str, Any]:
         "budget_Nm2": None if result.budget is None else _budget(result, result.budget),
         "alternatives": [_alternative(one) for one in result.alternatives],
         "shares": result.shares,
-        "alarm_nats": result.alarm,
+        "alarm_nats": result.detection_threshold,
         "global_p": result.global_p,
-        "certificate": _certificate(result.certificate),
+        "certificate": _certificate(result.convergence_check),
         "seconds": result.seconds,
     }
 
 
-def where(result: GapResult) -> list[dict[str, Any]]:
+def where(result: DiagnosisResult) -> list[dict[str, Any]]:
     """List every coordinate, bin and speed with its error in N m, what repeats most first.
 
-    Explainable is what repeats: see `gap_map`. There are no shares of it where there is none.
+    Explainable is what repeats: see `repeatable_error_map`. There are no shares of it where there is none.
     """
     budget = result.budget
     if budget is None:
@@ -194,7 +202,7 @@ def root(mean_squares: Float[np.ndarray, "*axes"]) -> Float[np.ndarray, "*axes"]
     return np.sqrt(np.maximum(mean_squares, 0.0))
 
 
-def moment_table(result: GapResult, recording: str) -> Storage:
+def moment_table(result: DiagnosisResult, recording: str) -> Storage:
     """Give the moments of a recording's cycles in N m.
 
     ``<coordinate>_moment`` as measured, ``_before`` and ``_after``. What was not predicted (nothing was
@@ -225,7 +233,7 @@ def _effect(finding: EffectFinding) -> dict[str, Any]:
         "detectability": finding.detectability,
         "decision": finding.decision,
         "negative_control": finding.negative_control,
-        "parameters": [asdict(amount) for amount in finding.amounts],
+        "parameters": [asdict(effect_size) for effect_size in finding.effect_sizes],
     }
 
 
@@ -244,7 +252,7 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _shrinkage(result: GapResult) -> dict[str, Any]:
+def _shrinkage(result: DiagnosisResult) -> dict[str, Any]:
     """Give the shrinkage of what the outcome speaks of; of a tie, the range over its members."""
     told: dict[str, Any] = {"of": [one.ids for one in leading(result)]}
     for which in HELD_OUT:
@@ -267,7 +275,7 @@ def _shrinkage(result: GapResult) -> dict[str, Any]:
     return told
 
 
-def _budget(result: GapResult, budget: Budget) -> dict[str, dict[str, float]]:
+def _budget(result: DiagnosisResult, budget: Budget) -> dict[str, dict[str, float]]:
     pooled = budget.pooled()
     return {
         name: {part: float(values[row]) for part, values in pooled.items()}
@@ -285,5 +293,5 @@ def _alternative(alternative: Alternative) -> dict[str, Any]:
     }
 
 
-def _certificate(certificate: Certificate) -> dict[str, Any]:
-    return {"holds": certificate.holds, **asdict(certificate)}
+def _certificate(convergence_check: ConvergenceCheck) -> dict[str, Any]:
+    return {"holds": convergence_check.holds, **asdict(convergence_check)}

@@ -11,13 +11,13 @@ import math
 from datetime import UTC, datetime
 from pathlib import Path
 
-from wrapjax.diagnosis.result import Certificate, GapResult
+from wrapjax.diagnosis.result import ConvergenceCheck, DiagnosisResult
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_effects import evidence_section, signature_section, ties_section
 from wrapjax.report.diagnosis_location import muscles_section, where_section
-from wrapjax.report.diagnosis_numbers import describe_gap, moment_table
+from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
 from wrapjax.report.diagnosis_words import SILENT, findings, untested
 from wrapjax.report.provenance import made_with
@@ -28,31 +28,31 @@ from wrapjax.subject.subject import Subject
 _DASH = "\N{EN DASH}"
 
 
-def certificate_section(result: GapResult) -> str:
+def convergence_section(result: DiagnosisResult) -> str:
     """Write the part of the report on how far the diagnosis can be trusted, problems first."""
-    certificate = result.certificate
-    parts = _fit(certificate)
-    if rows := [*_fit_rows(certificate), *_null_rows(result)]:
+    convergence_check = result.convergence_check
+    parts = _fit(convergence_check)
+    if rows := [*_fit_rows(convergence_check), *_null_rows(result)]:
         caption = "The plain model's fit, and what evidence was weighed against."
         parts.append(markup.table(("check", "value", "what it says"), rows, caption=caption))
-    return markup.section("How far to trust it", *parts, *_conflicts(certificate))
+    return markup.section("How far to trust it", *parts, *_conflicts(convergence_check))
 
 
-def _fit(certificate: Certificate) -> list[str]:
-    if certificate.problems:
+def _fit(convergence_check: ConvergenceCheck) -> list[str]:
+    if convergence_check.problems:
         return [
             markup.paragraph("The plain model was not fitted as well as it can be:"),
-            markup.bullets(certificate.problems),
+            markup.bullets(convergence_check.problems),
         ]
-    if not certificate.costs:
+    if not convergence_check.costs:
         return [markup.paragraph("The plain model was not fitted.")]
     return [markup.paragraph("The plain model was fitted as well as it can be.")]
 
 
-def _conflicts(certificate: Certificate) -> list[str]:
-    if not certificate.conflicts:
+def _conflicts(convergence_check: ConvergenceCheck) -> list[str]:
+    if not convergence_check.conflicts:
         return []
-    kinds = list(dict.fromkeys(kind for own in certificate.conflicts.values() for kind in own))
+    kinds = list(dict.fromkeys(kind for own in convergence_check.conflicts.values() for kind in own))
     return [
         markup.paragraph(
             "How far fits to each speed and to each half of the cycles are apart, root mean square. Well "
@@ -62,41 +62,41 @@ def _conflicts(certificate: Certificate) -> list[str]:
             ("", *map(plain, kinds)),
             [
                 (plain(name), *(decimals(own.get(kind)) for kind in kinds))
-                for name, own in certificate.conflicts.items()
+                for name, own in convergence_check.conflicts.items()
             ],
             caption="Conflicts, in standard deviations.",
         ),
     ]
 
 
-def _fit_rows(certificate: Certificate) -> list[tuple[str, str, str]]:
-    if not certificate.costs:
+def _fit_rows(convergence_check: ConvergenceCheck) -> list[tuple[str, str, str]]:
+    if not convergence_check.costs:
         return []
-    costs = ", ".join(f"{cost:.5g}" for cost in certificate.costs[:4])
-    more = len(certificate.costs) - 4
+    costs = ", ".join(f"{cost:.5g}" for cost in convergence_check.costs[:4])
+    more = len(convergence_check.costs) - 4
     return [
         (
-            counted(len(certificate.costs), "start"),
+            counted(len(convergence_check.costs), "start"),
             costs + (f" and {more} more" if more > 0 else ""),
             "cost where each start ended, lowest first (no unit)",
         ),
-        ("spread", _percent(certificate.spread), "relative difference of the two lowest costs"),
+        ("spread", _percent(convergence_check.spread), "relative difference of the two lowest costs"),
         (
             "decrement",
-            _percent(certificate.decrement),
+            _percent(convergence_check.decrement),
             "by how much the cost could still fall, as a share of the explainable error",
         ),
     ]
 
 
-def _null_rows(result: GapResult) -> list[tuple[str, str, str]]:
+def _null_rows(result: DiagnosisResult) -> list[tuple[str, str, str]]:
     controls = [effect for effect in result.effects if effect.negative_control]
-    if not math.isfinite(result.alarm):
+    if not math.isfinite(result.detection_threshold):
         return []
     rows = [
         (
             "alarm level",
-            f"{result.alarm:.1f} nats",
+            f"{result.detection_threshold:.1f} nats",
             "evidence that data without any effect exceed in few cases",
         ),
         (
@@ -107,7 +107,7 @@ def _null_rows(result: GapResult) -> list[tuple[str, str, str]]:
     ]
     if controls:
         strongest = max(controls, key=lambda effect: effect.evidence)
-        quiet = "quiet" if strongest.evidence <= result.alarm else "not quiet"
+        quiet = "quiet" if strongest.evidence <= result.detection_threshold else "not quiet"
         rows.append(
             (
                 counted(len(controls), "negative control"),
@@ -131,7 +131,7 @@ def _probability(p: float) -> str:
 _SIDES = {"l": "left", "r": "right"}
 
 
-def render_gap(subject: Subject, result: GapResult, note: str = "") -> str:
+def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") -> str:
     """Write the report of a diagnosis as one HTML page with nothing outside it.
 
     Parameters
@@ -162,7 +162,7 @@ def render_gap(subject: Subject, result: GapResult, note: str = "") -> str:
             *released_section(result),
             *ties_section(result),
             *muscles_section(result),
-            certificate_section(result),
+            convergence_section(result),
             _notes(subject, result),
         ],
     )
@@ -173,13 +173,13 @@ def _leg(subject: Subject) -> str:
     return f"{_SIDES[subject.side].capitalize()} leg{paresis}"
 
 
-def _verdict(subject: Subject, result: GapResult) -> str:
+def _verdict(subject: Subject, result: DiagnosisResult) -> str:
     first, *others = findings(result)
     said = f"{_leg(subject)} of {subject.name}: {first[:1].lower()}{first[1:]}"
     return markup.verdict([said, " ".join(others), *untested(result)], fine=result.outcome not in SILENT)
 
 
-def _untested_section(result: GapResult) -> list[str]:
+def _untested_section(result: DiagnosisResult) -> list[str]:
     if not result.not_testable:
         return []
     return [
@@ -195,7 +195,7 @@ def _untested_section(result: GapResult) -> list[str]:
     ]
 
 
-def _notes(subject: Subject, result: GapResult) -> str:
+def _notes(subject: Subject, result: DiagnosisResult) -> str:
     parts = [
         markup.bullets(
             [
@@ -214,8 +214,8 @@ def _notes(subject: Subject, result: GapResult) -> str:
     return markup.section("Notes", *parts)
 
 
-def write_gap(
-    subject: Subject, result: GapResult, folder: Path, *, force: bool = False, note: str = ""
+def write_diagnosis(
+    subject: Subject, result: DiagnosisResult, folder: Path, *, force: bool = False, note: str = ""
 ) -> None:
     """Write ``gap.json``, the moments of every recording and ``report.html``.
 
@@ -236,7 +236,7 @@ def write_gap(
         If the folder exists and ``force`` is not set, or cannot be created.
     """
     with new_folder(folder, force=force) as gap:
-        write_json(gap / "gap.json", describe_gap(subject, result))
+        write_json(gap / "gap.json", describe_diagnosis(subject, result))
         for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
             write_storage(gap / "moments" / f"{stem}.sto", moment_table(result, recording))
-        write_text(gap / "report.html", render_gap(subject, result, note))
+        write_text(gap / "report.html", render_diagnosis(subject, result, note))

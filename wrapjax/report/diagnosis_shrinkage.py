@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrapjax.diagnosis.result import Alternative, GapResult, Released
+from wrapjax.diagnosis.result import Alternative, DiagnosisResult, Released
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_effects import DRAWN_COLORS
 from wrapjax.report.diagnosis_numbers import HELD_OUT, leading
@@ -36,7 +36,7 @@ _PLACES = {
 }
 
 
-def shrinkage_section(result: GapResult) -> list[str]:
+def shrinkage_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on how far the error shrinks; nothing where no effect was fitted."""
     if not result.alternatives:
         return []
@@ -91,13 +91,13 @@ def shrinkage_section(result: GapResult) -> list[str]:
     return [markup.section("How far the error shrinks", *parts)]
 
 
-def accepted_shares(result: GapResult) -> dict[str, float]:
+def accepted_shares(result: DiagnosisResult) -> dict[str, float]:
     """Give the shares that add up: those of what is named. Rivals explain the same error, not more of it."""
     return {id: share for id, share in result.shares.items() if id in result.named}
 
 
 @in_style
-def waterfall_figure(result: GapResult) -> Figure:
+def waterfall_figure(result: DiagnosisResult) -> Figure:
     """Draw the whole error, what accepted effects take away, and what is left above noise."""
     explainable = 100.0 * result.explainable_share.value
     steps = [(plain(id), explainable * share) for id, share in accepted_shares(result).items()]
@@ -126,7 +126,7 @@ def waterfall_figure(result: GapResult) -> Figure:
 
 
 @in_style
-def shrinkage_figure(result: GapResult) -> Figure:
+def shrinkage_figure(result: DiagnosisResult) -> Figure:
     """Draw the share that each fitted effect removes on unseen cycles and at an unseen speed."""
     shown = result.alternatives
     figure = new_figure(PAGE_WIDTH, 0.42 * len(shown) + 1.0)
@@ -151,7 +151,7 @@ def shrinkage_figure(result: GapResult) -> Figure:
     return figure
 
 
-def released_section(result: GapResult) -> list[str]:
+def released_section(result: DiagnosisResult) -> list[str]:
     """Write the part of the report on calibrated parameters that an effect set free; nothing without."""
     shown = [one for one in leading(result) if most_released(one)][: len(DRAWN_COLORS)]
     if not shown:

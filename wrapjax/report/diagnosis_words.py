@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.result import Alternative, Amount, EffectFinding, Estimate, GapResult
+from wrapjax.diagnosis.result import Alternative, DiagnosisResult, EffectFinding, EffectSize, Estimate
 from wrapjax.report.diagnosis_numbers import leading, mean_absolute_errors, shrinkage, why_no_shrinkage
 from wrapjax.report.style import counted, plain
 
@@ -14,7 +14,7 @@ from wrapjax.report.style import counted, plain
 SILENT = ("insufficient_data", "not_converged")
 
 
-def findings(result: GapResult) -> list[str]:
+def findings(result: DiagnosisResult) -> list[str]:
     """Say in plain sentences what came of a diagnosis.
 
     The first holds the outcome, and before it how much there is to explain.
@@ -34,7 +34,7 @@ def findings(result: GapResult) -> list[str]:
     return sentences
 
 
-def untested(result: GapResult) -> list[str]:
+def untested(result: DiagnosisResult) -> list[str]:
     """Say in plain sentences what the diagnosis could not have found."""
     sentences = []
     if result.not_testable:
@@ -48,15 +48,17 @@ def untested(result: GapResult) -> list[str]:
     return sentences
 
 
-def testable(result: GapResult) -> list[EffectFinding]:
+def testable(result: DiagnosisResult) -> list[EffectFinding]:
     """Give the effects that this recording could show, were they there."""
     hidden = {one.id for one in result.not_testable}
     return [effect for effect in result.effects if effect.id not in hidden]
 
 
-def loud_controls(result: GapResult) -> list[EffectFinding]:
+def loud_controls(result: DiagnosisResult) -> list[EffectFinding]:
     """Give the effects that had to stay quiet and have more evidence than data without any effect show."""
-    return [one for one in result.effects if one.negative_control and one.evidence > result.alarm]
+    return [
+        one for one in result.effects if one.negative_control and one.evidence > result.detection_threshold
+    ]
 
 
 def words(ids: Sequence[str]) -> str:
@@ -69,18 +71,18 @@ def listed(ids: Iterable[str]) -> str:
     return ", ".join(map(plain, ids))
 
 
-def amounts_in_words(amounts: Sequence[Amount], most: int = 3) -> str:
+def effect_sizes_in_words(effect_sizes: Sequence[EffectSize], most: int = 3) -> str:
     """Write amounts with deviation and unit; of too many, those that differ most from zero."""
-    if len(amounts) <= most:
-        return "; ".join(map(_amount, amounts))
-    largest = sorted(amounts, key=lambda one: -abs(one.value) / one.sd if one.sd else 0.0)
-    return "; ".join([*map(_amount, largest[:most]), f"{len(amounts) - most} more in gap.json"])
+    if len(effect_sizes) <= most:
+        return "; ".join(map(_amount, effect_sizes))
+    largest = sorted(effect_sizes, key=lambda one: -abs(one.value) / one.sd if one.sd else 0.0)
+    return "; ".join([*map(_amount, largest[:most]), f"{len(effect_sizes) - most} more in gap.json"])
 
 
-def _amount(amount: Amount) -> str:
-    unit = "" if amount.unit == "1" else f" {amount.unit}"
-    deviation = f" ± {amount.sd:.2g}" if math.isfinite(amount.sd) else ""
-    return f"{plain(amount.name)} {amount.value:.3g}{deviation}{unit}"
+def _amount(effect_size: EffectSize) -> str:
+    unit = "" if effect_size.unit == "1" else f" {effect_size.unit}"
+    deviation = f" ± {effect_size.sd:.2g}" if math.isfinite(effect_size.sd) else ""
+    return f"{plain(effect_size.name)} {effect_size.value:.3g}{deviation}{unit}"
 
 
 def percent(estimate: Estimate) -> str:
@@ -94,7 +96,7 @@ def _interval(low: float, high: float) -> str:
     return f"[{lower}{dash}{upper}]"
 
 
-def _outcome(result: GapResult) -> str:
+def _outcome(result: DiagnosisResult) -> str:
     among = f"the {counted(len(testable(result)), 'effect')} testable with these data"
     probability = {effect.id: effect.probability for effect in result.effects}
     if result.outcome == "named":
@@ -142,12 +144,12 @@ def meaning(id: str) -> str:
     return _sentence(f"{plain(id)}: {CATALOGUE[id].meaning}")
 
 
-def _meanings(result: GapResult) -> list[str]:
+def _meanings(result: DiagnosisResult) -> list[str]:
     ids = dict.fromkeys([*result.named, *(id for tie in result.ties for id in tie)])
     return [meaning(id) for id in ids]
 
 
-def _shrinkage(result: GapResult) -> list[str]:
+def _shrinkage(result: DiagnosisResult) -> list[str]:
     shown = leading(result)
     if not shown:
         return []
@@ -160,12 +162,12 @@ def _shrinkage(result: GapResult) -> list[str]:
     if not told:
         reason = why_no_shrinkage(result, "held_out_cycles")
         return [f"How much of the explainable error {subject} removes cannot be told: {reason}."]
-    (amount, place), *others = told
-    start = f"{subject[:1].upper()}{subject[1:]} removes {amount} of the explainable error {place}"
+    (effect_size, place), *others = told
+    start = f"{subject[:1].upper()}{subject[1:]} removes {effect_size} of the explainable error {place}"
     return [", ".join([start, *(" ".join(other) for other in others)]) + "."]
 
 
-def _subject(result: GapResult, shown: Sequence[Alternative]) -> str:
+def _subject(result: DiagnosisResult, shown: Sequence[Alternative]) -> str:
     if result.outcome == "named" and set(shown[0].ids) == set(result.named):
         return "adding it"
     if result.outcome == "tie":
@@ -185,7 +187,7 @@ def _range(known: Sequence[Estimate]) -> str:
     return f"{middle} {_interval(min(one.low for one in known), max(one.high for one in known))}"
 
 
-def _moments(result: GapResult) -> list[str]:
+def _moments(result: DiagnosisResult) -> list[str]:
     """Say where the mean absolute error falls most."""
     errors = mean_absolute_errors(result)
     falls = {name: errors["before"][name] - errors["after"][name] for name in result.coordinates}

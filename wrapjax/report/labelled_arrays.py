@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.contact_forces.result import COMPARTMENTS, ContactResult
-from wrapjax.diagnosis.result import GapResult
+from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.subject.subject import name_without_side
@@ -47,7 +47,7 @@ ERROR = (
 )
 
 
-def of_trials(result: CalibrationResult | GapResult | Trials) -> dict[str, Column]:
+def of_trials(result: CalibrationResult | DiagnosisResult | Trials) -> dict[str, Column]:
     """What is known of each cycle."""
     return {
         "use": (("trial",), "", USE, list(result.uses)),
@@ -356,7 +356,7 @@ def evaluation_dataset(
     return labelled(columns, labels, of_trials(trials), attributes)
 
 
-def gap_dataset(result: GapResult) -> Dataset:
+def diagnosis_dataset(result: DiagnosisResult) -> Dataset:
     """Label the moments of a diagnosis, measured and predicted, and its evidence by effect.
 
     Returns

@@ -21,13 +21,13 @@ from wrapjax.calibration.penalties import Limit
 from wrapjax.calibration.solvers.interface import (
     AbstractBoundedSolver,
     AbstractCalibration,
+    DampingState,
     Iteration,
-    Pace,
     Solution,
     SolverState,
     Status,
 )
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 # Factor on the weights where the excess did not fall to this part of what it was.
 _HEAVIER = 10.0
@@ -38,7 +38,7 @@ class LagrangianState(eqx.Module):
     """Everything a solve needs to go on from where it is, besides its problem."""
 
     variables: Float[Array, " variable"]
-    pace: Pace
+    damping_state: DampingState
     shifts: tuple[Float[Array, "_ _"], ...]
     weights: tuple[Float[Array, "_ _"], ...]
     #: Largest excess, or room of a limit that pushes, after the last round and the one before.
@@ -79,7 +79,7 @@ class AugmentedLagrangian:
         Raise it if violations still fall when it is reached.
     """
 
-    inner: AbstractBoundedSolver = field(default_factory=ProjectedLM)
+    inner: AbstractBoundedSolver = field(default_factory=ProjectedLevenbergMarquardt)
     ctol: float = 1e-6
     max_rounds: int = 30
 
@@ -111,10 +111,10 @@ class AugmentedLagrangian:
         """
         began = time.perf_counter() - (history[-1].seconds if history else 0.0)
         log = list(history)
-        pace, gap, before = None, np.inf if problem.limits else 0.0, np.inf
+        damping_state, gap, before = None, np.inf if problem.limits else 0.0, np.inf
         if isinstance(start, LagrangianState):
             problem = problem.with_limits(_as_in(start, problem.limits))
-            pace, gap, before = start.pace, float(start.gap), float(start.gap_before)
+            damping_state, gap, before = start.damping_state, float(start.gap), float(start.gap_before)
             start = start.variables
         variables = jnp.asarray(start)
         state = None
@@ -123,7 +123,7 @@ class AugmentedLagrangian:
 
             def note(iteration: Iteration, inner: SolverState, limits=limits, gap=gap, before=before) -> None:
                 nonlocal state
-                state = _state(inner.variables, inner.pace, limits, gap, before)
+                state = _state(inner.variables, inner.damping_state, limits, gap, before)
                 if log and iteration.number == 0:
                     return  # where the last round ended, or an interrupted one
                 seconds = time.perf_counter() - began
@@ -131,10 +131,10 @@ class AugmentedLagrangian:
                 if callback:
                     callback(log[-1], state)
 
-            solution = self._inner(gap, len(log)).solve(problem, variables, note, pace)
+            solution = self._inner(gap, len(log)).solve(problem, variables, note, damping_state)
             variables = jnp.asarray(solution.variables)
             # Boldness is kept for the next round, caution is not.
-            pace = solution.pace.recovered()
+            damping_state = solution.damping_state.recovered()
             excess = _excess(problem, variables)
             tight = gap <= self.ctol
             gap_now = _gap(limits, excess)
@@ -151,11 +151,11 @@ class AugmentedLagrangian:
             cost=solution.cost,
             status=status,
             linearization=solution.linearization,
-            pace=solution.pace,
+            damping_state=solution.damping_state,
             history=tuple(log),
             max_violation=_violation(excess),
             problem=problem,
-            state=_state(variables, solution.pace.recovered(), problem.limits, gap, before),
+            state=_state(variables, solution.damping_state.recovered(), problem.limits, gap, before),
         )
 
     def restore(
@@ -174,7 +174,7 @@ class AugmentedLagrangian:
             cost=float(linearization.cost),
             status=status,
             linearization=linearization,
-            pace=state.pace,
+            damping_state=state.damping_state,
             history=tuple(history),
             max_violation=_violation(excess),
             problem=problem,
@@ -232,14 +232,14 @@ def _with_multipliers(
 
 def _state(
     variables: Float[Array, " variable"],
-    pace: Pace,
+    damping_state: DampingState,
     limits: tuple[Limit, ...],
     gap: float,
     before: float,
 ) -> LagrangianState:
     return LagrangianState(
         variables=variables,
-        pace=pace,
+        damping_state=damping_state,
         shifts=tuple(limit.shift for limit in limits),
         weights=tuple(limit.weight for limit in limits),
         gap=jnp.asarray(gap),

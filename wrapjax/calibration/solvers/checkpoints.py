@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
-from wrapjax.calibration.solvers.interface import AbstractLeastSquares, Iteration, Pace, Status
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.interface import AbstractLeastSquares, DampingState, Iteration, Status
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import code_hash, content_hash, new_folder, write_json, write_whole
 from wrapjax.io.json_and_arrays import load_arrays, load_json
@@ -36,7 +36,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Journal:
+class Checkpoints:
     """A folder with one file for each stage of each start.
 
     Every file is replaced whole after each iteration, so that whatever stops the process, what is
@@ -46,7 +46,7 @@ class Journal:
     folder: Path
 
     @classmethod
-    def open(cls, folder: Path, question: str, *, resume: bool) -> Journal:
+    def open(cls, folder: Path, question: str, *, resume: bool) -> Checkpoints:
         """Open a folder to go on with, or make a new one.
 
         Parameters
@@ -98,7 +98,7 @@ class Journal:
         """Keep where a stage stands."""
         arrays = {
             "variables": state.variables,
-            "pace": np.array([state.pace.damping, state.pace.growth]),
+            "pace": np.array([state.damping_state.damping, state.damping_state.growth]),
             "gaps": np.array([state.gap, state.gap_before]),
             "history": np.array([astuple(iteration) for iteration in history], dtype=float),
             "status": np.array("" if status is None else status.name),
@@ -115,7 +115,7 @@ class Journal:
             limits = sum(key.startswith("shift_") for key in kept)
             state = LagrangianState(
                 variables=jnp.asarray(kept["variables"]),
-                pace=Pace(*map(jnp.asarray, kept["pace"])),
+                damping_state=DampingState(*map(jnp.asarray, kept["pace"])),
                 shifts=tuple(jnp.asarray(kept[f"shift_{number}"]) for number in range(limits)),
                 weights=tuple(jnp.asarray(kept[f"weight_{number}"]) for number in range(limits)),
                 gap=jnp.asarray(kept["gaps"][0]),
@@ -134,7 +134,7 @@ def _iteration(row: np.ndarray) -> Iteration:
 
 
 @dataclass(frozen=True)
-class KeptSolves:
+class SolveCache:
     """A folder with one file for each solve, named by all that decides where it ends.
 
     Parameters
@@ -161,8 +161,8 @@ class KeptSolves:
         )
 
 
-def name_of_solve(
-    problem: AbstractLeastSquares, start: Float[np.ndarray, " variable"], solver: ProjectedLM
+def solve_fingerprint(
+    problem: AbstractLeastSquares, start: Float[np.ndarray, " variable"], solver: ProjectedLevenbergMarquardt
 ) -> str:
     """Name a solve by its problem (every number in it, and its structure), start, solver, and our code."""
     problem = jax.tree.map(np.asarray, problem)

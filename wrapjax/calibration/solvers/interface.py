@@ -142,16 +142,16 @@ class Iteration:
     seconds: float
 
 
-class Pace(eqx.Module):
+class DampingState(eqx.Module):
     """How boldly the next step is taken."""
 
     damping: Float[Array, ""]
     #: Factor on the damping after a failure; it doubles with each further one.
     growth: Float[Array, ""]
 
-    def recovered(self) -> Pace:
+    def recovered(self) -> DampingState:
         """Forget failures, but not how bold steps have become."""
-        return Pace(self.damping, jnp.full_like(self.growth, FIRST_GROWTH))
+        return DampingState(self.damping, jnp.full_like(self.growth, FIRST_GROWTH))
 
 
 class SolverState(eqx.Module):
@@ -159,7 +159,7 @@ class SolverState(eqx.Module):
 
     variables: Float[Array, " variable"]
     linearization: Linearization
-    pace: Pace
+    damping_state: DampingState
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Solution:
     cost: float
     status: Status
     linearization: Linearization = field(repr=False)
-    pace: Pace
+    damping_state: DampingState
     history: tuple[Iteration, ...] = field(repr=False)
 
     @property
@@ -207,7 +207,7 @@ class AbstractBoundedSolver(ABC):
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
         callback: Callable[[Iteration, SolverState], None] | None = None,
-        pace: Pace | None = None,
+        damping_state: DampingState | None = None,
     ) -> Solution:
         """Minimise from a start, which is moved inside the bounds.
 

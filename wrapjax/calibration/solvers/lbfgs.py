@@ -23,8 +23,8 @@ from wrapjax.calibration.solvers.interface import (
     FIRST_GROWTH,
     AbstractBoundedSolver,
     AbstractLeastSquares,
+    DampingState,
     Iteration,
-    Pace,
     Solution,
     SolverState,
     Status,
@@ -67,12 +67,12 @@ class BoundedLBFGS(AbstractBoundedSolver):
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
         callback: Callable[[Iteration, SolverState], None] | None = None,
-        pace: Pace | None = None,
+        damping_state: DampingState | None = None,
     ) -> Solution:
         """Minimise from a start; see `AbstractBoundedSolver`. It has no pace to go on with."""
         began = time.perf_counter()
         variables = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
-        pace = Pace(jnp.asarray(0.0), jnp.asarray(FIRST_GROWTH))
+        damping_state = DampingState(jnp.asarray(0.0), jnp.asarray(FIRST_GROWTH))
         carry = _begin(problem, variables)
         linearization = problem.linearized_at(variables)
         history: list[Iteration] = []
@@ -84,7 +84,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
                 Iteration(number, float(carry.value), float(carry.error), 0.0, step, int(at_bounds), seconds)
             )
             if callback:
-                callback(history[-1], SolverState(variables, linearization, pace))
+                callback(history[-1], SolverState(variables, linearization, damping_state))
 
         status, renewed = Status.iterations, np.inf
         try:
@@ -116,7 +116,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
             cost=float(linearization.cost),
             status=status,
             linearization=linearization,
-            pace=pace,
+            damping_state=damping_state,
             history=tuple(history),
         )
 

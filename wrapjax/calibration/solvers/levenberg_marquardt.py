@@ -22,9 +22,9 @@ from wrapjax.calibration.solvers.interface import (
     FIRST_GROWTH,
     AbstractBoundedSolver,
     AbstractLeastSquares,
+    DampingState,
     Iteration,
     Linearization,
-    Pace,
     Solution,
     SolverState,
     Status,
@@ -34,7 +34,7 @@ _Matrix = Float[Array, "variable variable"]
 
 
 @dataclass(frozen=True)
-class ProjectedLM(AbstractBoundedSolver):
+class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
     """Projected Levenberg-Marquardt.
 
     Parameters
@@ -72,11 +72,11 @@ class ProjectedLM(AbstractBoundedSolver):
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
         callback: Callable[[Iteration, SolverState], None] | None = None,
-        pace: Pace | None = None,
+        damping_state: DampingState | None = None,
     ) -> Solution:
         """Minimise from a start; see `AbstractBoundedSolver`."""
         began = time.perf_counter()
-        state = self._begin(problem, start, pace)
+        state = self._begin(problem, start, damping_state)
         history: list[Iteration] = []
         convex: _Matrix | None = None
 
@@ -89,7 +89,7 @@ class ProjectedLM(AbstractBoundedSolver):
                     number=number,
                     cost=float(state.linearization.cost),
                     optimality=float(optimality),
-                    damping=float(state.pace.damping),
+                    damping=float(state.damping_state.damping),
                     step=step,
                     at_bounds=int(at_bounds),
                     seconds=time.perf_counter() - began,
@@ -130,7 +130,7 @@ class ProjectedLM(AbstractBoundedSolver):
             cost=float(state.linearization.cost),
             status=status,
             linearization=state.linearization,
-            pace=state.pace,
+            damping_state=state.damping_state,
             history=tuple(history),
         )
 
@@ -138,15 +138,17 @@ class ProjectedLM(AbstractBoundedSolver):
         self,
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
-        pace: Pace | None = None,
+        damping_state: DampingState | None = None,
     ) -> SolverState:
         inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         # Typed in full: a state of another type than the steps return would be compiled for once more.
         return SolverState(
             variables=inside,
             linearization=problem.linearized_at(inside),
-            pace=pace
-            or Pace(jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)),
+            damping_state=damping_state
+            or DampingState(
+                jnp.asarray(self.initial_damping, inside.dtype), jnp.asarray(FIRST_GROWTH, inside.dtype)
+            ),
         )
 
     def _advance(
@@ -185,8 +187,8 @@ class _Step(eqx.Module):
     #: Whether the cost falls clearly; and whether, at its last digits, it does at least not rise.
     downhill: Bool[Array, ""]
     level: Bool[Array, ""]
-    after_success: Pace
-    after_failure: Pace
+    after_success: DampingState
+    after_failure: DampingState
 
 
 @jax.jit
@@ -241,7 +243,7 @@ def _damped_step(
     bound is thus not merely cut off: the other variables answer to it.
     """
     gradient = state.linearization.gradient
-    damped = hessian + jnp.diag(state.pace.damping * _damping_metric(state.linearization))
+    damped = hessian + jnp.diag(state.damping_state.damping * _damping_metric(state.linearization))
     down, up = lower - state.variables, upper - state.variables
 
     def solve(at_lower, at_upper):
@@ -281,7 +283,7 @@ def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
 @jax.jit
 def _judge(state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]) -> _Step:
     """Compare the fall of the cost with what was predicted, and set the damping of the next step."""
-    model, pace = state.linearization, state.pace
+    model, damping_state = state.linearization, state.damping_state
     move = candidate - state.variables
     hessian = model.gauss_newton + model.remainder
     predicted = -(2.0 * model.gradient @ move + move @ hessian @ move)
@@ -292,13 +294,17 @@ def _judge(state: SolverState, candidate: Float[Array, " variable"], cost: Float
     possible = jnp.isfinite(cost) & (predicted > 0.0)
     ratio = jnp.where(same_cost, 1.0, ratio)
     # Nielsen's rule (1999, IMM-REP-1999-05): smooth in the ratio, and slower to recover after failures.
-    eased = pace.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+    eased = damping_state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
     return _Step(
         length=jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables)),
         actual=actual,
         predicted=predicted,
         downhill=possible & ~same_cost & (ratio > 1e-4),
         level=possible & same_cost,
-        after_success=Pace(jnp.maximum(eased, 1e-12), jnp.full_like(pace.growth, FIRST_GROWTH)),
-        after_failure=Pace(pace.damping * pace.growth, FIRST_GROWTH * pace.growth),
+        after_success=DampingState(
+            jnp.maximum(eased, 1e-12), jnp.full_like(damping_state.growth, FIRST_GROWTH)
+        ),
+        after_failure=DampingState(
+            damping_state.damping * damping_state.growth, FIRST_GROWTH * damping_state.growth
+        ),
     )

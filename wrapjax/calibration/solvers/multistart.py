@@ -14,14 +14,14 @@ from wrapjax.calibration.solvers.augmented_lagrangian import (
     ConstrainedSolution,
     LagrangianState,
 )
-from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Iteration, Status
 
 # How far random starts lie from the first, in parts of the way to each bound.
 _SPREAD = 0.3
 
 #: Called after each iteration with the number of the start, the iteration and the solver's state.
-Watch = Callable[[int, Iteration, LagrangianState], None]
+IterationCallback = Callable[[int, Iteration, LagrangianState], None]
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ def solve_from_starts(
     stages: Sequence[AbstractCalibration],
     starts: Sequence[tuple[int | None, Float[np.ndarray, " variable"]]],
     solver: AugmentedLagrangian,
-    watch: Watch | None = None,
-    journal: Journal | None = None,
+    watch: IterationCallback | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> tuple[Outcome, ...]:
     """Solve the stages one after the other from every start.
 
@@ -97,7 +97,7 @@ def solve_from_starts(
             else:
                 at = problem.start(stages[place - 1].parameters(jnp.asarray(solution.variables)))
             before = () if solution is None else solution.history
-            solution = _solve(problem, at, solver, (number, place), before, watch, journal)
+            solution = _solve(problem, at, solver, (number, place), before, watch, checkpoints)
             if solution.status is Status.interrupted:
                 break
         assert solution is not None
@@ -123,26 +123,26 @@ def _solve(
     solver: AugmentedLagrangian,
     key: tuple[int, int],
     before: tuple[Iteration, ...],
-    watch: Watch | None,
-    journal: Journal | None,
+    watch: IterationCallback | None,
+    checkpoints: Checkpoints | None,
 ) -> ConstrainedSolution:
     """Solve one stage of one start, or recall how it ended."""
     number, place = key
     name = f"start_{number}_stage_{place}"
-    entry = journal.read(name) if journal else None
+    entry = checkpoints.read(name) if checkpoints else None
     if entry is not None and entry.status is not None:
         return solver.restore(problem, entry.state, entry.status, entry.history)
 
     def note(iteration: Iteration, state: LagrangianState) -> None:
         log.append(iteration)
-        if journal:
-            journal.write(name, state, log)
+        if checkpoints:
+            checkpoints.write(name, state, log)
         if watch:
             watch(number, iteration, state)
 
     start, history = (at, before) if entry is None else (entry.state, entry.history)
     log = list(history)
     solution = solver.solve(problem, start, note, history)
-    if journal and solution.status is not Status.interrupted:
-        journal.write(name, solution.state, solution.history, solution.status)
+    if checkpoints and solution.status is not Status.interrupted:
+        checkpoints.write(name, solution.state, solution.history, solution.status)
     return solution

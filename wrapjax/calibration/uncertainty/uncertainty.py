@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from wrapjax.calibration.calibration import Calibration, write_model
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.solvers.checkpoints import Journal
+from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
 from wrapjax.calibration.two_legs import join_legs
 from wrapjax.calibration.uncertainty.intervals import LegSpread, spread_of
@@ -36,7 +36,7 @@ def refits(
     count: int,
     seed: int,
     *,
-    journal: Journal | None = None,
+    checkpoints: Checkpoints | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> tuple[Float[np.ndarray, "draw variable"], tuple[Status, ...]]:
     """Calibrate again, from the solution, to moments and priors that were made up (`Posterior.made_up`).
@@ -62,7 +62,7 @@ def refits(
     found, statuses = [], []
     for number in range(count):
         name = f"draw_{number}"
-        entry = journal.read(name) if journal else None
+        entry = checkpoints.read(name) if checkpoints else None
         if entry is not None and entry.status is not None:
             variables, status = np.asarray(entry.state.variables), entry.status
         else:
@@ -70,8 +70,8 @@ def refits(
             variables, status = solution.variables, solution.status
             if status is Status.interrupted:
                 raise KeyboardInterrupt
-            if journal:
-                journal.write(name, solution.state, solution.history, status)
+            if checkpoints:
+                checkpoints.write(name, solution.state, solution.history, status)
         found.append(variables)
         statuses.append(status)
         if advance:
@@ -122,8 +122,8 @@ class Uncertainty:
             write_model=write_model,
             spreads=self.spreads,
         )
-        if self.calibration.journal is not None:
-            self.calibration.journal.close()
+        if self.calibration.checkpoints is not None:
+            self.calibration.checkpoints.close()
 
 
 def uncertainty(
@@ -182,7 +182,12 @@ def uncertainty(
         found = judged.laplace(count, seed)
     else:
         found, statuses = refits(
-            judged, calibration.result.solver, count, seed, journal=calibration.journal, advance=advance
+            judged,
+            calibration.result.solver,
+            count,
+            seed,
+            checkpoints=calibration.checkpoints,
+            advance=advance,
         )
         converged = sum(status.converged for status in statuses)
     before = judged.without_moments(_PRIOR_DRAWS, seed)

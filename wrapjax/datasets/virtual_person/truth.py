@@ -104,10 +104,10 @@ def _runs_alike(
     moved = np.concatenate([NOMINAL[None], samples])[:, None]
     shortest, others = (wrap_at_samples(path, moved, way) for way in (GEODESIC, PARITY))
     apart = np.abs(others.length - shortest.length).max(axis=1)
-    walls = walls_before(jax.tree.map(lambda leaf: leaf[:1], shortest), frames)
-    walls = jax.tree.map(lambda leaf: leaf[0], walls)
-    closeness = jax.vmap(walls.closeness)(shortest.clearances[1:], shortest.on_surface[1:])
-    within = np.isfinite(np.asarray(closeness)).all(axis=1)
+    barriers = walls_before(jax.tree.map(lambda leaf: leaf[:1], shortest), frames)
+    barriers = jax.tree.map(lambda leaf: leaf[0], barriers)
+    proximity = jax.vmap(barriers.proximity)(shortest.clearances[1:], shortest.on_surface[1:])
+    within = np.isfinite(np.asarray(proximity)).all(axis=1)
     return usable_samples(path, 0, samples) & within & (apart[1:] <= apart[0] + _DEFECT)
 
 

@@ -75,20 +75,24 @@ def activation_family(context: Context) -> Effect:
     """
     source = "what dynamics of other forms differ by: Rockenfeller et al. 2015, doi:10.1155/2015/585409"
 
-    def amount(name: str, sd: float, limit: float, meaning: str) -> EffectParameter:
+    def effect_size(name: str, sd: float, limit: float, meaning: str) -> EffectParameter:
         return EffectParameter(name, "1", sd, 0, meaning, source, limit)
 
     parameters = (
-        amount("lag_with_level", 5.0, 50.0, "lag, in activation time constants, for a unit of activation"),
-        amount("second_stage", 8.0, 80.0, "both stages' time constants multiplied, in the model's squared"),
-        amount("lag_of_rising", 2.0, 20.0, "lag, in activation time constants, while activation rises"),
+        effect_size(
+            "lag_with_level", 5.0, 50.0, "lag, in activation time constants, for a unit of activation"
+        ),
+        effect_size(
+            "second_stage", 8.0, 80.0, "both stages' time constants multiplied, in the model's squared"
+        ),
+        effect_size("lag_of_rising", 2.0, 20.0, "lag, in activation time constants, while activation rises"),
     )
     form = Partial(_other_dynamics, jnp.ones(len(context.muscles)))
     return Effect("activation_family", "activation", parameters, (Variant(form),), nuisance=True)
 
 
-def _other_dynamics(each: Float[Array, " muscle"], amounts: Float[Array, " parameter"]) -> Alteration:
-    return Alteration(muscle=OtherDynamics(*(amount * each for amount in amounts)))
+def _other_dynamics(each: Float[Array, " muscle"], effect_sizes: Float[Array, " parameter"]) -> Alteration:
+    return Alteration(muscle=OtherDynamics(*(effect_size * each for effect_size in effect_sizes)))
 
 
 def emg_nonlinearity(context: Context) -> Effect:
@@ -122,9 +126,9 @@ def deactivation_asymmetry(context: Context) -> Effect:
     return Effect("deactivation_asymmetry", "activation", (parameter,), (Variant(form),))
 
 
-def _bent(each: Float[Array, " muscle"], amounts: Float[Array, " parameter"]) -> Alteration:
-    return Alteration(muscle=Bent(amounts[0] * each))
+def _bent(each: Float[Array, " muscle"], effect_sizes: Float[Array, " parameter"]) -> Alteration:
+    return Alteration(muscle=Bent(effect_sizes[0] * each))
 
 
-def _slower(each: Float[Array, " muscle"], amounts: Float[Array, " parameter"]) -> Alteration:
-    return Alteration(muscle=SlowerLettingGo(amounts[0] * each))
+def _slower(each: Float[Array, " muscle"], effect_sizes: Float[Array, " parameter"]) -> Alteration:
+    return Alteration(muscle=SlowerLettingGo(effect_sizes[0] * each))

@@ -52,6 +52,6 @@ def bound_pressure(context: Context) -> Effect | NotTestable:
 
 
 def _beyond(
-    outward: dict[str, Float[Array, "parameter muscle"]], amounts: Float[Array, " parameter"]
+    outward: dict[str, Float[Array, "parameter muscle"]], effect_sizes: Float[Array, " parameter"]
 ) -> Alteration:
-    return Alteration(muscle=Beyond({name: amounts @ table for name, table in outward.items()}))
+    return Alteration(muscle=Beyond({name: effect_sizes @ table for name, table in outward.items()}))

@@ -26,7 +26,7 @@ _REFLEX_DELAY = 0.06
 _THRESHOLDS = (0.0, 0.4)
 _FALISSE = "Falisse et al. 2018, doi:10.1371/journal.pone.0208811"
 
-Amounts = Float[Array, " parameter"]
+EffectSizes = Float[Array, " parameter"]
 
 
 class AddedExcitation(MuscleAlteration):
@@ -77,17 +77,19 @@ def missing_drive(context: Context) -> Effect | NotTestable:
     )
 
 
-def drive_over_cycle(amounts: Float[Array, " parameter"], frames: int) -> Float[Array, " frame"]:
+def drive_over_cycle(effect_sizes: Float[Array, " parameter"], frames: int) -> Float[Array, " frame"]:
     """Give the activation that amounts of `missing_drive` stand for, at the mean speed."""
-    return jnp.asarray(bumps(np.linspace(0.0, 1.0, frames), BUMPS)) @ amounts
+    return jnp.asarray(bumps(np.linspace(0.0, 1.0, frames), BUMPS)) @ effect_sizes
 
 
-def _peak(shape: Float[Array, "frame bump"], amounts: Amounts) -> Float[Array, "1"]:
-    return jnp.max(shape @ amounts)[None]
+def _peak(shape: Float[Array, "frame bump"], effect_sizes: EffectSizes) -> Float[Array, "1"]:
+    return jnp.max(shape @ effect_sizes)[None]
 
 
-def _driven(others: OtherMuscles, basis: Float[Array, "trial frame bump"], amounts: Amounts) -> Alteration:
-    activation = basis @ amounts
+def _driven(
+    others: OtherMuscles, basis: Float[Array, "trial frame bump"], effect_sizes: EffectSizes
+) -> Alteration:
+    activation = basis @ effect_sizes
     each = jnp.broadcast_to(activation, others.path.length.shape)
     return Alteration(moment=_active_moment(others, each))
 
@@ -126,9 +128,9 @@ def spasticity_unrecorded(context: Context) -> Effect | NotTestable:
 
 
 def _reflex_drive(
-    others: OtherMuscles, reflex: Float[Array, "muscle trial frame"], amounts: Amounts
+    others: OtherMuscles, reflex: Float[Array, "muscle trial frame"], effect_sizes: EffectSizes
 ) -> Alteration:
-    return Alteration(moment=_active_moment(others, amounts[0] * reflex))
+    return Alteration(moment=_active_moment(others, effect_sizes[0] * reflex))
 
 
 def spasticity_recorded(context: Context) -> Effect | NotTestable:
@@ -155,9 +157,9 @@ def spasticity_recorded(context: Context) -> Effect | NotTestable:
 def _added_reflex(
     belongs: Float[Array, "parameter muscle"],
     reflex: Float[Array, "muscle trial padded_frame"],
-    amounts: Amounts,
+    effect_sizes: EffectSizes,
 ) -> Alteration:
-    return Alteration(muscle=AddedExcitation((amounts @ belongs)[:, None, None] * reflex))
+    return Alteration(muscle=AddedExcitation((effect_sizes @ belongs)[:, None, None] * reflex))
 
 
 def _reflex(

@@ -103,17 +103,17 @@ class Variant(eqx.Module):
     label: str = eqx.field(static=True, default="")
 
 
-def _as_they_are(amounts: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
-    return amounts
+def _as_they_are(effect_sizes: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+    return effect_sizes
 
 
 def _placed(
     form: Form,
     places: Int[Array | np.ndarray, " own"],
     nothing: Float[Array, " parameter"],
-    amounts: Float[Array, " own"],
+    effect_sizes: Float[Array, " own"],
 ) -> Alteration:
-    return form(nothing.at[places].set(amounts))
+    return form(nothing.at[places].set(effect_sizes))
 
 
 class Effect(eqx.Module):
@@ -150,9 +150,9 @@ class Effect(eqx.Module):
             tuple(number for number, own in enumerate(names) if own == name) for name in dict.fromkeys(names)
         )
 
-    def only(self, amounts: Sequence[int]) -> Effect:
+    def only(self, effect_sizes: Sequence[int]) -> Effect:
         """Keep some amounts, by their numbers; the others stay zero."""
-        chosen, count = np.asarray(amounts, dtype=int), len(self.parameters)
+        chosen, count = np.asarray(effect_sizes, dtype=int), len(self.parameters)
         if len(chosen) == count:
             return self
         variants = tuple(
@@ -170,14 +170,14 @@ class Effect(eqx.Module):
         )
         return replace(self, parameters=parameters)
 
-    def alteration(self, amounts: Float[Array, " parameter"], variant: int = 0) -> Alteration:
+    def alteration(self, effect_sizes: Float[Array, " parameter"], variant: int = 0) -> Alteration:
         """Say what is different in the model at these amounts."""
-        return self.variants[variant].form(amounts)
+        return self.variants[variant].form(effect_sizes)
 
-    def readings(self, amounts: Float[Array, " parameter"]) -> dict[str, Float[Array, ""]]:
+    def readings(self, effect_sizes: Float[Array, " parameter"]) -> dict[str, Float[Array, ""]]:
         """Turn amounts into what is reported, by name, in physical units."""
         names = [name for name, _ in self.reported] or [entry.name for entry in self.parameters]
-        return dict(zip(names, self.reading(amounts), strict=True))
+        return dict(zip(names, self.reading(effect_sizes), strict=True))
 
 
 @dataclass(frozen=True)
@@ -196,12 +196,12 @@ class NotTestable:
     reason: str
 
 
-def split_amounts(
-    amounts: Float[Array, "*row amount"], counts: Sequence[int]
+def split_effect_sizes(
+    effect_sizes: Float[Array, "*row amount"], counts: Sequence[int]
 ) -> tuple[Float[Array, "*row _"], ...]:
     """Cut the amounts of several effects, or rows of them, into each effect's own."""
     ends = np.cumsum([0, *counts])
-    return tuple(amounts[..., first:last] for first, last in itertools.pairwise(ends))
+    return tuple(effect_sizes[..., first:last] for first, last in itertools.pairwise(ends))
 
 
 class Effects(eqx.Module):
@@ -261,13 +261,13 @@ class Effects(eqx.Module):
             effect.variants[number].form for effect, number in zip(self.members, chosen, strict=True)
         )
 
-    def alterations(self, amounts: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
+    def alterations(self, effect_sizes: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
         """Say what is different in the model at these amounts."""
-        return tuple(form(own) for form, own in zip(self.forms, self.split(amounts), strict=True))
+        return tuple(form(own) for form, own in zip(self.forms, self.split(effect_sizes), strict=True))
 
-    def split(self, amounts: Float[Array, " parameter"]) -> tuple[Float[Array, " _"], ...]:
+    def split(self, effect_sizes: Float[Array, " parameter"]) -> tuple[Float[Array, " _"], ...]:
         """Hand each effect its own amounts."""
-        return split_amounts(amounts, self.counts)
+        return split_effect_sizes(effect_sizes, self.counts)
 
     @property
     def parameters(self) -> list[EffectParameter]:

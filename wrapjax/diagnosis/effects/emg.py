@@ -26,7 +26,7 @@ _LEFT_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _SMOOTHED) ** 2)) **
 #: Which power of the knot's time stands last in a spline's coefficients.
 _CONSTANT = 3
 
-Amounts = Float[Array, " parameter"]
+EffectSizes = Float[Array, " parameter"]
 
 
 class AlteredGain(MuscleAlteration):
@@ -67,10 +67,10 @@ def _drift(
     channel_of: Int[Array, " muscle"],
     order: Float[Array, " trial"],
     middle: Float[Array, ""],
-    amounts: Amounts,
+    effect_sizes: EffectSizes,
 ) -> Alteration:
     """Undo what the recorded gain has become since the middle of the session."""
-    change = amounts[channel_of][:, None]
+    change = effect_sizes[channel_of][:, None]
     return Alteration(emg=Partial(_with_gain, (1.0 + change * middle) / (1.0 + change * order[None])))
 
 
@@ -97,8 +97,8 @@ def emg_offset(context: Context) -> Effect:
     return Effect("emg_offset", "excitation", parameters, (Variant(form),))
 
 
-def _offset(channel_of: Int[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(emg=Partial(_less, amounts[channel_of]))
+def _offset(channel_of: Int[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(emg=Partial(_less, effect_sizes[channel_of]))
 
 
 def _less(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:
@@ -125,8 +125,8 @@ def emg_smoothing(context: Context) -> Effect:
     return Effect("emg_smoothing", "excitation", (parameter,), (Variant(form),), nuisance=True)
 
 
-def _sharper(amounts: Amounts) -> Alteration:
-    return Alteration(emg=Partial(_quicker, amounts[0] / _LEFT_AT_6_HZ))
+def _sharper(effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(emg=Partial(_quicker, effect_sizes[0] / _LEFT_AT_6_HZ))
 
 
 def _quicker(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
@@ -171,10 +171,10 @@ def _crosstalk(
     channel_of: Int[Array, " muscle"],
     into: Int[Array, " pair"],
     source: Int[Array, " pair"],
-    amounts: Amounts,
+    effect_sizes: EffectSizes,
 ) -> Alteration:
     """Subtract by channel; the muscle of each source stands for its channel."""
-    heard = jnp.zeros((channel_of.size, channel_of.size)).at[into, source].add(amounts)
+    heard = jnp.zeros((channel_of.size, channel_of.size)).at[into, source].add(effect_sizes)
     return Alteration(emg=Partial(_without, heard[channel_of]))
 
 
@@ -219,9 +219,11 @@ def posture_dependent_gain(context: Context) -> Effect:
 
 
 def _posture(
-    channel_of: Int[Array, " muscle"], shape: Float[Array, "muscle trial padded_frame"], amounts: Amounts
+    channel_of: Int[Array, " muscle"],
+    shape: Float[Array, "muscle trial padded_frame"],
+    effect_sizes: EffectSizes,
 ) -> Alteration:
-    return Alteration(muscle=AlteredGain(1.0 + amounts[channel_of][:, None, None] * shape))
+    return Alteration(muscle=AlteredGain(1.0 + effect_sizes[channel_of][:, None, None] * shape))
 
 
 def speed_dependent_delay(context: Context) -> Effect | NotTestable:
@@ -245,8 +247,10 @@ def speed_dependent_delay(context: Context) -> Effect | NotTestable:
     return Effect("speed_dependent_delay", "excitation", (parameter,), (Variant(form),))
 
 
-def _by_cycle(each: Float[Array, " muscle"], share: Float[Array, " trial"], amounts: Amounts) -> Alteration:
-    return Alteration(emg=Partial(later, amounts[0] * each[:, None] * share[None]))
+def _by_cycle(
+    each: Float[Array, " muscle"], share: Float[Array, " trial"], effect_sizes: EffectSizes
+) -> Alteration:
+    return Alteration(emg=Partial(later, effect_sizes[0] * each[:, None] * share[None]))
 
 
 def later(lag: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:

@@ -89,7 +89,7 @@ class PassiveShift(_Bent):
         return self.plain.passive_force(length + self.shift)
 
 
-Amounts = Float[Array, " parameter"]
+EffectSizes = Float[Array, " parameter"]
 
 #: Memories of residual force enhancement, s.
 _MEMORIES = (0.25, 0.5)
@@ -133,12 +133,12 @@ def slow_fibers(context: Context) -> Effect:
     )
 
 
-def _factor(amounts: Amounts) -> Amounts:
-    return jnp.exp(-amounts)
+def _factor(effect_sizes: EffectSizes) -> EffectSizes:
+    return jnp.exp(-effect_sizes)
 
 
-def _slow(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=SlowFibers(amounts[0] * each))
+def _slow(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(muscle=SlowFibers(effect_sizes[0] * each))
 
 
 class LengthByActivation(MuscleAlteration):
@@ -168,8 +168,8 @@ def activation_dependent_fiber_length(context: Context) -> Effect:
     return Effect("activation_dependent_fiber_length", "fiber", (parameter,), (Variant(form),))
 
 
-def _by_activation(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=LengthByActivation(amounts[0] * each))
+def _by_activation(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(muscle=LengthByActivation(effect_sizes[0] * each))
 
 
 class OtherCurves(MuscleAlteration):
@@ -223,11 +223,11 @@ def curve_family(context: Context) -> Effect:
     )
 
 
-def _other_curves(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
+def _other_curves(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
     widths, strains, (curvature, plateau, width, strain, shift) = (
-        amounts[: each.size],
-        amounts[each.size : 2 * each.size],
-        amounts[2 * each.size :],
+        effect_sizes[: each.size],
+        effect_sizes[each.size : 2 * each.size],
+        effect_sizes[2 * each.size :],
     )
     return Alteration(
         muscle=OtherCurves(
@@ -293,9 +293,9 @@ def force_enhancement(context: Context) -> Effect:
     return Effect("force_enhancement", "fiber", parameters, variants)
 
 
-def _history(memory: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
+def _history(memory: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
     each = jnp.ones_like(memory)
-    return Alteration(muscle=History(amounts[0] * each, amounts[1] * each, memory))
+    return Alteration(muscle=History(effect_sizes[0] * each, effect_sizes[1] * each, memory))
 
 
 class ShortRange(MuscleAlteration):
@@ -339,8 +339,8 @@ def short_range_stiffness(context: Context) -> Effect:
     return Effect("short_range_stiffness", "fiber", (parameter,), (Variant(form),), negative_control=True)
 
 
-def _short_range(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=ShortRange(amounts[0] * each))
+def _short_range(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(muscle=ShortRange(effect_sizes[0] * each))
 
 
 class Contracted(MuscleAlteration):
@@ -381,8 +381,8 @@ def contracture(context: Context) -> Effect | NotTestable:
     return Effect("contracture", "fiber", parameters, (Variant(form),))
 
 
-def _contracted(belongs: Float[Array, "parameter muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=Contracted(amounts @ belongs))
+def _contracted(belongs: Float[Array, "parameter muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(muscle=Contracted(effect_sizes @ belongs))
 
 
 def _fiber_velocity(fiber: FiberState, inputs: MuscleInputs) -> Float[Array, "trial frame"]:

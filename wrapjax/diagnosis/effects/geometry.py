@@ -42,9 +42,9 @@ def _of_changes(id: str, changes: PathChanges, what: str, source: str) -> Effect
     return Effect(id, "geometry", parameters, (Variant(Partial(_moved, changes)),))
 
 
-def _moved(changes: PathChanges, amounts: Float[Array, " parameter"]) -> Alteration:
+def _moved(changes: PathChanges, effect_sizes: Float[Array, " parameter"]) -> Alteration:
     places = jnp.asarray(changes.places)
-    own = jnp.where(places >= 0, amounts[places], 0.0)
+    own = jnp.where(places >= 0, effect_sizes[places], 0.0)
     changed, unchanged = changes.paths(own), changes.paths(jnp.zeros_like(own))
     return Alteration(paths=Partial(added_to_paths, jax.tree.map(jnp.subtract, changed, unchanged)))
 

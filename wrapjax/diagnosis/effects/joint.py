@@ -199,6 +199,6 @@ def _linear(basis: Basis) -> Partial:
 
 
 def _weighted(
-    basis: Float[Array, "parameter trial coordinate frame"], amounts: Float[Array, " parameter"]
+    basis: Float[Array, "parameter trial coordinate frame"], effect_sizes: Float[Array, " parameter"]
 ) -> Alteration:
-    return Alteration(moment=jnp.tensordot(amounts, basis, axes=1))
+    return Alteration(moment=jnp.tensordot(effect_sizes, basis, axes=1))

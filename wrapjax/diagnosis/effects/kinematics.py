@@ -17,7 +17,7 @@ from wrapjax.diagnosis.effects.periodic import bell
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 
-Amounts = Float[Array, " parameter"]
+EffectSizes = Float[Array, " parameter"]
 
 #: When in the cycle skin slides most, by what happens then.
 _SLIDES = {"loading": 0.10, "early swing": 0.70}
@@ -35,16 +35,16 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
     if context.paths_by_angle is None:
         return NotTestable("soft_tissue_artifact", "paths are not known as a function of joint angles")
 
-    def amount(name: str, unit: str, part: str, meaning: str) -> EffectParameter:
+    def effect_size(name: str, unit: str, part: str, meaning: str) -> EffectParameter:
         source = "thigh 10, shank 7 degrees: PMC8631460"
         return EffectParameter(name, unit, 0.06, 0, f"error of {part} {meaning}", source, 0.3, part)
 
     names = context.coordinates
-    amounts = [
-        *(amount(f"slide_{name}", "rad", name, "where it is largest") for name in names),
-        *(amount(f"share_{name}", "1", name, "as a share of the angle") for name in names),
+    effect_sizes = [
+        *(effect_size(f"slide_{name}", "rad", name, "where it is largest") for name in names),
+        *(effect_size(f"share_{name}", "1", name, "as a share of the angle") for name in names),
         *(
-            amount(
+            effect_size(
                 f"share_of_{names[other]}_in_{names[row]}",
                 "1",
                 names[row],
@@ -66,7 +66,7 @@ def soft_tissue_artifact(context: Context) -> Effect | NotTestable:
         )
         for when, shape in sliding(context.phase).items()
     )
-    return Effect("soft_tissue_artifact", "kinematics", tuple(amounts), variants)
+    return Effect("soft_tissue_artifact", "kinematics", tuple(effect_sizes), variants)
 
 
 def dragged_by(coordinates: Sequence[str]) -> tuple[int, ...]:
@@ -110,9 +110,9 @@ def _misread(
     angles: Float[Array, "kind trial coordinate frame"],
     rates: Float[Array, "kind trial coordinate frame"],
     change: MeasuredChange | None,
-    amounts: Amounts,
+    effect_sizes: EffectSizes,
 ) -> Alteration:
-    own = amounts.reshape(len(angles), -1)
+    own = effect_sizes.reshape(len(angles), -1)
     # Bones lag behind what was recorded by the error.
     angle, rate = (-jnp.einsum("kc,ktcf->tcf", own, errors) for errors in (angles, rates))
     length, velocity, arm = (
@@ -123,7 +123,7 @@ def _misread(
     velocity -= jnp.einsum("tcf,mtcf->mtf", rate, moment_arm)
     return Alteration(
         paths=Partial(added_to_paths, PathState(length, velocity, arm)),
-        moment=None if change is None else change(amounts),
+        moment=None if change is None else change(effect_sizes),
     )
 
 
@@ -151,6 +151,6 @@ def event_jitter(context: Context) -> Effect | NotTestable:
 
 
 def _jitter(
-    each: Float[Array, " muscle"], durations: Float[Array, "trial parameter"], amounts: Amounts
+    each: Float[Array, " muscle"], durations: Float[Array, "trial parameter"], effect_sizes: EffectSizes
 ) -> Alteration:
-    return Alteration(emg=Partial(later, each[:, None] * (durations @ amounts)[None]))
+    return Alteration(emg=Partial(later, each[:, None] * (durations @ effect_sizes)[None]))

@@ -164,9 +164,9 @@ def _paths_of(id: str, shape: str, context: Context) -> PathState | None:
 
 
 def _added(
-    change: MeasuredChange, slopes: PathState | None, amounts: Float[Array, " parameter"]
+    change: MeasuredChange, slopes: PathState | None, effect_sizes: Float[Array, " parameter"]
 ) -> Alteration:
     if slopes is None:
-        return Alteration(moment=change(amounts))
-    by_amounts = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", amounts, leaf), slopes)
-    return Alteration(moment=change(amounts), paths=Partial(added_to_paths, by_amounts))
+        return Alteration(moment=change(effect_sizes))
+    by_amounts = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", effect_sizes, leaf), slopes)
+    return Alteration(moment=change(effect_sizes), paths=Partial(added_to_paths, by_amounts))

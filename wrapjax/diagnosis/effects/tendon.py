@@ -14,7 +14,7 @@ from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration, CompliantTendon
 from wrapjax.subject.muscle_groups import SPASTIC_GROUPS
 
-Amounts = Float[Array, " parameter"]
+EffectSizes = Float[Array, " parameter"]
 
 #: How many times the strain of other tendons that of the plantar flexors is.
 _ACHILLES = {"all tendons alike": 1.0, "plantar flexors 2.5 times": 2.5}
@@ -41,8 +41,8 @@ def tendon_compliance(context: Context) -> Effect:
     return Effect("tendon_compliance", "tendon", (parameter,), kept)
 
 
-def _compliant(each: Float[Array, " muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(muscle=CompliantTendon(amounts[0] * each))
+def _compliant(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(muscle=CompliantTendon(effect_sizes[0] * each))
 
 
 def force_sharing(context: Context) -> Effect | NotTestable:
@@ -78,8 +78,8 @@ def force_sharing(context: Context) -> Effect | NotTestable:
     return Effect("force_sharing", "tendon", parameters, (Variant(form),))
 
 
-def _shared(shares: Float[Array, "parameter muscle muscle"], amounts: Amounts) -> Alteration:
-    return Alteration(paths=Partial(_along_others, jnp.tensordot(amounts, shares, axes=1)))
+def _shared(shares: Float[Array, "parameter muscle muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(paths=Partial(_along_others, jnp.tensordot(effect_sizes, shares, axes=1)))
 
 
 def _along_others(shares: Float[Array, "muscle muscle"], paths: PathState) -> PathState:

@@ -106,9 +106,9 @@ def _structure(model_file: Path) -> _Structure:
 
 
 def _along(
-    slopes: Float[Array, "parameter trial coordinate frame"], amounts: Float[Array, " parameter"]
+    slopes: Float[Array, "parameter trial coordinate frame"], effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
-    return jnp.tensordot(amounts, slopes, axes=1)
+    return jnp.tensordot(effect_sizes, slopes, axes=1)
 
 
 def _files_lack(subject: Subject) -> str:

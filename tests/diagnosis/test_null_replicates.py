@@ -12,7 +12,7 @@ from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis import null_replicates
 from wrapjax.diagnosis.linearization import (
-    LinearGap,
+    LinearizedModel,
     expectations,
     moment_slopes,
     phase_frames,
@@ -20,12 +20,12 @@ from wrapjax.diagnosis.linearization import (
 )
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors, input_blocks
 from wrapjax.diagnosis.null_replicates import (
+    NullModel,
     TwinCurves,
-    TwinWorld,
     _twin_moments,
     _with_arms,
     _with_noise,
-    twin_residuals,
+    null_replicate_residuals,
 )
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga
@@ -90,7 +90,7 @@ def world():
     spread, away = expectations(problem, start)
     fitted = np.random.default_rng(0).normal(size=slopes.shape[1:])
     cycles, coordinates, phases = fitted.shape
-    gap = LinearGap(
+    gap = LinearizedModel(
         residual=fitted + np.tensordot(away, slopes, axes=1),
         fitted=fitted,
         slopes=slopes,
@@ -104,14 +104,14 @@ def world():
         ),
         speeds=speed_numbers(context.speeds),
     )
-    return TwinWorld(problem, np.asarray(start), recording, gap, noise_of_width(np.eye(coordinates), 0.05))
+    return NullModel(problem, np.asarray(start), recording, gap, noise_of_width(np.eye(coordinates), 0.05))
 
 
 def test_equal_seeds_give_equal_twins(world):
     """All different from each other; a twin is the same however many there are."""
-    two = twin_residuals(world, 2, seed=3)
-    np.testing.assert_array_equal(twin_residuals(world, 2, seed=3), two)
-    other = twin_residuals(world, 2, seed=4)
+    two = null_replicate_residuals(world, 2, seed=3)
+    np.testing.assert_array_equal(null_replicate_residuals(world, 2, seed=3), two)
+    other = null_replicate_residuals(world, 2, seed=4)
     assert np.isfinite(two).all()
     assert two.shape == (2, world.gap.residual.size)
     everyone = np.concatenate([two, other])
@@ -131,7 +131,7 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
     monkeypatch.setattr(null_replicates, "PARAMETER_ERROR", 0.02)
     gap = replace(world.gap, fitted=0.01 * world.gap.fitted)
     silent = replace(world, gap=gap, noise=noise_of_width(1e-9 * np.eye(3), 0.05))
-    residuals = twin_residuals(silent, 2, seed=3)
+    residuals = null_replicate_residuals(silent, 2, seed=3)
     basis = np.linalg.qr(gap.slopes.reshape(len(gap.slopes), -1).T)[0]
     frames = phase_frames(lived[0].shape[-1])
     expected = _along(world)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.error_budget import binned, gap_map
+from wrapjax.diagnosis.error_budget import binned, repeatable_error_map
 
 CYCLES, COORDINATES, FRAMES = 6, 3, 101
 SPEEDS = np.repeat([0, 1], CYCLES)
@@ -13,8 +13,8 @@ PHASE = np.linspace(0.0, 2.0 * np.pi, FRAMES)
 def repeating(generator):
     """What repeats, smooth over the cycle; at the second speed a little other than at the first."""
     waves = np.stack([np.sin(PHASE), np.cos(2.0 * PHASE), np.sin(3.0 * PHASE)])
-    amounts = generator.normal(size=(COORDINATES, 3))
-    return np.stack([amounts, amounts + 0.2 * generator.normal(size=amounts.shape)]) @ waves
+    effect_sizes = generator.normal(size=(COORDINATES, 3))
+    return np.stack([effect_sizes, effect_sizes + 0.2 * generator.normal(size=effect_sizes.shape)]) @ waves
 
 
 def noisy(generator, sd):
@@ -26,7 +26,7 @@ def noisy(generator, sd):
 def test_without_noise_the_map_is_what_repeats():
     """Alike at both speeds, for the speeds' means are drawn together."""
     mean = np.broadcast_to(repeating(np.random.default_rng(0))[:1], (2, COORDINATES, FRAMES))
-    found = gap_map(mean[SPEEDS], SPEEDS, np.zeros_like(mean))
+    found = repeatable_error_map(mean[SPEEDS], SPEEDS, np.zeros_like(mean))
     np.testing.assert_allclose(found, np.sqrt(binned(mean**2)), rtol=1e-9)
 
 
@@ -39,7 +39,7 @@ def test_noise_is_not_on_the_map(sd):
         mean = repeating(generator)
         cycles = mean[SPEEDS] + noisy(generator, sd)
         own = np.stack([cycles[speed == SPEEDS].mean(axis=0) for speed in (0, 1)])
-        found = gap_map(cycles, SPEEDS, np.full(mean.shape, sd**2))
+        found = repeatable_error_map(cycles, SPEEDS, np.full(mean.shape, sd**2))
         true = np.sqrt(binned(mean**2))
         errors += np.sum((found - true) ** 2)
         plain += np.sum((np.sqrt(binned(own**2)) - true) ** 2)
@@ -51,17 +51,19 @@ def test_noise_is_not_on_the_map(sd):
 
 def test_noise_alone_leaves_little():
     generator = np.random.default_rng(1)
-    found = gap_map(noisy(generator, 1.0), SPEEDS, np.ones((2, COORDINATES, FRAMES)))
+    found = repeatable_error_map(noisy(generator, 1.0), SPEEDS, np.ones((2, COORDINATES, FRAMES)))
     assert np.sqrt(np.mean(found**2)) < 0.5 / np.sqrt(CYCLES) and np.isfinite(found).all()
 
 
 def test_no_part_is_larger_than_the_whole():
     """An error at one speed alone is not seen at the other."""
     cycles = np.where(SPEEDS[:, None, None] == 0, 0.0, np.ones((2 * CYCLES, COORDINATES, FRAMES)))
-    found = gap_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES)))
+    found = repeatable_error_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES)))
     assert found[0].max() == 0.0 and found[1].min() > 0.9 and found[1].max() <= 1.0
 
 
 def test_where_there_is_nothing_the_map_is_empty():
     cycles = np.zeros((2 * CYCLES, COORDINATES, FRAMES))
-    np.testing.assert_array_equal(gap_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES))), 0.0)
+    np.testing.assert_array_equal(
+        repeatable_error_map(cycles, SPEEDS, np.zeros((2, COORDINATES, FRAMES))), 0.0
+    )

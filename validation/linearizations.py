@@ -1,6 +1,6 @@
 """Straight lines of a bank's cases, kept so that constants of the score can be tried in seconds.
 
-``python -m validation.lines --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
+``python -m validation.linearizations --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
 `wrapjax.diagnosis.linearization`) and keeps them, one file a case. Nothing is scored or refitted here, and
 the truth is not looked at. `development_lines` gives lines with it, of development banks alone.
 """
@@ -22,7 +22,7 @@ from benchmarks.machine import pin_threads
 from validation.banks import cases_of, development_truth
 from validation.blind.lot import add_lot, lot_of
 from wrapjax.cohorts.scheduling import run_everywhere
-from wrapjax.diagnosis.linearization import LinearGap
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
 from wrapjax.diagnosis.projection import Candidate
 from wrapjax.errors import InputError, Problem
@@ -36,7 +36,7 @@ _ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speed
 class Lines:
     """A case's straight lines, and standard deviations of its measured moments (N m)."""
 
-    gap: LinearGap
+    gap: LinearizedModel
     sizes: Float[np.ndarray, " coordinate"]
 
 
@@ -72,8 +72,8 @@ def main() -> int:
 def draw(job: Job) -> str:
     """Calibrate a case and keep its straight lines."""
     import wrapjax
-    from wrapjax.diagnosis.diagnosis import investigation
-    from wrapjax.diagnosis.pipeline import straight_lines
+    from wrapjax.diagnosis.diagnosis import diagnosis_input
+    from wrapjax.diagnosis.pipeline import linearize_effects
     from wrapjax.jax_setup import forget_if_crowded, set_up_jax
 
     set_up_jax()
@@ -81,8 +81,8 @@ def draw(job: Job) -> str:
     calibration = wrapjax.calibrate(
         subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
     )
-    case = investigation(calibration)
-    _, _, gap = straight_lines(case, case.variables)
+    case = diagnosis_input(calibration)
+    _, _, gap = linearize_effects(case, case.variables)
     save(Lines(gap, case.measured_sizes), job.file)
     forget_if_crowded()
     return f"{len(gap.candidates)} effects"
@@ -123,7 +123,7 @@ def load(file: Path) -> Lines:
         for place, told in enumerate(json.loads(str(arrays["candidates"])))
     )
     inputs = sum(name.startswith("input_") for name in arrays)
-    gap = LinearGap(
+    gap = LinearizedModel(
         **{name: arrays[name] for name in _ARRAYS},
         candidates=candidates,
         input_errors=tuple(
@@ -147,7 +147,9 @@ def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any],
     """
     files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
     if not files:
-        raise InputError(Problem(str(lines), "no lines", hint="draw them with python -m validation.lines"))
+        raise InputError(
+            Problem(str(lines), "no lines", hint="draw them with python -m validation.linearizations")
+        )
     truths = [development_truth(bank, file.stem) for file in files]
     for file, truth in zip(files, truths, strict=True):
         try:
@@ -161,7 +163,7 @@ def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any],
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.lines", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.linearizations", description=__doc__)
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from validation.lines import Lines
-from wrapjax.diagnosis.linearization import LinearGap
+from validation.linearizations import Lines
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import MuscleErrors
 from wrapjax.diagnosis.projection import Candidate
 
@@ -18,7 +18,7 @@ def lines(signal, signatures, *, calibrated=None):
     """
     generator = np.random.default_rng(1)
     rows = signal.transpose(0, 2, 1)
-    gap = LinearGap(
+    gap = LinearizedModel(
         residual=rows + generator.normal(size=SHAPE),
         fitted=generator.normal(size=SHAPE),
         slopes=np.zeros((1, *SHAPE)) if calibrated is None else calibrated.transpose(0, 2, 1)[None],

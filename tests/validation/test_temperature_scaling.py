@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation import tempering
+from validation import temperature_scaling
 from validation.banks import SEALED
 from validation.known_cases import Scored, ranking
-from validation.tempering import constants, main, surprise, tempered
-from wrapjax.diagnosis.verdict import Tuning, probabilities
+from validation.temperature_scaling import read_constants, main, surprise, tempered
+from wrapjax.diagnosis.verdict import DecisionConstants, probabilities
 
 EFFECTS = tuple(f"effect_{number}" for number in range(6))
 
@@ -37,11 +37,11 @@ def cases():
 
 @pytest.fixture(scope="module")
 def found(cases):
-    return tempered(cases, replace(Tuning.shipped(), alarm=0.0))
+    return tempered(cases, replace(DecisionConstants.shipped(), detection_threshold=0.0))
 
 
 def test_boldness_is_found(cases, found):
-    start = Tuning.shipped()
+    start = DecisionConstants.shipped()
     # Evidence of 4 beside a deviation of 1 is worth its square's half for each nat: a quarter of it.
     assert 0.5 < found.temperature < 1.2
     assert surprise(cases, found) < 0.7 * surprise(cases, start)
@@ -62,7 +62,7 @@ def test_probabilities_come_true(cases, found):
 
 def test_the_alarm_is_rarely_reached_where_nothing_is_amiss(cases, found):
     nothing = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
-    assert np.sum(np.array(nothing) > found.alarm) == 1
+    assert np.sum(np.array(nothing) > found.detection_threshold) == 1
     unknown = [one.structured > found.structured_offset for one in cases if one.truth["tier"] == "none"]
     assert np.mean(unknown) == pytest.approx(0.1)
 
@@ -78,15 +78,15 @@ def test_the_alarm_is_that_of_the_worst_family(cases):
         for number, one in enumerate(cases)
     ]
     loud = [one for one in families if one.truth["world"] == "loud"]
-    start = Tuning.shipped()
-    assert tempered(families, start).alarm == tempered(loud, start).alarm
+    start = DecisionConstants.shipped()
+    assert tempered(families, start).detection_threshold == tempered(loud, start).detection_threshold
 
 
 def test_any_of_what_the_simulator_cannot_tell_apart_is_right():
     truth = {"tier": "single", "causes": [{"id": "effect_0"}], "ties": ["effect_1"]}
     evidence = {"effect_0": 3.0, "effect_1": 3.0, "effect_2": -10.0}
     one = Scored(truth, evidence, -50.0)
-    own = probabilities(evidence, -50.0, Tuning.shipped())
+    own = probabilities(evidence, -50.0, DecisionConstants.shipped())
     assert one.right(own) == pytest.approx(own.effects["effect_0"] + own.effects["effect_1"])
     assert Scored({**truth, "tier": "pair"}, evidence, 0.0).right(own) is None
 
@@ -118,13 +118,13 @@ def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, mon
     truth = {"d_star": 4.0, "emg_noise": 0.1}
     for one in cases:
         one.truth.update(truth)
-    monkeypatch.setattr(tempering, "read", lambda bank, lines: cases)
+    monkeypatch.setattr(temperature_scaling, "read", lambda bank, lines: cases)
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     out = tmp_path / "constants.json"
     assert _run(monkeypatch, tmp_path, "--out", str(out)) == 0
     told = capsys.readouterr().out
     assert told.startswith("right cause first") and "tempered: temperature" in told
-    found, shipped = constants(out), Tuning.shipped()
+    found, shipped = constants(out), DecisionConstants.shipped()
     assert (found.bank, found.set_level) == (shipped.bank, shipped.set_level)
     assert found.sha256 != shipped.sha256 and found.temperature != shipped.temperature
     assert _run(monkeypatch, tmp_path, "--constants", str(out)) == 0

@@ -7,7 +7,7 @@ import pytest
 from wrapjax.calibration.solvers.augmented_lagrangian import ConstrainedSolution
 from wrapjax.calibration.solvers.interface import Linearization, Status
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.diagnosis.convergence_check import certify, conflict, decrement_of, unfinished
+from wrapjax.diagnosis.convergence_check import check_convergence, conflict, decrement_of, unfinished
 
 
 def ended(*costs, status=Status.cost):
@@ -30,7 +30,7 @@ def quadratic(gradient, curvature):
 
 
 def test_a_good_fit_holds():
-    got = certify(ended(1.003, 1.0, 2.0), 0.001, 1.0, {"by_half": {"emg_scale": 0.7}})
+    got = check_convergence(ended(1.003, 1.0, 2.0), 0.001, 1.0, {"by_half": {"emg_scale": 0.7}})
     assert got.problems == ()
     assert got.holds
     assert got.costs == (1.0, 1.003, 2.0)
@@ -52,28 +52,28 @@ def test_a_good_fit_holds():
     ],
 )
 def test_every_problem_is_found(outcomes, decrement, explainable, words):
-    got = certify(outcomes, decrement, explainable, {})
+    got = check_convergence(outcomes, decrement, explainable, {})
     assert not got.holds
     (problem,) = got.problems
     assert words in problem
 
 
 def test_all_problems_are_told():
-    got = certify(ended(1.0, 1.5, status=Status.iterations), 0.5, 1.0, {})
+    got = check_convergence(ended(1.0, 1.5, status=Status.iterations), 0.5, 1.0, {})
     assert len(got.problems) == 3
 
 
 def test_a_start_that_failed_is_no_rival():
     """Wherever it stands among the others."""
     for costs in ((np.nan, 1.0, 1.001), (1.001, np.nan, 1.0), (1.001, 1.0, np.nan)):
-        got = certify(ended(*costs), 0.0, 1.0, {})
+        got = check_convergence(ended(*costs), 0.0, 1.0, {})
         assert got.problems == ()
         assert got.costs[:2] == (1.0, 1.001)
         assert got.spread == pytest.approx(0.001)
 
 
 def test_where_nothing_can_be_explained_nothing_can_be_won():
-    assert certify(ended(1.0, 1.0), 0.1, 0.0, {}).decrement == 0.0
+    assert check_convergence(ended(1.0, 1.0), 0.1, 0.0, {}).decrement == 0.0
 
 
 def test_what_was_not_looked_at_says_why():

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import least_squares
 
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, Linearization, Status
-from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLM
+from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
 
 class Dense(AbstractLeastSquares):
@@ -65,7 +65,7 @@ def exponentials(seed: int, muscles: int = 5) -> tuple[Dense, np.ndarray]:
 @pytest.mark.parametrize("seed", range(6))
 def test_cost_and_active_set_equal_scipy(seed):
     problem, start = exponentials(seed)
-    ours = ProjectedLM().solve(problem, start)
+    ours = ProjectedLevenbergMarquardt().solve(problem, start)
     theirs = least_squares(
         jax.jit(problem.function),
         start,
@@ -111,7 +111,7 @@ def test_linear_problems_reach_the_bounded_optimum(seed):
     generator = np.random.default_rng(seed)
     matrix = jnp.asarray(generator.normal(size=(12, 6)))
     target = jnp.asarray(3 * generator.normal(size=12))
-    solver = ProjectedLM(gtol=1e-9, ftol=0, xtol=0)
+    solver = ProjectedLevenbergMarquardt(gtol=1e-9, ftol=0, xtol=0)
     found = solver.solve(Linear(matrix, target), 5 * generator.normal(size=6))
     x, gradient = found.variables, matrix.T @ (matrix @ found.variables - target)
     assert found.status is Status.gradient
@@ -123,7 +123,9 @@ def test_linear_problems_reach_the_bounded_optimum(seed):
 def test_cost_never_rises_and_log_is_complete():
     problem, start = exponentials(1)
     seen = []
-    found = ProjectedLM().solve(problem, start, lambda iteration, state: seen.append(iteration))
+    found = ProjectedLevenbergMarquardt().solve(
+        problem, start, lambda iteration, state: seen.append(iteration)
+    )
     costs = [iteration.cost for iteration in found.history]
     assert (np.diff(costs) <= 0).all()
     assert tuple(seen) == found.history
@@ -140,7 +142,7 @@ def test_interrupting_returns_the_best_so_far(last):
         if iteration.number == last:
             raise KeyboardInterrupt
 
-    found = ProjectedLM().solve(problem, start, stop)
+    found = ProjectedLevenbergMarquardt().solve(problem, start, stop)
     assert found.status is Status.interrupted and not found.status.converged
     assert found.iterations == last and found.cost == found.history[last].cost
     assert last == 0 or found.cost < found.history[0].cost
@@ -148,25 +150,25 @@ def test_interrupting_returns_the_best_so_far(last):
 
 def test_reaching_the_limit_is_not_convergence():
     problem, start = exponentials(3)
-    found = ProjectedLM(max_iterations=1).solve(problem, start)
+    found = ProjectedLevenbergMarquardt(max_iterations=1).solve(problem, start)
     assert found.status is Status.iterations and not found.status.converged
     assert "max_iterations" in found.status.value
 
 
 def test_start_outside_the_bounds_is_moved_inside():
     problem, start = exponentials(4)
-    found = ProjectedLM().solve(problem, start + 10)
+    found = ProjectedLevenbergMarquardt().solve(problem, start + 10)
     assert (found.variables <= 1).all() and found.status.converged
 
 
 def test_cost_that_is_not_finite_is_said_so():
     problem = dense(lambda x: jnp.log(x - 2.0), jnp.zeros(1), jnp.ones(1))
-    assert ProjectedLM().solve(problem, np.full(1, 0.5)).status is Status.not_finite
+    assert ProjectedLevenbergMarquardt().solve(problem, np.full(1, 0.5)).status is Status.not_finite
 
 
 def test_starting_at_the_optimum_takes_no_iteration():
     problem = dense(lambda x: x - 0.25, jnp.zeros(2), jnp.ones(2))
-    found = ProjectedLM().solve(problem, np.full(2, 0.25))
+    found = ProjectedLevenbergMarquardt().solve(problem, np.full(2, 0.25))
     assert found.status is Status.gradient and found.iterations == 0
 
 
@@ -179,7 +181,7 @@ def test_exact_hessian_converges_where_gauss_newton_crawls():
         -2 * jnp.ones(2),
         2 * jnp.ones(2),
     )
-    found = ProjectedLM(gtol=1e-10, ftol=0, xtol=0).solve(problem, np.array([0.3, 0.4]))
+    found = ProjectedLevenbergMarquardt(gtol=1e-10, ftol=0, xtol=0).solve(problem, np.array([0.3, 0.4]))
     assert found.status is Status.gradient and found.iterations < 30
 
 
@@ -187,6 +189,8 @@ def test_steps_are_compiled_once():
     """A state of another type than the step returns (weakly typed, say) is compiled for a second time."""
     problem, start = exponentials(0)
     states = []
-    ProjectedLM(max_iterations=2).solve(problem, start, lambda iteration, state: states.append(state))
+    ProjectedLevenbergMarquardt(max_iterations=2).solve(
+        problem, start, lambda iteration, state: states.append(state)
+    )
     types = [[leaf.aval for leaf in jax.tree.leaves(state)] for state in states]
     assert types[0] == types[1] == types[2]

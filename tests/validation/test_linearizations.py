@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_lines import SHAPE, lines
-from validation.lines import Lines, development_lines, load, save
-from wrapjax.diagnosis.linearization import LinearGap
+from tests.validation.made_up_linearizations import SHAPE, lines
+from validation.linearizations import Lines, development_lines, load, save
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
 from wrapjax.diagnosis.projection import Candidate
 from wrapjax.errors import InputError
@@ -16,7 +16,7 @@ from wrapjax.errors import InputError
 def test_lines_come_back(tmp_path):
     draw = np.random.default_rng(3).normal
     rows = (4, 2, 5)
-    gap = LinearGap(
+    gap = LinearizedModel(
         residual=draw(size=rows),
         fitted=draw(size=rows),
         slopes=draw(size=(3, *rows)),
