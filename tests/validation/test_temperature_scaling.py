@@ -124,7 +124,7 @@ def test_the_command_writes_constants_that_it_reads(cases, tmp_path, capsys, mon
     assert _run(monkeypatch, tmp_path, "--out", str(out)) == 0
     told = capsys.readouterr().out
     assert told.startswith("right cause first") and "tempered: temperature" in told
-    found, shipped = constants(out), DecisionConstants.shipped()
+    found, shipped = read_constants(out), DecisionConstants.shipped()
     assert (found.bank, found.set_level) == (shipped.bank, shipped.set_level)
     assert found.sha256 != shipped.sha256 and found.temperature != shipped.temperature
     assert _run(monkeypatch, tmp_path, "--constants", str(out)) == 0
