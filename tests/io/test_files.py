@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import wrapjax
 from wrapjax.errors import InputError
 from wrapjax.io import files
 from wrapjax.io.files import (
@@ -273,17 +274,18 @@ def test_cache_folder_obeys_the_environment(tmp_path, monkeypatch):
 
 
 def test_code_is_named_by_all_its_sources(tmp_path, monkeypatch):
-    """Whoever changes a line must not be shown what was kept before."""
+    """A changed line anywhere in the package must not lead to results that the earlier code cached."""
+    assert Path(files.__file__).parents[1] == Path(wrapjax.__file__).parent
     package = tmp_path / "package"
-    (package / "room").mkdir(parents=True)
-    for name in ("files.py", "room/one.py"):
+    for name in ("io/files.py", "subpackage/module.py"):
+        (package / name).parent.mkdir(parents=True)
         (package / name).write_text("A = 1\n")
-    monkeypatch.setattr(files, "__file__", str(package / "files.py"))
+    monkeypatch.setattr(files, "__file__", str(package / "io" / "files.py"))
     before = code_hash.__wrapped__()
     (package / "notes.txt").write_text("not code")
     assert code_hash.__wrapped__() == before
     names = {before}
-    for name in ("room/one.py", "room/constants.json"):
+    for name in ("subpackage/module.py", "subpackage/constants.json"):
         (package / name).write_text("2\n")
         names.add(code_hash.__wrapped__())
     assert len(names) == 3

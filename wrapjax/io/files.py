@@ -201,8 +201,8 @@ def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
 
 @cache
 def code_hash() -> str:
-    """Name the package by version, source and constants: what another has kept is not recalled."""
-    package = Path(__file__).parent
+    """Hash the package's version, source and constants, so that results cached by other code are not used."""
+    package = Path(__file__).parents[1]
     return content_hash(version("wrapjax"), *sorted([*package.rglob("*.py"), *package.rglob("*.json")]))
 
 
