@@ -1,4 +1,4 @@
-"""The calibration problem that everything is measured on."""
+"""Calibration problem that the benchmarks time."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import wrapjax
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_objective
 from wrapjax.model.forward import joint_moments
-from wrapjax.path_sources.fit import Fit
 from wrapjax.path_sources.model_inputs import recording, surrogate_paths
+from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import Subject
 
 
 @dataclass(frozen=True)
 class Case:
-    """A subject, its fitted paths and its NGA problem."""
+    """Subject with its path fit and its NGA calibration problem."""
 
     subject: Subject
     fit: Fit
@@ -30,23 +30,23 @@ class Case:
 
     @property
     def size(self) -> str:
-        """How large the problem is, in words."""
+        """Number of variables and of moment residuals, as text."""
         return f"{self.problem.variables.count} variables, {self.problem.measured.size:,} moment residuals"
 
     @property
     def start(self) -> Float[Array, " variable"]:
-        """Where every optimizer starts."""
+        """Starting point of every optimizer."""
         return self.problem.variables.start()
 
     def compiled(self, function: Callable[[Objective, Array], Any]) -> Callable[[Any], Any]:
-        """Jit a function of problem and variables, as a function of the variables.
+        """Compile a function of problem and variables as a function of the variables.
 
-        The recordings go in as arguments: as constants they would be folded for minutes.
+        The problem's arrays are arguments of the program: XLA would fold constants for minutes.
         """
         return eqx.Partial(eqx.filter_jit(function), self.problem)
 
     def moment_mae(self, variables: Float[Array | np.ndarray, " variable"]) -> dict[str, float]:
-        """Mean absolute moment error in N m, by what the trials are used for."""
+        """Compute the mean absolute moment error (N m) of calibration and of validation trials."""
         trials = self.subject.trials
         inputs = recording(self.subject, trials, surrogate_paths(self.fit.surrogate, self.subject, trials))
         parameters = self.problem.variables.unpack(jnp.asarray(variables))
@@ -57,16 +57,16 @@ class Case:
 
 
 def nga_case(subject: Subject) -> Case:
-    """Fit the subject's paths (or find them in the cache) and set its NGA problem up."""
+    """Fit the subject's paths, or read them from the cache, and build its NGA problem."""
     fit = wrapjax.fit(subject, quiet=False)
     return Case(subject, fit, build_objective(subject, "NGA", fit))
 
 
 def total_cost(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-    """Sum of squares of all residuals."""
+    """Compute the sum of squares of all residuals."""
     return jnp.sum(problem.residuals(variables) ** 2)
 
 
 def moment_residuals(problem: Objective, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
-    """Residuals of the joint moments alone."""
+    """Compute the residuals of the joint moments alone."""
     return problem.terms(problem.variables.unpack(variables))["joint_moment"]

@@ -11,11 +11,11 @@ import numpy as np
 import wrapjax
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
-from wrapjax.calibration.problem import stages
+from wrapjax.calibration.problem import build_stages
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.interface import DampingState, SolverState
 from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
-from wrapjax.path_sources.fit import Fit
+from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import Subject
 
 #: What each method must take off NGA's mean absolute moment error, in parts of it.
@@ -63,7 +63,7 @@ def path_methods(subject: Subject, fit: Fit, *, quick: bool = False) -> list[Met
 
 
 def _kernels(subject: Subject, fit: Fit, method: str) -> list[Metric]:
-    problem = stages(subject, method, fit)[-1]
+    problem = build_stages(subject, method, fit)[-1]
     start = problem.start(problem.variables.base)
     linearize = eqx.filter_jit(lambda problem, x: problem.linearize(x))
     cost = eqx.filter_jit(lambda problem, x: problem.value(x))

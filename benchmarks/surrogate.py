@@ -10,11 +10,11 @@ import numpy as np
 from benchmarks.metric import INFORMATION, Metric
 from benchmarks.polynomial_path_fitter import SEED, UNSEEN_POSES, fit_with_opensim
 from wrapjax.geometry.surrogate import fit_surrogate
-from wrapjax.geometry.training_samples import random_poses, smooth_poses, walking_belt
+from wrapjax.geometry.training_samples import angle_ranges, fastest_cycle_poses, random_poses
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.path_sources.fit_poses import TRAINING_POSES
-from wrapjax.path_sources.fitting import path_errors
+from wrapjax.path_sources.path_fitting import path_errors
 from wrapjax.subject.subject import Subject
 
 #: Broad fans, paths over the pelvic brim, paths that lift off their cylinder, knee and ankle.
@@ -58,7 +58,7 @@ def surrogates(
     training = np.concatenate(
         [
             random_poses(angles, TRAINING_POSES, np.random.default_rng(SEED + 1)),
-            smooth_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
+            fastest_cycle_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
         ]
     )
     known = analyse_muscles(subject.model_file, muscles, coordinates, training, processes=1, quiet=True)
@@ -76,7 +76,7 @@ def surrogates(
     wrapped = {muscle.name: bool(muscle.wraps) for muscle in describe_model(subject.model_file).muscles}
     ours = path_errors(surrogate, unseen, truth, slice(None), wrapped)
 
-    lower, upper = walking_belt(angles)
+    lower, upper = angle_ranges(angles)
     peer = fit_with_opensim(
         subject.model_file,
         muscles,

@@ -16,7 +16,7 @@ from wrapjax.calibration.penalties import GroupPenalty, pipeline_penalties
 from wrapjax.geometry.path_modes import PATH_CHANGE
 from wrapjax.geometry.paths import AdjustablePath, PathState
 from wrapjax.model.forward import Recording, muscle_states
-from wrapjax.model.freedom import nga, with_paths
+from wrapjax.model.freedom import nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import free_variables
 
@@ -74,7 +74,7 @@ def _problem(
 ) -> Objective:
     """Put a problem together as `prepare` does: NGA, or SGA where paths have modes."""
     muscles, modes = base.path_changes.shape
-    freedom = nga(base)
+    freedom = nga_freedom(base)
     if modes:
         freedom = with_paths(freedom, "SGA", np.ones((muscles, modes), dtype=bool), prior_sd=PATH_CHANGE)
     reference = eqx.filter_jit(muscle_states)(like.curves, base, recording)

@@ -56,15 +56,15 @@ def _measure(folder: Path, options: argparse.Namespace) -> int:
     from wrapjax.calibration.problem import build_objective
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
     from wrapjax.calibration.uncertainty.posterior import posterior
-    from wrapjax.calibration.uncertainty.uncertainty import refits
-    from wrapjax.datasets.virtual_person.truth import parameter_names, read_truth
+    from wrapjax.calibration.uncertainty.uncertainty import randomized_refits
+    from wrapjax.datasets.virtual_person.true_parameters import parameter_names, read_true_parameters
     from wrapjax.model.forward import joint_moments
     from wrapjax.subject.subject import load_subject as load_subject
 
     subject = load_subject(folder)
     problem = build_objective(subject, "NGA")
     base = problem.variables.base
-    truth = read_truth(folder)
+    truth = read_true_parameters(folder)
     true = replace(base, **{name: jnp.asarray(getattr(truth, name)) for name in parameter_names()})
     at = np.asarray(problem.variables.pack(true))
     clean = np.asarray(joint_moments(problem.curves, true, problem.recording))
@@ -82,10 +82,10 @@ def _measure(folder: Path, options: argparse.Namespace) -> int:
         solution = solver.solve(own, at)
         judged = posterior(solution.problem, solution.state, speeds)
         if number == 0:
-            before = judged.without_moments(500, number).std(axis=0)
+            before = judged.sample_prior(500, number).std(axis=0)
         found["laplace"].append(_judged(judged.laplace(500, number), before, judged, at))
         if number < options.bootstraps:
-            drawn, _ = refits(judged, solver, options.draws, number)
+            drawn, _ = randomized_refits(judged, solver, options.draws, number)
             found["bootstrap"].append(_judged(drawn, before, judged, at))
         noises = ", ".join(f"{own:.2f}" for own in judged.noise[0].deviation)
         print(
@@ -113,10 +113,10 @@ def _judged(
     draws: np.ndarray, before: np.ndarray, judged: Any, true: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whether the interval holds the truth, deviation over that without moments, and the deviation."""
-    from wrapjax.calibration.uncertainty.intervals import spread_of
+    from wrapjax.calibration.uncertainty.intervals import summarize_draws
 
     labels = tuple("" for _ in true)
-    spread = spread_of(draws, draws, judged.solution, judged.at_bound, labels, labels)
+    spread = summarize_draws(draws, draws, judged.solution, judged.at_bound, labels, labels)
     held = (spread.low <= true) & (true <= spread.high)
     return held, spread.deviation / before, spread.deviation
 

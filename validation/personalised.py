@@ -43,7 +43,7 @@ def main() -> int:
     pin_threads()
     set_up_jax()
     import wrapjax
-    from wrapjax.path_sources.fit import load_fit
+    from wrapjax.path_sources.polynomial_fit import load_fit
 
     with default_subject(options.subject) as folder:
         subject = wrapjax.load_subject(folder)
@@ -72,16 +72,16 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
     """Give figures (m) in the order of the columns, and failed criteria, muscle by muscle."""
     import jax
 
-    from wrapjax.calibration.calibration import write_model
+    from wrapjax.calibration.calibration import write_calibrated_model
     from wrapjax.geometry.engine import PARITY, nominal_parameters, wrap_at_samples
     from wrapjax.osim.muscle_analysis import analyse_muscles
-    from wrapjax.path_sources.exact import engine_of, recorded
+    from wrapjax.path_sources.exact import build_engine, recorded_motion
 
     subject, result = done.subject, done.result
     wraps, moving = result.freedom.wraps, result.freedom.moving_paths
     assert wraps is not None and moving is not None, "PGA frees cylinders"
-    engine = engine_of(subject)
-    angles, _ = recorded(subject.trials, engine.coordinates)
+    engine = build_engine(subject)
+    angles, _ = recorded_motion(subject.trials, engine.coordinates)
     trials, _, frames = angles.shape
     poses = np.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
     muscles = tuple(np.array(result.muscles)[moving].tolist())
@@ -89,7 +89,7 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
     places = [engine.coordinates.index(name) for name in result.coordinates]
     with tempfile.TemporaryDirectory() as folder:
         personalised = Path(folder) / "personalised.osim"
-        write_model(subject, result, personalised)
+        write_calibrated_model(subject, result, personalised)
         after, before = (
             analyse_muscles(file, muscles, engine.coordinates, poses, quiet=True)
             for file in (personalised, subject.model_file)
@@ -150,7 +150,7 @@ def _faults(moved: WrappedPath, usual: WrappedPath, trials: int, frames: int) ->
     failed: dict[str, bool] = {}
     for trial in range(trials):
         cycle = slice(trial * frames, (trial + 1) * frames - 1)
-        for criterion, fails in measure_paths(moved, usual, cycle).faults().items():
+        for criterion, fails in measure_paths(moved, usual, cycle).failed_criteria().items():
             failed[criterion] = failed.get(criterion, False) or bool(fails.any())
     return [criterion for criterion, fails in failed.items() if fails]
 

@@ -26,11 +26,11 @@ from .evaluation.stored_run import load_run as load_run
 from .geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
 from .path_sources.exact import ExactGeometry as ExactGeometry
 from .path_sources.exact import exact_geometry as exact_geometry
-from .path_sources.fitting import Fit as Fit
-from .path_sources.fitting import fit as fit
-from .path_sources.fitting import load_fit as load_fit
+from .path_sources.path_fitting import fit as fit
+from .path_sources.polynomial_fit import Fit as Fit
+from .path_sources.polynomial_fit import load_fit as load_fit
+from .path_sources.sample_figures import physiological_picture as physiological_picture
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
-from .path_sources.wrap_pictures import physiological_picture as physiological_picture
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
 from .subject.subject import load_subject as load_subject

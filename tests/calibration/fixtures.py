@@ -4,7 +4,7 @@ import pytest
 
 from tests.subject.synthetic import write_subject
 from wrapjax.calibration.calibration import calibrate
-from wrapjax.path_sources.fitting import fit
+from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.subject import load_subject as load_subject
 
 

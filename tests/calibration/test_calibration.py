@@ -13,9 +13,9 @@ from wrapjax.calibration.problem import build_objective, objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError
-from wrapjax.model.freedom import nga
-from wrapjax.path_sources.fitting import fit
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording, surrogate_paths
+from wrapjax.path_sources.path_fitting import fit
 
 
 @pytest.fixture(scope="session")
@@ -98,7 +98,7 @@ def test_validation_cycles_do_not_touch_the_calibration(person, paths, calibrate
 
 
 def test_a_freedom_of_ones_own(person, paths, start):
-    freedom = nga(start).without(["emg_scale", "tendon_slack_length"])
+    freedom = nga_freedom(start).without(["emg_scale", "tendon_slack_length"])
     variables = build_objective(person, "NGA", paths, freedom).variables
     assert variables.count == 8
     moved = variables.unpack(jnp.asarray(variables.upper))

@@ -11,7 +11,7 @@ from tests.model.small import PADDING, small_objective
 from tests.model.small_extrapolated import COMMANDS, small_extrapolated_objective
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.model.forward import muscle_states
-from wrapjax.muscle.excitation import within_unit
+from wrapjax.muscle.excitation import smooth_unit_clip
 
 EXCITATIONS = {
     "each its own": {"gasmed_l": ("gasmed_l",), "tibant_l": ("tibant_l",)},
@@ -89,15 +89,15 @@ def test_envelope_is_the_held_sum_of_commands():
     excitation = np.asarray(muscle_states(problem.curves, still, problem.recording).excitation)
     time = np.array([[0.010], [0.012]]) * np.arange(excitation.shape[-1])
     sums = [0.5 * 0.6 * np.sin(30 * time) + 0.3 * 0.4 * np.cos(17 * time) + 0.4, 1.8 * np.sin(30 * time)]
-    np.testing.assert_allclose(excitation[1:], within_unit(jnp.asarray(sums)), atol=1e-9)
+    np.testing.assert_allclose(excitation[1:], smooth_unit_clip(jnp.asarray(sums)), atol=1e-9)
     assert excitation.min() >= 0.0 and excitation.max() <= 1.0
     assert PADDING > 0 and (excitation[2] > 0.99).any() and (excitation[2] < 0.01).any()
 
 
 def test_holding_leaves_what_is_well_inside():
     inside = jnp.linspace(0.3, 0.7, 9)
-    np.testing.assert_allclose(within_unit(inside), inside, atol=2e-4)
-    far = within_unit(jnp.array([-1e3, -1.0, 2.0, 1e3]))
+    np.testing.assert_allclose(smooth_unit_clip(inside), inside, atol=2e-4)
+    far = smooth_unit_clip(jnp.array([-1e3, -1.0, 2.0, 1e3]))
     np.testing.assert_allclose(far, [0.0, 0.0, 1.0, 1.0], atol=1e-9)
 
 

@@ -15,7 +15,7 @@ from wrapjax.geometry.feasibility import Feasibility
 from wrapjax.geometry.paths import PathState
 from wrapjax.geometry.two_level import InnerLevel, two_level_paths
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
-from wrapjax.model.freedom import FreedWraps, nga, with_wraps
+from wrapjax.model.freedom import FreedWraps, nga_freedom, with_wraps
 from wrapjax.model.variables import free_variables
 
 HALF = np.array([0.01, 0.01, 0.01, 0.35, 0.35, 0.2])
@@ -65,7 +65,7 @@ def problem():
     return replace(
         held,
         recording=replace(held.recording, path=paths),
-        variables=free_variables(base, with_wraps(nga(base), "PGA", wraps), MUSCLES),
+        variables=free_variables(base, with_wraps(nga_freedom(base), "PGA", wraps), MUSCLES),
         limits=(replace(limits, shift=limits.shift + 0.4),),
     )
 

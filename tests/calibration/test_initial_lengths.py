@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from wrapjax.calibration.initial_lengths import InitialLengths, LengthErrors
+from wrapjax.calibration.initial_lengths import InitialLengthObjective, LengthErrors
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.model.parameters import initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES
@@ -36,7 +36,7 @@ def problem():
     length = middle + 0.2 * np.asarray(own[0])[:, None] - 0.5 * arm @ angle
     walking = middle - 0.15 * np.asarray(own[0])[:, None] * (1.0 + np.sin(np.linspace(0, 6.0, 101)))
     moment_arm = np.repeat(arm[:, :, None], length.shape[1], axis=2)
-    problem = InitialLengths(
+    problem = InitialLengthObjective(
         curves=HILL_CURVES["paper"],
         parameters=parameters,
         walking=jnp.asarray(walking),

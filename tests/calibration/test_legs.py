@@ -10,7 +10,7 @@ import pytest
 from tests.calibration.dense import dense_derivatives
 from tests.model.small import small_limited_objective, small_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
-from wrapjax.calibration.two_legs import join_legs, solution_of_leg
+from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
 
 LEFT = ("soleus_l", "gasmed_l", "tibant_l")
 #: The last muscle is the right leg's alone.
@@ -35,7 +35,7 @@ def on_the_right(problem):
 
 @pytest.fixture(scope="module")
 def joint():
-    return join_legs(small_objective(0), on_the_right(small_objective(5)))
+    return join_leg_objectives(small_objective(0), on_the_right(small_objective(5)))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def limited():
                 for limit in leg.limits
             )
         )
-    return join_legs(*legs)
+    return join_leg_objectives(*legs)
 
 
 def somewhere(problem, seed=2):
@@ -144,21 +144,21 @@ def test_shared_bounds_are_what_both_legs_allow():
             bounds[0][at], bounds[1][at] = lower, upper
         return replace(leg, variables=replace(leg.variables, lower=bounds[0], upper=bounds[1]))
 
-    joint = join_legs(within(left, 0.7, 1.2), within(right, 0.8, 1.3))
+    joint = join_leg_objectives(within(left, 0.7, 1.2), within(right, 0.8, 1.3))
     assert (joint.lower[place], joint.upper[place]) == (0.8, 1.2)
     assert (joint.lower[own], joint.upper[own]) == (0.7, 1.2)
     assert joint.lower[joint.places[1][own]] == 0.8
     with pytest.raises(ValueError, match=r"soleus_r\.tendon_slack_length"):
-        join_legs(within(left, 0.7, 0.8), within(right, 0.9, 1.3))
+        join_leg_objectives(within(left, 0.7, 0.8), within(right, 0.9, 1.3))
 
 
 def test_a_legs_part_of_a_solution(limited):
     solver = AugmentedLagrangian()
-    joint = join_legs(*(small_limited_objective(0), on_the_right(small_limited_objective(5))))
+    joint = join_leg_objectives(*(small_limited_objective(0), on_the_right(small_limited_objective(5))))
     solution = solver.solve(joint, joint.start(joint.initial))
     assert solution.status.converged
     assert solution.max_violation <= solver.ctol
-    parts = [solution_of_leg(solution, leg) for leg in range(2)]
+    parts = [leg_solution(solution, leg) for leg in range(2)]
     assert sum(part.cost for part in parts) == pytest.approx(solution.cost, rel=1e-12)
     trees = joint.parameters(jnp.asarray(solution.variables))
     pushing = 0

@@ -9,7 +9,7 @@ from tests.model.small import small_limited_objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.solvers.multistart import best, solve_from_starts, starting_points
+from wrapjax.calibration.solvers.multistart import best_start, solve_from_starts, starting_points
 from wrapjax.errors import InputError
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.variables import free_variables
@@ -22,10 +22,10 @@ def stages():
     """Paths held, then free; few variables, so that it is quick."""
     moving = small_limited_objective(seed=1)
     from tests.model.small import MUSCLES
-    from wrapjax.model.freedom import nga
+    from wrapjax.model.freedom import nga_freedom
 
     names = ("emg_scale", "optimal_fiber_length")
-    kept = tuple(one for one in nga(moving.initial).parameters if one.name in names)
+    kept = tuple(one for one in nga_freedom(moving.initial).parameters if one.name in names)
     held = dataclasses.replace(
         moving, variables=free_variables(moving.initial, Freedom("held", kept), MUSCLES), limits=()
     )
@@ -62,9 +62,9 @@ def test_the_best_has_converged(undisturbed):
 
     low, high = ended(1.0, Status.gradient), ended(2.0, Status.cost)
     lower_but_not_there = ended(0.5, Status.iterations)
-    assert best((high, low)) == 1 and best((low, high)) == 0
-    assert best((lower_but_not_there, high, low)) == 2
-    assert best((lower_but_not_there, ended(0.7, Status.damping))) == 0
+    assert best_start((high, low)) == 1 and best_start((low, high)) == 0
+    assert best_start((lower_but_not_there, high, low)) == 2
+    assert best_start((lower_but_not_there, ended(0.7, Status.damping))) == 0
 
 
 def test_last_stage_begins_where_the_first_ended(stages, undisturbed):

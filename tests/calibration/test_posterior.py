@@ -15,10 +15,10 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration
-from wrapjax.calibration.uncertainty.intervals import spread_of
-from wrapjax.calibration.uncertainty.posterior import Posterior, draw_within, posterior
+from wrapjax.calibration.uncertainty.intervals import summarize_draws
+from wrapjax.calibration.uncertainty.posterior import Posterior, draw_truncated_normal, posterior
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
-from wrapjax.calibration.uncertainty.uncertainty import refits
+from wrapjax.calibration.uncertainty.uncertainty import randomized_refits
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import Freedom, FreedParameter
 from wrapjax.model.variables import free_variables
@@ -37,7 +37,7 @@ def test_draws_within_bounds_have_the_moments_of_what_is_left():
     root = generator.normal(size=(4, 4))
     covariance, mean = root @ root.T + 0.05 * np.eye(4), np.array([0.5, -1.0, 0.3, 2.0])
     lower, upper = np.array([-0.5, -0.5, -np.inf, -np.inf]), np.array([1.0, np.inf, 0.8, np.inf])
-    draws = draw_within(mean, covariance, lower, upper, 4000, seed=1)
+    draws = draw_truncated_normal(mean, covariance, lower, upper, 4000, seed=1)
     every = mean + generator.standard_normal((400_000, 4)) @ np.linalg.cholesky(covariance).T
     kept = every[((every >= lower) & (every <= upper)).all(axis=1)]
     assert ((draws >= lower) & (draws <= upper)).all()
@@ -49,7 +49,7 @@ def test_draws_within_bounds_have_the_moments_of_what_is_left():
 def test_draws_far_out_in_a_tail_are_exact():
     """A bound thirty deviations away leaves nearly an exponential, whose logarithms must not underflow."""
     mean, bound = np.array([-30.0]), np.array([0.0])
-    draws = draw_within(mean, np.eye(1), bound, np.array([np.inf]), 4000, seed=2)[:, 0]
+    draws = draw_truncated_normal(mean, np.eye(1), bound, np.array([np.inf]), 4000, seed=2)[:, 0]
     exact = scipy.stats.truncnorm(30.0, np.inf, loc=-30.0)
     np.testing.assert_allclose(np.percentile(draws, [10, 50, 90]), exact.ppf([0.1, 0.5, 0.9]), rtol=0.1)
 
@@ -180,7 +180,9 @@ def test_variable_pushed_against_its_bound_leaves_it_one_sided():
     np.testing.assert_allclose(
         np.percentile(draws[:, 0], [10, 50, 90]) - 1.0, exact.ppf([0.1, 0.5, 0.9]) - 1.0, rtol=0.12
     )
-    spread = spread_of(draws, 3.0 * draws, np.array([1.0, 2.0]), judged.at_bound, ("a.x", "b.x"), ("1", "1"))
+    spread = summarize_draws(
+        draws, 3.0 * draws, np.array([1.0, 2.0]), judged.at_bound, ("a.x", "b.x"), ("1", "1")
+    )
     assert spread.low[0] == 1.0 and spread.high[0] == pytest.approx(exact.ppf(0.9), rel=0.02)
     assert spread.low[1] < 2.0 < spread.high[1]
 
@@ -189,7 +191,7 @@ def test_what_moments_do_not_narrow_is_said():
     generator = np.random.default_rng(5)
     prior = generator.normal(size=(4000, 2))
     draws = prior * np.array([0.3, 0.95])
-    spread = spread_of(draws, prior, np.zeros(2), np.zeros(2, dtype=int), ("a.x", "b.x"), ("1", "1"))
+    spread = summarize_draws(draws, prior, np.zeros(2), np.zeros(2, dtype=int), ("a.x", "b.x"), ("1", "1"))
     assert spread.identified.tolist() == [True, False]
 
 
@@ -254,7 +256,7 @@ def test_intervals_hold_the_truth_nine_times_in_ten():
 
 def test_laplace_and_bootstrap_agree_where_the_model_is_linear(judged):
     """Within a fifth: 200 draws know a deviation to 5 %, and noise in its own size adds some."""
-    drawn, statuses = refits(judged, SOLVER, 200, seed=0)
+    drawn, statuses = randomized_refits(judged, SOLVER, 200, seed=0)
     assert all(status.converged for status in statuses)
     straight = judged.laplace(4000, seed=0)
     np.testing.assert_allclose(drawn.std(axis=0), straight.std(axis=0), rtol=0.2)
@@ -264,7 +266,7 @@ def test_laplace_and_bootstrap_agree_where_the_model_is_linear(judged):
 
 
 def test_refits_use_the_code_that_is_compiled(judged):
-    refits(judged, SOLVER, 1, seed=0)
+    randomized_refits(judged, SOLVER, 1, seed=0)
     compiled = []
 
     def note(event, seconds, **details):
@@ -273,7 +275,7 @@ def test_refits_use_the_code_that_is_compiled(judged):
 
     jax.monitoring.register_event_duration_secs_listener(note)
     try:
-        refits(judged, SOLVER, 3, seed=1)
+        randomized_refits(judged, SOLVER, 3, seed=1)
     finally:
         jax.monitoring.clear_event_listeners()
     assert compiled == []
@@ -285,9 +287,9 @@ def test_draws_that_are_done_are_not_done_again(judged, tmp_path):
             raise AssertionError("a draw was done again")
 
     checkpoints = Checkpoints.open(tmp_path / "book", "question", resume=False)
-    done, _ = refits(judged, SOLVER, 3, seed=0, checkpoints=checkpoints)
-    again, statuses = refits(judged, NoWork(), 3, seed=0, checkpoints=checkpoints)
+    done, _ = randomized_refits(judged, SOLVER, 3, seed=0, checkpoints=checkpoints)
+    again, statuses = randomized_refits(judged, NoWork(), 3, seed=0, checkpoints=checkpoints)
     np.testing.assert_array_equal(again, done)
     assert len(statuses) == 3
-    few, _ = refits(judged, SOLVER, 2, seed=0)
+    few, _ = randomized_refits(judged, SOLVER, 2, seed=0)
     np.testing.assert_array_equal(few, done[:2])

@@ -12,9 +12,9 @@ from scipy.optimize import OptimizeResult, least_squares
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.model.freedom import nga
-from wrapjax.path_sources.fitting import fit
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.path_sources.model_inputs import model_parameters
+from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.subject import load_subject as load_subject
 
 DELAY = ("electromechanical_delay",)
@@ -47,7 +47,7 @@ def calibration_mae(calibration) -> float:
 @pytest.mark.slow  # the next test is quicker and defends the same but for one prior
 def test_moment_error_with_the_terms_of_the_nmsm_pipeline(subject, paths):
     """Nothing holds the delays, as in the published cost."""
-    freedom = nga(model_parameters(subject), delay_sd=np.inf)
+    freedom = nga_freedom(model_parameters(subject), delay_sd=np.inf)
     calibration = calibrate(subject, fit=paths, freedom=freedom, starts=1)
     assert calibration.status.converged, calibration.status.value
     assert calibration_mae(calibration) <= 6.75
@@ -75,7 +75,7 @@ def test_paths_on_poses_never_used_in_fitting(subject, paths):
 def reduced(subject, paths):
     """Make problems of one slow and one fast cycle in which only the named parameters move."""
     cycles = dataclasses.replace(subject, trials=subject.trials.used_for("calibration").select([0, 3]))
-    everything = nga(model_parameters(cycles))
+    everything = nga_freedom(model_parameters(cycles))
 
     def make(names):
         held = [parameter.name for parameter in everything.parameters if parameter.name not in names]

@@ -214,12 +214,12 @@ def test_a_broken_other_leg_is_named(tmp_path, capsys):
 
 
 def test_a_freedom_of_ones_own_is_for_one_leg(folders):
-    from wrapjax.model.freedom import nga
+    from wrapjax.model.freedom import nga_freedom
     from wrapjax.path_sources.model_inputs import model_parameters
 
     subject = load_subject(folders[0])
     with pytest.raises(ValueError, match="one leg"):
-        calibrate(subject, freedom=nga(model_parameters(subject)), starts=1)
+        calibrate(subject, freedom=nga_freedom(model_parameters(subject)), starts=1)
 
 
 @pytest.fixture(scope="module")

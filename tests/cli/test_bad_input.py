@@ -24,7 +24,7 @@ def no_work(monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("the command started to work")
 
-    for verb in ("path_sources.fitting.fit", "calibration.calibration.calibrate"):
+    for verb in ("path_sources.path_fitting.fit", "calibration.calibration.calibrate"):
         monkeypatch.setattr(f"wrapjax.{verb}", started)
 
 
@@ -149,7 +149,7 @@ def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
     def interrupt(*arguments, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wrapjax.path_sources.fitting.analyse_muscles", interrupt)
+    monkeypatch.setattr("wrapjax.path_sources.path_fitting.analyse_muscles", interrupt)
     outcome = run("fit", folder, "--out", tmp_path / "out")
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.progress.splitlines()[-1] == "interrupted; nothing was written."
@@ -173,8 +173,8 @@ def replace(file: str, new: bytes):
 
 def change_json(change):
     def damage(fit: Path) -> None:
-        stored = json.loads((fit / "fit.json").read_text())
-        (fit / "fit.json").write_text(json.dumps(change(stored)))
+        values = json.loads((fit / "fit.json").read_text())
+        (fit / "fit.json").write_text(json.dumps(change(values)))
 
     return damage
 
@@ -195,10 +195,10 @@ DAMAGES = {
     "json cut off": truncate("fit.json"),
     "json empty": replace("fit.json", b""),
     "json binary": replace("fit.json", bytes(range(128, 256))),
-    "json a list": change_json(lambda stored: [stored]),
-    "json without key": change_json(lambda stored: {k: v for k, v in stored.items() if k != "key"}),
+    "json a list": change_json(lambda values: [values]),
+    "json without key": change_json(lambda values: {k: v for k, v in values.items() if k != "key"}),
     "json with unknown error": change_json(
-        lambda stored: {**stored, "muscles": {"recfem_l": {"length": 1.0}}}
+        lambda values: {**values, "muscles": {"recfem_l": {"length": 1.0}}}
     ),
     "arrays empty": replace("fit.npz", b""),
     "arrays binary": replace("fit.npz", bytes(range(256)) * 20),

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from tests.cli.folders import COORDINATES, MUSCLES, names, stored
+from tests.cli.folders import COORDINATES, MUSCLES, names, read_json
 from wrapjax.cli.fit import THRESHOLDS
 
 
@@ -19,7 +19,7 @@ def test_fit_folder_keeps_its_contract(fitted):
     _, folder = fitted
     assert names(folder) == ["fit.json", "fit.npz", "report.html", "settings.toml"]
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
-    content = stored(folder / "fit.json")
+    content = read_json(folder / "fit.json")
     assert content["schema"] == 1
     assert content["wraps"] == {} and all(seconds >= 0.0 for seconds in content["seconds"].values())
     assert list(content["muscles"]) == MUSCLES
@@ -36,26 +36,26 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
     def analyse(*arguments, **options):
         raise AssertionError("the cache was not used")
 
-    monkeypatch.setattr("wrapjax.path_sources.fitting.analyse_muscles", analyse)
+    monkeypatch.setattr("wrapjax.path_sources.path_fitting.analyse_muscles", analyse)
     outcome = run("fit", subject, "--out", tmp_path / "fit", "--json", "--quiet")
     assert (outcome.status, outcome.progress) == (0, "")
-    assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
-    assert stored(tmp_path / "fit" / "fit.json") == stored(fitted[1] / "fit.json")
+    assert json.loads(outcome.output) == read_json(tmp_path / "fit" / "fit.json")
+    assert read_json(tmp_path / "fit" / "fit.json") == read_json(fitted[1] / "fit.json")
 
 
 def test_thresholds_are_settings(run, subject, fitted, tmp_path):
     """Of what counts as physiological; the defaults that the help tells are those of the fit."""
-    defaults = stored(fitted[1] / "fit.json")["thresholds"]
+    defaults = read_json(fitted[1] / "fit.json")["thresholds"]
     assert list(defaults) == list(THRESHOLDS)
     assert all(f"(default: {defaults[name]:g})" in what for name, what in THRESHOLDS.items())
     arguments = ("--out", tmp_path / "fit", "--length-step", "0.002", "--variability", "4", "--quiet")
     assert run("fit", subject, *arguments).status == 0
     expected = defaults | {"length_step": 0.002, "variability": 4.0}
-    assert stored(tmp_path / "fit" / "fit.json")["thresholds"] == expected
+    assert read_json(tmp_path / "fit" / "fit.json")["thresholds"] == expected
     assert "length_step = 0.002" in (tmp_path / "fit" / "settings.toml").read_text()
     settings = ("--settings", tmp_path / "fit" / "settings.toml")
     assert run("fit", subject, "--out", tmp_path / "again", *settings, "--quiet").status == 0
-    assert stored(tmp_path / "again" / "fit.json")["thresholds"] == expected
+    assert read_json(tmp_path / "again" / "fit.json")["thresholds"] == expected
     refused = run("fit", subject, "--out", tmp_path / "no", "--length-step", "-1")
     assert refused.status == 2 and "expected a number above 0, found '-1'" in refused.progress
 
@@ -65,8 +65,8 @@ def test_seed_decides_the_poses(run, subject, fitted, tmp_path):
     for seed, name in ((0, "same"), (1, "other")):
         arguments = ("--out", tmp_path / name, "--seed", seed, "--threads", "1", "--quiet")
         assert run("fit", subject, *arguments).status == 0
-    same, other = (stored(tmp_path / name / "fit.json") for name in ("same", "other"))
-    first = stored(fitted[1] / "fit.json")
+    same, other = (read_json(tmp_path / name / "fit.json") for name in ("same", "other"))
+    first = read_json(fitted[1] / "fit.json")
     assert same["key"] == first["key"] != other["key"]
     assert same["muscles"] == first["muscles"] != other["muscles"]
 
@@ -77,7 +77,7 @@ def test_progress_is_no_part_of_the_result(run, subject, tmp_path):
     outcome = run("fit", subject, *arguments)
     assert outcome.status == 0
     assert "OpenSim muscle analysis" in outcome.progress
-    assert json.loads(outcome.output) == stored(tmp_path / "fit" / "fit.json")
+    assert json.loads(outcome.output) == read_json(tmp_path / "fit" / "fit.json")
 
 
 def test_quiet_holds_for_opensim_too(run, subject, tmp_path, capfd):

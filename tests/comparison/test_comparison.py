@@ -15,7 +15,7 @@ from wrapjax.calibration.problem import METHODS
 from wrapjax.comparison.comparison import compare
 from wrapjax.errors import InputError
 from wrapjax.path_sources.exact import ExactGeometry
-from wrapjax.path_sources.fit import Fit
+from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import load_subject as load_subject
 
 #: Where a leg touches no wrapping surface, LSGA has nothing to free.

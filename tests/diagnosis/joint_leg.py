@@ -9,7 +9,7 @@ from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMa
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.model.freedom import nga
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
 #: Two of different kind: one adds moments, the other one sees each muscle's excitation.
@@ -32,7 +32,7 @@ def damped_leg():
     recording, context = small_recording_and_context()
     effects = effects_of(context)
     base = context.parameters
-    variables = free_variables(base, nga(base), context.muscles)
+    variables = free_variables(base, nga_freedom(base), context.muscles)
     known = np.asarray(variables.prior_precision) > 0.0
     truth = np.where(known, variables.prior_mean, variables.start())
     effect_sizes = np.resize([1.5, 0.8, 0.5, 0.6], effects.count) * effects.prior_sd

@@ -11,7 +11,7 @@ from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.muscle.excitation import fit_emg_spline
-from wrapjax.path_sources.undriven_muscles import OtherMuscles
+from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
 
 CURVES = HILL_CURVES["paper"]
 MUSCLES = ("soleus_l", "gasmed_l", "gaslat_l", "tibant_l", "recfem_l", "semimem_l")
@@ -146,7 +146,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         parameters=parameters,
         paths=paths,
         paretic=True,
-        others=OtherMuscles(
+        others=UndrivenMuscles(
             names=OTHERS,
             groups=(("hip_flexors", OTHERS),),
             curves=CURVES,

@@ -18,7 +18,7 @@ from wrapjax.diagnosis.null import known_covariance, nulls
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.score import score_each
 from wrapjax.model.forward import joint_moments
-from wrapjax.model.freedom import nga
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
 EFFECTS = ("joint_damping", "ankle_foot_orthosis", "emg_drift", "slow_fibers", "curve_family")
@@ -29,7 +29,7 @@ def setting():
     """A leg that is damped, measured with smooth noise, and calibrated to what it would be undamped."""
     recording, context = small_recording_and_context()
     base = context.parameters
-    free = free_variables(base, nga(base), context.muscles)
+    free = free_variables(base, nga_freedom(base), context.muscles)
     effects = tuple(CATALOGUE[id].on(context) for id in EFFECTS)
     damping = Effects(effects[:1])
     effect_sizes = 2.0 * damping.prior_sd

@@ -28,7 +28,7 @@ from wrapjax.diagnosis.null_replicates import (
     null_replicate_residuals,
 )
 from wrapjax.model.forward import joint_moments
-from wrapjax.model.freedom import nga
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
 PEOPLE = [TwinCurves.drawn(jax.random.key(seed)) for seed in range(20)]
@@ -79,7 +79,7 @@ def world():
     """The small leg at its start, with noise; of its straight lines, those that twins look at."""
     recording, context = small_recording_and_context()
     base = context.parameters
-    free = free_variables(base, nga(base), context.muscles)
+    free = free_variables(base, nga_freedom(base), context.muscles)
     measured = joint_moments(CURVES, base, recording)
     problem = Objective(
         curves=CURVES, recording=recording, measured=measured, variables=free, penalties=(), limits=()

@@ -13,7 +13,7 @@ from wrapjax.calibration.penalties import pipeline_penalties
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.model.forward import muscle_states
-from wrapjax.model.freedom import nga
+from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
 #: All kinds of those that mix muscles, and two that act on single ones.
@@ -30,7 +30,7 @@ def with_effects(*ids: str) -> Objective:
         curves=CURVES,
         recording=recording,
         measured=0.8 * states.moment.sum(axis=0),
-        variables=free_variables(base, nga(base), context.muscles),
+        variables=free_variables(base, nga_freedom(base), context.muscles),
         penalties=pipeline_penalties(states, [[1, 2]], [[0, 1, 2]]),
         limits=(),
         alterations=effects.alterations(jnp.asarray(0.4 * effects.prior_sd)),

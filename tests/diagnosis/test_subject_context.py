@@ -18,7 +18,7 @@ from wrapjax.diagnosis.subject_context import diagnosis_context, misplaced_joint
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.joint_changes import with_moved_ends
 from wrapjax.muscle.curves import HILL_CURVES
-from wrapjax.path_sources.exact import engine_of
+from wrapjax.path_sources.exact import build_engine
 from wrapjax.subject.subject import load_subject as load_subject
 
 
@@ -78,7 +78,7 @@ def test_paths_follow_changed_angles(calibrated, gathered):
     _, context = gathered
     by_angle = context.paths_by_angle
     np.testing.assert_allclose(-by_angle.length, np.moveaxis(context.paths.moment_arm, 1, 2), atol=1e-12)
-    subject, surrogate = calibrated.subject, calibrated.fit.surrogate.of_muscles(context.muscles)
+    subject, surrogate = calibrated.subject, calibrated.fit.surrogate.select_muscles(context.muscles)
     trials = subject.trials
     recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
     angles, velocities = trials.angles[:, recorded], trials.angular_velocities[:, recorded]
@@ -130,7 +130,7 @@ def test_paths_follow_their_ends(gathered):
 def test_paths_follow_cylinders(tmp_path):
     """A cylinder half a millimetre thicker, by the slope and by laying the path anew."""
     subject = load_subject(write_wrapped_subject(tmp_path / "wrapped"))
-    changes = wrap_changes(engine_of(subject), subject)
+    changes = wrap_changes(build_engine(subject), subject)
     assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
     thicker = np.where(changes.places == 5, 0.5e-3 / 0.035, 0.0)
     longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)
@@ -158,7 +158,7 @@ def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
 def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
     """Beside the plane of the leg, where a turned axis takes ends of muscles first of all."""
     subject = with_forces(tmp_path / "person")
-    whole = engine_of(subject)
+    whole = build_engine(subject)
     beside = ExactPaths(
         with_moved_ends(whole.model, whole.muscles, -1, 2, 0.03), whole.muscles, whole.coordinates
     )

@@ -11,7 +11,7 @@ from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import AdjustablePath
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.osim.model import describe_model
-from wrapjax.path_sources.polynomial_paths import ARM_STRAYING, LENGTH_STRAYING, guarded_paths
+from wrapjax.path_sources.polynomial_paths import ARM_DEVIATION, LENGTH_DEVIATION, with_exact_proximity
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 MUSCLES = ("psoas_l", "soleus_l", "gasmed_l", "addlong_l")
@@ -133,7 +133,7 @@ def test_second_derivatives_equal_differences_of_first_ones(s1_left, motion):
 def test_of_paths_round_several_only_walls_bend(paths, moved):
     """Towards the wall that is nearest, about as differences of slopes say; all else is left out."""
     muscle = MUSCLES.index("gasmed_l")
-    several = replace(paths, alike=tuple(group for group in paths.alike if muscle in group.muscles))
+    several = replace(paths, groups=tuple(group for group in paths.groups if muscle in group.muscles))
     linearized = jax.jit(lambda at: several.linearized(at))
     weights = jax.tree.map(jnp.ones_like, paths.nominal)
     blind = replace(weights, proximity=jnp.zeros_like(weights.proximity))
@@ -180,7 +180,7 @@ def guarded(s1_left, motion):
     exact = wrapped_paths(engine, *every_third, MOMENTS, ("PS_at_brim_l",))[0]
     held = replace(wrapped_paths(engine, *motion, MOMENTS, ())[0].nominal, proximity=None)
     none = jax.tree.map(lambda leaf: jnp.zeros((2, 6, *leaf.shape[1:])), held)
-    return guarded_paths(AdjustablePath(held, none), exact, 3)
+    return with_exact_proximity(AdjustablePath(held, none), exact, 3)
 
 
 CHANGES = jnp.zeros((2, 6)).at[0].set(jnp.array([3e-4, -3e-4, 3e-4, 0.006, -0.006, 0.006]))
@@ -195,7 +195,7 @@ def test_guarded_paths_know_walls_and_straying_by_the_exact_ones(guarded):
     length, arm = known.length - exact.nominal.length, known.moment_arm - exact.nominal.moment_arm
     assert np.isfinite(known.proximity).all()
     assert np.abs(length).max() > 3e-5 and np.abs(arm).max() > 3e-5
-    strayed = (length / LENGTH_STRAYING) ** 2 + np.sum((arm / ARM_STRAYING) ** 2, axis=2)
+    strayed = (length / LENGTH_DEVIATION) ** 2 + np.sum((arm / ARM_DEVIATION) ** 2, axis=2)
     expected = np.sqrt(known.proximity**2 + strayed)
     frames = [0, 0, 0, 1]
     np.testing.assert_allclose(state.proximity, expected[..., frames], atol=1e-11)

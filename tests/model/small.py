@@ -10,7 +10,7 @@ from wrapjax.calibration.path_penalties import path_limits
 from wrapjax.calibration.penalties import pipeline_penalties
 from wrapjax.geometry.paths import AdjustablePath, PathState, fixed_path
 from wrapjax.model.forward import Recording, muscle_states
-from wrapjax.model.freedom import nga, with_paths
+from wrapjax.model.freedom import nga_freedom, with_paths
 from wrapjax.model.parameters import initial_parameters
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
@@ -50,7 +50,7 @@ def small_parameters():
 
 def small_objective(seed: int = 0) -> Objective:
     recording, base = small_recording(seed), small_parameters()
-    variables = free_variables(base, nga(base), MUSCLES)
+    variables = free_variables(base, nga_freedom(base), MUSCLES)
     states = eqx.filter_jit(muscle_states)(HILL_CURVES["paper"], base, recording)
     truth = variables.start() * jnp.asarray(
         np.random.default_rng(seed + 1).uniform(0.9, 1.1, variables.count)
@@ -92,7 +92,7 @@ def small_limited_objective(seed: int = 0) -> Objective:
     recording = small_adjustable_recording(seed)
     base = eqx.tree_at(lambda tree: tree.path_changes, small_parameters(), jnp.zeros((3, max(MODES))))
     free = np.arange(max(MODES))[None] < np.array(MODES)[:, None]
-    freedom = with_paths(nga(base), "SGA", free, prior_sd=10.0)
+    freedom = with_paths(nga_freedom(base), "SGA", free, prior_sd=10.0)
     variables = free_variables(base, freedom, MUSCLES)
     curves = HILL_CURVES["paper"]
     states = eqx.filter_jit(muscle_states)(curves, base, recording)

@@ -10,7 +10,7 @@ from tests.model.small import MUSCLES, PADDING, small_objective, small_parameter
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.penalties import pipeline_penalties
 from wrapjax.model.forward import muscle_states
-from wrapjax.model.freedom import nga, with_synergies
+from wrapjax.model.freedom import nga_freedom, with_synergies
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.excitation import CommandSplines, fit_emg_spline
 
@@ -43,7 +43,7 @@ def small_extrapolated_objective(excitations: dict[str, tuple[str, ...]]) -> Obj
     )
     number = {name: place for place, members in enumerate(excitations.values()) for name in members}
     places = np.array([number.get(name, -1) for name in MUSCLES])
-    freedom = with_synergies(nga(base), tuple(excitations), places, COMMANDS)
+    freedom = with_synergies(nga_freedom(base), tuple(excitations), places, COMMANDS)
     states = muscle_states(plain.curves, base, recording)
     rows = [MUSCLES.index(name) for name in driven]
     return dataclasses.replace(

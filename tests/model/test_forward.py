@@ -11,7 +11,7 @@ import pytest
 from tests.model.small import FRAMES, MUSCLES, PADDING, small_parameters, small_recording
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import Recording, joint_moments, muscle_state_along, muscle_states
-from wrapjax.model.freedom import Freedom, FreedParameter, nga
+from wrapjax.model.freedom import Freedom, FreedParameter, nga_freedom
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
@@ -163,7 +163,7 @@ def bounds(freedom: Freedom) -> dict[str, tuple[list[float], list[float]]]:
 
 
 def test_bounds_of_nga_are_as_documented():
-    found = bounds(nga(small_parameters()))
+    found = bounds(nga_freedom(small_parameters()))
     assert list(found) == [
         "electromechanical_delay",
         "activation_time_constant",
@@ -184,7 +184,7 @@ def test_bounds_of_nga_are_as_documented():
 def test_bounds_do_not_follow_the_parameters():
     """Two calibrations in a row, each moving lengths by 40 %, must not add up to 96 %."""
     reference = small_parameters()
-    freedom = nga(reference)
+    freedom = nga_freedom(reference)
     moved = eqx.tree_at(
         lambda tree: tree.optimal_fiber_length, reference, 1.4 * reference.optimal_fiber_length
     )
@@ -204,7 +204,7 @@ def test_bounds_depend_on_lengths_of_the_reference_alone():
     changed = eqx.tree_at(
         lambda tree: [getattr(tree, name) for name in others], reference, replace=[0.3 * jnp.ones(3)] * 4
     )
-    assert bounds(nga(changed)) == bounds(nga(reference))
+    assert bounds(nga_freedom(changed)) == bounds(nga_freedom(reference))
 
 
 def test_start_outside_its_bounds_is_moved_inside():
@@ -214,7 +214,7 @@ def test_start_outside_its_bounds_is_moved_inside():
         reference,
         replace=[jnp.array([5.0, 0.5, -1.0]), jnp.array([0.3, 0.05, 0.05])],
     )
-    variables = free_variables(outside, nga(reference), MUSCLES)
+    variables = free_variables(outside, nga_freedom(reference), MUSCLES)
     started = variables.unpack(variables.start())
     np.testing.assert_allclose(started.emg_scale, [1.0, 0.5, 0.05], rtol=1e-14)
     np.testing.assert_allclose(started.electromechanical_delay, [0.125, 0.05, 0.05], rtol=1e-14)
@@ -222,7 +222,7 @@ def test_start_outside_its_bounds_is_moved_inside():
 
 def test_what_is_not_freed_keeps_its_value():
     base = small_parameters()
-    variables = free_variables(base, nga(base).without(["tendon_slack_length"]), MUSCLES)
+    variables = free_variables(base, nga_freedom(base).without(["tendon_slack_length"]), MUSCLES)
     assert variables.count == 15 and not any("slack" in label for label in variables.labels)
     moved = variables.unpack(jnp.asarray(variables.upper))
     for name in ("tendon_slack_length", "max_isometric_force", "pennation_angle", "max_fiber_velocity"):
@@ -247,7 +247,7 @@ def test_bounds_the_wrong_way_round_are_refused():
 
 def test_infinite_deviation_expects_nothing():
     base = small_parameters()
-    variables = free_variables(base, nga(base, delay_sd=np.inf), MUSCLES)
+    variables = free_variables(base, nga_freedom(base, delay_sd=np.inf), MUSCLES)
     free = np.array([label.endswith("delay") for label in variables.labels])
     assert (variables.prior_precision[free] == 0.0).all() and (variables.prior_precision[~free] > 0.0).all()
 
@@ -255,7 +255,7 @@ def test_infinite_deviation_expects_nothing():
 def test_prior_is_in_the_units_of_the_solver():
     """A parameter one deviation from its mean is one precision-weighted unit away."""
     base = small_parameters()
-    variables = free_variables(base, nga(base), MUSCLES)
+    variables = free_variables(base, nga_freedom(base), MUSCLES)
     late = eqx.tree_at(lambda tree: tree.electromechanical_delay, base, 0.1 * jnp.ones(3))  # 50 +- 50 ms
     distance = (variables.pack(late) - variables.prior_mean) * variables.prior_precision
     delays = np.array([label.endswith("delay") for label in variables.labels])

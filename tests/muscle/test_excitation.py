@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from wrapjax.muscle.excitation import fit_emg_spline, sharpened
+from wrapjax.muscle.excitation import fit_emg_spline, sharpen_emg
 
 
 @pytest.mark.parametrize(("cutoff", "left_of_it"), [(5.0, 0.35), (6.0, 0.35), (7.0, 0.35), (8.0, 0.55)])
@@ -19,7 +19,7 @@ def test_sharpening_undoes_a_low_pass_filter(cutoff, left_of_it):
     emg = fit_emg_spline(time[None, inside], heard[None, None, inside])
     # At the cutoff the filter leaves half: as much as it takes.
     left = (1.0 - np.exp(-0.5 * (2.0 * np.pi * cutoff * 0.025) ** 2)) ** 2
-    sharper = sharpened(emg, jnp.array(1.0 / left), 0.025)
+    sharper = sharpen_emg(emg, jnp.array(1.0 / left), 0.025)
     found = jax.vmap(lambda one: one.at_delay(jnp.array(0.0)))(sharper)[0, 0]
     before, after = (np.abs(own - bursts[inside])[20:-20].max() for own in (heard[inside], np.asarray(found)))
     assert before > 0.02 and after < left_of_it * before
@@ -28,5 +28,5 @@ def test_sharpening_undoes_a_low_pass_filter(cutoff, left_of_it):
 def test_sharpening_by_nothing_is_nothing_to_the_last_bit():
     time = np.linspace(0.0, 1.0, 41)[None]
     emg = fit_emg_spline(time, np.random.default_rng(0).uniform(size=(1, 2, 41)))
-    same = sharpened(emg, jnp.array(0.0), 0.025)
+    same = sharpen_emg(emg, jnp.array(0.0), 0.025)
     np.testing.assert_array_equal(same.coefficients, emg.coefficients)

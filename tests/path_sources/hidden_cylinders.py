@@ -14,7 +14,7 @@ import numpy as np
 
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.calibration.uncertainty.intervals import moment_arm_deviation
-from wrapjax.demonstration.wrap_recovery import TOLD_APART
+from wrapjax.demonstration.wrap_recovery import IDENTIFIABLE_RATIO
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.model.forward import joint_moments
 
@@ -57,7 +57,7 @@ def errors_of_told_arms(problem, true):
 
     before = error(problem.variables.unpack(problem.variables.start()))
     deviation = moment_arm_deviation(problem, problem.variables.pack(true), NOISE).mean(axis=(1, 3))
-    told = (before > LEAST) & (deviation < TOLD_APART * before)
+    told = (before > LEAST) & (deviation < IDENTIFIABLE_RATIO * before)
     return before[told], error(calibrated(problem))[told]
 
 

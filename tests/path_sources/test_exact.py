@@ -16,14 +16,14 @@ from tests.subject.synthetic import (
     write_wrapped_subject,
 )
 from wrapjax.calibration.calibration import calibrate
-from wrapjax.calibration.problem import build_objective, stages
+from wrapjax.calibration.problem import build_objective, build_stages
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.calibration.two_legs import gather_legs
+from wrapjax.calibration.two_legs import build_leg_setups
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.evaluation.stored_run import load_run
 from wrapjax.geometry.engine import PARITY, ExactPaths, wrap_at_samples
-from wrapjax.geometry.wrap_bounds import NARROWER, WIDER
+from wrapjax.geometry.wrap_bounds import NARROWER_TRANSLATIONS, WIDER_TRANSLATIONS
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
@@ -71,14 +71,14 @@ def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
     wraps = geometry.freedom("PGA", subject).wraps
     (name,) = wraps.names
     assert wraps.places.tolist() == [[-1], [0]]
-    assert geometry.translations[name] in (*NARROWER, *WIDER)
+    assert geometry.translations[name] in (*NARROWER_TRANSLATIONS, *WIDER_TRANSLATIONS)
     np.testing.assert_allclose(wraps.upper[0, 3:], [np.radians(20), np.radians(20), 0.2])
     assert geometry.freedom("NGA", subject).wraps is None
 
 
 def test_what_is_compiled_for_nga_serves_the_first_stage(subject, geometry):
     """The same leaves of the same shapes, whatever may move later."""
-    plain, held = build_objective(subject, "NGA", geometry), stages(subject, "PGA", geometry)[0]
+    plain, held = build_objective(subject, "NGA", geometry), build_stages(subject, "PGA", geometry)[0]
     assert jax.tree.structure(held) == jax.tree.structure(plain)
     assert [np.shape(leaf) for leaf in jax.tree.leaves(held)] == [
         np.shape(leaf) for leaf in jax.tree.leaves(plain)
@@ -197,7 +197,7 @@ def test_cylinders_that_nobody_touched_are_free_where_all_are(subject, geometry)
     touched, everything = (one.freedom("PGA", subject, "all").wraps for one in (geometry, untouched))
     assert everything.names == touched.names
     np.testing.assert_array_equal(everything.upper, touched.upper)
-    problem = gather_legs(subject, untouched, "PGA", None, surfaces="all")[0]
+    problem = build_leg_setups(subject, untouched, "PGA", None, surfaces="all")[0]
     assert problem.freedom.wraps.names == touched.names
     with pytest.raises(ValueError, match="expected one of touched, all"):
         calibrate(subject, "PGA", geometry, surfaces="some")

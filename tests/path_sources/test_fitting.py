@@ -8,8 +8,8 @@ import pytest
 
 from wrapjax.errors import InputError
 from wrapjax.osim.muscle_analysis import analyse_muscles
-from wrapjax.path_sources.fit import load_fit
-from wrapjax.path_sources.fitting import fit
+from wrapjax.path_sources.path_fitting import fit
+from wrapjax.path_sources.polynomial_fit import load_fit
 
 
 def test_stated_errors_are_those_on_other_poses(person, paths):
@@ -59,7 +59,7 @@ def test_any_subject_if_none_is_named(paths, tmp_path):
 @pytest.mark.parametrize("changed", ["angles", "time"])
 def test_other_cycles_are_another_question(person, paths, changed):
     """The cache must not answer with the poses of others."""
-    from wrapjax.path_sources.fitting import _key
+    from wrapjax.path_sources.path_fitting import _key
 
     trials = dataclasses.replace(person.trials, **{changed: getattr(person.trials, changed) + 1e-9})
     assert _key(dataclasses.replace(person, trials=trials), "opensim", 0) != paths.key
@@ -68,7 +68,7 @@ def test_other_cycles_are_another_question(person, paths, changed):
 
 
 def test_moments_and_emg_are_no_part_of_the_question(person, paths):
-    from wrapjax.path_sources.fitting import _key
+    from wrapjax.path_sources.path_fitting import _key
 
     trials = dataclasses.replace(person.trials, moments=0.5 * person.trials.moments)
     assert _key(dataclasses.replace(person, trials=trials), "opensim", 0) == paths.key

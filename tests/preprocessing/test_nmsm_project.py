@@ -7,13 +7,13 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.preprocessing.made_up_project import SETTINGS, STARTS, write_settings
+from tests.preprocessing.synthetic_project import SETTINGS, STARTS, write_settings
 from tests.subject.synthetic import CHANNELS, PERIOD, angles, emg, moments
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import Storage, read_storage, write_storage
-from wrapjax.path_sources.undriven_muscles import drive
+from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
 from wrapjax.preprocessing.nmsm_project import FOLDERS, read_project
 from wrapjax.preprocessing.preparation import prepare_subject
 from wrapjax.subject.subject import load_subject
@@ -61,7 +61,7 @@ def test_groups_without_emg_are_kept_for_synergies(project, tmp_path):
     done.save(tmp_path / "subject")
     subject = load_subject(tmp_path / "subject")
     assert subject.extrapolated == {"SemiTen": ("semiten_l",)} and subject.muscles.names == ("recfem_l",)
-    driven = drive(subject, "synergies", 1)
+    driven = apply_undriven_strategy(subject, "synergies", 1)
     assert driven.synergies.groups == {"SemiTen": ("semiten_l",)}
     assert driven.muscles.names == ("recfem_l", "semiten_l")
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.report.endings import ended
 from wrapjax.calibration.path_penalties import path_limits
-from wrapjax.calibration.result import describe_limits, largest_excess, pushing_muscles
+from wrapjax.calibration.result import describe_limits, largest_excess, muscles_at_limits
 from wrapjax.report.curves import fiber_length_figure, fiber_length_finding
 from wrapjax.report.run_summary import summarize
 
@@ -25,7 +25,7 @@ def limited(result):
 
 
 def test_who_pushes_and_how_hard(limited):
-    assert pushing_muscles(limited)["longest_fiber"] == ("iliacus_l", "soleus_l")
+    assert muscles_at_limits(limited)["longest_fiber"] == ("iliacus_l", "soleus_l")
     described = describe_limits(limited)
     assert list(described) == ["longest_fiber", "shortest_fiber", "moment_arm_sign"]
     assert described["longest_fiber"] == {

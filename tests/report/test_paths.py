@@ -16,7 +16,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.cli.calibrate import calibration_table
 from wrapjax.model.freedom import FreedPaths
-from wrapjax.path_sources.fitting import fit
+from wrapjax.path_sources.path_fitting import fit
 from wrapjax.report.path_views import largest_changes, moment_arm_figure, path_section
 from wrapjax.report.starts import findings, moment_arm_spread
 from wrapjax.subject.subject import load_subject as load_subject

@@ -22,7 +22,12 @@ READING = (
         "wrapjax.io.json_and_arrays",
         "wrapjax.subject",
     ),
-    *("wrapjax.preprocessing", "wrapjax.io", "wrapjax.evaluation.stored_run", "wrapjax.path_sources.fit"),
+    *(
+        "wrapjax.preprocessing",
+        "wrapjax.io",
+        "wrapjax.evaluation.stored_run",
+        "wrapjax.path_sources.polynomial_fit",
+    ),
     *(
         "wrapjax.path_sources.polynomial_paths",
         "wrapjax.calibration.solvers.checkpoints",
@@ -135,7 +140,7 @@ def _model(path: Path) -> None:
 
 
 def _muscles(path: Path) -> None:
-    from wrapjax.subject.muscles import read_muscle_parameters
+    from wrapjax.subject.muscle_parameters import read_muscle_parameters
 
     read_muscle_parameters(path)
 
@@ -147,7 +152,7 @@ def _loads(path: Path) -> None:
 
 
 def _osimx(path: Path) -> None:
-    from wrapjax.preprocessing.nmsm_osimx import read_osimx
+    from wrapjax.preprocessing.nmsm_files import read_osimx
 
     for muscle in read_osimx(path):
         _finite(np.array(list(muscle.values.values())))
@@ -185,10 +190,10 @@ def _project(finished: Path, place: Path) -> Prepared:
 
 
 def _laboratory(finished: Path, place: Path) -> Prepared:
-    from wrapjax.preprocessing.laboratory_settings import read_raw_settings
+    from wrapjax.preprocessing.laboratory_settings import read_laboratory_settings
 
     file = seeds.laboratory(place / "laboratory") / "prepare.toml"
-    return Prepared(file, (seeds.LABORATORY,), lambda: read_raw_settings(file))
+    return Prepared(file, (seeds.LABORATORY,), lambda: read_laboratory_settings(file))
 
 
 def _opensim(finished: Path, place: Path) -> Prepared:
@@ -218,7 +223,7 @@ def _run_part(name: str) -> Callable[[Path, Path], Prepared]:
 
 def _fit_part(name: str) -> Callable[[Path, Path], Prepared]:
     def prepare(finished: Path, place: Path) -> Prepared:
-        from wrapjax.path_sources.fit import load_fit
+        from wrapjax.path_sources.polynomial_fit import load_fit
 
         folder = Path(shutil.copytree(finished / "fit", place / "fit"))
         return Prepared(folder / name, ((folder / name).read_bytes(),), lambda: load_fit(folder))

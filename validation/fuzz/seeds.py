@@ -166,7 +166,7 @@ def finished_results(place: Path) -> Path:
     from wrapjax.evaluation.evaluation import evaluate
     from wrapjax.evaluation.stored_run import load_run
     from wrapjax.jax_setup import set_up_jax
-    from wrapjax.path_sources.fitting import fit
+    from wrapjax.path_sources.path_fitting import fit
     from wrapjax.subject.subject import load_subject as load_subject
 
     set_up_jax()

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.problem import source_for, stages
+from wrapjax.calibration.problem import build_stages, fit_for_methods
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
@@ -26,17 +26,17 @@ from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
 from wrapjax.calibration.solvers.multistart import (
     IterationCallback,
     Outcome,
-    best,
+    best_start,
     solve_from_starts,
     starting_points,
 )
 from wrapjax.calibration.two_legs import (
-    Leg,
-    MuscleLaw,
+    LegSetup,
+    MuscleOptions,
+    build_leg_setups,
     calibration_fingerprint,
-    gather_legs,
-    join_legs,
-    solution_of_leg,
+    join_leg_objectives,
+    leg_solution,
 )
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.files import cache_folder
@@ -47,17 +47,17 @@ from wrapjax.model.parameters import with_path_modes
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry
-from wrapjax.path_sources.fit import Fit
 from wrapjax.path_sources.model_inputs import recording
+from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES
 from wrapjax.subject.subject import Subject
-from wrapjax.subject.synergies import COMMANDS
+from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def write_model(subject: Subject, result: CalibrationResult, file: Path) -> None:
+def write_calibrated_model(subject: Subject, result: CalibrationResult, file: Path) -> None:
     """Write a subject's model with its cylinders and muscles as calibrated.
 
     Parameters
@@ -147,7 +147,13 @@ class Calibration:
         from wrapjax.report.run_folder import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
-        write_run(legs, Path(folder), force=force, describe_model=describe_model, write_model=write_model)
+        write_run(
+            legs,
+            Path(folder),
+            force=force,
+            describe_model=describe_model,
+            write_calibrated_model=write_calibrated_model,
+        )
         if self.checkpoints is not None:
             self.checkpoints.close()
 
@@ -166,7 +172,7 @@ def calibrate(
     tendon: str = "rigid",
     surfaces: str = SURFACES[0],
     undriven: str = STRATEGIES[0],
-    synergies: int = COMMANDS,
+    synergies: int = DEFAULT_SYNERGIES,
     checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
@@ -209,7 +215,7 @@ def calibrate(
         ``all``; of a cylinder that stays out of reach moments say nothing, and it stays where it is.
     undriven, synergies
         What drives muscles without an electrode, and how many synergies where they do; see
-        `wrapjax.path_sources.undriven_muscles.drive`.
+        `wrapjax.path_sources.undriven_muscles.apply_undriven_strategy`.
     journal
         Folder in which to keep where the work stands, so that it can be resumed; removed when the
         result is saved.
@@ -222,13 +228,15 @@ def calibrate(
         Whether it converged is in ``status``; a fit that did not is returned, not raised.
     """
     solver = solver or AugmentedLagrangian()
-    legs = gather_legs(subject, fit, method, freedom, undriven, synergies, surfaces)
-    law = MuscleLaw(curves, tendon)
+    legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
+    law = MuscleOptions(curves, tendon)
     question = calibration_fingerprint(legs, solver, law, starts, seed)
-    by_leg = [stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs]
+    by_leg = [
+        build_stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs
+    ]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
-        problems = tuple(starmap(join_legs, zip(*by_leg, strict=True)))
+        problems = tuple(starmap(join_leg_objectives, zip(*by_leg, strict=True)))
     book = None
     if checkpoints is not None:
         book = Checkpoints.open(checkpoints, question, resume=resume)
@@ -243,7 +251,7 @@ def calibrate(
     finished = []
     for number, leg in enumerate(legs):
         own = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
-        result = _result(leg, own, best(outcomes), solver, law, compiled)
+        result = _result(leg, own, best_start(outcomes), solver, law, compiled)
         finished.append(Calibration(leg.subject, leg.fit, result))
     return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, checkpoints=book)
 
@@ -258,9 +266,9 @@ def cached_calibration(
     callback: IterationCallback | None = None,
 ) -> Calibration:
     """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
-    fitted = source_for((method,), subject) if fit is None else fit
-    legs = gather_legs(subject, fitted, method, None)
-    question = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleLaw(), starts, seed)
+    fitted = fit_for_methods((method,), subject) if fit is None else fit
+    legs = build_leg_setups(subject, fitted, method, None)
+    question = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleOptions(), starts, seed)
     checkpoints = cache_folder("calibrations") / question
     begun = (checkpoints / "question.json").exists()
     return calibrate(
@@ -276,16 +284,16 @@ def cached_calibration(
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:
-    cut = [(outcome, solution_of_leg(outcome.solution, leg)) for outcome in outcomes]
+    cut = [(outcome, leg_solution(outcome.solution, leg)) for outcome in outcomes]
     return tuple(replace(outcome, solution=solution) for outcome, solution in cut)
 
 
 def _result(
-    leg: Leg,
+    leg: LegSetup,
     outcomes: tuple[Outcome, ...],
     chosen: int,
     solver: AugmentedLagrangian,
-    law: MuscleLaw,
+    law: MuscleOptions,
     compile_seconds: float,
 ) -> CalibrationResult:
     subject, fit, freedom = leg.subject, leg.fit, leg.freedom
@@ -318,7 +326,7 @@ def _result(
         at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),
         labels=problem.variables.labels,
         geometry=fit.geometry if isinstance(fit, Fit) else fit.name,
-        paths=fit.surrogate.of_muscles(subject.muscles.names) if isinstance(fit, Fit) else None,
+        paths=fit.surrogate.select_muscles(subject.muscles.names) if isinstance(fit, Fit) else None,
         calibrated_paths=fit.calibrated(subject, freedom, parameters) if isinstance(fit, Fit) else None,
         measured=trials.moments,
         modelled=np.asarray(states.moment.sum(axis=0)),

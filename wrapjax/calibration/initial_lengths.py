@@ -43,7 +43,7 @@ class LengthErrors(eqx.Module):
     likeness: float = 0.1
 
 
-class InitialLengths(AbstractLeastSquares):
+class InitialLengthObjective(AbstractLeastSquares):
     """Passive moments and operating ranges as one least-squares problem.
 
     Variables are the ratios of optimal fiber lengths to the model's, those of slack lengths, and the longest

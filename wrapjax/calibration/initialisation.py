@@ -12,20 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.initial_lengths import InitialLengths, LengthErrors
+from wrapjax.calibration.initial_lengths import InitialLengthObjective, LengthErrors
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_derivatives import laid_paths
+from wrapjax.geometry.path_derivatives import compute_nominal_paths
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.parameters import initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.osim.model import describe_model
-from wrapjax.path_sources.exact import recorded
+from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.path_sources.undriven_muscles import acting_muscles
-from wrapjax.subject.muscles import CSV_COLUMNS, fiber_length_groups
+from wrapjax.subject.muscle_parameters import CSV_COLUMNS, fiber_length_groups
 from wrapjax.subject.passive import PassiveTrial
 from wrapjax.subject.subject import Subject
 
@@ -176,7 +176,7 @@ def initialise(
     before = subject.muscles
     if subject.undriven_parameters is not None and subject.undriven_muscles:
         acting, _ = acting_muscles(subject)
-        before = before.followed_by(subject.undriven_parameters.select(acting))
+        before = before.extended_by(subject.undriven_parameters.select(acting))
     problem = _problem(subject, before, curves, errors or LengthErrors())
     solution = ProjectedLevenbergMarquardt(ftol=1e-10).solve(problem, problem.start())
     variables = jnp.asarray(solution.variables)
@@ -209,12 +209,12 @@ def initialise(
 
 def _problem(
     subject: Subject, muscles: MuscleParameters, curves: str, errors: LengthErrors
-) -> InitialLengths:
+) -> InitialLengthObjective:
     model, trials = describe_model(subject.model_file), subject.trials.used_for("calibration")
     spanned = {name for muscle in muscles.names for name in model.spanned_by(muscle)}
     engine = ExactPaths(model, muscles.names, tuple(name for name in trials.coordinates if name in spanned))
     wanted = trials.moment_coordinates
-    walking = laid_paths(engine, *recorded(trials, engine.coordinates), wanted).length
+    walking = compute_nominal_paths(engine, *recorded_motion(trials, engine.coordinates), wanted).length
     count = len(muscles.names)
     length, arm = jnp.zeros((count, 0)), jnp.zeros((count, len(wanted), 0))
     moment = np.zeros((len(wanted), 0))
@@ -223,12 +223,12 @@ def _problem(
         moment = np.concatenate([_moments(trial, wanted) for trial in subject.passive], axis=1)
         defaults = {info.name: info.default_value for info in file.coordinates}
         poses = np.concatenate([_poses(trial, engine, defaults) for trial in subject.passive], axis=1)[None]
-        path = laid_paths(engine, poses, np.zeros_like(poses), wanted)
+        path = compute_nominal_paths(engine, poses, np.zeros_like(poses), wanted)
         length, arm = path.length[:, 0], path.moment_arm[:, 0]
     groups = fiber_length_groups(read_model_file(subject.model_file).groups, muscles.names, subject.side)
     grouped = tuple(tuple(muscles.names.index(name) for name in group) for group in groups)
     alone = tuple((row,) for row in range(count) if not any(row in group for group in grouped))
-    return InitialLengths(
+    return InitialLengthObjective(
         curves=HILL_CURVES[curves],
         parameters=initial_parameters(
             muscles.max_isometric_force,

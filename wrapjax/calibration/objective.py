@@ -10,11 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.calibration.muscle_blocks import curvature, curvature_through_time, slopes, slopes_through_time
+from wrapjax.calibration.muscle_derivatives import (
+    curvature,
+    curvature_through_time,
+    slopes,
+    slopes_through_time,
+)
 from wrapjax.calibration.penalties import AbstractPenalty, Limit
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Linearization
 from wrapjax.geometry.paths import PathState
-from wrapjax.model.alteration import Alteration, altered_emg, altered_moments, altered_paths, muscle_parts
+from wrapjax.model.alteration import (
+    Alteration,
+    altered_emg,
+    altered_moments,
+    altered_paths,
+    muscle_alterations,
+)
 from wrapjax.model.forward import MuscleState, Recording, muscle_state_along, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import Variables
@@ -174,7 +185,7 @@ class Objective(AbstractCalibration):
 
     def _muscle_inputs(self, variables: Float[Array, " variable"]):
         """What the functions of one muscle take, with a leading axis ``muscle``."""
-        count, modes = self.variables.singles, self.variables.modes
+        count, modes = self.variables.nonpath_count, self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
         path, by_change = self.recording.path.linearized(changes)
@@ -183,7 +194,7 @@ class Objective(AbstractCalibration):
         )
         single = self.variables.localize(variables)[:, :count]
         path = altered_paths(path, self.alterations)
-        emg, parts = altered_emg(self.recording.emg, self.alterations), muscle_parts(self.alterations)
+        emg, parts = altered_emg(self.recording.emg, self.alterations), muscle_alterations(self.alterations)
         return single, path, unit_modes, scale[:, :count], self.variables.base, emg, parts
 
     def _muscle_outputs(self, single, path, scale, base, emg, parts):
@@ -248,7 +259,7 @@ class Objective(AbstractCalibration):
     ) -> Float[Array, "muscle local local"]:
         """What curved paths add to the same sum: slopes of everything by the path times its Hessians."""
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
-        count = self.variables.singles
+        count = self.variables.nonpath_count
 
         def of_one(own, single, path, modes, *inputs):
             def weighted(path):

@@ -29,7 +29,7 @@ _ARM_UNIT = 0.01
 _FIRST_WEIGHT = 100.0
 #: How far cylinders stay within what was learned to be physiological: a score of one is the margin between
 #: the classes. A calibration looks for the places where what was learned is wrong.
-CAUTION = 0.5
+FEASIBILITY_MARGIN = 0.5
 # A score of one is the width of the margin between the classes: far, where a fiber length of one is not.
 _FIRST_SCORE_WEIGHT = 1.0
 
@@ -79,7 +79,7 @@ def feasibility_limits(nominal: PathState) -> tuple[Limit, ...]:
     """
     if nominal.infeasibility is None:
         return ()
-    most = jnp.maximum(nominal.infeasibility, -CAUTION)
+    most = jnp.maximum(nominal.infeasibility, -FEASIBILITY_MARGIN)
     none, first = jnp.zeros(most.shape), jnp.full(most.shape, _FIRST_SCORE_WEIGHT)
     each = jnp.ones((most.shape[0], 1))
     return (Limit("infeasibility", _infeasibility, whole, each, most, none, first),)

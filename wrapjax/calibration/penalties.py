@@ -74,7 +74,7 @@ class MusclePenalty(AbstractPenalty):
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
 
 
-class ChosenPenalty(AbstractPenalty):
+class SubsetPenalty(AbstractPenalty):
     """Some muscles, each on its own, about zero; the others do not count."""
 
     name: str = eqx.field(static=True)
@@ -258,5 +258,5 @@ def pipeline_penalties(
         ]
     if extrapolated:
         chosen = tuple(extrapolated)
-        penalties.append(ChosenPenalty("extrapolated_activation", _activation, whole, 0.3, chosen))
+        penalties.append(SubsetPenalty("extrapolated_activation", _activation, whole, 0.3, chosen))
     return tuple(penalties)

@@ -22,10 +22,10 @@ from wrapjax.model.parameters import ModelParameters, with_path_modes
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
-from wrapjax.path_sources.fit import Fit
-from wrapjax.path_sources.fitting import fit as fit_paths
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording
-from wrapjax.path_sources.undriven_muscles import with_weights
+from wrapjax.path_sources.path_fitting import fit as fit_paths
+from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.path_sources.undriven_muscles import with_synergy_weights
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import Subject
 
@@ -60,10 +60,10 @@ def build_objective(
     tendon
         ``rigid`` or ``compliant`` (`wrapjax.model.TENDONS`).
     """
-    return stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
+    return build_stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
 
 
-def stages(
+def build_stages(
     subject: Subject,
     method: str = "NGA",
     fit: Fit | ExactGeometry | None = None,
@@ -84,8 +84,8 @@ def stages(
         raise InputError(
             Problem(str(subject.folder / "subject.toml"), 'no trial is marked use = "calibration"')
         )
-    fitted = source_for((method,), subject) if fit is None else fit
-    freedom = with_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
+    fitted = fit_for_methods((method,), subject) if fit is None else fit
+    freedom = with_synergy_weights(freedom, subject) if freedom else method_freedom(method, subject, fitted)
     paths = fitted.paths(subject, trials, freedom)
     nominal = PathState(paths.nominal.length, paths.nominal.velocity, paths.nominal.moment_arm)
     inputs = recording(subject, trials, fixed_path(nominal))
@@ -121,7 +121,7 @@ def stages(
     return held, moving
 
 
-def source_for(
+def fit_for_methods(
     methods: Sequence[str],
     subject: Subject,
     geometry: str = "opensim",
@@ -152,7 +152,7 @@ def source_for(
     return fit_wraps(subject, fitted, processes=processes, quiet=quiet) if knows_cylinders else fitted
 
 
-def source_like(fit: Fit | ExactGeometry, subject: Subject) -> Fit | ExactGeometry:
+def matching_path_source(fit: Fit | ExactGeometry, subject: Subject) -> Fit | ExactGeometry:
     """Take a subject's paths from where another's, the other leg's for example, come from."""
     if isinstance(fit, ExactGeometry):
         return exact_geometry(subject, fit.name)
@@ -184,4 +184,4 @@ def method_freedom(
         raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
     if surfaces not in SURFACES:
         raise ValueError(f"unknown surfaces '{surfaces}': expected one of {', '.join(SURFACES)}")
-    return with_weights(fit.freedom(method, subject, surfaces), subject)
+    return with_synergy_weights(fit.freedom(method, subject, surfaces), subject)

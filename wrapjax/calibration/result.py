@@ -108,7 +108,7 @@ class CalibrationResult:
 FIBER_LIMITS = ("shortest_fiber", "longest_fiber")
 
 
-def pushing_muscles(result: CalibrationResult) -> dict[str, tuple[str, ...]]:
+def muscles_at_limits(result: CalibrationResult) -> dict[str, tuple[str, ...]]:
     """Name the muscles that push against each hard limit; empty without limits."""
     return {
         name: tuple(
@@ -129,7 +129,7 @@ def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
         in the limit's unit (normalised fiber length, cm of moment arm or clearance, the feasibility's
         score), 0 where it is kept.
     """
-    muscles, excess = pushing_muscles(result), largest_excess(result)
+    muscles, excess = muscles_at_limits(result), largest_excess(result)
     return {
         name: {
             "pushing": int((multipliers > 0.0).sum()),

@@ -19,17 +19,17 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.penalties import Limit
-from wrapjax.calibration.problem import method_freedom, source_for, source_like
+from wrapjax.calibration.problem import fit_for_methods, matching_path_source, method_freedom
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian, ConstrainedSolution
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Linearization
 from wrapjax.io.files import code_hash, content_hash
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry
-from wrapjax.path_sources.fit import Fit
-from wrapjax.path_sources.undriven_muscles import STRATEGIES, drive, with_weights
+from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.path_sources.undriven_muscles import STRATEGIES, apply_undriven_strategy, with_synergy_weights
 from wrapjax.subject.subject import Subject, read_legs
-from wrapjax.subject.synergies import COMMANDS
+from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 
 #: What muscles of the same name share, in solver units: ratios of lengths, times.
 SHARED = (
@@ -40,7 +40,7 @@ SHARED = (
 )
 
 
-class Legs(AbstractCalibration):
+class TwoLegObjective(AbstractCalibration):
     """The sum of two legs' costs over their joint variables."""
 
     legs: tuple[Objective, Objective]
@@ -65,7 +65,7 @@ class Legs(AbstractCalibration):
         """That of the coarser one."""
         return max(leg.resolution for leg in self.legs)
 
-    def with_limits(self, limits: tuple[Limit, ...]) -> Legs:
+    def with_limits(self, limits: tuple[Limit, ...]) -> TwoLegObjective:
         """Take others in their place, in the same order."""
         first = len(self.legs[0].limits)
         own = (limits[:first], limits[first:])
@@ -150,7 +150,7 @@ class Legs(AbstractCalibration):
         return total
 
 
-def join_legs(first: Objective, second: Objective) -> Legs:
+def join_leg_objectives(first: Objective, second: Objective) -> TwoLegObjective:
     """Join two legs' problems; muscles match by name without the side, ``soleus_l`` and ``soleus_r``.
 
     A muscle that only one leg has keeps its own parameters.
@@ -179,17 +179,17 @@ def join_legs(first: Objective, second: Objective) -> Legs:
     if apart:
         raise ValueError(f"the legs' bounds on {apart[0]} have nothing in common")
     limits = first.limits + second.limits
-    return Legs(legs=(first, second), places=places, bounds=bounds, limits=limits)
+    return TwoLegObjective(legs=(first, second), places=places, bounds=bounds, limits=limits)
 
 
-def solution_of_leg(solution: ConstrainedSolution, leg: int) -> ConstrainedSolution:
+def leg_solution(solution: ConstrainedSolution, leg: int) -> ConstrainedSolution:
     """Cut one leg's part out of a joint solution: its variables, limits and cost.
 
     Status, history and largest violation stay those of both; the expansion is that of both legs' cost
     along this leg's variables.
     """
     joint = solution.problem
-    assert isinstance(joint, Legs)
+    assert isinstance(joint, TwoLegObjective)
     problem, place = joint.legs[leg], joint.places[leg]
     variables, expansion = solution.variables[place], solution.linearization
     block = np.ix_(place, place)
@@ -216,7 +216,7 @@ def _shared_name(label: str) -> str | None:
 
 
 @dataclass(frozen=True)
-class Leg:
+class LegSetup:
     """A leg to calibrate: whose, by which paths, and what may move."""
 
     subject: Subject
@@ -224,35 +224,37 @@ class Leg:
     freedom: Freedom
 
 
-def gather_legs(
+def build_leg_setups(
     subject: Subject,
     fit: Fit | ExactGeometry | None,
     method: str,
     freedom: Freedom | None,
     undriven: str = STRATEGIES[0],
-    synergies: int = COMMANDS,
+    synergies: int = DEFAULT_SYNERGIES,
     surfaces: str = SURFACES[0],
-) -> list[Leg]:
+) -> list[LegSetup]:
     """Gather what is calibrated together: the subject's leg, and the other one if it is named."""
     subjects = read_legs(subject)
     if len(subjects) == 2 and freedom is not None:
         raise ValueError("a freedom of one's own is for one leg: take other_leg out of subject.toml")
     legs = []
     for read in subjects:
-        leg = drive(read, undriven, synergies)
+        leg = apply_undriven_strategy(read, undriven, synergies)
         given = fit if read is subject else None
         if isinstance(given, ExactGeometry) and given.engine.muscles != leg.muscles.names:
             given = None  # made before these muscles were driven
         if isinstance(given, Fit) and leg is not read:
-            given.refuse_others(leg, "fit")
-        fitted = given or (source_for((method,), leg) if fit is None else source_like(fit, leg))
-        free = with_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted, surfaces)
-        legs.append(Leg(leg, fitted, free))
+            given.require_subject(leg, "fit")
+        fitted = given or (fit_for_methods((method,), leg) if fit is None else matching_path_source(fit, leg))
+        free = (
+            with_synergy_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted, surfaces)
+        )
+        legs.append(LegSetup(leg, fitted, free))
     return legs
 
 
 @dataclass(frozen=True)
-class MuscleLaw:
+class MuscleOptions:
     """Of muscles: the names of their Hill curves and tendons."""
 
     curves: str = "paper"
@@ -260,13 +262,13 @@ class MuscleLaw:
 
 
 def calibration_fingerprint(
-    legs: list[Leg], solver: AugmentedLagrangian, law: MuscleLaw, starts: int, seed: int
+    legs: list[LegSetup], solver: AugmentedLagrangian, law: MuscleOptions, starts: int, seed: int
 ) -> str:
     """Name a calibration by all that decides where it goes."""
     return content_hash(code_hash(), *map(_fingerprint, legs), repr((solver, law, starts, seed)))
 
 
-def _fingerprint(leg: Leg) -> str:
+def _fingerprint(leg: LegSetup) -> str:
     """Name a leg's part in a calibration by all that decides where it goes."""
     subject, trials = leg.subject, leg.subject.trials
     return content_hash(

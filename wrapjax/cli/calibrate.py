@@ -19,14 +19,14 @@ from wrapjax.cli.common import (
     DONE,
     NOT_CONVERGED,
     AddCommand,
-    add_drive,
-    positive,
-    show,
-    unfinished,
+    add_undriven_options,
+    checkpoint_folder,
+    positive_integer,
+    print_result,
 )
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.metrics import moment_errors, pooled_mae
-from wrapjax.io.files import refuse_existing
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from wrapjax.calibration.uncertainty.intervals import LegSpread
     from wrapjax.calibration.uncertainty.uncertainty import Uncertainty
     from wrapjax.path_sources.exact import ExactGeometry
-    from wrapjax.path_sources.fit import Fit
+    from wrapjax.path_sources.polynomial_fit import Fit
 
 
 def iteration_printer(*, quiet: bool = False) -> IterationCallback | None:
@@ -185,10 +185,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="compliant: stretches with force, and takes several times as long",
     )
     calibrate.add_argument(
-        "--starts", type=positive, default=4, metavar="N", help="the model's own values and N-1 random ones"
+        "--starts",
+        type=positive_integer,
+        default=4,
+        metavar="N",
+        help="the model's own values and N-1 random ones",
     )
     calibrate.add_argument(
-        "--max-iterations", type=positive, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations", type=positive_integer, metavar="N", help="of each start (default: the solver's)"
     )
     calibrate.add_argument(
         "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
@@ -198,28 +202,30 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         choices=["laplace", "bootstrap"],
         help="say how well the recordings determine parameters: quickly, or by a calibration a draw",
     )
-    calibrate.add_argument("--draws", type=positive, metavar="N", help="of the bootstrap (default: 50)")
-    add_drive(calibrate)
+    calibrate.add_argument(
+        "--draws", type=positive_integer, metavar="N", help="of the bootstrap (default: 50)"
+    )
+    add_undriven_options(calibrate)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.calibration.calibration import calibrate
-    from wrapjax.calibration.problem import source_for
+    from wrapjax.calibration.problem import fit_for_methods
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
     from wrapjax.calibration.solvers.interface import Status
     from wrapjax.calibration.solvers.lbfgs import BoundedLBFGS
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
     from wrapjax.path_sources.exact import exact_geometry
-    from wrapjax.path_sources.fit import load_fit
-    from wrapjax.path_sources.undriven_muscles import drive
-    from wrapjax.progress import progress_bar, say
+    from wrapjax.path_sources.polynomial_fit import load_fit
+    from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
+    from wrapjax.progress import print_progress, progress_bar
     from wrapjax.subject.subject import load_subject as load_subject
     from wrapjax.subject.subject import read_legs
 
-    refuse_existing(options.out, options.force)
+    check_output_folder(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
     if options.draws and options.uncertainty != "bootstrap":
@@ -228,23 +234,23 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Problem("--draws", "expected at least 2, found 1: one draw has no spread"))
     if options.surfaces != "touched" and options.method != "PGA":
         raise InputError(Problem("--surfaces", "is for --method PGA: the others move no cylinders"))
-    checkpoints = unfinished(options)
+    checkpoints = checkpoint_folder(options)
     inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
     read_legs(subject)  # whatever is wrong with the other leg is said before the long work
-    subject = drive(subject, options.undriven, options.synergies)
+    subject = apply_undriven_strategy(subject, options.undriven, options.synergies)
     paths: Fit | ExactGeometry
     if options.geometry == "engine":
         paths = exact_geometry(subject)
     elif options.fit:
         paths = load_fit(options.fit, subject)
     else:
-        paths = source_for(
+        paths = fit_for_methods(
             (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
         )
-    say("compiling (once; later runs take it from the cache)", quiet=options.quiet)
+    print_progress("compiling (once; later runs take it from the cache)", quiet=options.quiet)
     done = calibrate(
         subject,
         options.method,
@@ -262,21 +268,21 @@ def run(options: argparse.Namespace) -> int:
         resume=options.resume,
     )
     if done.status is Status.interrupted:
-        say("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     if options.uncertainty is None:
         done.save(options.out, force=options.force)
-        show(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
+        print_result(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
         return DONE if done.status.converged else NOT_CONVERGED
     count = options.draws or DRAWS[options.uncertainty]
     quiet = options.quiet or options.uncertainty == "laplace"
-    say("judging how well the recordings determine parameters", quiet=options.quiet)
+    print_progress("judging how well the recordings determine parameters", quiet=options.quiet)
     try:
         with progress_bar("calibrating made-up moments", count, quiet=quiet) as advance:
             judged = uncertainty(done, options.uncertainty, draws=count, seed=options.seed, advance=advance)
     except KeyboardInterrupt:
-        say("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     judged.save(options.out, force=options.force)
-    show(options, "summary.json", lambda: uncertainty_table(judged))
+    print_result(options, "summary.json", lambda: uncertainty_table(judged))
     return DONE if done.status.converged else NOT_CONVERGED

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, positive, show
-from wrapjax.io.files import refuse_existing
+from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, positive_integer, print_result
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -129,28 +129,32 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
     )
     diagnose.add_argument(
-        "--starts", type=positive, default=4, metavar="N", help="of the calibration, as in 'calibrate'"
+        "--starts",
+        type=positive_integer,
+        default=4,
+        metavar="N",
+        help="of the calibration, as in 'calibrate'",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.calibration.problem import source_for
+    from wrapjax.calibration.problem import fit_for_methods
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.diagnosis.diagnosis import diagnose
     from wrapjax.diagnosis.effects.catalogue import refuse_unknown
-    from wrapjax.path_sources.fit import load_fit
-    from wrapjax.progress import say
+    from wrapjax.path_sources.polynomial_fit import load_fit
+    from wrapjax.progress import print_progress
     from wrapjax.subject.subject import load_subject as load_subject
 
-    refuse_existing(options.out, options.force)
+    check_output_folder(options.out, options.force)
     refuse_unknown(options.without)
     subject = load_subject(options.subject)
     if options.fit:
         paths = load_fit(options.fit, subject)
     else:
-        paths = source_for(
+        paths = fit_for_methods(
             (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
         )
     done = diagnose(
@@ -161,8 +165,8 @@ def run(options: argparse.Namespace) -> int:
         starts=options.starts,
         seed=options.seed,
         callback=iteration_printer(quiet=options.quiet),
-        log=lambda line: say(line, quiet=options.quiet),
+        log=lambda line: print_progress(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
-    show(options, "gap.json", lambda: diagnosis_table(done.result))
+    print_result(options, "gap.json", lambda: diagnosis_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE

@@ -9,12 +9,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wrapjax.cli.common import DONE, AddCommand, add_drive, positive_number, show
-from wrapjax.io.files import refuse_existing
+from wrapjax.cli.common import DONE, AddCommand, add_undriven_options, positive_number, print_result
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.path_sources.fit import Fit
+    from wrapjax.path_sources.polynomial_fit import Fit
     from wrapjax.path_sources.polynomial_paths import WrapFit
 
 
@@ -77,7 +77,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         default="opensim",
         help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
     )
-    add_drive(fit)
+    add_undriven_options(fit)
     limits = fit.add_argument_group("a placement of cylinders is physiological up to these differences")
     for name, what in THRESHOLDS.items():
         limits.add_argument(f"--{name.replace('_', '-')}", type=positive_number, metavar="X", help=what)
@@ -87,24 +87,24 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.geometry.physiological import PhysiologicalThresholds
-    from wrapjax.path_sources.fitting import fit
-    from wrapjax.path_sources.undriven_muscles import drive
+    from wrapjax.path_sources.path_fitting import fit
+    from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
     from wrapjax.path_sources.wrap_fitting import fit_wraps
-    from wrapjax.progress import say
+    from wrapjax.progress import print_progress
     from wrapjax.subject.subject import load_subject as load_subject
 
-    refuse_existing(options.out, options.force)
-    subject = drive(load_subject(options.subject), options.undriven, options.synergies)
+    check_output_folder(options.out, options.force)
+    subject = apply_undriven_strategy(load_subject(options.subject), options.undriven, options.synergies)
     how = {"processes": options.threads, "quiet": options.quiet}
     given = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
     fitted = fit(subject, options.geometry, seed=options.seed, **how)
     result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**given), **how)
-    say("drawing the report", quiet=options.quiet)
+    print_progress("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
 
     def tables() -> str:
         wraps = result.wraps
         return fit_table(result) + (f"\n\n{wrap_table(wraps)}" if wraps and wraps.quality else "")
 
-    show(options, "fit.json", tables)
+    print_result(options, "fit.json", tables)
     return DONE

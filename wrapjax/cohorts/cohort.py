@@ -14,17 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.calibration.problem import METHODS
-from wrapjax.cohorts.scheduling import Finished, run_everywhere
+from wrapjax.cohorts.scheduling import Finished, run_jobs
 from wrapjax.comparison.samples import file_name
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import code_hash, content_hash, new_folder, write_json
 from wrapjax.io.json_and_arrays import load_json
-from wrapjax.jax_setup import forget_if_crowded, set_up_jax
-from wrapjax.progress import progress_bar, say
+from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
+from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject, load_subject, read_legs
 
 #: Says what a member's folder answers.
-MEMBER_FILE = "subject.json"
+SUBJECT_FILE = "subject.json"
 #: Folders within it.
 CALIBRATION, DIAGNOSIS = "calibration", "diagnosis"
 _SCHEMA = 1
@@ -57,7 +57,7 @@ class Job:
     resume: bool
 
 
-def kept_answer(job: Job) -> dict[str, Any] | None:
+def cached_result(job: Job) -> dict[str, Any] | None:
     """Recall what was answered to the same question of the same files; None if that is not there."""
     try:
         return _kept(Path(job.place), _fingerprint(job, load_subject(job.folder))) if job.resume else None
@@ -65,7 +65,7 @@ def kept_answer(job: Job) -> dict[str, Any] | None:
         return None  # whoever is to answer says why
 
 
-def answer(job: Job) -> dict[str, Any]:
+def process_subject(job: Job) -> dict[str, Any]:
     """Calibrate a subject (and diagnose it), and write its folder whole or not at all.
 
     Returns
@@ -75,19 +75,19 @@ def answer(job: Job) -> dict[str, Any]:
     """
     set_up_jax()
     try:
-        return _answer(job)
+        return _process_subject(job)
     except InputError as error:
         more = len(error.problems) - 1
         tail = f" (and {more} more)" if more else ""
         return {"state": "failed", "message": f"{error.problems[0]}{tail}"}
     finally:
-        forget_if_crowded()
+        clear_caches_near_map_limit()
 
 
-def _answer(job: Job) -> dict[str, Any]:
+def _process_subject(job: Job) -> dict[str, Any]:
     # Imported by a worker, after its threads are set.
     from wrapjax.calibration.calibration import cached_calibration
-    from wrapjax.calibration.problem import source_for
+    from wrapjax.calibration.problem import fit_for_methods
     from wrapjax.calibration.solvers.interface import Status
     from wrapjax.diagnosis.diagnosis import diagnose
 
@@ -95,7 +95,7 @@ def _answer(job: Job) -> dict[str, Any]:
     subject = load_subject(job.folder)
     question = _fingerprint(job, subject)
     place = Path(job.place)
-    paths = source_for((job.method,), subject, seed=job.seed, processes=1)
+    paths = fit_for_methods((job.method,), subject, seed=job.seed, processes=1)
     calibration = cached_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
     if calibration.status is Status.interrupted:
         raise RuntimeError("interrupted; what was done of it is kept")
@@ -119,7 +119,7 @@ def _answer(job: Job) -> dict[str, Any]:
             "diagnosis": gap,
             "seconds": time.perf_counter() - began,
         }
-        write_json(folder / MEMBER_FILE, content)
+        write_json(folder / SUBJECT_FILE, content)
     return content
 
 
@@ -135,7 +135,7 @@ def _stored(file: Path) -> dict[str, Any]:
 def _kept(place: Path, question: str) -> dict[str, Any] | None:
     """Recall an answer to the same question; None if there is none."""
     try:
-        content = _stored(place / MEMBER_FILE)
+        content = _stored(place / SUBJECT_FILE)
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) and content.get("question") == question else None
@@ -260,19 +260,19 @@ def cohort(
     states: dict[str, dict[str, Any]] = dict.fromkeys(labels, _WAITING)
     # Before there are workers, which may not be needed.
     for label in list(jobs):
-        kept = kept_answer(jobs[label])
+        kept = cached_result(jobs[label])
         if kept is not None:
             del jobs[label]
             states[label] = _state(Finished(label, kept))
     found = Cohort(place, _write(place, labels, states, method, diagnose))
     if len(jobs) < len(labels):
-        say(f"{len(labels) - len(jobs)} of {len(labels)} subjects are done already", quiet=quiet)
-    running = run_everywhere(answer, jobs, scheduler=scheduler, workers=workers or os.cpu_count() or 1)
+        print_progress(f"{len(labels) - len(jobs)} of {len(labels)} subjects are done already", quiet=quiet)
+    running = run_jobs(process_subject, jobs, scheduler=scheduler, workers=workers or os.cpu_count() or 1)
     with progress_bar("subjects", len(jobs), quiet=quiet) as advance:
         for number, one in enumerate(running if jobs else (), 1):
             states[one.name] = _state(one)
             found = Cohort(place, _write(place, labels, states, method, diagnose))
-            say(f"{one.name}: {_line(states[one.name])}", quiet=quiet)
+            print_progress(f"{one.name}: {_line(states[one.name])}", quiet=quiet)
             advance(number)
     _draw(found)
     return found

@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from wrapjax.calibration.calibration import STARTS, Calibration, calibrate
-from wrapjax.calibration.problem import METHODS, method_freedom, source_for, source_like
+from wrapjax.calibration.problem import METHODS, fit_for_methods, matching_path_source, method_freedom
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.comparison.samples import file_name, labels_of, persons_of
+from wrapjax.comparison.samples import file_name, subjects_to_calibrate, unique_labels
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import new_folder
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import ExactGeometry, exact_geometry
-from wrapjax.path_sources.fit import Fit
-from wrapjax.progress import say
+from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.progress import print_progress
 from wrapjax.subject.subject import Subject, read_legs
 
 if TYPE_CHECKING:
@@ -181,8 +181,8 @@ def compare(
     methods = _checked(methods)
     if geometry not in GEOMETRIES:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
-    persons = persons_of(subjects)
-    labels = labels_of(persons)
+    persons = subjects_to_calibrate(subjects)
+    labels = unique_labels(persons)
     sources = [
         _sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet) for person in persons
     ]
@@ -192,7 +192,7 @@ def compare(
     for label, person, source in zip(labels, persons, sources, strict=True):
         row = []
         for method in methods:
-            say(f"calibrating {label} by {method}", quiet=quiet)
+            print_progress(f"calibrating {label} by {method}", quiet=quiet)
             place = None if checkpoints is None else checkpoints / label / method
             one = calibrate(
                 person,
@@ -260,15 +260,19 @@ def _sources(
         )
     found: dict[str, Fit | ExactGeometry] = {}
     if by_engine:
-        say(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
+        print_progress(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
         found |= dict.fromkeys(by_engine, exact_geometry(person))
     by_polynomials = [method for method in methods if method not in by_engine]
     if by_polynomials:
         source = "engine" if by_engine else "opensim"
-        fitted = source_for(by_polynomials, person, source, seed=seed, processes=processes, quiet=quiet)
+        fitted = fit_for_methods(by_polynomials, person, source, seed=seed, processes=processes, quiet=quiet)
         found |= dict.fromkeys(by_polynomials, fitted)
     for leg in legs:
-        own = found if leg is person else {method: source_like(fit, leg) for method, fit in found.items()}
+        own = (
+            found
+            if leg is person
+            else {method: matching_path_source(fit, leg) for method, fit in found.items()}
+        )
         for method in methods:
             method_freedom(method, leg, own[method])
     return found

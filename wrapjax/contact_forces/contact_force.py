@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.contact_forces.gait_phase import gait_phases
-from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
 from wrapjax.contact_forces.result import (
     JOINT_REACTION,
+    MAX_CONDYLE_DISTANCE,
+    MIN_CONDYLE_DISTANCE,
     MUSCLE_SHARE,
-    NARROWEST,
-    WIDEST,
     ContactResult,
     RunContact,
     Undriven,
@@ -37,7 +37,7 @@ from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.hill import rigid_tendon_fiber
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
-from wrapjax.path_sources.undriven_muscles import OtherMuscles, other_muscles
+from wrapjax.path_sources.undriven_muscles import UndrivenMuscles, build_undriven_muscles
 from wrapjax.preprocessing.gait_events import find_contacts
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 #: The joint whose force may be divided, as `_joints` calls it.
 KNEE = "knee"
 #: What may be made of muscles without an electrode.
-TREATMENTS = ("static-optimization", "left")
+UNDRIVEN_TREATMENTS = ("static-optimization", "left")
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def contact(
     other: Run | str | Path | None = None,
     *,
     subject: Subject | str | Path | None = None,
-    undriven: str = TREATMENTS[0],
+    undriven: str = UNDRIVEN_TREATMENTS[0],
     condyle_distance: float | None = None,
     log: Callable[[str], None] = lambda line: None,
 ) -> Contact:
@@ -120,8 +120,8 @@ def contact(
         where muscles run (SGA and LSGA adjust polynomials); if no knee has condyles so far apart.
     """
     require_float64()
-    if undriven not in TREATMENTS:
-        raise ValueError(f"unknown treatment '{undriven}': expected one of {', '.join(TREATMENTS)}")
+    if undriven not in UNDRIVEN_TREATMENTS:
+        raise ValueError(f"unknown treatment '{undriven}': expected one of {', '.join(UNDRIVEN_TREATMENTS)}")
     _check_distance(condyle_distance)
     runs = [read_curves(run, subject)]
     if other is not None:
@@ -131,7 +131,7 @@ def contact(
     own = runs[0].subject
     joints = _joints(models[0], own.trials.moment_coordinates)
     walk, reason = recorded_walk(own)
-    undivided = _undivided(joints, whole=walk is not None, asked=condyle_distance is not None)
+    undivided_reason = _undivided(joints, whole=walk is not None, asked=condyle_distance is not None)
     found = []
     for entry, model_file, label in zip(runs, models, _labels(runs), strict=True):
         log(f"{label}: muscles without an electrode")
@@ -144,7 +144,7 @@ def contact(
             pressed = _share(own, model_file, tuple(joints.values()), muscles, force)
         else:
             pressed, on_child = _reactions(walk, model_file, tuple(joints.values()), muscles, force)
-            if condyle_distance is not None and not undivided:
+            if condyle_distance is not None and not undivided_reason:
                 on_tibia = on_child[:, list(joints).index(KNEE)]
                 compartments = knee_compartments(on_tibia, condyle_distance, own.side)
         found.append(_run_contact(label, entry.run, others, pressed, compartments))
@@ -164,15 +164,15 @@ def contact(
             time=trials.time,
             phase=_phase(own, () if walk is None else walk.loaded),
             runs=tuple(found),
-            condyle_distance=None if undivided else condyle_distance,
-            undivided=undivided,
+            condyle_distance=None if undivided_reason else condyle_distance,
+            undivided_reason=undivided_reason,
         ),
     )
 
 
 def _check_distance(distance: float | None) -> None:
-    if distance is not None and not NARROWEST <= distance <= WIDEST:
-        message = f"{distance:g} m apart, where {NARROWEST:g} to {WIDEST:g} m were expected"
+    if distance is not None and not MIN_CONDYLE_DISTANCE <= distance <= MAX_CONDYLE_DISTANCE:
+        message = f"{distance:g} m apart, where {MIN_CONDYLE_DISTANCE:g} to {MAX_CONDYLE_DISTANCE:g} m were expected"
         raise InputError(Problem("the condyles of a knee", message))
 
 
@@ -272,7 +272,7 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
     )
     nothing = np.zeros((0, trials, frames))
     left = Undriven("left", (), all_of_them, nothing, nothing, missing, missing)
-    others = other_muscles(subject, entry.run.curves, model_file)[0] if treatment != "left" else None
+    others = build_undriven_muscles(subject, entry.run.curves, model_file)[0] if treatment != "left" else None
     if others is None:
         return left
     active = _strengths(others)
@@ -289,14 +289,14 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
         left,
         treatment=treatment,
         muscles=others.names,
-        left_out=tuple(name for name in all_of_them if name not in others.names),
+        without_force=tuple(name for name in all_of_them if name not in others.names),
         activation=activation,
         force=activation * active,
         residual=np.moveaxis(shared.residual.reshape(coordinates, trials, frames), 0, 1),
     )
 
 
-def _strengths(others: OtherMuscles) -> Float[np.ndarray, "muscle trial frame"]:
+def _strengths(others: UndrivenMuscles) -> Float[np.ndarray, "muscle trial frame"]:
     """Forces along the tendon at full activation, N, by parameters that nobody calibrated.
 
     Passive forces are left out: nobody fitted these muscles' slack lengths, and with tendons that do not
@@ -346,4 +346,4 @@ def _share(
     coordinates = [name for name in trials.coordinates if name in spanned]
     rows = [trials.coordinates.index(name) for name in coordinates]
     lines = lines_of_action(model, muscles, joints, coordinates, trials.angles[:, rows])
-    return muscle_share(lines, force)
+    return sum_muscle_forces(lines, force)

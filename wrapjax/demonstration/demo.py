@@ -20,14 +20,14 @@ from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.intervals import laplace_deviation
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
-from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS, VirtualTruth, parameter_names
+from wrapjax.datasets.virtual_person.true_parameters import HIDDEN_EFFECTS, TrueParameters, parameter_names
 from wrapjax.demonstration.wrap_recovery import WrapRecovery, wrap_recovery
 from wrapjax.diagnosis.diagnosis import Diagnosis, diagnose
 from wrapjax.io.files import write_json
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.path_sources.exact import exact_geometry
-from wrapjax.path_sources.fitting import fit
-from wrapjax.progress import say
+from wrapjax.path_sources.path_fitting import fit
+from wrapjax.progress import print_progress
 from wrapjax.subject.subject import load_subject
 
 #: What readers of the page must not miss.
@@ -37,9 +37,9 @@ NOTE = (
 )
 #: Of the walking: more cycles than the demo's calibrations need, as what repeats has to be told from noise.
 _SERIES = (Series(0.8, 4, 1), Series(1.2, 4, 1))
-_DIAGNOSIS_STARTS, _TWINS = 2, 20
+_DIAGNOSIS_STARTS, _NULL_REPLICATES = 2, 20
 #: Not drawn by lot: of a size that people have it leads the list and is not named.
-NOT_DRAWN = ("emg_crosstalk",)
+EXCLUDED_EFFECTS = ("emg_crosstalk",)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class DiagnosisDemonstration:
     diagnosis: Diagnosis
 
     @property
-    def right(self) -> bool:
+    def correct(self) -> bool:
         """Whether what was hidden is named, alone or in a tie; of nothing: whether nothing is."""
         result = self.diagnosis.result
         said = {*result.named, *(id for tie in result.ties for id in tie)}
@@ -66,14 +66,14 @@ class DiagnosisDemonstration:
             "outcome": result.outcome,
             "named": result.named,
             "ties": result.ties,
-            "right": self.right,
+            "right": self.correct,
             "note": NOTE,
         }
 
 
-def drawn_effect(seed: int) -> str:
-    """Draw what is hidden, of `HIDDEN_EFFECTS` without `NOT_DRAWN`."""
-    names = sorted(set(HIDDEN_EFFECTS) - set(NOT_DRAWN))
+def draw_effect(seed: int) -> str:
+    """Draw what is hidden, of `HIDDEN_EFFECTS` without `EXCLUDED_EFFECTS`."""
+    names = sorted(set(HIDDEN_EFFECTS) - set(EXCLUDED_EFFECTS))
     return names[int(np.random.default_rng([seed, 5]).integers(len(names)))]
 
 
@@ -111,7 +111,7 @@ def demonstrate_diagnosis(
         fit(subject, "engine", seed=seed, quiet=quiet),
         starts=_DIAGNOSIS_STARTS,
         seed=seed,
-        null_replicates=_TWINS,
+        null_replicates=_NULL_REPLICATES,
         callback=callback,
         log=log,
     )
@@ -145,7 +145,7 @@ class Demonstration:
 
     #: By method.
     calibrations: dict[str, Calibration]
-    truth: VirtualTruth
+    true_parameters: TrueParameters
     #: Of NGA's parameters.
     recovery: tuple[Recovery, ...]
     #: Of PGA's cylinders and moment arms.
@@ -172,7 +172,7 @@ class Demonstration:
         }
         write_json(folder / "demo.json", content)
         result = self.calibrations["NGA"].result
-        draw_recovery(result.initial, result.parameters, self.truth, folder / "recovery.png")
+        draw_recovery(result.initial, result.parameters, self.true_parameters, folder / "recovery.png")
         self.wraps.draw(folder / "wrap_recovery.png")
 
 
@@ -212,8 +212,8 @@ def demo(
         is made again in place.
     """
     folder, force = Path(folder), force or resume
-    say("building a virtual person and letting it walk", quiet=quiet)
-    truth = write_virtual_subject(
+    print_progress("building a virtual person and letting it walk", quiet=quiet)
+    true_parameters = write_virtual_subject(
         folder / "virtual_subject",
         seed=seed,
         moment_noise=MOMENT_NOISE,
@@ -225,7 +225,7 @@ def demo(
     fitted.save(folder / "fit", subject=subject, force=force)
     calibrations = {}
     for method, starts in _STARTS.items():
-        say(f"calibrating by {method}", quiet=quiet)
+        print_progress(f"calibrating by {method}", quiet=quiet)
         paths = exact_geometry(subject) if method == "PGA" else fitted
         book = None if checkpoints is None else checkpoints / method
         calibrations[method] = calibrate(
@@ -240,21 +240,21 @@ def demo(
         )
         # Saving closes a journal: not before the last one is done.
         replace(calibrations[method], checkpoints=None).save(folder / method, force=force)
-    say("hiding something in another virtual person, and diagnosing it", quiet=quiet)
+    print_progress("hiding something in another virtual person, and diagnosing it", quiet=quiet)
     gap = demonstrate_diagnosis(
         folder,
-        drawn_effect(seed),
+        draw_effect(seed),
         seed=seed,
         force=force,
         quiet=quiet,
         callback=callback,
-        log=lambda line: say(line, quiet=quiet),
+        log=lambda line: print_progress(line, quiet=quiet),
     )
     shown = Demonstration(
         calibrations,
-        truth,
-        _recovery(calibrations["NGA"], truth),
-        wrap_recovery(calibrations["PGA"], truth, MOMENT_NOISE),
+        true_parameters,
+        _recovery(calibrations["NGA"], true_parameters),
+        wrap_recovery(calibrations["PGA"], true_parameters, MOMENT_NOISE),
         gap,
     )
     shown.save(folder)
@@ -276,13 +276,13 @@ def _in_short(result: CalibrationResult) -> dict[str, float]:
     }
 
 
-def _recovery(calibration: Calibration, truth: VirtualTruth) -> tuple[Recovery, ...]:
+def _recovery(calibration: Calibration, true_parameters: TrueParameters) -> tuple[Recovery, ...]:
     result = calibration.result
     problem = build_objective(calibration.subject, "NGA", calibration.fit)
     deviation = laplace_deviation(problem, result.solution.variables, MOMENT_NOISE)
     rows = []
     for name in parameter_names():
-        true = getattr(truth, name)
+        true = getattr(true_parameters, name)
         before, after = (np.asarray(getattr(tree, name)) for tree in (result.initial, result.parameters))
         rows.append(
             Recovery(

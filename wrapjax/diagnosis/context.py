@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.path_sources.undriven_muscles import OtherMuscles
-from wrapjax.subject.muscle_groups import plain_name
+from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
+from wrapjax.subject.muscle_groups import standard_name
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
 #: From amounts of an effect to what it adds to the prediction of measured moments, N m.
@@ -142,7 +142,7 @@ class Context:
     parameters: ModelParameters
     paths: PathState
     paretic: bool | None = None
-    others: OtherMuscles | None = None
+    others: UndrivenMuscles | None = None
     no_others: str = "every muscle of this leg has an EMG channel"
     paths_by_angle: PathState | None = None
     wraps: PathChanges | None = None
@@ -169,8 +169,8 @@ class Context:
         return np.linspace(0.0, 1.0, self.angles.shape[-1])
 
     def muscle_rows(self, names: Sequence[str]) -> list[int]:
-        """Number the muscles of these names without side (see `anatomy.plain_name`) that there are."""
-        return [row for row, muscle in enumerate(self.muscles) if plain_name(muscle) in names]
+        """Number the muscles of these names without side (see `anatomy.standard_name`) that there are."""
+        return [row for row, muscle in enumerate(self.muscles) if standard_name(muscle) in names]
 
     def coordinate(self, stem: str) -> int | None:
         """Number the coordinate whose name starts so (``ankle_angle``); None where there is none."""

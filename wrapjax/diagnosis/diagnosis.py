@@ -29,7 +29,7 @@ from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.io.files import cache_folder
 from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
-from wrapjax.path_sources.fit import Fit
+from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:

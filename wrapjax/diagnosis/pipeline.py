@@ -68,7 +68,7 @@ def linearize_effects(
         Of its problem.
     """
     chosen = case.plan.calibration
-    known, cycles = case.context.select(chosen.tolist()), case.recording.of_trials(chosen)
+    known, cycles = case.context.select(chosen.tolist()), case.recording.select_trials(chosen)
     effects = effects_in(catalogue(known, case.withheld))
     gap = linearized_model(
         case.problem, jnp.asarray(variables), cycles, case.measured[chosen], known, effects

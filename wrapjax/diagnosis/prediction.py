@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.diagnosis.effects.effect import Effects, Form
 from wrapjax.model.alteration import Alteration
-from wrapjax.model.forward import Recording, carried_out, joint_moments
+from wrapjax.model.forward import Recording, apply_recording_alterations, joint_moments
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
@@ -103,7 +103,7 @@ def finite_difference_signatures(
 def carry_out(
     recording: Recording, parameters: ModelParameters, forms: Forms, effect_sizes: EffectSizes
 ) -> Inputs:
-    """Give what the model takes in with effects at these amounts; see `carried_out`.
+    """Give what the model takes in with effects at these amounts; see `apply_recording_alterations`.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def carry_out(
         Of effects, one of each an effect.
     """
     alterations = tuple(form(own) for form, own in zip(forms, effect_sizes, strict=True))
-    return carried_out(recording, parameters, alterations)
+    return apply_recording_alterations(recording, parameters, alterations)
 
 
 @eqx.filter_jit

@@ -22,22 +22,22 @@ from wrapjax.diagnosis.inverse_dynamics.recorded_walk import Walk
 from wrapjax.diagnosis.inverse_dynamics.wrong_inputs import TURNS, foot_loads, turn_sign
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.joint_changes import with_moved_joint, with_turned_joint
+from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_derivatives import (
-    slopes_by_angles,
-    slopes_by_ends,
-    slopes_by_model,
-    slopes_by_wraps,
+    derivatives_by_angles,
+    derivatives_by_ends,
+    derivatives_by_model_changes,
+    derivatives_by_wrap_parameters,
 )
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.geometry.wrap_bounds import USUAL_TRANSLATION
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.path_sources.exact import ExactGeometry, engine_of, freed_wraps, touched_cylinders
-from wrapjax.path_sources.fit import Fit
+from wrapjax.path_sources.exact import ExactGeometry, build_engine, freed_wraps, touched_wraps
 from wrapjax.path_sources.model_inputs import recording
-from wrapjax.path_sources.undriven_muscles import other_muscles
+from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.path_sources.undriven_muscles import build_undriven_muscles
 from wrapjax.subject.subject import Subject
 
 #: How far a muscle's end may be from where the model has it (m): personalised paths have moment arms that
@@ -52,9 +52,9 @@ def paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | No
     """Differentiate polynomial paths by the angles that moments are about; None for other paths."""
     if not isinstance(fit, Fit):
         return None
-    trials, surrogate = subject.trials, fit.surrogate.of_muscles(subject.muscles.names)
+    trials, surrogate = subject.trials, fit.surrogate.select_muscles(subject.muscles.names)
     recorded = [trials.coordinates.index(name) for name in surrogate.coordinates]
-    return slopes_by_angles(
+    return derivatives_by_angles(
         surrogate,
         trials.angles[:, recorded],
         trials.angular_velocities[:, recorded],
@@ -64,7 +64,7 @@ def paths_by_angle(fit: Fit | ExactGeometry, subject: Subject) -> PathState | No
 
 def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
     """Say how paths follow their cylinders; None where none is touched."""
-    _, touched = touched_cylinders(engine, subject.trials)
+    _, touched = touched_wraps(engine, subject.trials)
     if not touched:
         return None
     # How far each could move takes long to find; of an effect only what is usual counts.
@@ -74,7 +74,9 @@ def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
     count = len(freed.quantities)
     places = freed.places[:, :, None] * count + np.arange(count)
     return PathChanges(
-        paths=Partial(_along, slopes_by_wraps(engine, *_laid_through(engine, subject), moving)),
+        paths=Partial(
+            _along, derivatives_by_wrap_parameters(engine, *_laid_through(engine, subject), moving)
+        ),
         places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
         names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
         units=freed.units * len(freed.names),
@@ -87,7 +89,7 @@ def attachment_changes(engine: ExactPaths, subject: Subject) -> PathChanges:
     count = len(engine.muscles)
     ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
     return PathChanges(
-        paths=Partial(_along, slopes_by_ends(engine, *_laid_through(engine, subject))),
+        paths=Partial(_along, derivatives_by_ends(engine, *_laid_through(engine, subject))),
         places=np.arange(6 * count).reshape(count, 6),
         names=tuple(f"{muscle}.{end}" for muscle in engine.muscles for end in ends),
         units=("m",) * (6 * count),
@@ -117,7 +119,7 @@ def misplaced_joints(
     ways = {
         "hip_center_offset": [(with_moved_joint, "hip_", axis, sign) for axis, sign in hip],
         "joint_axis_rotation": [
-            (with_turned_joint, stem, axis, turn_sign(axis, walk.outward)) for stem, axis in TURNS
+            (with_rotated_joint_axes, stem, axis, turn_sign(axis, walk.outward)) for stem, axis in TURNS
         ],
     }
     names = subject.trials.moment_coordinates
@@ -130,7 +132,7 @@ def misplaced_joints(
 
     through = _laid_through(engine, subject)
     return {
-        id: slopes_by_model(engine, [elsewhere(*way) for way in own], *through)
+        id: derivatives_by_model_changes(engine, [elsewhere(*way) for way in own], *through)
         for id, own in ways.items()
         if any(known_shape(one, id) is not None for one in wanted)
     }
@@ -206,7 +208,7 @@ def diagnosis_context(calibration: Calibration) -> tuple[Recording, Context]:
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     engine = _engine(subject)
     by_angle = paths_by_angle(fit, subject)
-    others, no_others = other_muscles(subject, result.curves)
+    others, no_others = build_undriven_muscles(subject, result.curves)
     walk, no_changes = recorded_walk(subject)
     changes = {} if walk is None else measured_changes(walk)
     misplaced = {} if walk is None or engine is None else misplaced_joints(engine, subject, walk, changes)
@@ -267,6 +269,6 @@ def _at_bounds(calibration: Calibration) -> tuple[AtBound, ...]:
 def _engine(subject: Subject) -> ExactPaths | None:
     """Build the exact engine of a subject's muscles; None where a path has what it does not know."""
     try:
-        return engine_of(subject)
+        return build_engine(subject)
     except InputError:
         return None

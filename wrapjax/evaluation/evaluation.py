@@ -23,9 +23,9 @@ from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import HILL_CURVES
-from wrapjax.path_sources.exact import WRAPPINGS, engine_of, recorded
+from wrapjax.path_sources.exact import WRAPPINGS, build_engine, recorded_motion
 from wrapjax.path_sources.model_inputs import recording, surrogate_paths
-from wrapjax.path_sources.undriven_muscles import driven_by
+from wrapjax.path_sources.undriven_muscles import drive_by_synergies
 from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.trials import Trials
 
@@ -153,18 +153,18 @@ def _driven_alike(run: Run, subject: Subject) -> Subject:
             problems.append(Problem(str(subject.folder), message))
     if problems:
         raise InputError(problems)
-    return driven_by(subject, run.synergies.basis, run.synergies.groups)
+    return drive_by_synergies(subject, run.synergies.basis, run.synergies.groups)
 
 
 def _exact(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParameters]:
     """Lay exact paths round the cylinders where the run put them."""
-    engine = engine_of(subject)
+    engine = build_engine(subject)
     unknown = set(run.wraps) - {wrap for name in engine.muscles for wrap in engine.wraps_of(name)}
     if unknown:
         name = sorted(unknown)[0]
         message = f"has no cylinder '{name}' that its driven muscles wrap round, which the run moved"
         raise InputError(Problem(str(subject.model_file), message))
-    angles, velocities = recorded(subject.trials, engine.coordinates)
+    angles, velocities = recorded_motion(subject.trials, engine.coordinates)
     paths, _ = wrapped_paths(
         engine,
         angles,

@@ -127,7 +127,7 @@ def altered_paths(paths: PathState, alterations: tuple[Alteration, ...]) -> Path
     return paths
 
 
-def muscle_parts(alterations: tuple[Alteration, ...]) -> tuple[MuscleAlteration, ...]:
+def muscle_alterations(alterations: tuple[Alteration, ...]) -> tuple[MuscleAlteration, ...]:
     """Take what alters single muscles; leaves lead with ``muscle``."""
     return tuple(alteration.muscle for alteration in alterations if alteration.muscle is not None)
 

@@ -18,7 +18,7 @@ from wrapjax.model.alteration import (
     altered_emg,
     altered_moments,
     altered_paths,
-    muscle_parts,
+    muscle_alterations,
 )
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.activation import muscle_activation, neural_activation
@@ -36,7 +36,7 @@ class Recording(eqx.Module):
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
 
-    def of_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
+    def select_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
         """Keep some cycles, by their numbers; paths stay as they are nominally, and are held."""
         emg, nominal = jax.tree.map(lambda leaf: leaf[:, trials], (self.emg, _frames(self.path.nominal)))
         return Recording(emg, fixed_path(nominal), self.padding)
@@ -125,7 +125,7 @@ def muscle_states(
     path = altered_paths(recording.path.at(parameters.path_changes), alterations)
     emg = altered_emg(recording.emg, alterations)
     return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None, 0))(
-        path, curves, parameters, emg, recording.padding, muscle_parts(alterations)
+        path, curves, parameters, emg, recording.padding, muscle_alterations(alterations)
     )
 
 
@@ -152,7 +152,7 @@ def joint_moments(
     return altered_moments(states.moment.sum(axis=0), alterations)
 
 
-def carried_out(
+def apply_recording_alterations(
     recording: Recording, parameters: ModelParameters, alterations: tuple[Alteration, ...]
 ) -> tuple[Recording, tuple[Alteration, ...]]:
     """Alter EMG, paths and moments now; what is left says what single muscles do.
@@ -172,5 +172,5 @@ def carried_out(
     if emg.lag is None:
         emg = replace(emg, lag=jnp.zeros(emg.step.shape))
     moment = altered_moments(jnp.zeros(path.moment_arm.shape[1:]), alterations)
-    left = tuple(Alteration(muscle=part) for part in muscle_parts(alterations))
+    left = tuple(Alteration(muscle=part) for part in muscle_alterations(alterations))
     return Recording(emg, fixed_path(path), recording.padding), (Alteration(moment=moment), *left)

@@ -175,7 +175,7 @@ class Freedom:
         return replace(self, paths=None, wraps=None)
 
 
-def nga(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
+def nga_freedom(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
     """Free what needs no geometry: delay, activation, EMG scale, fiber and slack lengths.
 
     Bounds, units and priors are the NMSM Pipeline's: delay 0 to 125 ms, activation time constant 7.5

@@ -48,7 +48,7 @@ class Variables(eqx.Module):
         return len(self.labels)
 
     @property
-    def singles(self) -> int:
+    def nonpath_count(self) -> int:
         """Number of a muscle's local places before the modes of its path: all that acts through time."""
         return len(self.names) + self.weights
 
@@ -69,10 +69,10 @@ class Variables(eqx.Module):
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:
         """Put the variables into the tree."""
         values = self.localize(variables) * self.scale
-        tree = self.insert(self.base, values[:, : self.singles])
+        tree = self.insert(self.base, values[:, : self.nonpath_count])
         if not self.modes:
             return tree
-        return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, self.singles :])
+        return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, self.nonpath_count :])
 
     def localize(self, variables: Float[Array, " variable"]) -> Float[Array, "muscle local"]:
         """Hand every muscle its own variables; what is held has its base value."""

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 _SHARPNESS = 20.0
 
 
-def within_unit(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def smooth_unit_clip(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """Hold a value within 0 and 1: the value itself between them, smoothly level beyond.
 
     A difference of two softplus functions. Bounds at frames would hold in cycles that are calibrated on;
@@ -83,7 +83,7 @@ class EmgSpline(eqx.Module):
         if self.commands is None or weights is None:
             return measured
         together = jnp.einsum("c,tcpi->tpi", weights, self.commands.coefficients)
-        return measured + self.commands.share[:, None] * within_unit(look_up(together))
+        return measured + self.commands.share[:, None] * smooth_unit_clip(look_up(together))
 
 
 def fit_emg_spline(
@@ -110,7 +110,7 @@ def fit_emg_spline(
     return EmgSpline(jnp.asarray(coefficients), jnp.broadcast_to(step, coefficients.shape[:2]))
 
 
-def sharpened(emg: EmgSpline, share: Float[Array, ""], width: float) -> EmgSpline:
+def sharpen_emg(emg: EmgSpline, share: Float[Array, ""], width: float) -> EmgSpline:
     """Give back to envelopes what a filter has taken from their quick changes.
 
     What is left of an envelope after a Gaussian average, and after another one, is what is added: next to

@@ -19,7 +19,7 @@ from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.io.files import content_hash
 from wrapjax.jax_setup import require_float64
-from wrapjax.model.freedom import Freedom, FreedWraps, nga, with_wraps
+from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import model_parameters
 from wrapjax.subject.subject import Subject
@@ -112,7 +112,7 @@ class ExactGeometry:
 
     def freedom(self, method: str, subject: Subject, surfaces: str = "touched") -> Freedom:
         """Say what a method frees: nothing of the paths (NGA), or the cylinders of `SURFACES` (PGA)."""
-        freedom = nga(model_parameters(subject))
+        freedom = nga_freedom(model_parameters(subject))
         if method == "NGA":
             return freedom
         if method != "PGA":
@@ -150,11 +150,11 @@ class ExactGeometry:
         free = () if freedom.wraps is None else freedom.wraps.names
         paths, _ = wrapped_paths(
             self.engine,
-            *recorded(trials, self.engine.coordinates),
+            *recorded_motion(trials, self.engine.coordinates),
             trials.moment_coordinates,
             free,
             self.wrapping,
-            beside(subject, trials, self.engine.coordinates) if free else None,
+            angles_of_other_trials(subject, trials, self.engine.coordinates) if free else None,
         )
         return paths if free else fixed_path(paths.nominal)
 
@@ -177,9 +177,9 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
     require_float64()
     if geometry not in WRAPPINGS:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(WRAPPINGS)}")
-    engine = engine_of(subject)
-    angles, _ = recorded(subject.trials, engine.coordinates)
-    touching, touched = touched_cylinders(engine, subject.trials)
+    engine = build_engine(subject)
+    angles, _ = recorded_motion(subject.trials, engine.coordinates)
+    touching, touched = touched_wraps(engine, subject.trials)
     return ExactGeometry(
         name=geometry,
         key=f"{content_hash(subject.model_file)}-{content_hash(geometry, repr(engine.muscles), angles)}",
@@ -191,15 +191,15 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
 
 def _poses(engine: ExactPaths, subject: Subject) -> Float[np.ndarray, "pose coordinate"]:
     """Take the recorded frames that boxes are found in."""
-    angles, _ = recorded(subject.trials, engine.coordinates)
+    angles, _ = recorded_motion(subject.trials, engine.coordinates)
     return np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
 
 
-def touched_cylinders(
+def touched_wraps(
     engine: ExactPaths, trials: Trials
 ) -> tuple[Bool[np.ndarray, "muscle wrap"], tuple[str, ...]]:
     """Say which of its cylinders each muscle lies on in at least one frame, and name these cylinders."""
-    motion = recorded(trials, engine.coordinates)
+    motion = recorded_motion(trials, engine.coordinates)
     _, touching = wrapped_paths(engine, *motion, trials.moment_coordinates, (), GEODESIC)
     names = {
         wrap
@@ -210,7 +210,7 @@ def touched_cylinders(
     return touching, tuple(sorted(names))
 
 
-def engine_of(subject: Subject) -> ExactPaths:
+def build_engine(subject: Subject) -> ExactPaths:
     """Build the exact engine of a subject's muscles, over the recorded coordinates that they span."""
     model = describe_model(subject.model_file)
     spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
@@ -218,15 +218,15 @@ def engine_of(subject: Subject) -> ExactPaths:
     return ExactPaths(model, subject.muscles.names, coordinates)
 
 
-def beside(
+def angles_of_other_trials(
     subject: Subject, trials: Trials, coordinates: tuple[str, ...]
 ) -> Float[np.ndarray, "other_trial coordinate frame"]:
     """Angles of the engine's coordinates in those of a subject's cycles that are not among these."""
     others = np.flatnonzero([name not in trials.names for name in subject.trials.names])
-    return recorded(subject.trials.select(others), coordinates)[0]
+    return recorded_motion(subject.trials.select(others), coordinates)[0]
 
 
-def recorded(
+def recorded_motion(
     trials: Trials, coordinates: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
     """Angles and angular velocities of the engine's coordinates."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.geometry.training_samples import random_poses, smooth_poses
+from wrapjax.geometry.training_samples import fastest_cycle_poses, random_poses
 from wrapjax.subject.subject import Subject
 
 #: Poses for training: random ones in the walking belt, beside the frames of one smooth cycle.
@@ -37,7 +37,7 @@ def fit_poses(subject: Subject, coordinates: Sequence[str], seed: int) -> FitPos
     training = np.concatenate(
         [
             random_poses(angles, TRAINING_POSES, generator),
-            smooth_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
+            fastest_cycle_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
         ]
     )
     validation = random_poses(angles, VALIDATION_POSES, generator)

@@ -56,21 +56,21 @@ def surrogate_paths(
         Coefficients, in m, of the changes that are possible; the subject's muscles in their order.
     """
     angles, velocities = _recorded(surrogate, trials)
-    own = surrogate.of_muscles(subject.muscles.names)
+    own = surrogate.select_muscles(subject.muscles.names)
     arms = functools.partial(_about, surrogate.coordinates, trials.moment_coordinates)
     nominal = arms(eqx.filter_jit(own)(angles, velocities))
     if modes is None:
         return fixed_path(nominal)
-    changes = eqx.filter_jit(PathSurrogate.along_modes)(own, angles, velocities, jnp.asarray(modes))
+    changes = eqx.filter_jit(PathSurrogate.mode_derivatives)(own, angles, velocities, jnp.asarray(modes))
     return AdjustablePath(nominal, arms(changes))
 
 
 def coefficient_paths(surrogate: PathSurrogate, muscles: Sequence[str], trials: Trials) -> PathState:
     """Evaluate what a unit (1 m) of each coefficient adds to paths; leaves lead with ``muscle term``."""
-    own = surrogate.of_muscles(muscles)
+    own = surrogate.select_muscles(muscles)
     count, terms = own.coefficients.shape
     single = jnp.broadcast_to(jnp.eye(terms), (count, terms, terms))
-    path = eqx.filter_jit(PathSurrogate.along_modes)(own, *_recorded(surrogate, trials), single)
+    path = eqx.filter_jit(PathSurrogate.mode_derivatives)(own, *_recorded(surrogate, trials), single)
     return _about(surrogate.coordinates, trials.moment_coordinates, path)
 
 

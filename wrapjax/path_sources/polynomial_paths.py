@@ -24,9 +24,9 @@ from wrapjax.geometry.physiological import PhysiologicalThresholds
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.two_level import InnerLevel, TwoLevelPaths, two_level_paths
 from wrapjax.geometry.wrapped_paths import WrappedPaths, wrapped_paths
-from wrapjax.model.freedom import Freedom, FreedWraps, nga, with_paths
+from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.path_sources.exact import beside, engine_of, freed_wraps, recorded
+from wrapjax.path_sources.exact import angles_of_other_trials, build_engine, freed_wraps, recorded_motion
 from wrapjax.path_sources.model_inputs import coefficient_paths, model_parameters, surrogate_paths
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
@@ -163,12 +163,12 @@ def wrap_fit_from(
 
 #: Differences from the exact length and moment arm (m), beyond those of nominal paths, at which closeness
 #: is one.
-LENGTH_STRAYING, ARM_STRAYING = 1.5e-4, 4e-4
+LENGTH_DEVIATION, ARM_DEVIATION = 1.5e-4, 4e-4
 # Keeps the root's slope finite for paths that no wall is near to.
 _TINY = 1e-24
 
 
-class GuardedPaths(AbstractPath):
+class ProximityPaths(AbstractPath):
     """Paths that are told by the exact ones how close they are to what they must not get to.
 
     Polynomials follow cylinders smoothly to where no real path would follow: a path point inside, the
@@ -255,7 +255,7 @@ class GuardedPaths(AbstractPath):
             )
         )
         # Squares, and no higher powers: they are what a solver of least squares sees through.
-        strayed = (length / LENGTH_STRAYING) ** 2 + jnp.sum((arm / ARM_STRAYING) ** 2, axis=-2)
+        strayed = (length / LENGTH_DEVIATION) ** 2 + jnp.sum((arm / ARM_DEVIATION) ** 2, axis=-2)
         within = jnp.isfinite(exact.proximity)
         # Beyond a wall nothing has a slope.
         to_wall = jnp.where(within, exact.proximity, 0.0)
@@ -264,9 +264,9 @@ class GuardedPaths(AbstractPath):
         return replace(state, proximity=jnp.repeat(proximity, self.every, axis=-1)[..., :frames])
 
 
-def guarded_paths(paths: AbstractPath, exact: WrappedPaths, every: int) -> GuardedPaths:
+def with_exact_proximity(paths: AbstractPath, exact: WrappedPaths, every: int) -> ProximityPaths:
     """Guard paths over cycles by exact ones over every so many frames of them, from the first on."""
-    unguarded = GuardedPaths(paths.nominal, paths, exact, every)
+    unguarded = ProximityPaths(paths.nominal, paths, exact, every)
     return replace(unguarded, nominal=unguarded._guarded(paths.nominal, exact.nominal))
 
 
@@ -282,7 +282,7 @@ def polynomial_freedom(
     NGA: nothing of the geometry. SGA: also all coefficients of all paths. LSGA: those of the muscles
     that lie on a wrapping surface in at least one recorded frame.
     """
-    freedom = nga(model_parameters(subject))
+    freedom = nga_freedom(model_parameters(subject))
     if method == "NGA":
         return freedom
     free = _own_modes(subject, surrogate)
@@ -303,14 +303,14 @@ def polynomial_paths(
     subject: Subject, trials: Trials, surrogate: PathSurrogate, freedom: Freedom
 ) -> AdjustablePath:
     """Evaluate the paths over cycles; where they are free they have their modes (see `path_modes`)."""
-    modes = None if freedom.paths is None else modes_of(subject, surrogate)
+    modes = None if freedom.paths is None else subject_path_modes(subject, surrogate)
     return surrogate_paths(surrogate, subject, trials, modes)
 
 
-def modes_of(subject: Subject, surrogate: PathSurrogate) -> Float[np.ndarray, "muscle term mode"]:
+def subject_path_modes(subject: Subject, surrogate: PathSurrogate) -> Float[np.ndarray, "muscle term mode"]:
     """Find the modes of the subject's paths over its calibration cycles (see `path_modes`)."""
     trials = subject.trials.used_for("calibration")
-    used = np.asarray(surrogate.of_muscles(subject.muscles.names).used)
+    used = np.asarray(surrogate.select_muscles(subject.muscles.names).used)
     muscles, terms = used.shape
     single = np.broadcast_to(np.eye(terms), (muscles, terms, terms))
     path = surrogate_paths(surrogate, subject, trials, single)
@@ -319,28 +319,28 @@ def modes_of(subject: Subject, surrogate: PathSurrogate) -> Float[np.ndarray, "m
 
 def _own_modes(subject: Subject, surrogate: PathSurrogate) -> Bool[np.ndarray, "muscle mode"]:
     """Mark the modes that a muscle has: as many as it has coefficients, the first ones."""
-    used = np.asarray(surrogate.of_muscles(subject.muscles.names).used)
+    used = np.asarray(surrogate.select_muscles(subject.muscles.names).used)
     return np.arange(used.shape[1])[None] < used.sum(axis=1)[:, None]
 
 
 def wrapped_polynomial_paths(
     subject: Subject, trials: Trials, surrogate: PathSurrogate, wraps: WrapFit, freed: FreedWraps
-) -> GuardedPaths:
+) -> ProximityPaths:
     """Evaluate the paths over cycles, with coefficients that follow the freed cylinders.
 
     The exact engine guards them where they would jump.
     """
-    engine = engine_of(subject)
-    angles, velocities = recorded(trials, engine.coordinates)
+    engine = build_engine(subject)
+    angles, velocities = recorded_motion(trials, engine.coordinates)
     exact, _ = wrapped_paths(
         engine,
         angles[:, :, ::_GUARDED_EVERY],
         velocities[:, :, ::_GUARDED_EVERY],
         trials.moment_coordinates,
         freed.names,
-        beside=beside(subject, trials, engine.coordinates)[:, :, ::_GUARDED_EVERY],
+        beside=angles_of_other_trials(subject, trials, engine.coordinates)[:, :, ::_GUARDED_EVERY],
     )
-    return guarded_paths(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
+    return with_exact_proximity(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
 
 
 def calibrated_polynomials(
@@ -359,11 +359,13 @@ def calibrated_polynomials(
     freedom, parameters
         What was free, and what came of it. Where paths were held they stay as they are.
     """
-    own = surrogate.of_muscles(subject.muscles.names)
+    own = surrogate.select_muscles(subject.muscles.names)
     changes = parameters.path_changes
     coefficients = own.coefficients
     if freedom.paths is not None:
-        coefficients = coefficients + jnp.einsum("mtk,mk->mt", modes_of(subject, surrogate), changes)
+        coefficients = coefficients + jnp.einsum(
+            "mtk,mk->mt", subject_path_modes(subject, surrogate), changes
+        )
     elif freedom.wraps is not None and wraps is not None:
         moving = np.flatnonzero((freedom.wraps.places >= 0).any(axis=1))
         inner = wraps.inner_of([own.muscles[row] for row in moving], freedom.wraps.places.shape[1])

@@ -15,7 +15,7 @@ import numpy as np
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import ExactPaths
-from wrapjax.geometry.path_derivatives import laid_paths
+from wrapjax.geometry.path_derivatives import compute_nominal_paths
 from wrapjax.geometry.paths import PathState
 from wrapjax.io.model_file import read_model_file
 from wrapjax.model.freedom import Freedom
@@ -23,15 +23,15 @@ from wrapjax.model.freedom import with_synergies as with_free_weights
 from wrapjax.model.parameters import ModelParameters, initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES, AbstractCurves
 from wrapjax.osim.model import describe_model
-from wrapjax.path_sources.exact import recorded
-from wrapjax.subject.muscle_groups import groups_of
-from wrapjax.subject.muscles import activation_groups, check_muscle_parameters, fiber_length_groups
+from wrapjax.path_sources.exact import recorded_motion
+from wrapjax.subject.muscle_groups import group_by_excitation
+from wrapjax.subject.muscle_parameters import activation_groups, check_muscle_parameters, fiber_length_groups
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.subject import Subject
-from wrapjax.subject.synergies import COMMANDS, Synergies, SynergyBasis, fit_synergies
+from wrapjax.subject.synergies import DEFAULT_SYNERGIES, Synergies, SynergyBasis, fit_synergies
 
 
-class OtherMuscles(eqx.Module):
+class UndrivenMuscles(eqx.Module):
     """Muscles of the leg that no EMG channel drives, over the recorded cycles."""
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -43,9 +43,9 @@ class OtherMuscles(eqx.Module):
     path: PathState
 
 
-def other_muscles(
+def build_undriven_muscles(
     subject: Subject, curves: str, model_file: Path | None = None
-) -> tuple[OtherMuscles | None, str]:
+) -> tuple[UndrivenMuscles | None, str]:
     """Lay the muscles that nothing drives, as strong and long as the subject has them; or say why not.
 
     Parameters
@@ -70,9 +70,9 @@ def other_muscles(
         return None, "the paths of the muscles without an EMG channel are not known about these joints"
     assert subject.undriven_parameters is not None, "read_subject gives them"
     own = subject.undriven_parameters.select(names)
-    muscles = OtherMuscles(
+    muscles = UndrivenMuscles(
         names=names,
-        groups=groups_of(names),
+        groups=group_by_excitation(names),
         curves=HILL_CURVES[curves],
         parameters=initial_parameters(
             own.max_isometric_force,
@@ -93,7 +93,7 @@ def acting_muscles(
     Parameters
     ----------
     subject, model_file
-        As of `other_muscles`.
+        As of `build_undriven_muscles`.
 
     Returns
     -------
@@ -115,7 +115,9 @@ def acting_muscles(
     spanned = {name for muscle in known for name in model.spanned_by(muscle)}
     engine = ExactPaths(model, known, tuple(name for name in subject.trials.coordinates if name in spanned))
     trials = subject.trials
-    every = laid_paths(engine, *recorded(trials, engine.coordinates), trials.moment_coordinates)
+    every = compute_nominal_paths(
+        engine, *recorded_motion(trials, engine.coordinates), trials.moment_coordinates
+    )
     moving = np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
     if not moving.size:
         return (), None
@@ -126,7 +128,9 @@ def acting_muscles(
 STRATEGIES = ("left", "synergies")
 
 
-def drive(subject: Subject, undriven: str = STRATEGIES[0], synergies: int = COMMANDS) -> Subject:
+def apply_undriven_strategy(
+    subject: Subject, undriven: str = STRATEGIES[0], synergies: int = DEFAULT_SYNERGIES
+) -> Subject:
     """Say what drives a subject's muscles without an electrode.
 
     Parameters
@@ -157,10 +161,12 @@ def drive(subject: Subject, undriven: str = STRATEGIES[0], synergies: int = COMM
         raise ValueError(f"unknown strategy '{undriven}': expected one of {', '.join(STRATEGIES)}")
     if undriven == "left" or subject.synergies is not None:
         return subject
-    return driven_by(subject, _basis(subject, synergies), _groups(subject))
+    return drive_by_synergies(subject, _basis(subject, synergies), _groups(subject))
 
 
-def driven_by(subject: Subject, basis: SynergyBasis, groups: Mapping[str, tuple[str, ...]]) -> Subject:
+def drive_by_synergies(
+    subject: Subject, basis: SynergyBasis, groups: Mapping[str, tuple[str, ...]]
+) -> Subject:
     """Drive these muscles of a subject by these synergies.
 
     Parameters
@@ -179,7 +185,7 @@ def driven_by(subject: Subject, basis: SynergyBasis, groups: Mapping[str, tuple[
     added = check_muscle_parameters(own, synergies.muscles, subject.model_file, problems)
     if added is None:
         raise InputError(problems)
-    muscles = subject.muscles.followed_by(added)
+    muscles = subject.muscles.extended_by(added)
     model_groups = read_model_file(subject.model_file).groups
     left = tuple(name for name in subject.undriven_muscles if name not in added.names)
     return replace(
@@ -193,7 +199,7 @@ def driven_by(subject: Subject, basis: SynergyBasis, groups: Mapping[str, tuple[
     )
 
 
-def with_weights(freedom: Freedom, subject: Subject) -> Freedom:
+def with_synergy_weights(freedom: Freedom, subject: Subject) -> Freedom:
     """Free the weights of a subject's synergies as well, where it has any."""
     synergies = subject.synergies
     if synergies is None or freedom.synergies is not None:

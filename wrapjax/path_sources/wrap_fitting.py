@@ -21,17 +21,17 @@ from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS, PhysiologicalThre
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_samples
 from wrapjax.geometry.two_level import MONOMIALS, InnerLevel, fit_inner_level
-from wrapjax.geometry.wrap_bounds import translation_bounds, usable_by_all
+from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
 from wrapjax.geometry.wrapping import NOMINAL, WrappedPath
 from wrapjax.io.files import cache_folder, content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
-from wrapjax.path_sources.fit import Fit, PathError, read_fit
 from wrapjax.path_sources.fit_poses import SMOOTH_POSES, fit_poses
+from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
 from wrapjax.path_sources.polynomial_paths import WrapFit, WrapQuality
-from wrapjax.path_sources.wrap_sources import EngineSource, OpenSimSource, PathSource
-from wrapjax.progress import progress_bar, say
+from wrapjax.path_sources.sample_analysis import EngineAnalyzer, OpenSimAnalyzer, PathAnalyzer
+from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject
 
 #: Which of some poses are frames of one cycle, in order.
@@ -42,7 +42,7 @@ UnseenLabels = Bool[np.ndarray, " unseen_sample"]
 
 
 @dataclass(frozen=True)
-class LearnedMuscle:
+class MuscleWrapFit:
     """What the samples of a muscle's cylinders gave.
 
     Parameters
@@ -65,16 +65,16 @@ class LearnedMuscle:
 
 
 @dataclass(frozen=True)
-class MuscleLearner:
+class MuscleWrapFitter:
     """Where samples come from, and what they are held to."""
 
     surrogate: PathSurrogate
-    source: PathSource
+    source: PathAnalyzer
     training: SamplePlan
     validation: SamplePlan
     thresholds: PhysiologicalThresholds
 
-    def learn(self, muscle: str, wraps: tuple[str, ...]) -> LearnedMuscle:
+    def learn(self, muscle: str, wraps: tuple[str, ...]) -> MuscleWrapFit:
         """Sample a muscle's cylinders.
 
         What is analysed is reduced at once: no more than one muscle's samples are held at a time.
@@ -84,9 +84,9 @@ class MuscleLearner:
         verdicts = {wrap: (seen, unseen) for wrap in wraps}
         if len(wraps) > 1:
             for wrap in wraps:
-                alone = [plan.set_for(muscle, wrap, wraps) for plan in (self.training, self.validation)]
+                alone = [plan.samples_for(muscle, wrap, wraps) for plan in (self.training, self.validation)]
                 verdicts[wrap] = self._labels(muscle, alone[0]), self._unseen_labels(muscle, alone[1])
-        return LearnedMuscle(inner, self._half_range(wraps), error, verdicts)
+        return MuscleWrapFit(inner, self._half_range(wraps), error, verdicts)
 
     def _inner_level(
         self, muscle: str, wraps: tuple[str, ...]
@@ -149,7 +149,7 @@ class MuscleLearner:
 
 def stack_inner_levels(
     surrogate: PathSurrogate,
-    learned: Mapping[str, LearnedMuscle],
+    learned: Mapping[str, MuscleWrapFit],
 ) -> InnerLevel:
     """Fill up to one shape; muscles without cylinders have zeros."""
     most = max((len(one.inner) for one in learned.values()), default=0)
@@ -212,7 +212,7 @@ def fit_wraps(
         try:
             return read_fit(cached)
         except (InputError, OSError):
-            say(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
+            print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit_wraps(subject, fit, thresholds, processes, quiet)
     result.keep(cached)
     return result
@@ -235,19 +235,19 @@ def _fit_wraps(
         for wrap, touches in zip(own, _touching(recorded[name]), strict=True)
         if touches
     }
-    say(f"finding boxes for {len(wraps)} cylinders", quiet=quiet)
+    print_progress(f"finding boxes for {len(wraps)} cylinders", quiet=quiet)
     near = engine.posed(poses.recorded[::_EVERY])
     translations = translation_bounds(engine, near, wraps)
     boxed = time.perf_counter()
     training, validation = plan_samples(wraps_of, translations, fit.seed)
     by_name = {"training": poses.training, "validation": poses.validation}
     posed = {name: engine.posed(own) for name, own in by_name.items()}
-    by_engine = EngineSource(engine, by_name, posed, WRAPPINGS.get(fit.geometry, GEODESIC))
-    source: PathSource = by_engine
+    by_engine = EngineAnalyzer(engine, by_name, posed, WRAPPINGS.get(fit.geometry, GEODESIC))
+    source: PathAnalyzer = by_engine
     if fit.geometry == "opensim":
-        source = OpenSimSource(subject.model_file, by_engine, by_name, processes, quiet)
-    learner = MuscleLearner(surrogate, source, training, validation, thresholds)
-    learned: dict[str, LearnedMuscle] = {}
+        source = OpenSimAnalyzer(subject.model_file, by_engine, by_name, processes, quiet)
+    learner = MuscleWrapFitter(surrogate, source, training, validation, thresholds)
+    learned: dict[str, MuscleWrapFit] = {}
     with progress_bar("sampling cylinders, muscles", len(wraps_of), quiet=quiet) as advance:
         for name, own in wraps_of.items():
             learned[name] = learner.learn(name, own)
@@ -259,7 +259,7 @@ def _fit_wraps(
         users = [learned[name].verdicts[wrap] for name, own in wraps_of.items() if wrap in own]
         seen, unseen = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
         samples, others = (plan.together.moved[wrap] for plan in (training, validation))
-        usable, also_usable = (usable_by_all(engine, near, wrap, own) for own in (samples, others))
+        usable, also_usable = (usable_for_all_muscles(engine, near, wrap, own) for own in (samples, others))
         feasibility[wrap] = fit_feasibility(
             samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
         )

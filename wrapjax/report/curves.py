@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.path_penalties import FIBER_LENGTH_RANGE
-from wrapjax.calibration.result import FIBER_LIMITS, CalibrationResult, pushing_muscles
+from wrapjax.calibration.result import FIBER_LIMITS, CalibrationResult, muscles_at_limits
 from wrapjax.report import markup
 from wrapjax.report.moment_curves import (
     MomentCurves,
@@ -169,7 +169,7 @@ def fiber_length_figure(result: CalibrationResult) -> Figure:
         panel.plot(
             lengths.mean(axis=1), rows + shift, "o", color=color, markersize=4.2, label=label, zorder=3
         )
-    pushing = pushing_muscles(result)
+    pushing = muscles_at_limits(result)
     in_force = [pair for pair in zip(FIBER_LIMITS, FIBER_LENGTH_RANGE, strict=True) if pair[0] in pushing]
     for name, limit in in_force:
         panel.axvline(limit, color=VERMILION, linewidth=0.8, zorder=1, label="hard limit")
@@ -340,7 +340,7 @@ def fiber_lengths_section(result: CalibrationResult) -> str:
     limited = (
         ", and where hard limits (strokes) kept them on calibration cycles; diamonds: muscles that push "
         "against a limit"
-        if set(FIBER_LIMITS) & pushing_muscles(result).keys()
+        if set(FIBER_LIMITS) & muscles_at_limits(result).keys()
         else ""
     )
     return markup.section(

@@ -11,7 +11,7 @@ import numpy as np
 
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
-from wrapjax.io.files import new_folder, write_json, write_text, write_whole
+from wrapjax.io.files import new_folder, write_atomically, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report.paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings, path_from
@@ -25,11 +25,11 @@ from wrapjax.subject.subject import Subject
 if TYPE_CHECKING:
     from wrapjax.geometry.model_description import ModelDescription
 
-#: Reads what decides muscle paths from a model's file: `wrapjax.osim.describe_model`.
+#: Reads what decides muscle paths from a model's file: `wrapjax.osim.model.describe_model`.
 DescribeModel = Callable[[Path], "ModelDescription"]
 
 #: Writes a subject's model with what a calibration found, to a file:
-#: `wrapjax.calibration.calibration.write_model`.
+#: `wrapjax.calibration.calibration.write_calibrated_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
 #: Of a leg whose cylinders were moved: opens in OpenSim.
@@ -48,7 +48,7 @@ def write_run(
     *,
     force: bool = False,
     describe_model: DescribeModel | None = None,
-    write_model: WriteModel | None = None,
+    write_calibrated_model: WriteModel | None = None,
     spreads: Sequence[LegSpread] = (),
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
@@ -79,8 +79,8 @@ def write_run(
             (run, run / OTHER_LEG)[: len(legs)], legs, spreads
         ):
             _write_leg(subject, result, place, describe_model, spread)
-            if write_model is not None and result.freedom.wraps is not None:
-                write_model(subject, result, place / PERSONALISED_MODEL)
+            if write_calibrated_model is not None and result.freedom.wraps is not None:
+                write_calibrated_model(subject, result, place / PERSONALISED_MODEL)
 
 
 def _write_leg(
@@ -104,7 +104,7 @@ def _write_leg(
     write_text(run / "starts.csv", starts_csv(result))
     if result.calibrated_paths is not None:
         arrays = result.calibrated_paths.arrays()
-        write_whole(run / PATHS, lambda file: np.savez(file, allow_pickle=False, **arrays))
+        write_atomically(run / PATHS, lambda file: np.savez(file, allow_pickle=False, **arrays))
     for trial, stem in enumerate(file_stems(result.trials).values()):
         for kind, table in curve_tables(result, trial).items():
             write_storage(run / kind / f"{stem}.sto", table)

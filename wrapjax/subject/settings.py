@@ -60,19 +60,17 @@ def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[st
     """Take the muscles of each channel; a muscle can be driven by one channel only."""
     reader = TableReader(table, file, "[emg.channels]", problems)
     channels = {}
-    driven_by: dict[str, str] = {}
+    drive_by_synergies: dict[str, str] = {}
     for channel in table if isinstance(table, dict) else ():
         muscles = reader.names(channel)
         if muscles is None:
             continue
         channels[channel] = muscles
         for muscle in muscles:
-            if muscle in driven_by:
-                message = (
-                    f"expected one channel a muscle, found '{muscle}' driven by '{driven_by[muscle]}' already"
-                )
+            if muscle in drive_by_synergies:
+                message = f"expected one channel a muscle, found '{muscle}' driven by '{drive_by_synergies[muscle]}' already"
                 reader.problem(channel, message)
-            driven_by.setdefault(muscle, channel)
+            drive_by_synergies.setdefault(muscle, channel)
     if not table and not reader.silent:
         reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
     return channels
@@ -137,7 +135,7 @@ class TrialSettings:
     external_loads: Path | None = None
 
     @staticmethod
-    def is_fit_name(name: str) -> bool:
+    def is_valid_name(name: str) -> bool:
         """Say whether a trial may be called so: its files are."""
         return bool(_TRIAL_NAME.fullmatch(name) and name.strip("."))
 
@@ -261,7 +259,7 @@ def _trial(
     place = f"[[trial]] '{label}'" if isinstance(label, str) and label else f"[[trial]] number {number}"
     reader = TableReader(table, file, place, problems)
     name = reader.text("name")
-    if name is not None and not TrialSettings.is_fit_name(name):
+    if name is not None and not TrialSettings.is_valid_name(name):
         reader.problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
         name = None
     use = reader.text("use", choices=("calibration", "validation"))

@@ -21,7 +21,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, DampingState, Iteration, Status
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import code_hash, content_hash, new_folder, write_json, write_whole
+from wrapjax.io.files import code_hash, content_hash, new_folder, write_atomically, write_json
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 
 
@@ -106,7 +106,7 @@ class Checkpoints:
         arrays |= {f"shift_{number}": shift for number, shift in enumerate(state.shifts)}
         arrays |= {f"weight_{number}": weight for number, weight in enumerate(state.weights)}
         plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
-        write_whole(self.folder / f"{name}.npz", lambda path: np.savez(path, **plain))
+        write_atomically(self.folder / f"{name}.npz", lambda path: np.savez(path, **plain))
 
     def read(self, name: str) -> Entry | None:
         """Find where a stage stands; None if it was never begun, or what is there cannot be read."""
@@ -155,7 +155,7 @@ class SolveCache:
 
     def write(self, name: str, variables: Float[np.ndarray, " variable"], status: Status) -> None:
         """Keep where a solve ended."""
-        write_whole(
+        write_atomically(
             self.folder / f"{name}.npz",
             lambda path: np.savez(path, variables=variables, status=np.array(status.name)),
         )

@@ -107,7 +107,7 @@ def solve_from_starts(
     return tuple(outcomes)
 
 
-def best(outcomes: Sequence[Outcome]) -> int:
+def best_start(outcomes: Sequence[Outcome]) -> int:
     """Number of the start that ended lowest, among those that converged if any did."""
 
     def rank(number: int) -> tuple[bool, float]:

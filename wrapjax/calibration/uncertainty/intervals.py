@@ -81,7 +81,7 @@ def _covariance(
 
 
 #: A deviation that moments did not bring below this part of what it is without them counts as open.
-OPEN = 0.8
+IDENTIFIED_BELOW = 0.8
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Spread:
     identified: Bool[np.ndarray, " variable"]
 
 
-def spread_of(
+def summarize_draws(
     draws: Float[np.ndarray, "draw variable"],
     prior_draws: Float[np.ndarray, "_ variable"],
     value: Float[np.ndarray, " variable"],
@@ -135,7 +135,7 @@ def spread_of(
         low=low,
         high=high,
         prior_deviation=before,
-        identified=(deviation < OPEN * before) | (at_bound == 2),
+        identified=(deviation < IDENTIFIED_BELOW * before) | (at_bound == 2),
     )
 
 

@@ -24,14 +24,14 @@ from jaxtyping import Array, Float, Int
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractCalibration
-from wrapjax.calibration.two_legs import Legs
+from wrapjax.calibration.two_legs import TwoLegObjective
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
 
 # Chains side by side, sweeps before the first draw is kept, and between two that are.
 _CHAINS, _BURN_IN, _BETWEEN = 100, 25, 3
 
 
-def draw_within(
+def draw_truncated_normal(
     mean: Float[np.ndarray, " variable"],
     covariance: Float[np.ndarray, "variable variable"],
     lower: Float[np.ndarray, " variable"],
@@ -205,7 +205,7 @@ class Posterior:
         mean = -of_stuck @ (weight * self.pull[stuck])
         return self._within(np.concatenate([mean, follow @ mean]), covariance, order, count, seed)
 
-    def without_moments(self, count: int, seed: int) -> Float[np.ndarray, "draw variable"]:
+    def sample_prior(self, count: int, seed: int) -> Float[np.ndarray, "draw variable"]:
         """Draw from what priors, penalties and bounds alone say."""
         order = np.flatnonzero(self.at_bound != 2)
         inverse = np.linalg.inv((self.restraint + _flat(self.problem))[np.ix_(order, order)])
@@ -218,12 +218,12 @@ class Posterior:
         lower, upper = np.asarray(self.problem.lower), np.asarray(self.problem.upper)
         draws = np.tile(self.solution, (count, 1))
         covariance = 0.5 * (covariance + covariance.T)
-        draws[:, order] = draw_within(
+        draws[:, order] = draw_truncated_normal(
             self.solution[order] + mean, covariance, lower[order], upper[order], count, seed
         )
         return draws
 
-    def made_up(self, number: int, seed: int) -> AbstractCalibration:
+    def randomized_problem(self, number: int, seed: int) -> AbstractCalibration:
         """Give the problem with moments of the model with other noise, and priors that pull otherwise.
 
         Without noise its solution is the calibration's own, and to first order the solutions of many are
@@ -237,7 +237,7 @@ class Posterior:
         pull = pull - self.moment_pull
         redone = []
         told = np.zeros(len(pull), dtype=bool)
-        parts = zip(legs_of(self.problem), self.modelled, self.noise, strict=True)
+        parts = zip(leg_objectives(self.problem), self.modelled, self.noise, strict=True)
         for (leg, place), modelled, noise in parts:
             variables = leg.variables
             counts = np.sqrt(_kind_counts(variables.labels))
@@ -255,7 +255,7 @@ class Posterior:
                     ),
                 )
             )
-        if isinstance(self.problem, Legs):
+        if isinstance(self.problem, TwoLegObjective):
             return replace(self.problem, legs=(redone[0], redone[1]))
         return redone[0]
 
@@ -283,7 +283,7 @@ def posterior(
     count = len(curvature)
     noises, modelled = [], []
     seen, noisy, pull = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
-    for (leg, place), speed in zip(legs_of(problem), speeds, strict=True):
+    for (leg, place), speed in zip(leg_objectives(problem), speeds, strict=True):
         shape = leg.measured.shape
         scale = 1.0 / (float(leg.moment_error) * np.sqrt(leg.measured.size))
         rows, slopes = map(np.asarray, moments_and_slopes(leg, variables[place]))
@@ -308,7 +308,7 @@ def posterior(
         # As many independent samples as tell the parameters, on average over what moments tell of them, as
         # much (Pauli, Racugno & Ventura 2011, Statistica Sinica 21:149).
         information=float(both[0] / both[1]),
-        prior_information=float(max(len(leg.variables.index) for leg, _ in legs_of(problem))),
+        prior_information=float(max(len(leg.variables.index) for leg, _ in leg_objectives(problem))),
         curvature=curvature,
         restraint=restraint,
         pull=np.asarray(whole.gradient),
@@ -318,9 +318,9 @@ def posterior(
     )
 
 
-def legs_of(problem: AbstractCalibration) -> list[tuple[Objective, Int[np.ndarray, " own"]]]:
+def leg_objectives(problem: AbstractCalibration) -> list[tuple[Objective, Int[np.ndarray, " own"]]]:
     """Give each leg's problem, and where its variables stand among all."""
-    if isinstance(problem, Legs):
+    if isinstance(problem, TwoLegObjective):
         return list(zip(problem.legs, problem.places, strict=True))
     assert isinstance(problem, Objective)
     return [(problem, np.arange(problem.variables.count))]
@@ -330,7 +330,7 @@ def _restraints_only(problem: AbstractCalibration) -> AbstractCalibration:
     """Leave out moments and limits, by arrays alone."""
     unlimited = tuple(replace(limit, weight=jnp.zeros_like(limit.weight)) for limit in problem.limits)
     problem = problem.with_limits(unlimited)
-    if isinstance(problem, Legs):
+    if isinstance(problem, TwoLegObjective):
         first, second = (replace(leg, moment_error=np.array(np.inf)) for leg in problem.legs)
         return replace(problem, legs=(first, second))
     assert isinstance(problem, Objective)

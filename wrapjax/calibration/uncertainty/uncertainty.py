@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from wrapjax.calibration.calibration import Calibration, write_model
+from wrapjax.calibration.calibration import Calibration, write_calibrated_model
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
-from wrapjax.calibration.two_legs import join_legs
-from wrapjax.calibration.uncertainty.intervals import LegSpread, spread_of
-from wrapjax.calibration.uncertainty.posterior import Posterior, legs_of, moments_and_slopes, posterior
+from wrapjax.calibration.two_legs import join_leg_objectives
+from wrapjax.calibration.uncertainty.intervals import LegSpread, summarize_draws
+from wrapjax.calibration.uncertainty.posterior import Posterior, leg_objectives, moments_and_slopes, posterior
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.parameters import QUANTITIES
@@ -30,7 +30,7 @@ from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import recording
 
 
-def refits(
+def randomized_refits(
     judged: Posterior,
     solver: AugmentedLagrangian,
     count: int,
@@ -39,7 +39,7 @@ def refits(
     checkpoints: Checkpoints | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> tuple[Float[np.ndarray, "draw variable"], tuple[Status, ...]]:
-    """Calibrate again, from the solution, to moments and priors that were made up (`Posterior.made_up`).
+    """Calibrate again, from the solution, to moments and priors that were made up (`Posterior.randomized_problem`).
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def refits(
         if entry is not None and entry.status is not None:
             variables, status = np.asarray(entry.state.variables), entry.status
         else:
-            solution = solver.solve(judged.made_up(number, seed), judged.state)
+            solution = solver.solve(judged.randomized_problem(number, seed), judged.state)
             variables, status = solution.variables, solution.status
             if status is Status.interrupted:
                 raise KeyboardInterrupt
@@ -119,7 +119,7 @@ class Uncertainty:
             Path(folder),
             force=force,
             describe_model=describe_model,
-            write_model=write_model,
+            write_calibrated_model=write_calibrated_model,
             spreads=self.spreads,
         )
         if self.calibration.checkpoints is not None:
@@ -181,7 +181,7 @@ def uncertainty(
     if way == "laplace":
         found = judged.laplace(count, seed)
     else:
-        found, statuses = refits(
+        found, statuses = randomized_refits(
             judged,
             calibration.result.solver,
             count,
@@ -190,10 +190,10 @@ def uncertainty(
             advance=advance,
         )
         converged = sum(status.converged for status in statuses)
-    before = judged.without_moments(_PRIOR_DRAWS, seed)
+    before = judged.sample_prior(_PRIOR_DRAWS, seed)
     spreads = []
     for number, leg in enumerate(calibration.legs):
-        own, place = legs_of(problem)[number]
+        own, place = leg_objectives(problem)[number]
         bands = _linear_band if way == "laplace" else _modelled_band
         low, high = bands(leg, own, judged.solution[place], found[:, place])
         spreads.append(
@@ -211,7 +211,7 @@ def _problem(
     speeds = [leg.subject.trials.used_for("calibration").speeds for leg in calibration.legs]
     if len(objectives) == 1:
         return objectives[0], speeds
-    return join_legs(*objectives), speeds
+    return join_leg_objectives(*objectives), speeds
 
 
 def _leg_spread(
@@ -235,7 +235,7 @@ def _leg_spread(
     noise = judged.noise[number]
     return LegSpread(
         way=way,
-        parameters=spread_of(
+        parameters=summarize_draws(
             draws,
             prior,
             offset + scale * judged.solution[place],

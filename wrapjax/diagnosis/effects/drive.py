@@ -13,7 +13,7 @@ from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, NotTestabl
 from wrapjax.diagnosis.effects.periodic import bumps, delayed, with_padding
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs, fiber_parameters
 from wrapjax.muscle.hill import rigid_tendon_fiber
-from wrapjax.path_sources.undriven_muscles import OtherMuscles
+from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
 from wrapjax.subject.muscle_groups import SPASTIC_GROUPS
 
 #: Bumps that an unrecorded drive is made of, round the cycle.
@@ -87,7 +87,7 @@ def _peak(shape: Float[Array, "frame bump"], effect_sizes: EffectSizes) -> Float
 
 
 def _driven(
-    others: OtherMuscles, basis: Float[Array, "trial frame bump"], effect_sizes: EffectSizes
+    others: UndrivenMuscles, basis: Float[Array, "trial frame bump"], effect_sizes: EffectSizes
 ) -> Alteration:
     activation = basis @ effect_sizes
     each = jnp.broadcast_to(activation, others.path.length.shape)
@@ -95,7 +95,7 @@ def _driven(
 
 
 def _active_moment(
-    others: OtherMuscles, activation: Float[Array, "muscle trial frame"]
+    others: UndrivenMuscles, activation: Float[Array, "muscle trial frame"]
 ) -> Float[Array, "trial coordinate frame"]:
     """Moments of the active forces of muscles without a channel, rigid tendons as everywhere."""
 
@@ -128,7 +128,7 @@ def spasticity_unrecorded(context: Context) -> Effect | NotTestable:
 
 
 def _reflex_drive(
-    others: OtherMuscles, reflex: Float[Array, "muscle trial frame"], effect_sizes: EffectSizes
+    others: UndrivenMuscles, reflex: Float[Array, "muscle trial frame"], effect_sizes: EffectSizes
 ) -> Alteration:
     return Alteration(moment=_active_moment(others, effect_sizes[0] * reflex))
 
@@ -194,11 +194,11 @@ def _speed_factor(context: Context) -> Float[np.ndarray, " trial"]:
     return np.asarray((context.speeds / speeds.mean()) ** _SPEED_POWER)
 
 
-def _members(others: OtherMuscles | None, names: tuple[str, ...]) -> OtherMuscles:
+def _members(others: UndrivenMuscles | None, names: tuple[str, ...]) -> UndrivenMuscles:
     """Pick muscles by name."""
     assert others is not None, "a part of a context has what the whole one has"
     rows = np.array([others.names.index(name) for name in names])
-    return OtherMuscles(
+    return UndrivenMuscles(
         names=names,
         groups=(),
         curves=others.curves,

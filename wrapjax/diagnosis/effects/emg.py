@@ -13,7 +13,7 @@ from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, NotTestable, Variant
 from wrapjax.diagnosis.effects.periodic import with_padding
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
-from wrapjax.muscle.excitation import EmgSpline, sharpened
+from wrapjax.muscle.excitation import EmgSpline, sharpen_emg
 from wrapjax.subject.muscle_groups import are_neighbours, region_of
 
 #: Walking speeds nearer to each other than this (m/s) count as one.
@@ -130,7 +130,7 @@ def _sharper(effect_sizes: EffectSizes) -> Alteration:
 
 
 def _quicker(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
-    return sharpened(emg, share, _SMOOTHED)
+    return sharpen_emg(emg, share, _SMOOTHED)
 
 
 def emg_crosstalk(context: Context) -> Effect | NotTestable:

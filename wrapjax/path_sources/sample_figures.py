@@ -15,11 +15,11 @@ from wrapjax.geometry.training_samples import plan_samples
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
 from wrapjax.path_sources.fit_poses import SMOOTH_POSES, fit_poses
-from wrapjax.path_sources.wrap_sources import EngineSource
+from wrapjax.path_sources.sample_analysis import EngineAnalyzer
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
-    from wrapjax.path_sources.fit import Fit
+    from wrapjax.path_sources.polynomial_fit import Fit
     from wrapjax.report.fit_wraps import SampledPath
 
 #: Samples that are analysed for a picture, and for each of those in a report.
@@ -91,7 +91,7 @@ def sampled_paths(
     engine = ExactPaths(describe_model(subject.model_file), list(wraps_of), fit.surrogate.coordinates)
     poses = {"training": fit_poses(subject, engine.coordinates, fit.seed).training}
     posed = {name: engine.posed(own) for name, own in poses.items()}
-    source = EngineSource(engine, poses, posed, WRAPPINGS.get(fit.geometry, GEODESIC))
+    source = EngineAnalyzer(engine, poses, posed, WRAPPINGS.get(fit.geometry, GEODESIC))
     for muscle in muscles:
         found, nominal = source.paths(muscle, samples, "training")
         length, moment_arm = (np.asarray(part)[:, SMOOTH_POSES] for part in (found.length, found.moment_arm))
@@ -103,5 +103,7 @@ def sampled_paths(
             nominal_arms={name: usual[:, slot] for name, slot in spanned.items()},
             length=length,
             moment_arms={name: moment_arm[:, :, slot] for name, slot in spanned.items()},
-            faults=measure_paths(found, nominal, SMOOTH_POSES).faults(thresholds or fit.wraps.thresholds),
+            faults=measure_paths(found, nominal, SMOOTH_POSES).failed_criteria(
+                thresholds or fit.wraps.thresholds
+            ),
         )

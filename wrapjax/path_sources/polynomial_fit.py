@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import AbstractPath
-from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from
-from wrapjax.io.files import content_hash, new_folder, write_json, write_text, write_whole
+from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
+from wrapjax.io.files import content_hash, new_folder, write_atomically, write_json, write_text
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.locks import BusyError
-from wrapjax.model.freedom import Freedom, nga, with_wraps
+from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.exact import NO_CYLINDER
 from wrapjax.path_sources.model_inputs import model_parameters
@@ -132,7 +132,7 @@ class Fit:
                     hint="use NGA or SGA",
                 )
             )
-        return with_wraps(nga(model_parameters(subject)), method, freed)
+        return with_wraps(nga_freedom(model_parameters(subject)), method, freed)
 
     def calibrated(self, subject: Subject, freedom: Freedom, parameters: ModelParameters) -> PathSurrogate:
         """Give the subject's polynomials as these parameters change them."""
@@ -163,11 +163,11 @@ class Fit:
             If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not the
             subject's.
         """
-        from wrapjax.path_sources.wrap_pictures import REPORTED_SAMPLES, sampled_paths
+        from wrapjax.path_sources.sample_figures import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
 
         if subject is not None:
-            self.refuse_others(subject, "fit")
+            self.require_subject(subject, "fit")
         with new_folder(Path(folder), force=force) as temporary:
             self._write(temporary)
             wraps_of = {} if self.wraps is None else self.wraps.wraps_of
@@ -183,7 +183,7 @@ class Fit:
         with suppress(BusyError), new_folder(folder, force=True) as temporary:
             self._write(temporary)
 
-    def refuse_others(self, subject: Subject, place: str) -> None:
+    def require_subject(self, subject: Subject, place: str) -> None:
         """Raise an error if this is not a fit of the subject's model and of all its muscles.
 
         Parameters
@@ -225,7 +225,7 @@ class Fit:
         def write(path: Path) -> None:
             np.savez(path, allow_pickle=False, **arrays)
 
-        write_whole(folder / "fit.npz", write)
+        write_atomically(folder / "fit.npz", write)
         write_json(folder / "fit.json", self.content())
 
 
@@ -241,7 +241,7 @@ def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:
     """
     found = read_fit(Path(folder))
     if subject is not None:
-        found.refuse_others(subject, str(folder))
+        found.require_subject(subject, str(folder))
     return found
 
 
@@ -266,7 +266,7 @@ def read_fit(folder: Path) -> Fit:
             wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"], thresholds)
         return Fit(
             key=content["key"],
-            surrogate=surrogate_from(outer),
+            surrogate=surrogate_from_arrays(outer),
             errors={name: PathError(**entry) for name, entry in content["muscles"].items()},
             touching=tuple(content["touching"]),
             seconds=content["seconds"],

@@ -17,10 +17,9 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry, analyse_muscles, touching_muscles
 from wrapjax.path_sources.exact import WRAPPINGS
-from wrapjax.path_sources.fit import Fit, PathError, read_fit
-from wrapjax.path_sources.fit import load_fit as load_fit
 from wrapjax.path_sources.fit_poses import fit_poses
-from wrapjax.progress import say
+from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
+from wrapjax.progress import print_progress
 from wrapjax.subject.subject import Subject
 
 #: Where lengths and moment arms may come from.
@@ -74,7 +73,7 @@ def fit(
         try:
             return read_fit(cached)
         except (InputError, OSError, ValueError, KeyError):
-            say(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
+            print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit(subject, geometry, key, seed, processes, quiet)
     result.keep(cached)
     return result

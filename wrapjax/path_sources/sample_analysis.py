@@ -27,7 +27,7 @@ Poses = Float[np.ndarray, "pose coordinate"]
 
 
 @runtime_checkable
-class PathSource(Protocol):
+class PathAnalyzer(Protocol):
     """Analyses paths at samples of their cylinders."""
 
     @property
@@ -44,7 +44,7 @@ class PathSource(Protocol):
 
 
 @dataclass(frozen=True)
-class EngineSource:
+class EngineAnalyzer:
     """The exact engine: millions of paths a second."""
 
     engine: ExactPaths
@@ -54,27 +54,27 @@ class EngineSource:
     wrapping: Wrapping = GEODESIC
 
     def paths(self, muscle: str, samples: SampleSet, poses: str) -> tuple[WrappedPath, WrappedPath]:
-        """See `PathSource`."""
+        """See `PathAnalyzer`."""
         parameters = _with_nominal_first(samples, self.engine.wraps_of(muscle))
         found = wrap_at_samples(self.posed[poses][muscle], parameters, self.wrapping)
         return jax.tree.map(lambda leaf: leaf[1:], found), jax.tree.map(lambda leaf: leaf[:1], found)
 
 
 @dataclass(frozen=True)
-class OpenSimSource:
+class OpenSimAnalyzer:
     """OpenSim: the judge of lengths and moment arms; what jumps and touches the engine says.
 
     Every sample of a set is analysed once for all its muscles, and kept on disk.
     """
 
     model_file: Path
-    flags: EngineSource
+    flags: EngineAnalyzer
     poses: dict[str, Poses]
     processes: int | None
     quiet: bool
 
     def paths(self, muscle: str, samples: SampleSet, poses: str) -> tuple[WrappedPath, WrappedPath]:
-        """See `PathSource`."""
+        """See `PathAnalyzer`."""
         engine = self.flags.engine
         moved = samples.moved
         placements = [{}, *({wrap: own[n] for wrap, own in moved.items()} for n in range(samples.count))]
