@@ -1,4 +1,4 @@
-"""Measure speed and quality, peers beside, in one run: ``python -m benchmarks``."""
+"""Benchmark the speed of wrapjax and of comparable tools: ``python -m benchmarks``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ GROUPS = (
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX and NumPy are loaded, which read it once.
+    # JAX and NumPy read the thread counts once, when they are imported.
     pin_threads(options.threads)
     set_up_jax()
     with default_subject(options.subject) as folder:
@@ -47,25 +47,41 @@ def _parser() -> argparse.ArgumentParser:
         "--subject",
         type=Path,
         metavar="DIR",
-        help="subject folder (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+        help="subject folder (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
     )
     parser.add_argument(
-        "--only", nargs="+", choices=GROUPS, default=GROUPS, metavar="NAME", help="groups to run"
-    )
-    parser.add_argument("--muscles", nargs="+", metavar="NAME", help="for the surrogate (default: eight)")
-    parser.add_argument(
-        "--limit", type=float, default=120.0, metavar="SECONDS", help="for each peer's solve (default: 120)"
-    )
-    parser.add_argument("--quick", action="store_true", help="few repeats, 15 s for a peer, two muscles")
-    parser.add_argument(
-        "--full", action="store_true", help="do all 500,000 analyses of a muscle, rather than extrapolate"
+        "--only",
+        nargs="+",
+        choices=GROUPS,
+        default=GROUPS,
+        metavar="NAME",
+        help="groups of benchmarks to run",
     )
     parser.add_argument(
-        "--threads", type=int, default=1, metavar="N", help="of the numerical libraries (default: 1)"
+        "--muscles", nargs="+", metavar="NAME", help="muscles of the surrogate benchmark (default: eight)"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
     parser.add_argument(
-        "--figures", type=Path, metavar="DIR", help="where to draw growth and roofline, as PNG and SVG"
+        "--limit",
+        type=float,
+        default=120.0,
+        metavar="SECONDS",
+        help="time limit of each peer solver (default: 120)",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few repeats, 15 s for each peer solver, two muscles"
+    )
+    parser.add_argument(
+        "--full", action="store_true", help="run all 500,000 analyses of each muscle instead of extrapolating"
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="threads of each numerical library (default: 1)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the metrics to")
+    parser.add_argument(
+        "--figures",
+        type=Path,
+        metavar="DIR",
+        help="folder for the figures of growth and roofline (PNG and SVG)",
     )
     return parser
 
@@ -74,8 +90,8 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
     import wrapjax
     from benchmarks import calibration, devices, engine, recompilation, solving, surrogate
     from benchmarks.case import nga_case
-    from benchmarks.paths import path_methods
-    from wrapjax.progress import say
+    from benchmarks.path_methods import path_methods
+    from wrapjax.progress import print_progress
 
     subject = wrapjax.load_subject(folder)
     limit = min(options.limit, 15.0) if options.quick else options.limit
@@ -100,7 +116,7 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
     }
     for name in GROUPS:
         if name in options.only:
-            say(f"measuring: {name}")
+            print_progress(f"measuring: {name}")
             metrics += runs[name]()
     return metrics
 
@@ -108,9 +124,9 @@ def _measure(folder: Path, options: argparse.Namespace) -> list[Metric]:
 def _growth(case: Case, figures: Path | None) -> list[Metric]:
     from benchmarks import charts, growth
 
-    grown, metrics = growth.growth(case.problem)
+    measured, metrics = growth.growth(case.problem)
     if figures:
-        charts.draw_growth(grown, figures)
+        charts.draw_growth(measured, figures)
     return metrics
 
 

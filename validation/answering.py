@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.diagnosis.diagnosis import Diagnosis
@@ -45,7 +45,7 @@ def answer(job: Job) -> str:
     try:
         said = _answer(job)
     finally:
-        forget_if_crowded()
+        clear_caches_near_map_limit()
     return f"{said} ({time.perf_counter() - began:.0f} s)"
 
 

@@ -53,17 +53,17 @@ def main() -> int:
 def peak_table(result: ContactResult) -> list[str]:
     """Give a table in Markdown: mean peaks over cycles in bodyweights, and where in the gait cycle (%)."""
     from wrapjax.comparison.statistics import spread
-    from wrapjax.contact_forces.result import peaks, stretches
+    from wrapjax.contact_forces.result import peak_windows, peaks
 
     lines = [
         "| | " + " | ".join(f"{run.label} | at" for run in result.runs) + " |",
         "|---|" + "---|---|" * len(result.runs),
     ]
     for part in result.parts:
-        for measure, stretch in stretches(part).items():
+        for measure, window in peak_windows(part).items():
             cells = []
             for run in result.runs:
-                found = peaks(result.curves(run, part), result.phase, stretch)
+                found = peaks(result.curves(run, part), result.phase, window)
                 size, place = spread(found.force / result.bodyweight).mean, spread(found.phase).mean
                 cells.append(f"{size:.2f} | {place:.0f} %")
             lines.append(f"| {part}, {measure.replace('_', ' ')} | {' | '.join(cells)} |")

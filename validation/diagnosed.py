@@ -23,7 +23,7 @@ from benchmarks.machine import pin_threads
 from validation.answering import Job, answer
 from validation.banks import cases_of
 from validation.blind.lot import add_lot, lot_of
-from wrapjax.cohorts.scheduling import Finished, run_everywhere
+from wrapjax.cohorts.scheduling import Finished, run_jobs
 from wrapjax.errors import InputError
 
 
@@ -67,7 +67,7 @@ def _run_here(jobs: Mapping[str, Job]) -> Iterator[Finished]:
 
 
 def _run_elsewhere(jobs: Mapping[str, Job], options: argparse.Namespace) -> Iterator[Finished]:
-    return run_everywhere(answer, jobs, scheduler=options.scheduler, workers=options.workers)
+    return run_jobs(answer, jobs, scheduler=options.scheduler, workers=options.workers)
 
 
 def _parser() -> argparse.ArgumentParser:

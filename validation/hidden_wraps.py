@@ -6,7 +6,7 @@ curves, own noise of electrodes and of moments. Their cylinders are not where th
 is calibrated by NGA and by PGA through the exact engine, and moment arms are held against the simulator's
 over all recorded cycles, round nominal cylinders (before, as NGA has them) and round those that PGA found.
 
-An arm counts as touched where hiding the cylinders moved it by `LEAST_ERROR` (mean over frames) and its
+An arm counts as touched where hiding the cylinders moved it by `MINIMUM_ERROR` (mean over frames) and its
 muscle runs by a cylinder that PGA frees. Of these, arms and gains can be told apart where moment noise of
 `NOISE` would leave, by Laplace with the true cylinders and everything else that is free, a standard deviation
 below a tenth of how far the nominal arm is from the true one: the rule of the test without noise. Errors are
@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.machine import commit, describe_machine, pin_threads, versions
-from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.calibration.calibration import Calibration
@@ -124,7 +124,7 @@ def answer_all(asked: Sequence[Asked], place: Path) -> list[dict[str, Any]]:
             result = json.loads(file.read_text(encoding="utf-8"))
         else:
             result = answer(one, place)
-            forget_if_crowded()
+            clear_caches_near_map_limit()
         found.append(result)
         how = "as before" if kept else f"{time.perf_counter() - began:.0f} s"
         print(f"{number}/{len(asked)} {in_words(result)} ({how})", file=sys.stderr, flush=True)
@@ -253,13 +253,13 @@ def arms_that_count(
     moving
         Whether a muscle's path may move at all, (muscle,).
     """
-    from wrapjax.demonstration.wrap_recovery import LEAST_ERROR, told_apart
+    from wrapjax.demonstration.wrap_recovery import MINIMUM_ERROR, identifiable
 
     def apart(others: np.ndarray) -> np.ndarray:
         return np.abs(others - true).mean(axis=(1, 3))
 
-    touched = (apart(undisplaced) > LEAST_ERROR) & moving[:, None]
-    return touched, touched & told_apart(apart(believed), deviation)
+    touched = (apart(undisplaced) > MINIMUM_ERROR) & moving[:, None]
+    return touched, touched & identifiable(apart(believed), deviation)
 
 
 def arm_errors(

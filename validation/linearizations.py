@@ -21,12 +21,12 @@ from jaxtyping import Float
 from benchmarks.machine import pin_threads
 from validation.banks import cases_of, development_truth
 from validation.blind.lot import add_lot, lot_of
-from wrapjax.cohorts.scheduling import run_everywhere
+from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
 from wrapjax.diagnosis.projection import Candidate
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import write_whole
+from wrapjax.io.files import write_atomically
 from wrapjax.io.json_and_arrays import load_arrays
 
 _ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds")
@@ -63,7 +63,7 @@ def main() -> int:
         if not (file := out / f"{case.name}.npz").exists()
     }
     failed = 0
-    for number, one in enumerate(run_everywhere(draw, jobs, workers=options.workers) if jobs else (), 1):
+    for number, one in enumerate(run_jobs(draw, jobs, workers=options.workers) if jobs else (), 1):
         failed += bool(one.failure)
         print(f"{number}/{len(jobs)} {one.name}: {one.failure or one.value}", file=sys.stderr, flush=True)
     return 1 if failed else 0
@@ -74,7 +74,7 @@ def draw(job: Job) -> str:
     import wrapjax
     from wrapjax.diagnosis.diagnosis import diagnosis_input
     from wrapjax.diagnosis.pipeline import linearize_effects
-    from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+    from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
     set_up_jax()
     subject = wrapjax.load_subject(job.case)
@@ -84,7 +84,7 @@ def draw(job: Job) -> str:
     case = diagnosis_input(calibration)
     _, _, gap = linearize_effects(case, case.variables)
     save(Lines(gap, case.measured_sizes), job.file)
-    forget_if_crowded()
+    clear_caches_near_map_limit()
     return f"{len(gap.candidates)} effects"
 
 
@@ -103,7 +103,7 @@ def save(lines: Lines, file: Path) -> None:
         told.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
     arrays["candidates"] = np.array(json.dumps(told))
     small = {name: own.astype(np.float32) if own.dtype == np.float64 else own for name, own in arrays.items()}
-    write_whole(file, lambda temporary: np.savez(temporary, **small))
+    write_atomically(file, lambda temporary: np.savez(temporary, **small))
 
 
 def load(file: Path) -> Lines:

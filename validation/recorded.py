@@ -51,7 +51,7 @@ def _run(options: argparse.Namespace) -> None:
     # JAX last: what is asked for may be nonsense.
     from validation.recorded_case import diagnosed, scored
     from wrapjax.io.files import write_json
-    from wrapjax.jax_setup import forget_if_crowded, set_up_jax
+    from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
     set_up_jax()
     source, starts = options.subject, options.starts
@@ -63,7 +63,7 @@ def _run(options: argparse.Namespace) -> None:
         else:
             ask = partial(diagnosed, starts=starts, whole=source, hidden=variant.hidden)
         _once(variant, options, ask)
-        forget_if_crowded()
+        clear_caches_near_map_limit()
     found = ((one.name, _kept(one, options)) for one in [*injected, *knocked])
     # What another version of the package answered is another question's.
     code = before["question"]["code"]

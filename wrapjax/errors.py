@@ -1,4 +1,4 @@
-"""What is wrong with the input, said so that a person can mend it."""
+"""Errors of input files and options: file, place, what was expected, what was found, and a hint."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-#: A file's name in a sentence may have this many letters, each other part half as many.
-MOST_LETTERS = 2000
-#: Names longer than this are near no other.
+#: Longest file name in a message, in characters; every other part may have half as many.
+MAX_MESSAGE_LENGTH = 2000
+#: Longer names are not compared by `nearest_name`, which takes time with the square of the length.
 _LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with one place of the input.
+    """One problem at one place of the input.
 
     Parameters
     ----------
     file
-        The file (or folder) as the user knows it.
+        File, folder or option, as the user gave it.
     message
-        One sentence without a full stop: what was expected and what was found.
+        What was expected and what was found, without a full stop.
     place
-        The column, key, row or muscle inside the file; empty if it is the file itself.
+        Column, key, row or muscle within the file; empty for the file itself.
     hint
-        What would mend it, if that is known.
+        How to correct it, where known.
     """
 
     file: str
@@ -35,14 +35,18 @@ class Problem:
 
     def __str__(self) -> str:
         place, message, hint = (_quoted(part) for part in (self.place, self.message, self.hint))
-        where = f"{_quoted(self.file, MOST_LETTERS)}: {place}" if place else _quoted(self.file, MOST_LETTERS)
+        where = (
+            f"{_quoted(self.file, MAX_MESSAGE_LENGTH)}: {place}"
+            if place
+            else _quoted(self.file, MAX_MESSAGE_LENGTH)
+        )
         tail = f"; {hint}" if hint else ""
         sentence = f"{where}: {message}{tail}"
         return sentence if sentence.endswith(("?", "...")) else f"{sentence}."
 
 
-def _quoted(text: str, most: int = MOST_LETTERS // 2) -> str:
-    """Make what files hold fit for a line on a terminal: no letters that steer it, and not too many."""
+def _quoted(text: str, most: int = MAX_MESSAGE_LENGTH // 2) -> str:
+    """Escape control characters and shorten text from files, so that it fits on a terminal line."""
     shown = text if text.isprintable() else "".join(map(_printable, text))
     return shown if len(shown) <= most else f"{shown[: most // 2]} ... {shown[-most // 2 :]}"
 
@@ -52,9 +56,14 @@ def _printable(letter: str) -> str:
 
 
 class InputError(ValueError):
-    """The input cannot be used. Carries every problem found, not only the first.
+    """Invalid input, with all problems found.
 
-    The command line prints one line a problem and exits with 2.
+    The command line prints one line for each problem and exits with status 2.
+
+    Parameters
+    ----------
+    problems
+        One or more problems.
     """
 
     def __init__(self, problems: Problem | Iterable[Problem]):
@@ -64,21 +73,31 @@ class InputError(ValueError):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[tuple[Problem, ...]]]:
-        # What is raised in a worker process must arrive whole.
+        # Exceptions from worker processes are pickled; the default would pass the message as `problems`.
         return InputError, (self.problems,)
 
 
 class WorkError(RuntimeError):
-    """The work could not be done, and the input is not to blame: a sentence without a full stop.
+    """Failure of a computation on valid input; its message has no full stop.
 
-    The command line prints it and exits with 1.
+    The command line prints the message and exits with status 1.
     """
 
 
 def nearest_name(name: str, known: Sequence[str]) -> str:
-    """Say which known name the unknown one was probably meant to be.
+    """Suggest the known name that is most similar to an unknown one.
 
-    Returns ``"did you mean 'soleus_l'?"``, or the (first few) known names where none is near.
+    Parameters
+    ----------
+    name
+        Unknown name.
+    known
+        Valid names.
+
+    Returns
+    -------
+    str
+        ``"did you mean 'soleus_l'?"``, or the first eight valid names if none is similar.
     """
     lowered = {entry.lower(): entry for entry in known if len(entry) <= _LONGEST_NAME}
     close = []

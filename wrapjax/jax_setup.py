@@ -1,6 +1,6 @@
-"""How JAX is set up for long work. JAX is imported only when it is done: threads must be set before.
+"""Settings of JAX: threads, compiler options, 64-bit precision and the cache of compiled programs.
 
-Refusing to calculate in single precision.
+JAX is imported only inside the functions, because thread counts must be set before it is loaded.
 """
 
 from __future__ import annotations
@@ -9,37 +9,39 @@ import os
 from importlib.metadata import version
 from pathlib import Path
 
-#: What decides the thread counts of XLA and of the numerical libraries.
+#: Environment variables that set the thread counts of XLA and of the numerical libraries.
 THREAD_VARIABLES = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-#: Options of XLA by the series of jaxlib they were tried with: one that it does not know ends the process.
+#: XLA options by the series of jaxlib that they were tested with: XLA ends the process on an unknown option.
 _COMPILER_OPTIONS = {"0.10": ("--xla_cpu_use_fusion_emitters=false",)}
 
 
 def set_threads(count: int) -> None:
-    """Limit the threads of this process; to be called before JAX is loaded."""
+    """Limit the number of threads of this process; call it before JAX is loaded."""
     for variable in THREAD_VARIABLES:
         os.environ[variable] = str(count)
 
 
 def choose_compiler_options() -> None:
-    """Let XLA take the quicker of its two ways to compile for processors; before JAX computes anything.
+    """Select the faster of XLA's two compilers for processors; call it before the first JAX operation.
 
-    What it compiles runs as fast either way (``python -m benchmarks --only compile``). What the user has set
-    in ``XLA_FLAGS`` stays.
+    Compiled programs run equally fast either way (``python -m benchmarks --only compile``). Options that the
+    user has set in ``XLA_FLAGS`` are kept.
     """
     series = version("jaxlib").rsplit(".", 1)[0]
-    ours = [one for one in _COMPILER_OPTIONS.get(series, ()) if one.split("=")[0] not in _flags()]
-    if ours:
-        os.environ["XLA_FLAGS"] = " ".join([_flags(), *ours]).strip()
+    added = [
+        option for option in _COMPILER_OPTIONS.get(series, ()) if option.split("=")[0] not in _xla_flags()
+    ]
+    if added:
+        os.environ["XLA_FLAGS"] = " ".join([_xla_flags(), *added]).strip()
 
 
-def _flags() -> str:
+def _xla_flags() -> str:
     return os.environ.get("XLA_FLAGS", "")
 
 
 def set_up_jax() -> None:
-    """Switch to 64 bits, compile quickly, and keep what is compiled for the next run."""
+    """Enable 64-bit precision, fast compilation and the cache of compiled programs on disk."""
     choose_compiler_options()
     import jax
 
@@ -50,29 +52,34 @@ def set_up_jax() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
-def forget_if_crowded() -> None:
-    """Let go of compiled programs if another subject might not find room beside them.
+def clear_caches_near_map_limit() -> None:
+    """Discard compiled programs if this process nears Linux's limit of memory maps.
 
-    Each compiles hundreds for its own sizes. Linux lets a process map only so many pieces of memory, and
-    LLVM ends a process that it has none for.
+    Each subject compiles hundreds of programs for its own array sizes. Every program takes memory maps, whose
+    number per process Linux limits (``vm.max_map_count``), and LLVM ends the process when none is available.
     """
     import jax
 
     try:
-        most = int(Path("/proc/sys/vm/max_map_count").read_text())
+        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
         with Path("/proc/self/maps").open(encoding="utf-8") as maps:
-            crowded = sum(1 for _ in maps) > most // 3
+            near_limit = sum(1 for _ in maps) > limit // 3
     except (OSError, ValueError):
         return
-    if crowded:
+    if near_limit:
         jax.clear_caches()
 
 
 def require_float64() -> None:
-    """Raise unless JAX calculates in 64 bits.
+    """Raise an error unless JAX is in 64-bit mode.
 
-    In 32 bits a fifth-degree polynomial loses a millimeter and a solver stops far from its optimum.
-    The switch is the caller's: flipping it here would change the caller's other programs.
+    In single precision a fifth-degree polynomial is off by a millimeter, and a solver stops far from its
+    optimum. The mode is not switched here, because that would change the caller's other JAX programs.
+
+    Raises
+    ------
+    RuntimeError
+        If JAX is in 32-bit mode.
     """
     import jax
 

@@ -1,7 +1,4 @@
-"""Progress of long work: a bar on a terminal, plain lines elsewhere, always on standard error.
-
-What takes how long.
-"""
+"""Progress of long computations on standard error, and the time that their steps take."""
 
 from __future__ import annotations
 
@@ -11,22 +8,27 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-#: Called with the number of finished pieces of work.
+#: Function that takes the number of finished items.
 Advance = Callable[[int], None]
 
 
 @contextmanager
 def progress_bar(title: str, total: int, *, quiet: bool = False) -> Iterator[Advance]:
-    """Yield a function to call with the count of pieces finished so far.
+    """Show the progress of a loop: a bar on a terminal, plain lines elsewhere.
 
     Parameters
     ----------
     title
-        What is being done, in a few words.
+        Description of the computation, a few words.
     total
-        Number of pieces in all.
+        Number of items.
     quiet
         Print nothing.
+
+    Yields
+    ------
+    Advance
+        Function to call with the number of items finished so far.
     """
     if quiet:
         yield lambda done: None
@@ -45,7 +47,7 @@ def progress_bar(title: str, total: int, *, quiet: bool = False) -> Iterator[Adv
     def line(done: int) -> None:
         nonlocal last
         now = time.monotonic()
-        # A log gets a line every ten seconds, not one a piece.
+        # A line every ten seconds, not one for each item, keeps log files short.
         if now - last >= 10.0:
             last = now
             print(f"{title}: {done} of {total}, {now - started:.0f} s", file=sys.stderr, flush=True)
@@ -54,22 +56,30 @@ def progress_bar(title: str, total: int, *, quiet: bool = False) -> Iterator[Adv
     print(f"{title}: {total} done in {time.monotonic() - started:.1f} s", file=sys.stderr, flush=True)
 
 
-def say(line: str, *, quiet: bool = False) -> None:
-    """Print one line of progress to standard error."""
+def print_progress(line: str, *, quiet: bool = False) -> None:
+    """Print one line of progress to standard error, unless ``quiet``."""
     if not quiet:
         print(line, file=sys.stderr, flush=True)
 
 
 @dataclass
 class Stopwatch:
-    """Says what is going on, and how long it took."""
+    """Wall time by step of a computation, with a log line at the start of each step.
+
+    Parameters
+    ----------
+    log
+        Function that takes a line of progress.
+    seconds
+        Time of each step so far, s, by the step's name.
+    """
 
     log: Callable[[str], None]
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def during(self, part: str, line: str) -> Iterator[None]:
-        """Add the time of what is done within to a part of the work."""
+        """Log a line, and add the time of the ``with`` block to the step ``part``."""
         self.log(line)
         began = time.perf_counter()
         yield

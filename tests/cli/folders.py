@@ -20,7 +20,7 @@ def content(folder: Path) -> dict[str, bytes | None]:
     }
 
 
-def stored(file: Path) -> Any:
+def read_json(file: Path) -> Any:
     """Read strict JSON."""
 
     def refuse(word):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.folders import content, names, stored
+from tests.cli.folders import content, names, read_json
 from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import write_subject
 from tests.subject.test_broken_folders import BROKEN
@@ -45,7 +45,7 @@ def test_folder_keeps_its_contract(compared):
         assert file in found
     for method in ("NGA", "SGA"):
         assert f"synthetic/{method}/summary.json" in found
-    comparison = stored(folder / "comparison.json")
+    comparison = read_json(folder / "comparison.json")
     assert comparison["methods"] == ["NGA", "SGA"] and comparison["unit_of_analysis"] == "cycle"
     assert set(comparison["quantities"]) == {
         *("moment_error", "length_change", "moment_arm_change", "muscle_force", "activation", "parameter")
@@ -57,7 +57,7 @@ def test_not_converged_is_status_1(run, subject, tmp_path):
     outcome = run("compare", subject, *METHODS, "--out", tmp_path / "out", *arguments)
     assert (outcome.status, outcome.progress) == (1, "")
     comparison = json.loads(outcome.output)
-    assert comparison == stored(tmp_path / "out" / "comparison.json")
+    assert comparison == read_json(tmp_path / "out" / "comparison.json")
     assert not comparison["legs"][0]["runs"]["NGA"]["converged"]
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.folders import content, names, stored
+from tests.cli.folders import content, names, read_json
 from tests.cli.test_check import assert_only_errors
 from tests.contact_forces.made_up_run import write_run
 from wrapjax.subject.subject import load_subject as load_subject
@@ -27,7 +27,7 @@ def test_two_runs_side_by_side(run, subject, tmp_path):
     assert done.output.startswith("This is the muscles' share alone, not the whole contact force")
     assert "PGA less NGA" in done.output and f"written to {nga / 'contact'}" in done.output
     assert "lines of action" in done.progress
-    found = stored(nga / "contact" / "contact.json")
+    found = read_json(nga / "contact" / "contact.json")
     assert found["kind"] == "muscle_share"
     assert [entry["run"] for entry in found["runs"]] == ["NGA", "PGA"]
     assert found["tests"][0]["test"]["difference"] < 0.0

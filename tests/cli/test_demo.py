@@ -11,10 +11,10 @@ import pytest
 
 import wrapjax.cli.calibrate
 import wrapjax.demonstration.demo
-from tests.report.made_up_gap import named
+from tests.report.synthetic_diagnosis import named
 from wrapjax.cli.command_line import main
-from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
-from wrapjax.demonstration.demo import NOT_DRAWN, DiagnosisDemonstration, drawn_effect
+from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
+from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, DiagnosisDemonstration, draw_effect
 
 
 def made_up_answer(folder, hidden, **options):
@@ -102,9 +102,9 @@ def test_calibration_comes_closer_to_what_moments_can_tell(shown):
 def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
     """What noisy moments cannot tell must not look found: the table says how much they leave open."""
     content = json.loads((shown[1] / "demo.json").read_text())
-    truth = json.loads((shown[1] / "virtual_subject" / "truth.json").read_text())
+    true_parameters = json.loads((shown[1] / "virtual_subject" / "truth.json").read_text())
     found = content["wrap_recovery"]
-    assert {name: wrap["true"] for name, wrap in found["wraps"].items()} == truth["wraps"]
+    assert {name: wrap["true"] for name, wrap in found["wraps"].items()} == true_parameters["wraps"]
     assert all(wrap["found"] != wrap["true"] for wrap in found["wraps"].values())
     errors = found["moment_arm_error"]["knee_angle_r"]
     assert errors["before_m"] > 1e-4
@@ -115,9 +115,9 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
 
 def test_what_was_hidden_is_drawn_by_the_seed(shown):
     content = json.loads((shown[1] / "demo.json").read_text())["gap"]
-    assert content["hidden"] == drawn_effect(3) and content["outcome"] == "named"
-    drawn = {drawn_effect(seed) for seed in range(40)}
-    assert drawn == set(HIDDEN_EFFECTS) - set(NOT_DRAWN) and len(drawn) >= 5
+    assert content["hidden"] == draw_effect(3) and content["outcome"] == "named"
+    drawn = {draw_effect(seed) for seed in range(40)}
+    assert drawn == set(HIDDEN_EFFECTS) - set(EXCLUDED_EFFECTS) and len(drawn) >= 5
 
 
 def test_existing_folder_is_left_alone(shown, capsys):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.cli.folders import names, stored
+from tests.cli.folders import names, read_json
 from tests.cli.test_check import assert_only_errors
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
@@ -27,7 +27,7 @@ def test_three_cycles_are_too_few_and_that_is_said(run, subject, fitted, tmp_pat
     done = run("diagnose", subject, "--fit", fitted[1], *QUICK, "--out", out)
     assert done.status == 1
     assert "too few" in done.output and f"written to {out}" in done.output
-    content = stored(out / "gap.json")
+    content = read_json(out / "gap.json")
     assert content["outcome"] == "insufficient_data" and content["named"] == []
     assert sum(effect["probability"] for effect in content["effects"]) == pytest.approx(1.0)
     assert "report.html" in names(out) and any(name.startswith("moments/") for name in names(out))

@@ -15,7 +15,7 @@ from tests.preprocessing import walker, walker_c3d
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.report import markup
-from wrapjax.subject.emg import envelopes_of_raw
+from wrapjax.subject.emg import compute_envelopes
 from wrapjax.subject.subject import load_subject as load_subject
 
 
@@ -395,7 +395,7 @@ def test_the_way_out_of_a_light_force_is_named_and_leads_out(run, solved):
 
 def test_envelopes_are_refused_as_raw_emg_and_what_that_says_of_them_works(run, solved):
     table = read_storage(solved.parent / "emg.sto")
-    envelopes = envelopes_of_raw(table.values.T, walker.EMG_RATE, walker.PERIOD)
+    envelopes = compute_envelopes(table.values.T, walker.EMG_RATE, walker.PERIOD)
     envelopes /= envelopes.max(axis=1, keepdims=True)
     _table(solved, "emg.sto", lambda time, columns: (time, dict(zip(columns, envelopes, strict=True))))
     folder = solved.parent / "out"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.preprocessing.emg import band_of_muscle
+from tests.preprocessing.synthetic_emg import band_of_muscle
 from wrapjax.io.storage import Storage, read_storage, write_storage
 
 RATE = 1000.0

@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from tests.cli.folders import METHOD, content, stored
+from tests.cli.folders import METHOD, content, read_json
 from tests.cli.test_check import assert_only_errors
 from wrapjax.report.spread import SCHEMA
 
@@ -21,9 +21,9 @@ def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
     outcome, folder = judged
     assert outcome.status == 0 and "calibrating made-up moments: 4 done" in outcome.progress
     assert "4 draws (bootstrap" in outcome.output
-    told = stored(folder / "uncertainty.json")
+    told = read_json(folder / "uncertainty.json")
     assert told["schema"] == SCHEMA and told["way"] == "bootstrap" and told["draws"] == 4
-    assert stored(folder / "summary.json")["uncertainty"]["converged_draws"] == 4
+    assert read_json(folder / "summary.json")["uncertainty"]["converged_draws"] == 4
     with (folder / "parameters.csv").open(newline="") as stream:
         rows = {f"{row['owner']}.{row['parameter']}": row for row in csv.DictReader(stream)}
     for label, own in told["by_parameter"].items():
@@ -33,8 +33,8 @@ def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
         assert own["high_90"] <= float(rows[label]["upper"]) * (1 + 1e-9)
     # The calibration itself is the same.
     plain = calibrated[1]
-    assert stored(folder / "summary.json")["cost"] == pytest.approx(
-        stored(plain / "summary.json")["cost"], rel=1e-9
+    assert read_json(folder / "summary.json")["cost"] == pytest.approx(
+        read_json(plain / "summary.json")["cost"], rel=1e-9
     )
     assert not (plain / "uncertainty.json").exists() and not (plain / "moment_bands").exists()
     assert not list(folder.parent.glob(".*"))
@@ -63,7 +63,7 @@ def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monke
     monkeypatch.setattr(AugmentedLagrangian, "solve", solve)
     outcome = run("calibrate", subject, *METHOD, *words, "--quiet", "--resume")
     assert outcome.status == 0 and done == 3
-    again, before = (stored(folder / "uncertainty.json") for folder in (tmp_path / "run", judged[1]))
+    again, before = (read_json(folder / "uncertainty.json") for folder in (tmp_path / "run", judged[1]))
     for label, own in before["by_parameter"].items():
         np.testing.assert_allclose(again["by_parameter"][label]["sd"], own["sd"], rtol=1e-6, atol=1e-12)
     assert not list(tmp_path.glob(".*"))

@@ -31,7 +31,7 @@ def here(monkeypatch):
 
 
 def stay(patch):
-    patch.setattr("wrapjax.cohorts.cohort.run_everywhere", one_after_the_other)
+    patch.setattr("wrapjax.cohorts.cohort.run_jobs", one_after_the_other)
     patch.setattr(wrapjax.cohorts.cohort, "set_up_jax", lambda: None)
 
 
@@ -143,7 +143,7 @@ def test_resuming_what_is_done_starts_no_workers(done, subjects, tmp_path, monke
         raise AssertionError("workers were started")
         yield
 
-    monkeypatch.setattr("wrapjax.cohorts.cohort.run_everywhere", started)
+    monkeypatch.setattr("wrapjax.cohorts.cohort.run_jobs", started)
     place = shutil.copytree(done.folder, tmp_path / "out")
     again = cohort(subjects[::2], place, diagnose=True, starts=1, resume=True)
     for name in ("anna", "ben"):

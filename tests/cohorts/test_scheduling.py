@@ -12,12 +12,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from wrapjax.cohorts.scheduling import RETRIES, SLURM, run_everywhere
+from wrapjax.cohorts.scheduling import RETRIES, SLURM, run_jobs
 from wrapjax.errors import InputError
 
 
 def collected(*arguments, **options):
-    found = list(run_everywhere(*arguments, **options))
+    found = list(run_jobs(*arguments, **options))
     assert len({one.name for one in found}) == len(found)
     return {one.name: (one.value, one.failure) for one in found}
 
@@ -169,7 +169,7 @@ def test_slurm_without_its_package(monkeypatch):
 
 def test_another_cluster_on_this_machine_is_no_hindrance():
     """Two at once: both have servers, and a warning of either is an error here."""
-    outer = run_everywhere(math.sqrt, {"four": 4.0, "nine": 9.0}, workers=1)
+    outer = run_jobs(math.sqrt, {"four": 4.0, "nine": 9.0}, workers=1)
     first = next(outer)
     assert collected(math.sqrt, {"one": 1.0}, workers=1) == {"one": (1.0, "")}
     assert {first.value, next(outer).value} == {2.0, 3.0}

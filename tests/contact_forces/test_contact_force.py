@@ -150,10 +150,10 @@ def test_compartments_are_in_all_that_is_said_and_saved(divided, tmp_path):
 
 
 def test_a_knee_is_not_divided_by_guess(compared, runs, bare, tmp_path):
-    assert compared.result.undivided.startswith("the model's knee is one joint")
+    assert compared.result.undivided_reason.startswith("the model's knee is one joint")
     assert compared.result.runs[0].compartments is None
     share = contact(write_run(tmp_path / "run", bare), condyle_distance=0.04).result
-    assert share.condyle_distance is None and "only the muscles' share" in share.undivided
+    assert share.condyle_distance is None and "only the muscles' share" in share.undivided_reason
     for distance in (40.0, -0.04, float("nan")):
         with pytest.raises(InputError, match=r"m apart, where 0\.01 to 0\.12 m were expected"):
             contact(*runs, condyle_distance=distance)
@@ -213,7 +213,7 @@ def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven)
         contact(folder, undriven=treatment).result.runs[0] for treatment in ("static-optimization", "left")
     )
     assert closing.undriven.muscles == ("semiten_l",)
-    assert (nothing.undriven.muscles, nothing.undriven.left_out) == ((), ("semiten_l",))
+    assert (nothing.undriven.muscles, nothing.undriven.without_force) == ((), ("semiten_l",))
     # What is left of the moments is what measured ones are more than modelled ones, less the muscle's.
     np.testing.assert_allclose(nothing.undriven.residual, 0.5 * subject.trials.moments, atol=1e-9)
     assert np.square(closing.undriven.residual).sum() < np.square(nothing.undriven.residual).sum()

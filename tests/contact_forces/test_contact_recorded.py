@@ -5,10 +5,10 @@ import pytest
 
 import wrapjax
 from wrapjax.contact_forces.contact_force import _joints, _reactions, contact
-from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
-from wrapjax.contact_forces.result import JOINT_REACTION, peaks, stretches
-from wrapjax.contact_forces.run_curves import read_curves
+from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
+from wrapjax.contact_forces.result import JOINT_REACTION, peak_windows, peaks
 from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
+from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.geometry.engine import PARITY
 from wrapjax.osim.model import describe_model
 
@@ -46,7 +46,7 @@ def test_its_first_peak_is_early_in_stance_by_both_methods(runs):
     assert [own.label for own in result.runs] == ["NGA", "PGA"]
     assert not np.array_equal(result.runs[0].force, result.runs[1].force)
     # Of the stretch in which the peak is looked for, its ends are no peaks.
-    low, high = stretches("hip")["first_peak"]
+    low, high = peak_windows("hip")["first_peak"]
     for own in result.runs:
         first = peaks(result.curves(own, "hip"), result.phase, (low, high))
         assert low < first.phase[0] < high
@@ -70,4 +70,4 @@ def test_muscles_press_in_opensim_as_the_engine_says(run):
     coordinates = [name for name in subject.trials.coordinates if name in spanned]
     angles = subject.trials.angles[:, [subject.trials.coordinates.index(name) for name in coordinates]]
     lines = lines_of_action(model, read.run.muscles, joints, coordinates, angles, PARITY)
-    np.testing.assert_allclose(muscle_share(lines, read.force), with_muscles - without, atol=1e-3)
+    np.testing.assert_allclose(sum_muscle_forces(lines, read.force), with_muscles - without, atol=1e-3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.contact_forces.gait_phase import AT_STRIKE, evenly, gait_phases, phase_from_strikes
+from wrapjax.contact_forces.gait_phase import AT_STRIKE, gait_phases, phase_from_strikes, uniform_phases
 
 STRIKES = np.array([0.2, 1.3, 2.5])
 #: A walk of equal strides.
@@ -16,7 +16,7 @@ def cycle(start, end):
 
 def test_a_cycle_from_strike_to_strike_is_even():
     found = phase_from_strikes(cycle(0.2, 1.3), STRIKES)
-    np.testing.assert_allclose(found, evenly(101), atol=1e-9)
+    np.testing.assert_allclose(found, uniform_phases(101), atol=1e-9)
 
 
 @pytest.mark.parametrize("early", [0.5, -0.5])
@@ -24,7 +24,7 @@ def test_a_frame_beside_the_strike_does_not_turn_the_cycle_over(early):
     """Cycles are given to few digits."""
     step = 1.1 / 100
     found = phase_from_strikes(cycle(0.2, 1.3) - early * step, STRIKES)
-    np.testing.assert_allclose(found, evenly(101), atol=1.0)
+    np.testing.assert_allclose(found, uniform_phases(101), atol=1.0)
 
 
 def test_a_cycle_that_begins_later_says_so_and_rises_beyond_the_next_strike():
@@ -48,8 +48,10 @@ def test_listed_strikes_go_before_those_of_filtered_forces(early):
     """Forces that were filtered rise early; the first cycle, the last and one without forces are alike."""
     listed = np.array([cycle(*WALK[row : row + 2]) for row in (0, 1, 3, 2)])
     forces = [WALK - early] * 3 + [np.zeros(0)]
-    np.testing.assert_array_equal(gait_phases(listed, forces), np.tile(evenly(101), (4, 1)))
-    np.testing.assert_array_equal(gait_phases(listed, [WALK[1:-1] - early] * 4), np.tile(evenly(101), (4, 1)))
+    np.testing.assert_array_equal(gait_phases(listed, forces), np.tile(uniform_phases(101), (4, 1)))
+    np.testing.assert_array_equal(
+        gait_phases(listed, [WALK[1:-1] - early] * 4), np.tile(uniform_phases(101), (4, 1))
+    )
 
 
 def test_cycles_cut_elsewhere_are_counted_from_strikes_the_last_one_too():
@@ -57,7 +59,7 @@ def test_cycles_cut_elsewhere_are_counted_from_strikes_the_last_one_too():
     later = 0.4 * 1.1
     cut = np.array([cycle(*WALK[row : row + 2] + later) for row in (0, 1, 3, 2)])
     found = gait_phases(cut, [WALK[:-1]] * 3 + [np.zeros(0)])
-    np.testing.assert_allclose(found, np.tile(40.0 + evenly(101), (4, 1)), atol=1e-9)
+    np.testing.assert_allclose(found, np.tile(40.0 + uniform_phases(101), (4, 1)), atol=1e-9)
 
 
 def test_one_cycle_cut_elsewhere_is_enough_to_count_all_from_strikes():
@@ -69,7 +71,7 @@ def test_one_cycle_cut_elsewhere_is_enough_to_count_all_from_strikes():
 def test_a_part_of_a_stride_is_not_taken_for_a_whole_one():
     """It begins at a strike, and ends before the next one."""
     found = gait_phases(np.array([cycle(WALK[0], WALK[0] + 0.88)]), [WALK])
-    np.testing.assert_allclose(found[0], 0.8 * evenly(101), atol=1e-9)
+    np.testing.assert_allclose(found[0], 0.8 * uniform_phases(101), atol=1e-9)
 
 
 def test_starts_are_averaged_round_the_cycle():
@@ -82,4 +84,4 @@ def test_starts_are_averaged_round_the_cycle():
 
 def test_where_nothing_is_known_cycles_are_even():
     found = gait_phases(np.array([cycle(0.0, 1.1), cycle(2.0, 3.2)]), [np.zeros(0)] * 2)
-    np.testing.assert_array_equal(found, np.tile(evenly(101), (2, 1)))
+    np.testing.assert_array_equal(found, np.tile(uniform_phases(101), (2, 1)))

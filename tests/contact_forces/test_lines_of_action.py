@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
 from wrapjax.geometry.model_description import (
     IDENTITY,
@@ -98,7 +98,7 @@ def test_lines_are_unit_vectors_toward_the_bone_above(lines, angles):
 
 def test_shares_add_up(lines):
     force = np.random.default_rng(5).uniform(0.0, 500.0, (len(NAMES), 2, 3))
-    share = muscle_share(lines, force)
+    share = sum_muscle_forces(lines, force)
     assert share.shape == (2, len(JOINTS), 3, 3)
     np.testing.assert_allclose(share[1, 0, 2], (lines[:, 0, 2, 1] * force[:, 1]).sum(axis=0))
 

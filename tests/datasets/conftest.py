@@ -12,7 +12,7 @@ from wrapjax.datasets.public_recordings import PublicFile, PublicRecording
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.leg import build_leg_model
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
-from wrapjax.datasets.virtual_person.truth import read_truth
+from wrapjax.datasets.virtual_person.true_parameters import read_true_parameters
 
 
 @dataclass
@@ -113,4 +113,4 @@ def clean_folder(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def clean_truth(clean_folder):
-    return read_truth(clean_folder)
+    return read_true_parameters(clean_folder)

@@ -11,8 +11,8 @@ from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS
 from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
-from wrapjax.preprocessing.filters import low_pass
-from wrapjax.preprocessing.joint_angles import Motion, couplers_of, read_motion
+from wrapjax.preprocessing.joint_angles import Motion, find_coupled_coordinates, read_motion
+from wrapjax.preprocessing.motion_filter import low_pass
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import load_subject
 
@@ -108,7 +108,7 @@ def test_external_loads_of_our_own_give_the_published_moments(server, data_folde
     write_public_subject(recording, tmp_path / "walker", server=server.address)
     trial = load_subject(tmp_path / "walker").recordings[0]
     model = tmp_path / "walker" / "model.osim"
-    couplers = couplers_of(describe_model(model).coordinates)
+    couplers = find_coupled_coordinates(describe_model(model).coordinates)
     infos = read_model_file(model).coordinates
     read = read_motion(trial.angles, infos, couplers, ("knee_angle_l",), [])
     # Filtered as whoever solved the published moments did; their first and last frames have not settled.

@@ -11,7 +11,7 @@ from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.gait import normative_cycle
 from wrapjax.datasets.virtual_person.leg import MUSCLES, build_leg_model, mirrored, on_side
 from wrapjax.datasets.virtual_person.subject import write_virtual_legs, write_virtual_subject
-from wrapjax.datasets.virtual_person.truth import draw_truth, read_truth
+from wrapjax.datasets.virtual_person.true_parameters import draw_true_parameters, read_true_parameters
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.virtual_leg import Body, Joint, LegModel
 from wrapjax.subject.subject import load_subject, read_legs
@@ -105,7 +105,7 @@ def test_the_folders_belong_together(legs):
     for name, side in (("right", "r"), ("left", "l")):
         subject = load_subject(folder / name)
         assert subject.name == f"person_{name}" and subject.notes == () and subject.side == side
-        assert subject.muscles.names == truths[name].muscles == read_truth(folder / name).muscles
+        assert subject.muscles.names == truths[name].muscles == read_true_parameters(folder / name).muscles
         assert [leg.side for leg in read_legs(subject)] == [side, "l" if side == "r" else "r"]
 
 
@@ -135,7 +135,7 @@ def test_the_right_leg_is_that_of_the_single_subject(legs, clean_folder):
 
 def test_a_seed_keeps_its_person(legs):
     """Also where earlier versions knew of one leg."""
-    expected = draw_truth(np.random.default_rng(np.random.SeedSequence(3).spawn(3)[0]))
+    expected = draw_true_parameters(np.random.default_rng(np.random.SeedSequence(3).spawn(3)[0]))
     np.testing.assert_array_equal(legs[1]["right"].electromechanical_delay, expected.electromechanical_delay)
 
 

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
-from wrapjax.datasets.virtual_person.truth import draw_truth, parameter_names
+from wrapjax.datasets.virtual_person.true_parameters import draw_true_parameters, parameter_names
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.io.storage import read_storage
 from wrapjax.model.forward import Recording, muscle_states
@@ -135,7 +135,7 @@ def test_noise_has_the_size_asked_for(tmp_path, clean_folder, subject):
 @pytest.mark.parametrize("seed", range(3))
 def test_feasible_truths_are_the_rule(seed, path, subject):
     """Any person's fibers stay where a calibration lets them (0.3 to 1.3)."""
-    truth = draw_truth(np.random.default_rng(seed))
+    truth = draw_true_parameters(np.random.default_rng(seed))
     reach = truth.optimal_fiber_length * np.cos(subject.muscles.pennation_angle)
     fiber = (np.asarray(path.length) - truth.tendon_slack_length[:, None, None]) / reach[:, None, None]
     assert fiber.min() > 0.3

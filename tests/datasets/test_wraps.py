@@ -10,7 +10,12 @@ import pytest
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES, CYLINDERS
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
-from wrapjax.datasets.virtual_person.truth import LARGEST_CHANGE, TRUTH_FILE, parameter_names, read_truth
+from wrapjax.datasets.virtual_person.true_parameters import (
+    LARGEST_CHANGE,
+    TRUE_PARAMETERS_FILE,
+    parameter_names,
+    read_true_parameters,
+)
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
@@ -31,7 +36,7 @@ def hidden_folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def hidden(hidden_folder):
-    return read_truth(hidden_folder)
+    return read_true_parameters(hidden_folder)
 
 
 def test_cylinders_differ_within_the_spread(hidden):
@@ -54,17 +59,17 @@ def test_nothing_else_of_the_person_changes(hidden, clean_truth, hidden_folder, 
 
 
 def test_truth_is_read_with_and_without_cylinders(hidden_folder, hidden):
-    content = json.loads((hidden_folder / TRUTH_FILE).read_text())
+    content = json.loads((hidden_folder / TRUE_PARAMETERS_FILE).read_text())
     for name, values in content["wraps"].items():
         assert tuple(values) == WRAP_PARAMETERS
         assert list(values.values()) == hidden.wraps[name].tolist()
 
 
 def test_a_file_of_before_there_were_cylinders_is_read(hidden_folder, tmp_path):
-    content = json.loads((hidden_folder / TRUTH_FILE).read_text())
+    content = json.loads((hidden_folder / TRUE_PARAMETERS_FILE).read_text())
     del content["wraps"]
-    (tmp_path / TRUTH_FILE).write_text(json.dumps(content))
-    assert read_truth(tmp_path).wraps == {}
+    (tmp_path / TRUE_PARAMETERS_FILE).write_text(json.dumps(content))
+    assert read_true_parameters(tmp_path).wraps == {}
 
 
 def test_true_cylinders_are_where_a_calibration_can_get_to(tmp_path):
@@ -104,6 +109,6 @@ def test_true_paths_do_not_jump(hidden_folder, hidden, tmp_path):
 
 
 def test_too_large_a_spread_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="no place was found for cylinder"):
+    with pytest.raises(ValueError, match="no usable placement was found for cylinder"):
         write_virtual_subject(tmp_path / "v", series=(Series(1.2, 2, 0),), wrap_spread=30.0)
     assert not (tmp_path / "v").exists()

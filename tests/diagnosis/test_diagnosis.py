@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from wrapjax import InputError
-from wrapjax.datasets.virtual_person.truth import HIDDEN_EFFECTS
-from wrapjax.demonstration.demo import NOT_DRAWN, demonstrate_diagnosis
+from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
+from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
 from wrapjax.diagnosis import conclusion, pipeline
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
@@ -138,16 +138,16 @@ def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in NOT_DRAWN), None])
+@pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in EXCLUDED_EFFECTS), None])
 def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
     shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
-    assert shown.right, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
+    assert shown.correct, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", NOT_DRAWN)
+@pytest.mark.parametrize("hidden", EXCLUDED_EFFECTS)
 def test_what_is_hidden_too_well_to_be_named_leads_and_is_not_mistaken(hidden, tmp_path):
     shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
     result = shown.diagnosis.result
     assert max(result.effects, key=lambda effect: effect.probability).id == hidden
-    assert shown.right or not (result.named or result.ties)
+    assert shown.correct or not (result.named or result.ties)

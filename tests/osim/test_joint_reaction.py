@@ -6,7 +6,7 @@ import numpy as np
 import opensim
 import pytest
 
-from wrapjax.contact_forces.lines_of_action import lines_of_action, muscle_share
+from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import PARITY
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
@@ -172,7 +172,7 @@ def test_what_muscles_add_runs_along_their_lines(odd_model, motion):
     lines = lines_of_action(
         describe_model(odd_model), muscles, joints, motion.coordinates, motion.values[None], PARITY
     )
-    share = muscle_share(lines, force[:, None])[0]
+    share = sum_muscle_forces(lines, force[:, None])[0]
     np.testing.assert_allclose(np.moveaxis(share, 1, 1), added, atol=1e-5)
     assert np.abs(share).max() > 100.0
     # Its two ends are on the foot and the toes' way: it does not cross the hip.

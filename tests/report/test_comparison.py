@@ -14,8 +14,8 @@ from scipy import stats
 from tests.report.endings import ended
 from tests.report.test_html import Page
 from wrapjax.calibration.solvers.interface import Status
-from wrapjax.comparison.samples import ComparedLeg, kinds_by_speed
-from wrapjax.comparison.statistics import FEWEST_UNITS
+from wrapjax.comparison.samples import ComparedLeg, group_by_speed
+from wrapjax.comparison.statistics import MINIMUM_UNITS
 from wrapjax.io.files import write_json
 from wrapjax.report.comparison_figures import methods_that_move, most_moved
 from wrapjax.report.comparison_page import render_comparison
@@ -113,7 +113,7 @@ def test_paired_tests_are_of_the_same_cycles(one):
 def test_from_three_legs_on_the_leg_is_the_unit(four):
     for count in range(1, 5):
         rows = comparison_rows(four[:count], METHODS)
-        expected = "leg" if count >= FEWEST_UNITS else "cycle"
+        expected = "leg" if count >= MINIMUM_UNITS else "cycle"
         hip = find(rows, "moment_error", "hip_flexion", "calibration")
         assert (hip.unit_of_analysis, hip.n) == (expected, count if expected == "leg" else 2 * count)
         parameter = find(rows, "parameter", "emg_scale")
@@ -149,28 +149,28 @@ def test_holm_counts_coordinates_but_not_their_mean(four):
 class TestSpeeds:
     def test_told_apart_where_a_use_has_several(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, 0.8, 0.8]))]
-        kinds = kinds_by_speed(legs, "calibration")
+        kinds = group_by_speed(legs, "calibration")
         assert [(kind.label, kind.count) for kind in kinds] == [
             ("0.5 m/s", 1),
             ("0.8 m/s", 1),
             ("all speeds", 2),
         ]
-        assert [kind.label for kind in kinds_by_speed(legs, "validation")] == ["all speeds"]
+        assert [kind.label for kind in group_by_speed(legs, "validation")] == ["all speeds"]
 
     def test_not_given(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, math.nan, math.nan]))]
-        labels = [kind.label for kind in kinds_by_speed(legs, "calibration")]
+        labels = [kind.label for kind in group_by_speed(legs, "calibration")]
         assert labels == ["0.5 m/s", "speed not given", "all speeds"]
 
     def test_ranked_where_legs_walk_at_their_own(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, 0.8, 0.8])), make_leg(speeds=np.array([1.2, 0.9, 0.9]))]
-        slow, fast, _ = kinds_by_speed(legs, "calibration")
+        slow, fast, _ = group_by_speed(legs, "calibration")
         assert (slow.label, fast.label) == ("speed 1 of 2", "speed 2 of 2")
         assert [own.tolist() for own in slow.keep] == [[True, False, False], [False, True, False]]
 
     def test_together_where_there_is_no_order(self, make_leg):
         legs = [make_leg(), make_leg(speeds=np.array([0.5, 0.5, 0.5]))]
-        assert [kind.label for kind in kinds_by_speed(legs, "calibration")] == ["all speeds"]
+        assert [kind.label for kind in group_by_speed(legs, "calibration")] == ["all speeds"]
 
 
 def test_legs_need_not_have_the_same_joints(make_leg):

@@ -16,17 +16,17 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.subject.synthetic import MODEL, SETTINGS, write_subject
-from wrapjax.errors import MOST_LETTERS, InputError, Problem, nearest_name
+from wrapjax.errors import MAX_MESSAGE_LENGTH, InputError, Problem, nearest_name
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
-from wrapjax.io.xml import MOST_BYTES, MOST_LEVELS
+from wrapjax.io.xml import MAX_BYTES, MAX_NESTING
 from wrapjax.preprocessing.c3d import read_c3d_markers
-from wrapjax.preprocessing.laboratory_settings import read_raw_settings
+from wrapjax.preprocessing.laboratory_settings import read_laboratory_settings
 from wrapjax.preprocessing.markers import read_trc
-from wrapjax.preprocessing.nmsm_osimx import read_osimx, read_tool_settings
+from wrapjax.preprocessing.nmsm_files import read_osimx, read_tool_settings
 from wrapjax.subject.external_loads import read_external_loads
-from wrapjax.subject.muscles import read_muscle_parameters
+from wrapjax.subject.muscle_parameters import read_muscle_parameters
 from wrapjax.subject.subject import load_subject
 
 HEAD = "a\nversion=1\nnRows={rows}\nendheader\ntime\tb\n0\t1\n1\t2\n"
@@ -40,7 +40,7 @@ READERS = {
     "xml": read_external_loads,
     "osimx": read_osimx,
     "settings.xml": read_tool_settings,
-    "toml": read_raw_settings,
+    "toml": read_laboratory_settings,
     "trc": read_trc,
     "c3d": read_c3d_markers,
 }
@@ -50,7 +50,7 @@ def said(error: InputError) -> str:
     """Check the sentences, and join them."""
     assert error.problems
     for sentence in map(str, error.problems):
-        assert sentence.isprintable() and len(sentence) < 4 * MOST_LETTERS
+        assert sentence.isprintable() and len(sentence) < 4 * MAX_MESSAGE_LENGTH
     return "\n".join(map(str, error.problems))
 
 
@@ -159,7 +159,7 @@ def test_models_whose_parts_lie_in_other_files_are_refused(tmp_path):
 def test_files_without_end_are_refused(tmp_path):
     huge = tmp_path / "huge.osim"
     with huge.open("wb") as stream:
-        stream.truncate(MOST_BYTES + 1)  # takes no room on the disk
+        stream.truncate(MAX_BYTES + 1)  # takes no room on the disk
     assert "256 MiB" in refusal(read_model_file, huge)
     pipe = tmp_path / "pipe.sto"
     os.mkfifo(pipe)
@@ -167,7 +167,7 @@ def test_files_without_end_are_refused(tmp_path):
 
 
 def test_models_may_be_as_deep_as_models_are(tmp_path):
-    depth = MOST_LEVELS - 5
+    depth = MAX_NESTING - 5
     (tmp_path / "a.osim").write_text(f"<OpenSimDocument>{'<a>' * depth}{'</a>' * depth}</OpenSimDocument>")
     assert "<Model>" in refusal(read_model_file, tmp_path / "a.osim")
 
@@ -278,7 +278,7 @@ def test_json_without_end_is_an_error(tmp_path):
 
 def test_sentences_do_not_steer_a_terminal_and_end():
     sentence = str(Problem("a\nb.sto", "found \x1b[2J" + "x" * 100_000, "column \t", "\u202e"))
-    assert sentence.isprintable() and len(sentence) < 4 * MOST_LETTERS
+    assert sentence.isprintable() and len(sentence) < 4 * MAX_MESSAGE_LENGTH
     assert "a\\nb.sto: column \\t: found \\x1b[2J" in sentence
 
 

@@ -128,7 +128,7 @@ def test_ablations_answer_beside_it(asked, monkeypatch, tmp_path):
 
 def test_a_process_makes_room_after_every_case_also_one_that_fails(asked, monkeypatch, tmp_path):
     looked = []
-    monkeypatch.setattr(answering, "forget_if_crowded", lambda: looked.append(True))
+    monkeypatch.setattr(answering, "clear_caches_near_map_limit", lambda: looked.append(True))
     assert answer(monkeypatch, bank(tmp_path, "bad", "one"), "--workers", "1") == 1
     assert len(looked) == 2
 
@@ -138,7 +138,7 @@ def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys
     """Under the runner that users get: what its workers are given says all, wherever they are."""
     called = []
 
-    def run_everywhere(work, jobs, *, scheduler, workers):
+    def run_jobs(work, jobs, *, scheduler, workers):
         called.append((scheduler, workers))
         for name, job in pickle.loads(pickle.dumps(jobs)).items():
             yield (
@@ -147,7 +147,7 @@ def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys
                 else Finished(name, work(job))
             )
 
-    monkeypatch.setattr(diagnosed, "run_everywhere", run_everywhere)
+    monkeypatch.setattr(diagnosed, "run_jobs", run_jobs)
     monkeypatch.chdir(bank(tmp_path, "bad", "one"))
     assert answer(monkeypatch, Path("."), *more) == 1
     assert called == [(more[1] if more[0] == "--scheduler" else None, 3 if more[0] == "--workers" else 1)]
@@ -160,6 +160,6 @@ def test_a_scheduler_that_is_not_there_is_told_in_a_sentence(asked, monkeypatch,
         raise InputError(Problem("tcp://host:8786", "no dask scheduler answers there"))
         yield
 
-    monkeypatch.setattr(diagnosed, "run_everywhere", nobody)
+    monkeypatch.setattr(diagnosed, "run_jobs", nobody)
     assert answer(monkeypatch, bank(tmp_path, "one"), "--scheduler", "tcp://host:8786") == 2
     assert "no dask scheduler answers there" in capsys.readouterr().err

@@ -14,9 +14,9 @@ from wrapjax.cli.common import (
     DONE,
     NOT_CONVERGED,
     AddCommand,
-    positive,
+    positive_integer,
     print_json,
-    stored,
+    read_json,
 )
 
 
@@ -52,17 +52,24 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="of a dask scheduler (tcp://host:8786), or 'slurm' (default: processes on this machine)",
     )
     cohort.add_argument(
-        "--workers", type=positive, metavar="N", help="processes of one thread each (default: one a core)"
+        "--workers",
+        type=positive_integer,
+        metavar="N",
+        help="processes of one thread each (default: one a core)",
     )
     cohort.add_argument(
-        "--starts", type=positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
+        "--starts",
+        type=positive_integer,
+        default=4,
+        metavar="N",
+        help="of each calibration, as in 'calibrate'",
     )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from wrapjax.cohorts.cohort import cohort
-    from wrapjax.progress import say
+    from wrapjax.progress import print_progress
 
     try:
         done = cohort(
@@ -79,17 +86,19 @@ def run(options: argparse.Namespace) -> int:
             quiet=options.quiet,
         )
     except KeyboardInterrupt:
-        say("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     except OSError as error:
         if not (options.out / "cohort.json").exists():
             raise
         # Subjects that are done stay: nothing of them has to be done again.
         place = error.filename or options.out
-        say(f"error: {place}: {error.strerror or error}; go on where it stopped with --resume", quiet=False)
+        print_progress(
+            f"error: {place}: {error.strerror or error}; go on where it stopped with --resume", quiet=False
+        )
         return BAD_INPUT
     if options.json:
-        print_json(stored(options.out / "cohort.json"))
+        print_json(read_json(options.out / "cohort.json"))
     else:
         print(cohort_table(done.content))
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")

@@ -29,10 +29,10 @@ from wrapjax.cli import (
     prepare,
     report,
 )
-from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive
+from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
 from wrapjax.cli.settings import add_settings, apply_settings, keep_settings
 from wrapjax.errors import InputError, WorkError
-from wrapjax.io.locks import working_alone
+from wrapjax.io.locks import lock_folder
 from wrapjax.jax_setup import set_threads
 
 #: Each adds its command to the parser; in the order that ``wrapjax --help`` shows them.
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.threads is not None:
             set_threads(options.threads)
         out = getattr(options, "out", None)
-        with nullcontext() if out is None else working_alone(out):
+        with nullcontext() if out is None else lock_folder(out):
             status = options.run(options)
             keep_settings(commands[name], name, options)
         return status
@@ -108,7 +108,9 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("--threads", type=positive, metavar="N", help="processor cores to use (default: all)")
+    common.add_argument(
+        "--threads", type=positive_integer, metavar="N", help="processor cores to use (default: all)"
+    )
     common.add_argument("--quiet", action="store_true", help="print no progress")
     common.add_argument("--json", action="store_true", help="print the result as JSON")
     common.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")

@@ -16,7 +16,7 @@ DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 AddCommand = Callable[..., argparse.ArgumentParser]
 
 
-def positive(text: str) -> int:
+def positive_integer(text: str) -> int:
     """Read a whole number above 0 off the command line."""
     number = int(text)
     if number < 1:
@@ -32,7 +32,7 @@ def positive_number(text: str) -> float:
     return number
 
 
-def stored(file: Path) -> Any:
+def read_json(file: Path) -> Any:
     """Read a JSON file."""
     return json.loads(file.read_text(encoding="utf-8"))
 
@@ -42,7 +42,7 @@ def print_json(content: Any) -> None:
     print(json.dumps(content, indent=1))
 
 
-def add_drive(parser: argparse.ArgumentParser) -> None:
+def add_undriven_options(parser: argparse.ArgumentParser) -> None:
     """Add what drives muscles without an electrode."""
     parser.add_argument(
         "--undriven",
@@ -52,20 +52,24 @@ def add_drive(parser: argparse.ArgumentParser) -> None:
         "measured EMG whose weights are calibrated",
     )
     parser.add_argument(
-        "--synergies", type=positive, default=5, metavar="K", help="how many, with --undriven synergies"
+        "--synergies",
+        type=positive_integer,
+        default=5,
+        metavar="K",
+        help="how many, with --undriven synergies",
     )
 
 
-def show(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
+def print_result(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
     """Print what was written: the file of numbers, or a table and where the report is."""
     if options.json:
-        print_json(stored(options.out / file))
+        print_json(read_json(options.out / file))
     else:
         print(table())
         print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
 
 
-def unfinished(options: argparse.Namespace) -> Path:
+def checkpoint_folder(options: argparse.Namespace) -> Path:
     """Name the folder of unfinished work, which is not thrown away unasked."""
     checkpoints = options.out.with_name(f".{options.out.name}.unfinished")
     if checkpoints.exists() and not (options.resume or options.force):

@@ -13,9 +13,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, positive, show, unfinished
+from wrapjax.cli.common import (
+    DONE,
+    NOT_CONVERGED,
+    AddCommand,
+    checkpoint_folder,
+    positive_integer,
+    print_result,
+)
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import refuse_existing
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -76,10 +83,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="what NGA and PGA take paths from (SGA and LSGA: always the polynomials)",
     )
     compare.add_argument(
-        "--starts", type=positive, default=4, metavar="N", help="of each calibration, as in 'calibrate'"
+        "--starts",
+        type=positive_integer,
+        default=4,
+        metavar="N",
+        help="of each calibration, as in 'calibrate'",
     )
     compare.add_argument(
-        "--max-iterations", type=positive, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations", type=positive_integer, metavar="N", help="of each start (default: the solver's)"
     )
 
 
@@ -91,11 +102,11 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.comparison.comparison import compare
-    from wrapjax.progress import say
+    from wrapjax.progress import print_progress
     from wrapjax.subject.subject import load_subject as load_subject
 
-    refuse_existing(options.out, options.force)
-    checkpoints = unfinished(options)
+    check_output_folder(options.out, options.force)
+    checkpoints = checkpoint_folder(options)
     inner = ProjectedLevenbergMarquardt()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
@@ -117,10 +128,10 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not checkpoints.exists():
             raise
-        say("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
-    show(options, "comparison.json", lambda: comparison_table(done))
+    print_result(options, "comparison.json", lambda: comparison_table(done))
     return DONE if done.converged else NOT_CONVERGED
 
 

@@ -10,9 +10,9 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, show
+from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_result
 from wrapjax.cli.compare import mean_and_deviation
-from wrapjax.io.files import refuse_existing
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def contact_table(contact: Contact) -> str:
     """Show what the forces are, and the peaks of each joint by each run."""
     from wrapjax.comparison.statistics import spread
-    from wrapjax.contact_forces.result import peaks, stretches
+    from wrapjax.contact_forces.result import peak_windows, peaks
     from wrapjax.report.contact_page import sentences, undriven_sentences
     from wrapjax.report.contact_summary import compared_peaks, tests_reason
 
@@ -30,7 +30,7 @@ def contact_table(contact: Contact) -> str:
     lines = [textwrap.fill(sentences(result)[0], 100), ""]
     lines.append(f"{'peak':24s}{'run':16s}{'bodyweights':>18s}{'N':>18s}{'% of cycle':>14s}")
     for part in result.parts:
-        for measure, stretch in stretches(part).items():
+        for measure, stretch in peak_windows(part).items():
             for run in result.runs:
                 found = peaks(result.curves(run, part), result.phase, stretch)
                 of_units = ((found.force / result.bodyweight, 2), (found.force, 0), (found.phase, 0))
@@ -77,18 +77,18 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.contact_forces.contact_force import contact
-    from wrapjax.progress import say
+    from wrapjax.progress import print_progress
 
     options.out = options.out or options.first / "contact"
-    refuse_existing(options.out, options.force)
+    check_output_folder(options.out, options.force)
     done = contact(
         options.first,
         options.second,
         subject=options.subject,
         undriven=options.undriven,
         condyle_distance=options.condyle_distance,
-        log=lambda line: say(line, quiet=options.quiet),
+        log=lambda line: print_progress(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force)
-    show(options, "contact.json", lambda: contact_table(done))
+    print_result(options, "contact.json", lambda: contact_table(done))
     return DONE if done.converged else NOT_CONVERGED

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_json, stored, unfinished
-from wrapjax.io.files import refuse_existing
+from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, checkpoint_folder, print_json, read_json
+from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def wrap_recovery_table(shown: Demonstration) -> str:
     ]
     for column, name in enumerate(found.coordinates):
         values = "".join(f"{errors[:, column].mean():10.2f}" for errors in (before, after, open_))
-        lines.append(f"{name:20s}{values}{found.told_apart[:, column].sum():12d}")
+        lines.append(f"{name:20s}{values}{found.identifiable[:, column].sum():12d}")
     lines += ["", "Cylinders, true / found: shift (mm), turns (degrees), factor of the radius"]
     width = max(len(name) for name in found.wraps)
     for name, true, own in zip(found.wraps, found.true_wraps, found.found_wraps, strict=True):
@@ -75,9 +75,9 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.cli.diagnose import diagnosis_table
     from wrapjax.demonstration.demo import demo
 
-    checkpoints = unfinished(options)
+    checkpoints = checkpoint_folder(options)
     begun = options.resume and checkpoints.exists()
-    refuse_existing(options.out, options.force or begun)
+    check_output_folder(options.out, options.force or begun)
     shown = demo(
         options.out,
         seed=options.seed,
@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
     )
     if options.json:
-        print_json(stored(options.out / "demo.json"))
+        print_json(read_json(options.out / "demo.json"))
     else:
         for calibration in shown.calibrations.values():
             print(calibration_table(calibration))

@@ -11,7 +11,7 @@ from typing import Any
 
 from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_json
 from wrapjax.cli.settings import add_settings
-from wrapjax.io.files import plain_values, refuse_existing
+from wrapjax.io.files import check_output_folder, to_json_values
 from wrapjax.jax_setup import set_up_jax
 
 
@@ -55,14 +55,14 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.subject.subject import load_subject as load_subject
 
     if options.out:
-        refuse_existing(options.out, options.force)
+        check_output_folder(options.out, options.force)
     calibrated = load_run(options.calibration)
     done = evaluate(calibrated, load_subject(options.subject))
     content = done.content()
     if options.out:
         done.save(options.out, force=options.force)
     if options.json:
-        print_json(plain_values(content))
+        print_json(to_json_values(content))
     else:
         print(evaluation_table(content))
         if options.out:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from wrapjax.cli.common import DONE, AddCommand, print_json
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import refuse_existing
+from wrapjax.io.files import check_output_folder
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             Problem("NAME", f"expected a recording ({', '.join(known)}), found none", hint="see --list")
         )
-    refuse_existing(options.out or Path(options.name), options.force)
+    check_output_folder(options.out or Path(options.name), options.force)
     folder = fetch(options.name, options.out, force=options.force, quiet=options.quiet)
     if options.json:
         print_json({"name": options.name, "folder": str(folder)})

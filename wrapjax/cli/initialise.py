@@ -11,7 +11,7 @@ from typing import Any
 
 from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_json
 from wrapjax.cli.settings import add_settings
-from wrapjax.io.files import plain_values, refuse_existing
+from wrapjax.io.files import check_output_folder, to_json_values
 from wrapjax.jax_setup import set_up_jax
 
 
@@ -62,11 +62,11 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.initialisation import PARAMETERS_FILE, initialise
     from wrapjax.subject.subject import load_subject as load_subject
 
-    refuse_existing(options.out, options.force)
+    check_output_folder(options.out, options.force)
     done = initialise(load_subject(options.subject), curves=options.curves)
     done.save(options.out, force=options.force)
     if options.json:
-        print_json(plain_values(done.content()))
+        print_json(to_json_values(done.content()))
     else:
         print(initialisation_table(done.content()))
         print(

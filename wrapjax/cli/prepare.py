@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from wrapjax.cli.common import DONE, AddCommand, print_json, stored
-from wrapjax.io.files import refuse_existing
+from wrapjax.cli.common import DONE, AddCommand, print_json, read_json
+from wrapjax.io.files import check_output_folder
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
@@ -23,14 +23,14 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from wrapjax.preprocessing.preparation import prepare_subject
-    from wrapjax.progress import say
+    from wrapjax.progress import print_progress
     from wrapjax.subject.description import render_tables
 
-    refuse_existing(options.out, options.force)
-    done = prepare_subject(options.settings, log=lambda line: say(line, quiet=options.quiet))
+    check_output_folder(options.out, options.force)
+    done = prepare_subject(options.settings, log=lambda line: print_progress(line, quiet=options.quiet))
     done.save(options.out, force=options.force)
     if options.json:
-        print_json(stored(options.out / "preparation.json"))
+        print_json(read_json(options.out / "preparation.json"))
     else:
         print(render_tables(done.tables()))
         print(f"written to {options.out}; look at {options.out / 'report.html'}")

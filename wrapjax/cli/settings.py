@@ -80,11 +80,11 @@ def keep_settings(parser: argparse.ArgumentParser, command: str, options: argpar
     folder: Path | None = getattr(options, "out", None)
     if not _takes_settings(parser) or folder is None or not folder.is_dir():
         return
-    from wrapjax.io.toml import quoted
+    from wrapjax.io.toml import toml_string
 
     lines = [
         f"# What 'wrapjax {command}' was asked for: begin anew with --settings {FILE}",
-        f"command = {quoted(command)}",
+        f"command = {toml_string(command)}",
     ]
     for action in _options(parser):
         value = getattr(options, action.dest, None)
@@ -132,7 +132,7 @@ def _single(file: Path, key: str, value: Any, action: argparse.Action) -> Any:
 
 
 def _written(value: Any, folder: Path) -> str:
-    from wrapjax.io.toml import quoted
+    from wrapjax.io.toml import toml_string
 
     if isinstance(value, bool):
         return "true"
@@ -143,5 +143,5 @@ def _written(value: Any, folder: Path) -> str:
             value = os.path.relpath(value.resolve(), folder.resolve())
         except ValueError:  # another drive
             value = value.resolve()
-        return quoted(Path(value).as_posix())
-    return str(value) if isinstance(value, (int, float)) else quoted(str(value))
+        return toml_string(Path(value).as_posix())
+    return str(value) if isinstance(value, (int, float)) else toml_string(str(value))

@@ -38,7 +38,7 @@ class Finished:
     failure: str = ""
 
 
-def run_everywhere(
+def run_jobs(
     work: Callable[[Any], Any], jobs: Mapping[str, Any], *, scheduler: str | None = None, workers: int = 2
 ) -> Iterator[Finished]:
     """Do pieces of work in processes of one thread each, and yield them as they finish.

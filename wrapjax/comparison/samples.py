@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.comparison.statistics import FEWEST_UNITS
+from wrapjax.comparison.statistics import MINIMUM_UNITS
 from wrapjax.errors import InputError, Problem
 from wrapjax.subject.subject import Subject, name_without_side, read_legs
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SIDES = {"l": "left", "r": "right"}
 
 
-def persons_of(subjects: Sequence[Subject]) -> list[Subject]:
+def subjects_to_calibrate(subjects: Sequence[Subject]) -> list[Subject]:
     """Leave out the legs that are calibrated with another's.
 
     Raises
@@ -46,7 +46,7 @@ def persons_of(subjects: Sequence[Subject]) -> list[Subject]:
     return [subject for folder, subject in by_folder.items() if folder in chosen]
 
 
-def labels_of(persons: Sequence[Subject]) -> tuple[str, ...]:
+def unique_labels(persons: Sequence[Subject]) -> tuple[str, ...]:
     """Name subjects so that they can be told apart, also as folders: by side where names are the same.
 
     Raises
@@ -79,7 +79,7 @@ def file_name(name: str) -> str:
 
 
 #: Speeds that are told apart; where there are more, cycles of all speeds stand together.
-MOST_SPEEDS = 4
+MAX_SPEEDS = 4
 ALL_SPEEDS = "all speeds"
 #: The item that stands for the average over all others.
 MEAN = "mean"
@@ -117,7 +117,7 @@ class ComparedLeg:
 
 
 @dataclass(frozen=True)
-class CycleKind:
+class CycleGroup:
     """Cycles that are compared together: a label, and which ones they are of each leg."""
 
     label: str
@@ -130,22 +130,22 @@ class CycleKind:
 
 
 #: Reads numbers by item (coordinate, muscle or parameter) off one leg's result, one a cycle or muscle.
-Reading = Callable[[CalibrationResult], dict[str, Float[np.ndarray, " own"]]]
+QuantityReader = Callable[[CalibrationResult], dict[str, Float[np.ndarray, " own"]]]
 #: By item, the same units in the same order by every method.
 Samples = dict[str, Float[np.ndarray, "method unit"]]
 
 
 def unit_of_analysis(legs: Sequence[ComparedLeg], within: str) -> str:
     """Say what counts as one observation: a leg where there are enough, else what is ``within`` legs."""
-    return "leg" if len(legs) >= FEWEST_UNITS else within
+    return "leg" if len(legs) >= MINIMUM_UNITS else within
 
 
-def sample(
+def collect_samples(
     legs: Sequence[ComparedLeg],
     methods: Sequence[str],
-    read: Reading,
+    read: QuantityReader,
     unit: str,
-    kind: CycleKind | None = None,
+    kind: CycleGroup | None = None,
 ) -> Samples:
     """Read samples off all legs.
 
@@ -180,12 +180,12 @@ def sample(
     return {item: np.concatenate(found[item], axis=1) for item in order}
 
 
-def every_cycle(legs: Sequence[ComparedLeg]) -> CycleKind:
+def all_cycles(legs: Sequence[ComparedLeg]) -> CycleGroup:
     """All cycles of all legs."""
-    return CycleKind(ALL_SPEEDS, tuple(np.ones(len(leg.recorded.trials), dtype=bool) for leg in legs))
+    return CycleGroup(ALL_SPEEDS, tuple(np.ones(len(leg.recorded.trials), dtype=bool) for leg in legs))
 
 
-def kinds_by_speed(legs: Sequence[ComparedLeg], use: str) -> list[CycleKind]:
+def group_by_speed(legs: Sequence[ComparedLeg], use: str) -> list[CycleGroup]:
     """Sort cycles of one use by walking speed, and give all together last; kinds without cycles are left out.
 
     Where legs walked at different speeds, but at equally many, they are ranked within each leg, as
@@ -193,8 +193,8 @@ def kinds_by_speed(legs: Sequence[ComparedLeg], use: str) -> list[CycleKind]:
     """
     speeds = [np.unique(leg.recorded.speeds) for leg in legs]  # NaNs count as one, the last
     count = len(speeds[0])
-    everything = CycleKind(ALL_SPEEDS, tuple(np.array(leg.recorded.uses) == use for leg in legs))
-    if any(len(own) != count for own in speeds) or not 2 <= count <= MOST_SPEEDS:
+    everything = CycleGroup(ALL_SPEEDS, tuple(np.array(leg.recorded.uses) == use for leg in legs))
+    if any(len(own) != count for own in speeds) or not 2 <= count <= MAX_SPEEDS:
         return [everything]
     if all(np.array_equal(own, speeds[0], equal_nan=True) for own in speeds):
         labels = ["speed not given" if np.isnan(speed) else f"{speed:g} m/s" for speed in speeds[0]]
@@ -209,7 +209,7 @@ def kinds_by_speed(legs: Sequence[ComparedLeg], use: str) -> list[CycleKind]:
             for leg, own in zip(legs, speeds, strict=True)
         ]
         kinds.append(
-            CycleKind(label, tuple(own & of_use for own, of_use in zip(keep, everything.keep, strict=True)))
+            CycleGroup(label, tuple(own & of_use for own, of_use in zip(keep, everything.keep, strict=True)))
         )
     walked = [kind for kind in kinds if kind.count]
     return [*(walked if len(walked) > 1 else []), everything]
@@ -259,7 +259,7 @@ def activations(result: CalibrationResult) -> dict[str, Float[np.ndarray, " tria
     return _with_mean(result.muscles, np.asarray(result.states.activation).mean(axis=-1))
 
 
-def parameter(name: str) -> Reading:
+def parameter(name: str) -> QuantityReader:
     """Values of one parameter of all muscles."""
 
     def read(result: CalibrationResult) -> dict[str, Float[np.ndarray, " muscle"]]:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy import stats
 
 #: Fewer units than these are not tested.
-FEWEST_UNITS = 3
+MINIMUM_UNITS = 3
 #: Coverage of every interval.
 COVERAGE = 0.95
 # A standard deviation this small beside the values is rounding.
@@ -102,7 +102,7 @@ def anova(groups: Groups) -> Anova | None:
 
     Values of one unit by several methods are not independent: `repeated_anova` knows that.
     """
-    if len(groups) < 2 or min(map(len, groups)) < FEWEST_UNITS:
+    if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
     between_df, within_df = len(groups) - 1, sum(map(len, groups)) - len(groups)
     within = _mean_square_within(groups)
@@ -120,7 +120,7 @@ def tukey_kramer(groups: Groups) -> dict[tuple[int, int], TukeyKramer] | None:
     dict
         By pair ``(first, second)``, first before second: second less first. None as in `anova`.
     """
-    if len(groups) < 2 or min(map(len, groups)) < FEWEST_UNITS:
+    if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
     df = sum(map(len, groups)) - len(groups)
     within = _mean_square_within(groups)
@@ -138,7 +138,7 @@ def tukey_kramer(groups: Groups) -> dict[tuple[int, int], TukeyKramer] | None:
 
 def repeated_anova(groups: Sequence[Samples]) -> RepeatedAnova | None:
     """Compare the means of groups that hold the same units in the same order; None below three units."""
-    if len(groups) < 2 or min(map(len, groups)) < FEWEST_UNITS:
+    if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
     table = np.stack(groups, axis=1)
     units, methods = table.shape
@@ -165,7 +165,7 @@ def repeated_anova(groups: Sequence[Samples]) -> RepeatedAnova | None:
 def paired_test(values: Samples, others: Samples) -> PairedTest | None:
     """Test whether values differ from others of the same units in the same order; None below three units."""
     n = len(values)
-    if n < FEWEST_UNITS:
+    if n < MINIMUM_UNITS:
         return None
     difference = values - others
     mean, deviation = float(difference.mean()), float(difference.std(ddof=1))

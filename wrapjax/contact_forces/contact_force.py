@@ -24,12 +24,11 @@ from wrapjax.contact_forces.result import (
     Undriven,
     knee_compartments,
 )
-from wrapjax.contact_forces.run_curves import RunCurves, read_curves
 from wrapjax.contact_forces.static_optimization import share_moments
 from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
 from wrapjax.diagnosis.inverse_dynamics.recorded_walk import Walk
 from wrapjax.errors import InputError, Problem
-from wrapjax.evaluation.stored_run import Run
+from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
 from wrapjax.geometry.paths import PathState
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import fiber_parameters

@@ -12,7 +12,7 @@ from jaxtyping import Float
 AT_STRIKE = 0.03
 
 
-def evenly(frames: int) -> Float[np.ndarray, " frame"]:
+def uniform_phases(frames: int) -> Float[np.ndarray, " frame"]:
     """Give the phase of cycles that begin and end with a strike, %."""
     return np.linspace(0.0, 100.0, frames)
 
@@ -41,7 +41,7 @@ def gait_phases(
     count, frames = time.shape
     known = [row for row in range(count) if strikes[row].size]
     if all(_is_from_strike_to_strike(time[row], strikes[row]) for row in known):
-        return np.tile(evenly(frames), (count, 1))
+        return np.tile(uniform_phases(frames), (count, 1))
     counted = {row: phase_from_strikes(time[row], strikes[row]) for row in known}
     usual = _mean_phase(np.array(list(counted.values())))
     return np.array([counted.get(row, usual) for row in range(count)])

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, Wrapping
-from wrapjax.geometry.joint_changes import loosened, sliding_coordinates
+from wrapjax.geometry.joint_changes import sliding_coordinates, with_sliding_joints
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 
@@ -30,7 +30,7 @@ def lines_of_action(
     Parameters
     ----------
     model
-        From `wrapjax.osim.describe_model`.
+        From `wrapjax.osim.model.describe_model`.
     muscles, joints
         Names.
     coordinates, angles
@@ -51,7 +51,7 @@ def lines_of_action(
         If a path or a joint has something that the exact engine does not know.
     """
     slides = tuple(name for joint in joints for name in sliding_coordinates(joint))
-    engine = ExactPaths(loosened(model, joints), muscles, (*coordinates, *slides))
+    engine = ExactPaths(with_sliding_joints(model, joints), muscles, (*coordinates, *slides))
     trials, _, frames = angles.shape
     still = np.zeros((trials, len(slides), frames))
     poses = np.concatenate([angles, still], axis=1)
@@ -60,7 +60,7 @@ def lines_of_action(
     return np.moveaxis(lost, 1, 3)
 
 
-def muscle_share(
+def sum_muscle_forces(
     lines: Float[np.ndarray, "muscle joint 3 trial frame"], force: Float[np.ndarray, "muscle trial frame"]
 ) -> Float[np.ndarray, "trial joint 3 frame"]:
     """Sum up what muscles press each joint together with, N.

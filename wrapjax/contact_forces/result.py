@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 #: In this order wherever both are given.
 COMPARTMENTS = ("medial", "lateral")
 #: Distances (m) between the contact points of a knee that make sense.
-NARROWEST, WIDEST = 0.01, 0.12
+MIN_CONDYLE_DISTANCE, MAX_CONDYLE_DISTANCE = 0.01, 0.12
 
 
 def knee_compartments(
@@ -74,7 +74,7 @@ class Undriven:
 
     treatment: str
     muscles: tuple[str, ...]
-    left_out: tuple[str, ...]
+    without_force: tuple[str, ...]
     activation: Float[np.ndarray, "muscle trial frame"]
     force: Float[np.ndarray, "muscle trial frame"]
     residual_before: Float[np.ndarray, "trial coordinate frame"]
@@ -155,7 +155,7 @@ class ContactResult:
     phase: Float[np.ndarray, "trial frame"]
     runs: tuple[RunContact, ...]
     condyle_distance: float | None = None
-    undivided: str = ""
+    undivided_reason: str = ""
 
     @property
     def bodyweight(self) -> float:
@@ -181,7 +181,7 @@ def compartment_name(side: str) -> str:
     return f"{side} knee"
 
 
-def stretches(joint: str) -> dict[str, tuple[float, float]]:
+def peak_windows(joint: str) -> dict[str, tuple[float, float]]:
     """Name the peaks that are read off a joint, and where in the gait cycle (%) each is looked for.
 
     The hip's first one is what studies of walking report, near 20 % of the cycle.
@@ -211,7 +211,7 @@ class Peaks:
 def peaks(
     magnitude: Float[np.ndarray, "trial frame"],
     phase: Float[np.ndarray, "trial frame"],
-    stretch: tuple[float, float],
+    window: tuple[float, float],
 ) -> Peaks:
     """Find the largest force of every cycle.
 
@@ -226,7 +226,7 @@ def peaks(
     """
     # The last frame of a whole cycle is at 100 %, and not the next one's first.
     within = np.where(phase > 100.0, phase % 100.0, phase)
-    inside = (within >= stretch[0] - 1e-9) & (within <= stretch[1] + 1e-9)
+    inside = (within >= window[0] - 1e-9) & (within <= window[1] + 1e-9)
     frame = np.where(inside, magnitude, -np.inf).argmax(axis=1)
     rows, known = np.arange(len(magnitude)), inside.any(axis=1)
     force, place = (np.where(known, values[rows, frame], np.nan) for values in (magnitude, within))

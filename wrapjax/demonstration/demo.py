@@ -19,8 +19,9 @@ from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.intervals import laplace_deviation
 from wrapjax.datasets.virtual_person.folder import Series
+from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
-from wrapjax.datasets.virtual_person.true_parameters import HIDDEN_EFFECTS, TrueParameters, parameter_names
+from wrapjax.datasets.virtual_person.true_parameters import TrueParameters, parameter_names
 from wrapjax.demonstration.wrap_recovery import WrapRecovery, wrap_recovery
 from wrapjax.diagnosis.diagnosis import Diagnosis, diagnose
 from wrapjax.io.files import write_json

@@ -12,18 +12,18 @@ from jaxtyping import Bool, Float
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.uncertainty.intervals import moment_arm_deviation
-from wrapjax.datasets.virtual_person.truth import VirtualTruth
+from wrapjax.datasets.virtual_person.true_parameters import TrueParameters
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
 from wrapjax.subject.subject import Subject
 
 #: An arm counts as told apart from other parameters where the moments leave this part of its change open.
-TOLD_APART = 0.1
+IDENTIFIABLE_RATIO = 0.1
 # How many arms the figure shows.
 _DRAWN = 8
 #: And where it is at least as far (m) from the true one: a smaller change shows nothing.
-LEAST_ERROR = 1e-4
+MINIMUM_ERROR = 1e-4
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class WrapRecovery:
         return np.abs(self.after - self.true).mean(axis=(1, 3))
 
     @property
-    def told_apart(self) -> Bool[np.ndarray, "muscle coordinate"]:
+    def identifiable(self) -> Bool[np.ndarray, "muscle coordinate"]:
         """Arms whose change the moments tell apart from other parameters, to a tenth of its size."""
-        return told_apart(self.error_before, self.deviation)
+        return identifiable(self.error_before, self.deviation)
 
-    def most_hidden(self, count: int) -> tuple[tuple[int, int], ...]:
+    def largest_errors(self, count: int) -> tuple[tuple[int, int], ...]:
         """Give muscle and coordinate, by number, of the arms that are furthest from nominal."""
         order = np.argsort(-self.error_before, axis=None, kind="stable")[:count]
         muscles, coordinates = np.unravel_index(order, self.error_before.shape)
@@ -81,7 +81,7 @@ class WrapRecovery:
                 "before_m": self.error_before[:, column].mean(),
                 "after_m": self.error_after[:, column].mean(),
                 "open_m": self.deviation[:, column].mean(),
-                "told_apart": self.told_apart[:, column].sum(),
+                "told_apart": self.identifiable[:, column].sum(),
             }
             for column, coordinate in enumerate(self.coordinates)
         }
@@ -98,7 +98,7 @@ class WrapRecovery:
         """Draw the arms that were hidden furthest, mean over cycles, with what the moments leave open."""
         from wrapjax.report.recovery import draw_wrap_recovery
 
-        shown = self.most_hidden(_DRAWN)
+        shown = self.largest_errors(_DRAWN)
         names = [f"{self.muscles[row]} about {self.coordinates[column]}" for row, column in shown]
         rows, columns = np.array(shown).T
         true, before, after = (
@@ -114,7 +114,9 @@ class WrapRecovery:
         )
 
 
-def wrap_recovery(calibration: Calibration, truth: VirtualTruth, moment_noise: float) -> WrapRecovery:
+def wrap_recovery(
+    calibration: Calibration, true_parameters: TrueParameters, moment_noise: float
+) -> WrapRecovery:
     """Compare what PGA found with the true cylinders.
 
     Parameters
@@ -135,32 +137,32 @@ def wrap_recovery(calibration: Calibration, truth: VirtualTruth, moment_noise: f
     return WrapRecovery(
         muscles=tuple(np.array(result.muscles)[moving].tolist()),
         coordinates=result.coordinates,
-        true=true_moment_arms(subject, truth)[moving],
+        true=compute_true_moment_arms(subject, true_parameters)[moving],
         before=np.asarray(result.initial_states.path.moment_arm)[moving],
         after=np.asarray(result.states.path.moment_arm)[moving],
         deviation=deviation[moving].mean(axis=(1, 3)),
         wraps=freed.names,
-        true_wraps=np.stack([truth.wraps.get(name, NOMINAL) for name in freed.names]),
+        true_wraps=np.stack([true_parameters.wraps.get(name, NOMINAL) for name in freed.names]),
         found_wraps=NOMINAL + freed.changes_of(np.asarray(result.parameters.path_changes)),
     )
 
 
-def told_apart(
+def identifiable(
     error_before: Float[np.ndarray, "muscle coordinate"], deviation: Float[np.ndarray, "muscle coordinate"]
 ) -> Bool[np.ndarray, "muscle coordinate"]:
     """Tell moment arms whose change the moments do not take for another parameter's; both are in m."""
-    return (error_before > LEAST_ERROR) & (deviation < TOLD_APART * error_before)
+    return (error_before > MINIMUM_ERROR) & (deviation < IDENTIFIABLE_RATIO * error_before)
 
 
-def true_moment_arms(
-    subject: Subject, truth: VirtualTruth
+def compute_true_moment_arms(
+    subject: Subject, true_parameters: TrueParameters
 ) -> Float[np.ndarray, "muscle trial coordinate frame"]:
     """Compute a virtual person's moment arms (m) by OpenSim, round their true cylinders."""
     trials, muscles = subject.trials, subject.muscles.names
     poses = np.moveaxis(trials.angles, 1, -1)
     with TemporaryDirectory() as place:
         model_file = Path(place) / "true.osim"
-        write_personalised_model(subject.model_file, model_file, truth.wraps, {})
+        write_personalised_model(subject.model_file, model_file, true_parameters.wraps, {})
         arms = analyse_muscles(
             model_file, muscles, trials.coordinates, np.concatenate(poses), quiet=True
         ).moment_arm

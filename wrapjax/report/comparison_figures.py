@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.comparison.samples import ComparedLeg, CycleKind, every_cycle, kinds_by_speed
+from wrapjax.comparison.samples import ComparedLeg, CycleGroup, all_cycles, group_by_speed
 from wrapjax.report.moment_curves import draw_spread, mark_gait_cycle
 from wrapjax.report.run_summary import USES
 from wrapjax.report.style import (
@@ -97,7 +97,7 @@ def compared_moments_figure(legs: Sequence[ComparedLeg], methods: Sequence[str])
 def compared_moment_arms_figure(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> Figure:
     """Draw the moment arms that any method changed most, nominal and by each method that changes paths."""
     pairs = most_moved(legs, methods)
-    kind = every_cycle(legs)
+    kind = all_cycles(legs)
     columns = min(4, len(pairs))
     figure, panels = panel_grid(
         len(pairs), columns, width=PAGE_WIDTH * columns / 4, panel_height=1.7, sharex=True
@@ -153,16 +153,16 @@ def _arm_changes(result: CalibrationResult) -> Float[np.ndarray, "muscle coordin
     return np.abs(np.asarray(after) - np.asarray(before)).mean(axis=(1, 3))
 
 
-def _groups(legs: Sequence[ComparedLeg]) -> list[CycleKind]:
+def _groups(legs: Sequence[ComparedLeg]) -> list[CycleGroup]:
     """Sort cycles by speed, if there are few, and by use; groups without cycles are left out."""
     groups = []
     for use in USES:
-        kinds = kinds_by_speed(legs, use)
+        kinds = group_by_speed(legs, use)
         kinds = kinds[:-1] if 1 < len(kinds) <= _MOST_SPEEDS + 1 else kinds[-1:]
         for kind in kinds:
             label = use if len(kinds) == 1 else f"{use}, {kind.label}"
             if kind.count:
-                groups.append(CycleKind(f"{label} ({counted(kind.count, 'cycle')})", kind.keep))
+                groups.append(CycleGroup(f"{label} ({counted(kind.count, 'cycle')})", kind.keep))
     return groups
 
 
@@ -172,7 +172,7 @@ def _coordinates(legs: Sequence[ComparedLeg]) -> list[str]:
 
 
 def _curves(
-    legs: Sequence[ComparedLeg], method: str, kind: CycleKind, read: Curves
+    legs: Sequence[ComparedLeg], method: str, kind: CycleGroup, read: Curves
 ) -> Float[np.ndarray, "unit frame"]:
     """Read curves off one leg's cycles, or off several legs' averages; legs without any are left out."""
     found = []

@@ -10,7 +10,7 @@ from typing import Any
 from wrapjax.comparison import samples
 from wrapjax.comparison.samples import MEAN, ComparedLeg, Samples
 from wrapjax.comparison.statistics import (
-    FEWEST_UNITS,
+    MINIMUM_UNITS,
     Anova,
     PairedTest,
     RepeatedAnova,
@@ -84,26 +84,26 @@ def comparison_rows(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> tupl
     leave paths as they were take no part in those of geometry.
     """
     cycle, muscle = (samples.unit_of_analysis(legs, within) for within in ("cycle", "muscle"))
-    everything = samples.every_cycle(legs)
+    everything = samples.all_cycles(legs)
     against_first = [(method, methods[0]) for method in methods[1:]]
     rows: list[Row] = []
     for use in USES:
-        for kind in samples.kinds_by_speed(legs, use):
-            read = samples.sample(legs, methods, samples.moment_errors, cycle, kind)
+        for kind in samples.group_by_speed(legs, use):
+            read = samples.collect_samples(legs, methods, samples.moment_errors, cycle, kind)
             about = Row("moment_error", "N m", use, kind.label, "", cycle)
             rows += [_with_variance(row, read) for row in _rows(about, read, methods, against_first)]
     for name, unit, reading in _BY_CYCLE:
-        read = samples.sample(legs, methods, reading, cycle, everything)
+        read = samples.collect_samples(legs, methods, reading, cycle, everything)
         about = Row(name, unit, EVERY_USE, everything.label, "", cycle)
         rows += _rows(about, read, methods, _pairs_that_differ(read, methods))
     for name in samples.freed_parameters(legs):
-        read = samples.sample(legs, methods, samples.parameter(name), muscle)
+        read = samples.collect_samples(legs, methods, samples.parameter(name), muscle)
         about = Row("parameter", QUANTITIES[name].unit, EVERY_USE, everything.label, "", muscle)
         rows += _rows(about, read, methods, _pairs_that_differ(read, methods))
     return _adjusted(rows)
 
 
-_BY_CYCLE: tuple[tuple[str, str, samples.Reading], ...] = (
+_BY_CYCLE: tuple[tuple[str, str, samples.QuantityReader], ...] = (
     ("length_change", "m", samples.length_changes),
     ("moment_arm_change", "m", samples.moment_arm_changes),
     ("muscle_force", "N", samples.muscle_forces),
@@ -204,7 +204,7 @@ def note(legs: Sequence[ComparedLeg]) -> str:
     return (
         f"Unit of analysis: cycle (of {counted(count, 'leg')}; parameters: muscle). Cycles of one leg are "
         "not independent, nor are its muscles: p values and intervals are descriptive, they say nothing "
-        f"about other people. From {FEWEST_UNITS} legs on, the leg is the unit."
+        f"about other people. From {MINIMUM_UNITS} legs on, the leg is the unit."
     )
 
 

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.comparison.statistics import PairedTest, Spread, spread
-from wrapjax.contact_forces.gait_phase import evenly
-from wrapjax.contact_forces.result import JOINT_REACTION, ContactResult, RunContact, peaks, stretches
+from wrapjax.contact_forces.gait_phase import uniform_phases
+from wrapjax.contact_forces.result import JOINT_REACTION, ContactResult, RunContact, peak_windows, peaks
 from wrapjax.contact_forces.static_optimization import RESIDUAL_SCALE
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
@@ -61,9 +61,9 @@ def magnitude_figure(result: ContactResult) -> Figure:
             curves = result.curves(run, part) / result.bodyweight
             lowest = min(lowest, float(curves.min()))
             draw_spread(panel, curves, color, run.label)
-            for stretch in stretches(part).values():
-                found = peaks(curves, result.phase, stretch)
-                place = evenly(curves.shape[1])[found.frame]
+            for window in peak_windows(part).values():
+                found = peaks(curves, result.phase, window)
+                place = uniform_phases(curves.shape[1])[found.frame]
                 panel.plot(place, found.force, "o", color=color, markersize=3, zorder=3)
         title = f"{part} ({result.joints[part]})" if part in result.joints else part
         panel.set_title(title, loc="left", parse_math=False)
@@ -136,9 +136,9 @@ def sentences(result: ContactResult) -> list[str]:
             f"because {result.reason}."
         ]
     joint = next(iter(result.joints))
-    measure = list(stretches(joint))[-1]
+    measure = list(peak_windows(joint))[-1]
     for run in result.runs:
-        found = peaks(result.curves(run, joint), result.phase, stretches(joint)[measure])
+        found = peaks(result.curves(run, joint), result.phase, peak_windows(joint)[measure])
         size, place = spread(found.force / result.bodyweight), spread(found.phase)
         said.append(
             f"{run.label}: the {plain(measure)} at the {joint} is {_with_deviation(size, 2)} bodyweights, at "
@@ -212,9 +212,9 @@ def _beginning(result: ContactResult) -> str:
 
 def _peak_rows(result: ContactResult) -> Iterator[tuple[str, ...]]:
     for part in result.parts:
-        for measure, stretch in stretches(part).items():
+        for measure, window in peak_windows(part).items():
             for run in result.runs:
-                found = peaks(result.curves(run, part), result.phase, stretch)
+                found = peaks(result.curves(run, part), result.phase, window)
                 yield (
                     f"{part}, {plain(measure)}",
                     run.label,
@@ -292,7 +292,7 @@ def undriven_sentences(result: ContactResult) -> list[str]:
 
 def _undriven_sentence(run: RunContact) -> str:
     own = run.undriven
-    if not own.muscles and not own.left_out:
+    if not own.muscles and not own.without_force:
         return "EMG drives every muscle of this leg."
     said = []
     if own.muscles:
@@ -303,16 +303,16 @@ def _undriven_sentence(run: RunContact) -> str:
             "fiber and tendon lengths of the subject's table of muscle parameters, else of its model; active "
             "force alone)."
         )
-    if own.left_out:
+    if own.without_force:
         said.append(
-            f"Without force: {', '.join(own.left_out)}. Contact forces lack what these would press with."
+            f"Without force: {', '.join(own.without_force)}. Contact forces lack what these would press with."
         )
     return " ".join(said)
 
 
 def _knee_note(result: ContactResult) -> str:
     if result.condyle_distance is None:
-        return f"Medial and lateral knee are not told apart: {result.undivided}."
+        return f"Medial and lateral knee are not told apart: {result.undivided_reason}."
     return (
         f"Medial and lateral knee: two points of contact, {1e3 * result.condyle_distance:.0f} mm apart and "
         "equally far from the joint's center, balance what presses the knee together and turns it in the "

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.comparison.statistics import FEWEST_UNITS, PairedTest, paired_test, spread
+from wrapjax.comparison.statistics import MINIMUM_UNITS, PairedTest, paired_test, spread
 from wrapjax.contact_forces.result import (
     COMPARTMENTS,
     ContactResult,
     RunContact,
     compartment_name,
+    peak_windows,
     peaks,
-    stretches,
 )
 from wrapjax.io.storage import Storage
 from wrapjax.report.provenance import package_versions
@@ -51,7 +51,7 @@ def describe_contact(result: ContactResult) -> dict[str, Any]:
         ],
         "tests_reason": tests_reason(result) or None,
         "knee_compartments": _compartments(result),
-        "knee_compartments_reason": result.undivided or None,
+        "knee_compartments_reason": result.undivided_reason or None,
         "versions": package_versions(),
     }
 
@@ -66,7 +66,7 @@ def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
         "undriven": {
             "treatment": own.treatment,
             "muscles": own.muscles,
-            "without_force": own.left_out,
+            "without_force": own.without_force,
             "peak_activation": dict(zip(own.muscles, _over_cycles(own.activation), strict=True)),
         },
         "unexplained_moment_rms_Nm": {
@@ -74,7 +74,7 @@ def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
             "all_muscles": rms_by_coordinate(result, own.residual),
         },
         "joints": {
-            joint: {measure: _peak(result, run, joint, measure) for measure in stretches(joint)}
+            joint: {measure: _peak(result, run, joint, measure) for measure in peak_windows(joint)}
             for joint in result.joints
         },
     }
@@ -95,7 +95,7 @@ def _compartments(result: ContactResult) -> dict[str, Any] | None:
 
 
 def _peak(result: ContactResult, run: RunContact, part: str, measure: str) -> dict[str, Any]:
-    found = peaks(result.curves(run, part), result.phase, stretches(part)[measure])
+    found = peaks(result.curves(run, part), result.phase, peak_windows(part)[measure])
     relative = found.force / result.bodyweight
     return {
         "mean_bodyweights": spread(relative).mean,
@@ -119,9 +119,9 @@ def compared_peaks(result: ContactResult) -> Iterator[tuple[str, str, PairedTest
         return
     first, second = result.runs
     for part in result.parts:
-        for measure, stretch in stretches(part).items():
+        for measure, window in peak_windows(part).items():
             one, other = (
-                peaks(result.curves(run, part), result.phase, stretch).force / result.bodyweight
+                peaks(result.curves(run, part), result.phase, window).force / result.bodyweight
                 for run in (first, second)
             )
             yield part, measure, paired_test(other, one)
@@ -131,8 +131,8 @@ def tests_reason(result: ContactResult) -> str:
     """Say why nothing is tested; empty where something is."""
     if len(result.runs) < 2:
         return "one run alone, and nothing to compare it with"
-    if len(result.trials) < FEWEST_UNITS:
-        return f"fewer than {FEWEST_UNITS} gait cycles"
+    if len(result.trials) < MINIMUM_UNITS:
+        return f"fewer than {MINIMUM_UNITS} gait cycles"
     return ""
 
 

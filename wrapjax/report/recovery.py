@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.datasets.virtual_person.truth import VirtualTruth, parameter_names
-from wrapjax.io.files import write_whole
+from wrapjax.datasets.virtual_person.true_parameters import TrueParameters, parameter_names
+from wrapjax.io.files import write_atomically
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.report.style import (
     BAND_ALPHA,
@@ -30,7 +30,7 @@ _DISPLAY = {"s": (1e3, "ms"), "m": (1e3, "mm"), "1": (1.0, "")}
 
 
 def draw_recovery(
-    initial: ModelParameters, calibrated: ModelParameters, truth: VirtualTruth, file: Path
+    initial: ModelParameters, calibrated: ModelParameters, truth: TrueParameters, file: Path
 ) -> None:
     """Draw one panel a parameter: true values across, start and calibrated values up, one dot a muscle."""
     from matplotlib.figure import Figure
@@ -53,7 +53,7 @@ def draw_recovery(
         panel.spines[["top", "right"]].set_visible(False)
     figure.axes[0].legend(frameon=False)
     figure.suptitle("Virtual subject: parameters against the hidden truth, one dot a muscle (same-form data)")
-    write_whole(file, lambda temporary: figure.savefig(temporary, dpi=110))
+    write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=110))
 
 
 _COLUMNS = 4
@@ -82,7 +82,7 @@ def draw_wrap_recovery(
         What the moments leave open of an arm (m): half the width of the band about what was found.
     """
     figure = _wrap_recovery_figure(arms, 1e3 * true, 1e3 * before, 1e3 * after, 1e3 * deviation)
-    write_whole(file, lambda temporary: figure.savefig(temporary, dpi=130))
+    write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=130))
 
 
 @in_style

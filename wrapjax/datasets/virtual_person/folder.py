@@ -74,7 +74,7 @@ def settings_text(
     cycles: Sequence[WalkingCycle],
     series: Sequence[Series],
     *,
-    unheard: Sequence[str] = (),
+    missing_channels: Sequence[str] = (),
 ) -> str:
     """Compose the settings file.
 
@@ -110,7 +110,7 @@ def settings_text(
         "[emg.channels]",
     ]
     for electrode, channel in CHANNELS.items():
-        if electrode in unheard:
+        if electrode in missing_channels:
             continue
         driven = ", ".join(f'"{on_side(muscle, side)}"' for muscle in channel.scales)
         lines.append(f"{electrode} = [{driven}]")

@@ -23,13 +23,12 @@ from wrapjax.datasets.virtual_person.folder import (
     write_trial,
 )
 from wrapjax.datasets.virtual_person.gait import CHANNELS, WalkingCycle, draw_cycle
+from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS, NoiseFreeRecording
 from wrapjax.datasets.virtual_person.leg import MUSCLES, build_leg_model, on_side
-from wrapjax.datasets.virtual_person.truth import (
-    HIDDEN_EFFECTS,
-    Recorded,
-    VirtualTruth,
+from wrapjax.datasets.virtual_person.true_parameters import (
+    TrueParameters,
     draw_other_leg,
-    draw_truth,
+    draw_true_parameters,
     draw_wraps,
     parameter_names,
 )
@@ -64,7 +63,7 @@ def write_virtual_subject(
     wrap_spread: float = 0.0,
     hidden_effect: str | None = None,
     force: bool = False,
-) -> VirtualTruth:
+) -> TrueParameters:
     """Make up a person, let them walk, and write what was recorded as a subject folder.
 
     The joint moments are those of the package's own forward model with the true parameters, on the muscle
@@ -98,7 +97,7 @@ def write_virtual_subject(
     require_float64()
     person, walking, noise, _, _, _, wraps = _generators(seed)
     cycles = _walk(walking, series)
-    truth = draw_truth(person)
+    truth = draw_true_parameters(person)
     if wrap_spread:
         truth = replace(truth, wraps=_hidden_wraps(wraps, cycles, wrap_spread))
     leg = _record(truth, "r", cycles, noise, emg_noise, moment_noise, series, hidden_effect)
@@ -115,7 +114,7 @@ def write_virtual_legs(
     moment_noise: float = 1.0,
     series: Sequence[Series] = DEFAULT_SERIES,
     force: bool = False,
-) -> dict[str, VirtualTruth]:
+) -> dict[str, TrueParameters]:
     """Make up a person, and write what was recorded of both legs as two subjects that name each other.
 
     The right leg is that of `write_virtual_subject`. The left one is its mirror image with the same
@@ -135,7 +134,7 @@ def write_virtual_legs(
     """
     require_float64()
     person, walking, noise, other_person, other_walking, other_noise, _ = _generators(seed)
-    right = draw_truth(person)
+    right = draw_true_parameters(person)
     left = draw_other_leg(right, other_person)
     legs = {
         "right": _record(right, "r", _walk(walking, series), noise, emg_noise, moment_noise, series),
@@ -159,7 +158,7 @@ def _generators(seed: int) -> list[np.random.Generator]:
 class _Leg:
     """A leg and what was recorded of it."""
 
-    truth: VirtualTruth
+    truth: TrueParameters
     side: str
     series: Sequence[Series]
     cycles: list[WalkingCycle]
@@ -167,7 +166,7 @@ class _Leg:
     emg: Float[np.ndarray, "trial channel padded_frame"]
     moments: Float[np.ndarray, "trial coordinate frame"]
     #: Channels without an electrode.
-    unheard: tuple[str, ...] = ()
+    missing_channels: tuple[str, ...] = ()
 
     def write(self, folder: Path, name: str, *, other_leg: str | None = None) -> None:
         """Write all files of a subject into a folder that exists."""
@@ -177,7 +176,13 @@ class _Leg:
         for trial, row in zip(names, rows, strict=True):
             write_trial(folder / "trials" / trial, self.side, *row)
         settings = settings_text(
-            name, self.side, other_leg, names, self.cycles, self.series, unheard=self.unheard
+            name,
+            self.side,
+            other_leg,
+            names,
+            self.cycles,
+            self.series,
+            missing_channels=self.missing_channels,
         )
         write_text(folder / "subject.toml", settings)
         self.truth.write(folder)
@@ -203,7 +208,7 @@ def _hidden_wraps(
 
 
 def _record(
-    truth: VirtualTruth,
+    truth: TrueParameters,
     side: str,
     cycles: list[WalkingCycle],
     noise: np.random.Generator,
@@ -222,22 +227,22 @@ def _record(
         build_leg_model(model_file, side)
         if truth.wraps:
             write_personalised_model(model_file, model_file, truth.wraps, {})
-        path = walked_paths(model_file, cycles, side)
-    moments = true_moments(truth, emg_time, emg, path)
+        path = compute_muscle_paths(model_file, cycles, side)
+    moments = compute_moments(truth, emg_time, emg, path)
     _, angles = _walked_angles(cycles)
     inside = np.swapaxes(angles, 1, 2)[..., MARGIN_FRAMES:-MARGIN_FRAMES]
     speeds = np.array([cycle.speed for cycle in cycles])
-    recorded = Recorded(speeds, inside, emg_time, emg, moments)
+    recorded = NoiseFreeRecording(speeds, inside, emg_time, emg, moments)
     if hidden_effect is not None:
         recorded = HIDDEN_EFFECTS[hidden_effect](recorded)
     moments, emg = recorded.moments, recorded.emg
     moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
     factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
     emg = emg * factor + _ADDITIVE_PART * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
-    return _Leg(truth, side, series, cycles, emg_time, emg, moments, recorded.unheard)
+    return _Leg(truth, side, series, cycles, emg_time, emg, moments, recorded.missing_channels)
 
 
-def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "r") -> PathState:
+def compute_muscle_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "r") -> PathState:
     """Compute the muscles' paths over the cycles with OpenSim.
 
     Parameters
@@ -252,7 +257,7 @@ def walked_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "
     Returns
     -------
     PathState
-        Of the muscles as `VirtualTruth` orders them; the rate is the derivative of the spline through the
+        Of the muscles as `TrueParameters` orders them; the rate is the derivative of the spline through the
         lengths.
     """
     muscles = tuple(on_side(name, side) for channel in CHANNELS.values() for name in channel.scales)
@@ -282,8 +287,8 @@ def _walked_angles(
     return time, np.array([cycle.angles(row).T for cycle, row in zip(cycles, time, strict=True)])
 
 
-def true_moments(
-    truth: VirtualTruth,
+def compute_moments(
+    truth: TrueParameters,
     emg_time: Float[np.ndarray, "trial padded_frame"],
     emg: Float[np.ndarray, "trial channel padded_frame"],
     path: PathState,

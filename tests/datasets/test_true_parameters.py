@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from wrapjax.datasets.virtual_person.leg import MUSCLES
-from wrapjax.datasets.virtual_person.truth import draw_truth, parameter_names, read_truth
+from wrapjax.datasets.virtual_person.true_parameters import (
+    draw_true_parameters,
+    parameter_names,
+    read_true_parameters,
+)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_truth_is_within_its_ranges(seed):
-    truth = draw_truth(np.random.default_rng(seed))
+    truth = draw_true_parameters(np.random.default_rng(seed))
     by_name = {muscle.name: muscle for muscle in MUSCLES}
     assert sorted(truth.muscles) == sorted(by_name)
     fiber = np.array([by_name[name].optimal_fiber_length for name in truth.muscles])
@@ -28,7 +32,7 @@ def test_truth_is_within_its_ranges(seed):
 
 
 def test_muscles_under_one_electrode_are_more_alike():
-    truths = [draw_truth(np.random.default_rng(seed)) for seed in range(200)]
+    truths = [draw_true_parameters(np.random.default_rng(seed)) for seed in range(200)]
     delays = {
         name: np.array([truth.electromechanical_delay[truth.muscles.index(name)] for truth in truths])
         for name in ("glmax1_r", "glmax2_r", "soleus_r")
@@ -38,9 +42,9 @@ def test_muscles_under_one_electrode_are_more_alike():
 
 
 def test_round_trip(tmp_path):
-    truth = draw_truth(np.random.default_rng(0))
+    truth = draw_true_parameters(np.random.default_rng(0))
     truth.write(tmp_path)
-    again = read_truth(tmp_path)
+    again = read_true_parameters(tmp_path)
     assert again.muscles == truth.muscles
     for name in parameter_names():
         assert np.array_equal(getattr(again, name), getattr(truth, name))
