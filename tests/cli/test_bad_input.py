@@ -13,7 +13,7 @@ from tests.cli.folders import METHOD, content
 from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import MODEL, write_subject
 from tests.subject.test_broken_folders import BROKEN
-from wrapjax.cli.command_line import ADDED
+from wrapjax.cli.command_line import ADD_COMMANDS
 from wrapjax.errors import WorkError
 
 
@@ -133,7 +133,7 @@ def test_what_is_no_fault_of_the_input_is_a_sentence_and_another_status(
     def fail(folder):
         raise error
 
-    monkeypatch.setattr("wrapjax.subject.load_subject", fail)
+    monkeypatch.setattr("wrapjax.subject.subject.load_subject", fail)
     outcome = run("check", subject)
     assert (outcome.status, outcome.output) == (1, "")
     assert outcome.progress.startswith(f"error: {words}") and outcome.progress.count("\n") == 1
@@ -285,7 +285,7 @@ def test_help(run, command):
     assert outcome.output.startswith(" ".join(["usage: wrapjax", *command]))
 
 
-@pytest.mark.parametrize("command", [add.__module__.rsplit(".", 1)[-1] for add in ADDED])
+@pytest.mark.parametrize("command", [add.__module__.rsplit(".", 1)[-1] for add in ADD_COMMANDS])
 def test_every_command_takes_what_is_common_to_all(run, command):
     """Scripts may give these to any; where there is nothing random or unfinished they change nothing."""
     shown = run(command, "--help").output

@@ -52,9 +52,9 @@ def interrupted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wrapjax.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
         patch.setattr(wrapjax.cli.calibrate, "iteration_printer", counting)
-        patch.setattr(wrapjax.demonstration.demo, "demonstrate_gap", killed)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", killed)
         statuses = [main(words), main(words)]
-        patch.setattr(wrapjax.demonstration.demo, "demonstrate_gap", made_up_answer)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", made_up_answer)
         statuses.append(main([*words, "--resume"]))
     return statuses, counts, folder
 

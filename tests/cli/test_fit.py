@@ -100,6 +100,6 @@ def test_threads_are_set_for_every_library(subject, run, monkeypatch):
         seen.update(os.environ)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("wrapjax.subject.load_subject", read)
+    monkeypatch.setattr("wrapjax.subject.subject.load_subject", read)
     run("check", subject, "--threads", "3")
     assert {seen[name] for name in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")} == {"3"}

@@ -144,7 +144,7 @@ def test_starts_are_compared_by_their_moment_arms(done):
 
 def test_the_terminal_tells_of_starts_limits_and_paths(done):
     lines = calibration_table(done).splitlines()
-    assert re.match(r"2 starts in .* within 1 % of the one taken, start \d$", lines[1])
+    assert re.match(r"2 starts in .* within 1 % of the chosen one, start \d$", lines[1])
     assert re.match(r"\d+ iterations, cost .* variables at a bound$", lines[2])
     assert re.match(
         r"hard limits: largest violation \S+ \(allowed 1e-06\); \d+ values of \d muscles", lines[3]

@@ -1,14 +1,8 @@
-"""``wrapjax calibrate``.
-
-A calibration for a terminal: a line an iteration, and errors before and after.
-
-Uncertainty as plain text for a terminal.
-"""
+"""Command ``wrapjax calibrate``, with the tables of a calibration and of its uncertainty."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrapjax.cli.common import (
+    CURVES_HELP,
     DONE,
+    INTERRUPTED,
+    METHODS_HELP,
     NOT_CONVERGED,
     AddCommand,
     add_undriven_options,
@@ -28,6 +25,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.metrics import moment_errors, pooled_mae
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
+from wrapjax.progress import print_progress, progress_bar
 
 if TYPE_CHECKING:
     from wrapjax.calibration.calibration import Calibration
@@ -42,14 +40,14 @@ if TYPE_CHECKING:
 
 
 def iteration_printer(*, quiet: bool = False) -> IterationCallback | None:
-    """Give a callback that prints one line an iteration to standard error."""
+    """Return a callback that prints one line for each iteration to standard error; None if ``quiet``."""
     if quiet:
         return None
 
     def line(start: int, iteration: Iteration, state: LagrangianState) -> None:
         if iteration.number == 0:
-            _report("start  iteration        cost  optimality   damping      step  at bounds  seconds")
-        _report(
+            print_progress("start  iteration        cost  optimality   damping      step  at bounds  seconds")
+        print_progress(
             f"{start:5d}  {iteration.number:9d}  {iteration.cost:10.5g}  {iteration.optimality:10.2e}  "
             f"{iteration.damping:8.1e}  {iteration.step:8.1e}  {iteration.at_bounds:9d}  "
             f"{iteration.seconds:7.2f}"
@@ -58,16 +56,12 @@ def iteration_printer(*, quiet: bool = False) -> IterationCallback | None:
     return line
 
 
-def _report(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def calibration_table(calibration: Calibration) -> str:
-    """Show how the solver fared, and mean absolute moment errors before and after, by use of trials."""
+    """Tabulate the outcome of the solver and the mean absolute moment errors before and after, by use."""
     result = calibration.result
     columns: dict[str, dict[str, float]] = {}
     for use in ("calibration", "validation"):
-        rows = [row for row, own in enumerate(result.uses) if own == use]
+        rows = [row for row, trial_use in enumerate(result.uses) if trial_use == use]
         for label, modelled in (("before", result.initial_modelled), ("after", result.modelled)):
             errors = [moment_errors(result.measured[row], modelled[row]) for row in rows]
             pooled = pooled_mae(errors, result.coordinates)
@@ -87,7 +81,7 @@ def calibration_table(calibration: Calibration) -> str:
 
 
 def _solver_lines(result: CalibrationResult) -> list[str]:
-    """Say how starts, limits and paths fared, each where there is something to say."""
+    """Describe starts, limits and changes of muscle paths, as far as they apply."""
     from wrapjax.calibration.result import describe_limits
     from wrapjax.report.run_summary import geometry_change
     from wrapjax.report.starts import equally_good
@@ -98,7 +92,7 @@ def _solver_lines(result: CalibrationResult) -> list[str]:
     starts += f"{result.compile_seconds:.1f} s)"
     if count > 1:
         starts += f", costs {min(costs):.5g} to {max(costs):.5g}; {equally_good(result).sum()} of {count} "
-        starts += f"within 1 % of the one taken, start {result.chosen}"
+        starts += f"within 1 % of the chosen one, start {result.chosen}"
     lines = [
         starts,
         f"{solution.iterations} iterations, cost {solution.cost:.6g}, {len(result.at_bounds)} of "
@@ -109,101 +103,125 @@ def _solver_lines(result: CalibrationResult) -> list[str]:
         muscles = set().union(*(limit["muscles"] for limit in limits.values()))
         lines.append(
             f"hard limits: largest violation {solution.max_violation:.1e} (allowed "
-            f"{result.solver.ctol:.0e}); {pushing} values of {len(muscles)} muscles push against one"
+            f"{result.solver.ctol:.0e}); {pushing} values of {len(muscles)} muscles are at their limit"
         )
     moving = result.freedom.moving_paths
     if moving is not None:
         change = geometry_change(result)
         lines.append(
             f"paths of {moving.sum()} muscles free: on average over all "
-            f"{len(result.muscles)}, lengths changed by {1e3 * change['length_mae_m']:.2f} mm, moment "
+            f"{len(result.muscles)} muscles, lengths changed by {1e3 * change['length_mae_m']:.2f} mm, "
+            f"moment "
             f"arms by {1e3 * change['moment_arm_mae_m']:.2f} mm"
         )
     return lines
 
 
-def uncertainty_table(judged: Uncertainty) -> str:
-    """Show each leg's calibration, and how well its recordings determine what was found."""
-    legs = zip(judged.calibration.legs, judged.spreads, strict=True)
+def uncertainty_table(result: Uncertainty) -> str:
+    """Tabulate the calibration of each leg, and how well its recordings determine the parameters."""
+    legs = zip(result.calibration.legs, result.spreads, strict=True)
     return "\n\n".join(f"{calibration_table(leg)}\n\n{spread_table(spread)}" for leg, spread in legs)
 
 
 def spread_table(spread: LegSpread) -> str:
-    """Show medians by kind of parameter, and how many of each the moments determine."""
-    own = spread.parameters
+    """Tabulate median standard deviations and the number of determined parameters, by kind of parameter."""
+    parameters = spread.parameters
     kinds: dict[str, list[int]] = {}
-    for row, label in enumerate(own.labels):
+    for row, label in enumerate(parameters.labels):
         name = label.rsplit(".", 1)[1]
         kinds.setdefault("path modes" if name.startswith("path_changes_") else name, []).append(row)
     failed = len(spread.draws) - spread.converged
     lines = [
         f"Uncertainty by {len(spread.draws)} draws ({spread.way}"
         + (f"; {failed} did not converge" if failed else "")
-        + f"); residuals tell as much as {spread.independent_samples:.0f} independent samples",
-        "Determined: moments narrow it by more than a fifth. Medians of standard deviations with the",
-        "moments, and without them (priors, penalties and bounds alone)",
+        + f"); the residuals are worth {spread.independent_samples:.0f} independent samples",
+        "Determined: the moments reduce its standard deviation by more than a fifth. Medians of the standard",
+        "deviations with the moments and without them (priors, penalties and bounds alone)",
         f"{'parameter':26s}{'determined':>14s}{'with':>10s}{'without':>10s}  unit",
     ]
     for name, rows in kinds.items():
-        factor, unit = {"s": (1e3, "ms"), "m": (1e3, "mm")}.get(own.units[rows[0]], (1.0, own.units[rows[0]]))
-        told = f"{int(own.identified[rows].sum())} of {len(rows)}"
-        medians = (np.median(part[rows]) for part in (own.deviation, own.prior_deviation))
+        factor, unit = {"s": (1e3, "ms"), "m": (1e3, "mm")}.get(
+            parameters.units[rows[0]], (1.0, parameters.units[rows[0]])
+        )
+        determined = f"{int(parameters.identified[rows].sum())} of {len(rows)}"
+        medians = (
+            np.median(deviations[rows]) for deviations in (parameters.deviation, parameters.prior_deviation)
+        )
         lines.append(
-            f"{name:26s}{told:>14s}" + "".join(f"{factor * one:10.3g}" for one in medians) + f"  {unit}"
+            f"{name:26s}{determined:>14s}"
+            + "".join(f"{factor * median:10.3g}" for median in medians)
+            + f"  {unit}"
         )
     return "\n".join(lines)
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    calibrate = command("calibrate", run, "Calibrate the model to the subject.", writing)
-    calibrate.add_argument("subject", type=Path, metavar="SUBJECT")
-    calibrate.add_argument(
-        "--method", choices=["NGA", "SGA", "LSGA", "PGA"], required=True, help="what is adjusted"
+    calibrate = command(
+        "calibrate", run, "Calibrate a subject's model to the recorded joint moments.", writing
     )
-    calibrate.add_argument("--out", type=Path, required=True, metavar="RUN")
+    calibrate.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
     calibrate.add_argument(
-        "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+        "--method",
+        choices=["NGA", "SGA", "LSGA", "PGA"],
+        required=True,
+        help=f"what is calibrated: {METHODS_HELP}",
+    )
+    calibrate.add_argument("--out", type=Path, required=True, metavar="RUN", help="output folder")
+    calibrate.add_argument(
+        "--fit",
+        type=Path,
+        metavar="FIT",
+        help="folder of polynomial muscle paths from 'wrapjax fit' (default: fitted now and cached)",
     )
     calibrate.add_argument(
         "--geometry",
         choices=["surrogate", "engine"],
         default="surrogate",
-        help="source of the paths: polynomials, or the exact engine, which needs no fit (NGA and PGA)",
+        help="source of the muscle paths: surrogate, polynomials (default); engine, exact paths without a "
+        "fit, for NGA and PGA",
     )
     calibrate.add_argument(
         "--surfaces",
         choices=["touched", "all"],
         default="touched",
-        help="cylinders that PGA moves: those that muscles lie on in a recorded frame, or all",
+        help="wrapping cylinders that PGA changes: touched, those that a muscle touches in a recorded frame "
+        "(default); all",
     )
-    calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    calibrate.add_argument("--curves", choices=["paper", "opensim"], default="paper", help=CURVES_HELP)
     calibrate.add_argument(
         "--tendon",
         choices=["rigid", "compliant"],
         default="rigid",
-        help="compliant: stretches with force, and takes several times as long",
+        help="tendons: rigid, of constant length (default); compliant, elastic, takes several times as long",
     )
     calibrate.add_argument(
         "--starts",
         type=positive_integer,
         default=4,
         metavar="N",
-        help="the model's own values and N-1 random ones",
+        help="number of starting points: the model's own values and N-1 random ones (default: 4)",
     )
     calibrate.add_argument(
-        "--max-iterations", type=positive_integer, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations",
+        type=positive_integer,
+        metavar="N",
+        help="largest number of iterations from each starting point (default: 500; lbfgs: 20000)",
     )
     calibrate.add_argument(
-        "--solver", choices=["lm", "lbfgs"], default="lm", help="lbfgs: jaxopt's, a slow second opinion"
+        "--solver",
+        choices=["lm", "lbfgs"],
+        default="lm",
+        help="lm, Levenberg-Marquardt (default); lbfgs, L-BFGS of jaxopt, a slower check of the former",
     )
     calibrate.add_argument(
         "--uncertainty",
         choices=["laplace", "bootstrap"],
-        help="say how well the recordings determine parameters: quickly, or by a calibration a draw",
+        help="also estimate the uncertainty of the parameters: laplace, by a fast approximation; bootstrap, "
+        "by repeated calibrations to simulated moments (default: not estimated)",
     )
     calibrate.add_argument(
-        "--draws", type=positive_integer, metavar="N", help="of the bootstrap (default: 50)"
+        "--draws", type=positive_integer, metavar="N", help="number of bootstrap calibrations (default: 50)"
     )
     add_undriven_options(calibrate)
 
@@ -221,25 +239,25 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.path_sources.exact import exact_geometry
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
-    from wrapjax.progress import print_progress, progress_bar
-    from wrapjax.subject.subject import load_subject as load_subject
-    from wrapjax.subject.subject import read_legs
+    from wrapjax.subject.subject import load_subject, read_legs
 
     check_output_folder(options.out, options.force)
     if options.fit and options.geometry == "engine":
         raise InputError(Problem("--fit", "is for --geometry surrogate: the exact engine needs no fit"))
     if options.draws and options.uncertainty != "bootstrap":
-        raise InputError(Problem("--draws", "is for --uncertainty bootstrap: nothing else is drawn anew"))
+        raise InputError(Problem("--draws", "is for --uncertainty bootstrap: no other estimate has draws"))
     if options.draws == 1:
-        raise InputError(Problem("--draws", "expected at least 2, found 1: one draw has no spread"))
+        raise InputError(
+            Problem("--draws", "expected at least 2, found 1: one draw has no standard deviation")
+        )
     if options.surfaces != "touched" and options.method != "PGA":
-        raise InputError(Problem("--surfaces", "is for --method PGA: the others move no cylinders"))
+        raise InputError(Problem("--surfaces", "is for --method PGA: the other methods change no cylinders"))
     checkpoints = checkpoint_folder(options)
     inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
-    read_legs(subject)  # whatever is wrong with the other leg is said before the long work
+    read_legs(subject)  # Errors of the other leg are reported before the long computation.
     subject = apply_undriven_strategy(subject, options.undriven, options.synergies)
     paths: Fit | ExactGeometry
     if options.geometry == "engine":
@@ -268,7 +286,7 @@ def run(options: argparse.Namespace) -> int:
         resume=options.resume,
     )
     if done.status is Status.interrupted:
-        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress(INTERRUPTED)
         return NOT_CONVERGED
     if options.uncertainty is None:
         done.save(options.out, force=options.force)
@@ -276,13 +294,13 @@ def run(options: argparse.Namespace) -> int:
         return DONE if done.status.converged else NOT_CONVERGED
     count = options.draws or DRAWS[options.uncertainty]
     quiet = options.quiet or options.uncertainty == "laplace"
-    print_progress("judging how well the recordings determine parameters", quiet=options.quiet)
+    print_progress("estimating the uncertainty of the parameters", quiet=options.quiet)
     try:
-        with progress_bar("calibrating made-up moments", count, quiet=quiet) as advance:
-            judged = uncertainty(done, options.uncertainty, draws=count, seed=options.seed, advance=advance)
+        with progress_bar("calibrating simulated moments", count, quiet=quiet) as advance:
+            result = uncertainty(done, options.uncertainty, draws=count, seed=options.seed, advance=advance)
     except KeyboardInterrupt:
-        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress(INTERRUPTED)
         return NOT_CONVERGED
-    judged.save(options.out, force=options.force)
-    print_result(options, "summary.json", lambda: uncertainty_table(judged))
+    result.save(options.out, force=options.force)
+    print_result(options, "summary.json", lambda: uncertainty_table(result))
     return DONE if done.status.converged else NOT_CONVERGED

@@ -1,4 +1,4 @@
-"""``wrapjax check``."""
+"""Command ``wrapjax check``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from wrapjax.cli.common import DONE, AddCommand, print_json
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    check = command("check", run, "Read a subject folder and show what is in it, or all that is wrong.")
-    check.add_argument("subject", type=Path, metavar="SUBJECT")
+    check = command("check", run, "Read a subject folder and show its content, or all errors in it.")
+    check.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
 
 
 def run(options: argparse.Namespace) -> int:

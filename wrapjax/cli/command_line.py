@@ -1,8 +1,8 @@
-"""The commands. Results go to standard output, progress to standard error.
+"""Entry point of the ``wrapjax`` command line: parsing, exit statuses and error messages.
 
-Exit status: 0 done and converged, 1 ran but did not converge, 2 bad input or usage.
-
-The commands, one module each: `add` puts it on the parser, `run` does it.
+Results go to standard output, progress to standard error. Exit status: 0 finished and converged, 1 not
+converged, interrupted or failed, 2 invalid input or usage. Each command is a module with two functions: `add`
+adds it to the parser, and `run` runs it.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from wrapjax.cli import (
     report,
 )
 from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
-from wrapjax.cli.settings import add_settings, apply_settings, keep_settings
+from wrapjax.cli.settings import add_settings, apply_settings, save_settings
 from wrapjax.errors import InputError, WorkError
 from wrapjax.io.locks import lock_folder
 from wrapjax.jax_setup import set_threads
 
-#: Each adds its command to the parser; in the order that ``wrapjax --help`` shows them.
-ADDED = (
+#: Functions that add a command to the parser, in the order of ``wrapjax --help``.
+ADD_COMMANDS = (
     check.add,
     prepare.add,
     fit.add,
@@ -54,9 +54,20 @@ ADDED = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments
+        Command-line arguments; by default those of this process.
+
+    Returns
+    -------
+    int
+        Exit status.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A terminal that lacks a letter of somebody's name shows its code instead of failing.
+        # A character that the terminal's encoding lacks is printed as its code instead of raising an error.
         sys.stdout.reconfigure(errors="backslashreplace")
     words = list(sys.argv[1:] if arguments is None else arguments)
     parser, commands = _parser()
@@ -70,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         out = getattr(options, "out", None)
         with nullcontext() if out is None else lock_folder(out):
             status = options.run(options)
-            keep_settings(commands[name], name, options)
+            save_settings(commands[name], name, options)
         return status
     except InputError as error:
         for problem in error.problems:
@@ -89,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {place}: {error.strerror or error}; nothing was written.", file=sys.stderr)
         return BAD_INPUT
     except RuntimeError as error:
-        # As XLA says it, whose own errors can be caught by name only with JAX loaded.
+        # XLA's out-of-memory error; its class could be named here only with JAX loaded.
         if not str(error).startswith("RESOURCE_EXHAUSTED"):
             raise
         print("error: there is not enough memory for this; nothing was written.", file=sys.stderr)
@@ -100,25 +111,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
-    """Build the parser, and give those of the commands by name."""
+    """Build the parser, and return it with the parsers of the commands by name."""
     parser = argparse.ArgumentParser(
-        prog="wrapjax", description="Calibrate EMG-driven musculoskeletal models with exact gradients."
+        prog="wrapjax",
+        description="Calibrate EMG-driven musculoskeletal models to recorded gait with exact gradients, and "
+        "diagnose what explains their remaining error. 'wrapjax COMMAND --help' describes a command.",
     )
     parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     common = argparse.ArgumentParser(add_help=False)
     common.add_argument(
-        "--threads", type=positive_integer, metavar="N", help="processor cores to use (default: all)"
+        "--threads",
+        type=positive_integer,
+        metavar="N",
+        help="number of processor cores to use (default: all)",
     )
-    common.add_argument("--quiet", action="store_true", help="print no progress")
-    common.add_argument("--json", action="store_true", help="print the result as JSON")
-    common.add_argument("--seed", type=int, default=0, metavar="N", help="of everything random (default: 0)")
-    common.add_argument("--force", action="store_true", help="replace the folder if it exists")
+    common.add_argument("--quiet", action="store_true", help="print no progress to standard error")
+    common.add_argument("--json", action="store_true", help="print the result as JSON instead of a table")
+    common.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the random number generators (default: 0)"
+    )
+    common.add_argument("--force", action="store_true", help="replace the output folder if it exists")
     common.add_argument(
         "--resume",
         action="store_true",
-        help="go on with interrupted work of the same folder, if there is any",
+        help="continue an interrupted run with the same output folder, if the command keeps checkpoints",
     )
     writing = argparse.ArgumentParser(add_help=False)
     add_settings(writing)
@@ -130,7 +148,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         parsers[name] = added
         return added
 
-    for add in ADDED:
+    for add in ADD_COMMANDS:
         add(command, writing)
     return parser, parsers
 

@@ -1,4 +1,4 @@
-"""What all commands share: exit statuses, what is refused, what is printed."""
+"""Functions that several commands share: exit statuses, option types, shared options and output."""
 
 from __future__ import annotations
 
@@ -10,14 +10,27 @@ from typing import Any
 
 from wrapjax.errors import InputError, Problem
 
+#: Exit statuses: finished and converged; not converged, interrupted or failed; invalid input or usage.
 DONE, NOT_CONVERGED, BAD_INPUT = 0, 1, 2
 
-#: Adds a command by its name, what runs it, a sentence, and the options that it shares with others.
+#: Text after an interruption that ``--resume`` can continue.
+INTERRUPTED = "interrupted; continue with --resume"
+
+#: Descriptions of the methods of calibration.
+METHODS_HELP = (
+    "NGA, muscle parameters; SGA, also the polynomial paths of all muscles; LSGA, also the paths of the "
+    "muscles that touch a wrapping surface; PGA, also the wrapping cylinders"
+)
+#: Description of the choices of Hill curves.
+CURVES_HELP = "Hill curves: paper, as published with the method; opensim, their later refit (default: paper)"
+
+#: Function that adds a command: takes its name, the function that runs it, its description and parent
+#: parsers.
 AddCommand = Callable[..., argparse.ArgumentParser]
 
 
 def positive_integer(text: str) -> int:
-    """Read a whole number above 0 off the command line."""
+    """Convert a command-line argument to a whole number above 0."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, found '{text}'")
@@ -25,7 +38,7 @@ def positive_integer(text: str) -> int:
 
 
 def positive_number(text: str) -> float:
-    """Read a number above 0 off the command line."""
+    """Convert a command-line argument to a finite number above 0."""
     number = float(text)
     if not 0.0 < number < float("inf"):
         raise argparse.ArgumentTypeError(f"expected a number above 0, found '{text}'")
@@ -38,30 +51,30 @@ def read_json(file: Path) -> Any:
 
 
 def print_json(content: Any) -> None:
-    """Print a result as JSON."""
+    """Print a result as JSON to standard output."""
     print(json.dumps(content, indent=1))
 
 
 def add_undriven_options(parser: argparse.ArgumentParser) -> None:
-    """Add what drives muscles without an electrode."""
+    """Add the options that set the excitation of muscles without an electrode."""
     parser.add_argument(
         "--undriven",
         choices=["left", "synergies"],
         default="left",
-        help="muscles without an electrode: left without force (default), or driven by synergies of the "
-        "measured EMG whose weights are calibrated",
+        help="muscles without an electrode: left, they have no force (default); synergies, they are driven "
+        "by synergies of the measured EMG, with calibrated weights",
     )
     parser.add_argument(
         "--synergies",
         type=positive_integer,
         default=5,
         metavar="K",
-        help="how many, with --undriven synergies",
+        help="number of synergies, with --undriven synergies (default: 5)",
     )
 
 
 def print_result(options: argparse.Namespace, file: str, table: Callable[[], str]) -> None:
-    """Print what was written: the file of numbers, or a table and where the report is."""
+    """Print a result that has been written: its JSON file with ``--json``, else a table and the folder."""
     if options.json:
         print_json(read_json(options.out / file))
     else:
@@ -70,14 +83,20 @@ def print_result(options: argparse.Namespace, file: str, table: Callable[[], str
 
 
 def checkpoint_folder(options: argparse.Namespace) -> Path:
-    """Name the folder of unfinished work, which is not thrown away unasked."""
+    """Return the folder of a command's checkpoints.
+
+    Raises
+    ------
+    InputError
+        If checkpoints of an interrupted computation exist, and neither ``--resume`` nor ``--force`` is given.
+    """
     checkpoints = options.out.with_name(f".{options.out.name}.unfinished")
     if checkpoints.exists() and not (options.resume or options.force):
         raise InputError(
             Problem(
                 str(options.out),
                 "was begun and interrupted",
-                hint="go on with --resume, or begin anew with --force",
+                hint="continue with --resume, or start again with --force",
             )
         )
     return checkpoints

@@ -1,7 +1,4 @@
-"""``wrapjax compare``.
-
-A comparison of methods for a terminal.
-"""
+"""Command ``wrapjax compare``, with the table of a comparison of methods."""
 
 from __future__ import annotations
 
@@ -14,7 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wrapjax.cli.common import (
+    CURVES_HELP,
     DONE,
+    INTERRUPTED,
     NOT_CONVERGED,
     AddCommand,
     checkpoint_folder,
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def comparison_table(comparison: Comparison) -> str:
-    """Show mean and standard deviation of moment errors by speed, method and coordinate, and the unit."""
+    """Tabulate mean and standard deviation of moment errors by use, speed, method and coordinate."""
     from wrapjax.report.comparison_summary import note
 
     errors = [row for row in comparison.rows if row.quantity == "moment_error"]
@@ -39,17 +38,19 @@ def comparison_table(comparison: Comparison) -> str:
     groups = list(dict.fromkeys((row.use, row.speed) for row in errors))
     cells = {(row.use, row.speed, row.item): row for row in errors}
     width = max(len(f"{use}, {speed}") for use, speed in groups) + 2
-    reach = max(len(method) for method in comparison.methods) + 2
+    method_width = max(len(method) for method in comparison.methods) + 2
     lines = [
         "Mean absolute error of the joint moments, N m: mean ± standard deviation",
-        " " * (width + reach) + "".join(f"{item:>16s}" for item in items),
+        " " * (width + method_width) + "".join(f"{item:>16s}" for item in items),
     ]
     for use, speed in groups:
         for number, method in enumerate(comparison.methods):
-            own = [cells.get((use, speed, item)) for item in items]
+            group_rows = [cells.get((use, speed, item)) for item in items]
             name = "" if number else f"{use}, {speed}"
-            texts = ["" if row is None else mean_and_deviation(row.spreads[method]) for row in own]
-            lines.append(f"{name:{width}s}{method:{reach}s}" + "".join(f"{text:>16s}" for text in texts))
+            texts = ["" if row is None else mean_and_deviation(row.spreads[method]) for row in group_rows]
+            lines.append(
+                f"{name:{width}s}{method:{method_width}s}" + "".join(f"{text:>16s}" for text in texts)
+            )
     failed = [
         f"{leg.label} by {method}: {result.solution.status.value}"
         for leg in comparison.legs
@@ -66,31 +67,38 @@ def mean_and_deviation(spread: Spread, digits: int = 2) -> str:
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    compare = command("compare", run, "Calibrate by every method, and test which differ.", writing)
-    compare.add_argument("subjects", type=Path, nargs="+", metavar="SUBJECT")
-    compare.add_argument("--out", type=Path, required=True, metavar="DIR")
+    compare = command(
+        "compare", run, "Calibrate subjects by several methods, and test whether the methods differ.", writing
+    )
+    compare.add_argument("subjects", type=Path, nargs="+", metavar="SUBJECT", help="subject folders")
+    compare.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
     compare.add_argument(
         "--methods",
         type=lambda text: tuple(text.split(",")),
         metavar="NAME,NAME",
-        help="the first is what others are tested against (default: all, against NGA)",
+        help="methods, separated by commas; the others are tested against the first (default: "
+        "NGA,SGA,LSGA,PGA)",
     )
-    compare.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    compare.add_argument("--curves", choices=["paper", "opensim"], default="paper", help=CURVES_HELP)
     compare.add_argument(
         "--geometry",
         choices=["surrogate", "engine"],
         default="surrogate",
-        help="what NGA and PGA take paths from (SGA and LSGA: always the polynomials)",
+        help="source of the muscle paths of NGA and PGA: surrogate, polynomials (default); engine, exact "
+        "paths. SGA and LSGA always use polynomials",
     )
     compare.add_argument(
         "--starts",
         type=positive_integer,
         default=4,
         metavar="N",
-        help="of each calibration, as in 'calibrate'",
+        help="number of starting points of each calibration (default: 4)",
     )
     compare.add_argument(
-        "--max-iterations", type=positive_integer, metavar="N", help="of each start (default: the solver's)"
+        "--max-iterations",
+        type=positive_integer,
+        metavar="N",
+        help="largest number of iterations from each starting point (default: 500)",
     )
 
 
@@ -103,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.comparison.comparison import compare
     from wrapjax.progress import print_progress
-    from wrapjax.subject.subject import load_subject as load_subject
+    from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
     checkpoints = checkpoint_folder(options)
@@ -128,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         if not checkpoints.exists():
             raise
-        print_progress("interrupted; go on where it stopped with --resume", quiet=False)
+        print_progress(INTERRUPTED)
         return NOT_CONVERGED
     done.save(options.out, force=options.force)
     print_result(options, "comparison.json", lambda: comparison_table(done))
@@ -136,7 +144,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _load_all(folders: Sequence[Path], load: Callable[[Path], Any]) -> list[Any]:
-    """Read every subject, and say of all of them at once what is wrong."""
+    """Read all subjects, and report the problems of all of them together."""
     subjects: list[Any] = []
     problems: list[Problem] = []
     for folder in folders:

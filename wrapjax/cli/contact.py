@@ -1,7 +1,4 @@
-"""``wrapjax contact``.
-
-Contact forces as plain text for a terminal.
-"""
+"""Command ``wrapjax contact``, with the table of joint contact forces."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def contact_table(contact: Contact) -> str:
-    """Show what the forces are, and the peaks of each joint by each run."""
+    """Tabulate the peak contact forces of each joint by each run, with the tests between runs."""
     from wrapjax.comparison.statistics import spread
     from wrapjax.contact_forces.result import peak_windows, peaks
     from wrapjax.report.contact_page import sentences, undriven_sentences
@@ -30,11 +27,15 @@ def contact_table(contact: Contact) -> str:
     lines = [textwrap.fill(sentences(result)[0], 100), ""]
     lines.append(f"{'peak':24s}{'run':16s}{'bodyweights':>18s}{'N':>18s}{'% of cycle':>14s}")
     for part in result.parts:
-        for measure, stretch in peak_windows(part).items():
+        for measure, window in peak_windows(part).items():
             for run in result.runs:
-                found = peaks(result.curves(run, part), result.phase, stretch)
-                of_units = ((found.force / result.bodyweight, 2), (found.force, 0), (found.phase, 0))
-                cells = [mean_and_deviation(spread(own), digits) for own, digits in of_units]
+                part_peaks = peaks(result.curves(run, part), result.phase, window)
+                columns = (
+                    (part_peaks.force / result.bodyweight, 2),
+                    (part_peaks.force, 0),
+                    (part_peaks.phase, 0),
+                )
+                cells = [mean_and_deviation(spread(values), digits) for values, digits in columns]
                 name = f"{part}, {measure.replace('_', ' ')}"
                 lines.append(f"{name:24s}{run.label:16s}{cells[0]:>18s}{cells[1]:>18s}{cells[2]:>14s}")
     lines.append("")
@@ -53,23 +54,37 @@ def contact_table(contact: Contact) -> str:
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    contact = command("contact", run, "Say what joints bear, by one finished run or two.", writing)
-    contact.add_argument("first", type=Path, metavar="RUN", help="from 'wrapjax calibrate', NGA or PGA")
-    contact.add_argument("second", type=Path, nargs="?", metavar="RUN2", help="to compare it with")
-    contact.add_argument("--out", type=Path, metavar="DIR", help="where to write (default: RUN/contact)")
-    contact.add_argument("--subject", type=Path, metavar="SUBJECT", help="if it is not where it was")
+    contact = command("contact", run, "Compute joint contact forces from one or two calibrations.", writing)
+    contact.add_argument(
+        "first", type=Path, metavar="RUN", help="folder from 'wrapjax calibrate', method NGA or PGA"
+    )
+    contact.add_argument(
+        "second",
+        type=Path,
+        nargs="?",
+        metavar="RUN2",
+        help="second run of the same subject, tested against the first",
+    )
+    contact.add_argument("--out", type=Path, metavar="DIR", help="output folder (default: RUN/contact)")
+    contact.add_argument(
+        "--subject",
+        type=Path,
+        metavar="SUBJECT",
+        help="subject folder, if it has been moved since the calibration",
+    )
     contact.add_argument(
         "--undriven",
         choices=["static-optimization", "left"],
         default="static-optimization",
-        help="muscles without an electrode: close the moments with least effort, or left without force",
+        help="muscles without an electrode: static-optimization, they balance the remaining joint moments "
+        "with least squared activations (default); left, they have no force",
     )
     contact.add_argument(
         "--condyle-distance",
         type=float,
         metavar="M",
-        help="between the points where the condyles touch the tibia, m: divides the knee's force between its "
-        "medial and its lateral side",
+        help="distance between the medial and lateral contact points of the knee, m; divides the knee's "
+        "force between the two sides (default: not divided)",
     )
 
 

@@ -1,7 +1,4 @@
-"""``wrapjax demo``.
-
-How near a virtual subject's calibration came to its truth, for a terminal.
-"""
+"""Command ``wrapjax demo``, with the tables of recovered parameters and wrapping cylinders."""
 
 from __future__ import annotations
 
@@ -19,15 +16,16 @@ if TYPE_CHECKING:
     from wrapjax.demonstration.demo import Demonstration
 
 
-def recovery_table(shown: Demonstration) -> str:
-    """Show how close a virtual subject's calibration came to its truth."""
+def recovery_table(demonstration: Demonstration) -> str:
+    """Tabulate the errors of muscle parameters before and after calibration by NGA."""
     lines = [
-        "Distance from the hidden truth, median over muscles (same-form data: a unit test, not an accuracy).",
-        "'open' is the standard deviation that the moments alone, with their noise, leave to a parameter:",
-        "where it is far above the distance, priors decide and the moments cannot.",
-        f"{'parameter':26s}{'before':>10s}{'after':>10s}{'open':>10s}  unit",
+        "Absolute errors of the parameters, median over muscles. The recordings come from the same model",
+        "equations: this tests the software, not the accuracy on people. 'sd' is the standard deviation of a",
+        "parameter due to the noise of the moments, without priors: where it is far above the error, the",
+        "priors determine the parameter.",
+        f"{'parameter':26s}{'before':>10s}{'after':>10s}{'sd':>10s}  unit",
     ]
-    for row in shown.recovery:
+    for row in demonstration.recovery:
         factor, unit = {"s": (1e3, "ms"), "m": (1e3, "mm")}.get(row.unit, (1.0, row.unit))
         values = (row.median_error_before, row.median_error_after, row.median_deviation)
         columns = "".join(f"{factor * value:10.3g}" for value in values)
@@ -35,37 +33,51 @@ def recovery_table(shown: Demonstration) -> str:
     return "\n".join(lines)
 
 
-def wrap_recovery_table(shown: Demonstration) -> str:
-    """Show how close moment arms and cylinders came to a virtual subject's own."""
-    found = shown.wraps
-    before, after, open_ = (
-        1e3 * errors for errors in (found.error_before, found.error_after, found.deviation)
+def wrap_recovery_table(demonstration: Demonstration) -> str:
+    """Tabulate errors of moment arms and parameters of wrapping cylinders after calibration by PGA."""
+    recovery = demonstration.wraps
+    before, after, deviation = (
+        1e3 * errors for errors in (recovery.error_before, recovery.error_after, recovery.deviation)
     )
     lines = [
-        f"Moment arms of the {len(found.muscles)} muscles round hidden cylinders: mean absolute error, mm",
-        "(same-form data: a unit test, not an accuracy). 'before' is round nominal cylinders, 'after' round",
-        "those of PGA. 'open' is the standard deviation that the moments alone, with their noise, leave to",
-        "an arm; 'told apart' counts muscles where that is below a tenth of the error before. Elsewhere an",
-        "EMG scale or a fiber explains the moments as well, and what PGA moves need not be nearer the truth.",
-        f"{'about':20s}{'before':>10s}{'after':>10s}{'open':>10s}{'told apart':>12s}",
+        f"Mean absolute errors of the moment arms of {len(recovery.muscles)} muscles round displaced "
+        f"cylinders, mm.",
+        "'before': with nominal cylinders; 'after': with those of PGA. 'sd' is the standard deviation of a",
+        "moment arm due to the noise of the moments; 'identifiable' counts the muscles where it is below a",
+        "tenth of the error before. For the others an EMG scale or a fiber length explains the moments as",
+        "well, and PGA need not reduce the error.",
+        f"{'coordinate':20s}{'before':>10s}{'after':>10s}{'sd':>10s}{'identifiable':>14s}",
     ]
-    for column, name in enumerate(found.coordinates):
-        values = "".join(f"{errors[:, column].mean():10.2f}" for errors in (before, after, open_))
-        lines.append(f"{name:20s}{values}{found.identifiable[:, column].sum():12d}")
-    lines += ["", "Cylinders, true / found: shift (mm), turns (degrees), factor of the radius"]
-    width = max(len(name) for name in found.wraps)
-    for name, true, own in zip(found.wraps, found.true_wraps, found.found_wraps, strict=True):
+    for column, name in enumerate(recovery.coordinates):
+        values = "".join(f"{errors[:, column].mean():10.2f}" for errors in (before, after, deviation))
+        lines.append(f"{name:20s}{values}{recovery.identifiable[:, column].sum():14d}")
+    lines += ["", "Cylinders, true / calibrated: translations (mm), rotations (degrees), radius factor"]
+    width = max(len(name) for name in recovery.wraps)
+    for name, true, calibrated in zip(
+        recovery.wraps, recovery.true_wraps, recovery.calibrated_wraps, strict=True
+    ):
         factors = np.array([*[1e3] * 3, *[np.degrees(1.0)] * 2, 1.0])
-        pairs = zip(factors * true, factors * own, (1, 1, 1, 0, 0, 2), strict=True)
-        cells = [f"{one:.{digits}f} / {other:.{digits}f}" for one, other, digits in pairs]
+        pairs = zip(factors * true, factors * calibrated, (1, 1, 1, 0, 0, 2), strict=True)
+        cells = [f"{first:.{digits}f} / {second:.{digits}f}" for first, second, digits in pairs]
         lines.append(f"{name:{width}s}" + "".join(f"{cell:>15s}" for cell in cells))
     return "\n".join(lines)
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    demo = command("demo", run, "Calibrate a virtual subject of known truth by every method.", writing)
-    demo.add_argument("--out", type=Path, default=Path("wrapjax-demo"), metavar="DIR")
+    demo = command(
+        "demo",
+        run,
+        "Calibrate a virtual subject with known parameters by every method, and diagnose another one.",
+        writing,
+    )
+    demo.add_argument(
+        "--out",
+        type=Path,
+        default=Path("wrapjax-demo"),
+        metavar="DIR",
+        help="output folder (default: wrapjax-demo)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,27 +88,31 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.demonstration.demo import demo
 
     checkpoints = checkpoint_folder(options)
-    begun = options.resume and checkpoints.exists()
-    check_output_folder(options.out, options.force or begun)
-    shown = demo(
+    resume = options.resume and checkpoints.exists()
+    check_output_folder(options.out, options.force or resume)
+    demonstration = demo(
         options.out,
         seed=options.seed,
         force=options.force,
         checkpoints=checkpoints,
-        resume=begun,
+        resume=resume,
         quiet=options.quiet,
         callback=iteration_printer(quiet=options.quiet),
     )
     if options.json:
         print_json(read_json(options.out / "demo.json"))
     else:
-        for calibration in shown.calibrations.values():
+        for calibration in demonstration.calibrations.values():
             print(calibration_table(calibration))
             print()
-        print(recovery_table(shown))
+        print(recovery_table(demonstration))
         print()
-        print(wrap_recovery_table(shown))
-        print(f"\nhidden in another person: {shown.gap.hidden}; a diagnosis (unit test, no accuracy) says:\n")
-        print(diagnosis_table(shown.gap.diagnosis.result))
+        print(wrap_recovery_table(demonstration))
+        print(
+            f"\nSimulated effect in another virtual person: {demonstration.effect_diagnosis.hidden}. Its "
+            f"diagnosis "
+            "(same model equations, so not the accuracy on people):\n"
+        )
+        print(diagnosis_table(demonstration.effect_diagnosis.diagnosis.result))
         print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
-    return DONE if shown.converged else NOT_CONVERGED
+    return DONE if demonstration.converged else NOT_CONVERGED

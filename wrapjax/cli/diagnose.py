@@ -1,7 +1,4 @@
-"""``wrapjax diagnose``.
-
-A diagnosis as plain text for a terminal.
-"""
+"""Command ``wrapjax diagnose``, with the tables of a diagnosis."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, positive_integer, print_result
+from wrapjax.cli.common import DONE, METHODS_HELP, NOT_CONVERGED, AddCommand, positive_integer, print_result
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
@@ -24,7 +21,7 @@ _MOST_EFFECTS = 6
 
 
 def diagnosis_table(result: DiagnosisResult) -> str:
-    """Show how a diagnosis ended, the most probable effects, and what could not be tested."""
+    """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
     from wrapjax.report.diagnosis_words import findings, untested
 
     lines = [textwrap.fill(sentence, _WIDTH) for sentence in findings(result)]
@@ -33,7 +30,7 @@ def diagnosis_table(result: DiagnosisResult) -> str:
     if result.budget is not None:
         lines += ["", *_error_lines(result)]
     if result.advice:
-        lines += ["", "What would tell them apart"]
+        lines += ["", "Experiments that would distinguish them"]
         lines += [
             textwrap.fill(
                 f"{advice.experiment} ({advice.minutes} min): {', '.join(advice.splits)}",
@@ -43,8 +40,8 @@ def diagnosis_table(result: DiagnosisResult) -> str:
             )
             for advice in result.advice
         ]
-    if said := untested(result):
-        lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in said)]
+    if sentences := untested(result):
+        lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in sentences)]
     return "\n".join(lines)
 
 
@@ -53,7 +50,7 @@ def _effect_lines(result: DiagnosisResult) -> list[str]:
 
     shown = result.effects[:_MOST_EFFECTS]
     width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
-    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  amounts"]
+    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  effect sizes"]
     for effect in shown:
         lines.append(
             f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
@@ -64,7 +61,7 @@ def _effect_lines(result: DiagnosisResult) -> list[str]:
     if others:
         lines.append(f"{f'{others} others':{width}s}{rest:12.2f}")
     for name, probability in (
-        ("nothing amiss", result.none_probability),
+        ("no effect", result.none_probability),
         ("not in the catalogue", result.unknown_probability),
     ):
         lines.append(f"{name:{width}s}{probability:12.2f}")
@@ -72,29 +69,29 @@ def _effect_lines(result: DiagnosisResult) -> list[str]:
 
 
 def _error_lines(result: DiagnosisResult) -> list[str]:
-    """Show mean absolute errors of cycles that no fit has seen; what cannot be told is left out."""
+    """Tabulate mean absolute errors on held-out cycles, without columns that could not be estimated."""
     from wrapjax.report.diagnosis_numbers import mean_absolute_errors
 
     errors = mean_absolute_errors(result)
-    columns = [which for which, own in errors.items() if math.isfinite(own["mean"])]
+    columns = [model for model, values in errors.items() if math.isfinite(values["mean"])]
     width = max(len(name) for name in (*result.coordinates, "coordinate"))
     lines = [
-        "Mean absolute error of the joint moments on cycles that no fit has seen, N m; floor: noise alone",
-        f"{'coordinate':{width}s}" + "".join(f"{which:>10s}" for which in columns),
+        "Mean absolute error of the joint moments on held-out cycles, N m; floor: noise alone",
+        f"{'coordinate':{width}s}" + "".join(f"{model:>10s}" for model in columns),
     ]
     for name in (*result.coordinates, "mean"):
-        lines.append(f"{name:{width}s}" + "".join(f"{errors[which][name]:10.2f}" for which in columns))
+        lines.append(f"{name:{width}s}" + "".join(f"{errors[model][name]:10.2f}" for model in columns))
     return lines
 
 
 class ListEffects(argparse.Action):
-    """Print the catalogue's effects and end, as ``--version`` does: no subject is needed."""
+    """Action of ``--list``: print the effects of the catalogue and exit, without a subject."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None):
         super().__init__(option_strings, dest=argparse.SUPPRESS, nargs=0, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print one line an effect, with its id as files and ``--without`` have it."""
+        """Print the identifier and the meaning of each effect, one line each."""
         from wrapjax.diagnosis.effects.catalogue import effect_meanings
 
         print("\n".join(f"{id}: {meaning}." for id, meaning in effect_meanings().items()))
@@ -104,18 +101,19 @@ class ListEffects(argparse.Action):
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     diagnose = command(
-        "diagnose", run, "Say where the remaining error is and what explains it best.", writing
+        "diagnose",
+        run,
+        "Calibrate a model, locate its remaining moment error, and find the effects that explain it best.",
+        writing,
     )
-    diagnose.add_argument(
-        "--list", action=ListEffects, help="show the effects that a diagnosis looks for, and end"
-    )
-    diagnose.add_argument("subject", type=Path, metavar="SUBJECT")
-    diagnose.add_argument("--out", type=Path, required=True, metavar="GAP")
+    diagnose.add_argument("--list", action=ListEffects, help="list the effects of the catalogue and exit")
+    diagnose.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
+    diagnose.add_argument("--out", type=Path, required=True, metavar="GAP", help="output folder")
     diagnose.add_argument(
         "--method",
         choices=["NGA", "SGA", "LSGA", "PGA"],
         default="NGA",
-        help="of the calibration before it (default: NGA)",
+        help=f"method of the preceding calibration: {METHODS_HELP} (default: NGA)",
     )
     diagnose.add_argument(
         "--without",
@@ -123,17 +121,20 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="EFFECT",
-        help="leave these out of the catalogue; the calibration is not done again",
+        help="identifiers of effects to leave out of the catalogue; a cached calibration is used again",
     )
     diagnose.add_argument(
-        "--fit", type=Path, metavar="FIT", help="from 'wrapjax fit' (default: made and cached)"
+        "--fit",
+        type=Path,
+        metavar="FIT",
+        help="folder of polynomial muscle paths from 'wrapjax fit' (default: fitted now and cached)",
     )
     diagnose.add_argument(
         "--starts",
         type=positive_integer,
         default=4,
         metavar="N",
-        help="of the calibration, as in 'calibrate'",
+        help="number of starting points of the calibration (default: 4)",
     )
 
 
@@ -146,7 +147,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.diagnosis.effects.catalogue import refuse_unknown
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.progress import print_progress
-    from wrapjax.subject.subject import load_subject as load_subject
+    from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
     refuse_unknown(options.without)

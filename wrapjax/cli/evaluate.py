@@ -1,7 +1,4 @@
-"""``wrapjax evaluate``.
-
-A finished calibration on other cycles, for a terminal.
-"""
+"""Command ``wrapjax evaluate``, with the table of an evaluation."""
 
 from __future__ import annotations
 
@@ -16,10 +13,10 @@ from wrapjax.jax_setup import set_up_jax
 
 
 def evaluation_table(content: dict[str, Any]) -> str:
-    """Show errors by coordinate and use, and cycle by cycle."""
+    """Tabulate moment errors by coordinate and use, and by cycle."""
     run = content["run"]
-    columns = {use: own for use, own in content["mae_Nm"].items() if own is not None}
-    columns |= {f"run's {use}": own for use, own in run["mae_Nm"].items() if own is not None}
+    columns = {use: errors for use, errors in content["mae_Nm"].items() if errors is not None}
+    columns |= {f"run's {use}": errors for use, errors in run["mae_Nm"].items() if errors is not None}
     names = (*content["coordinates"], "mean")
     width = max(map(len, (*names, *content["trials"], "coordinate")))
     lines = [
@@ -27,12 +24,15 @@ def evaluation_table(content: dict[str, Any]) -> str:
         "",
         "Mean absolute error of the joint moments, N m",
         f"{'coordinate':{width}s}" + "".join(f"{name:>20s}" for name in columns),
-        *(f"{name:{width}s}" + "".join(f"{own[name]:20.2f}" for own in columns.values()) for name in names),
+        *(
+            f"{name:{width}s}" + "".join(f"{errors[name]:20.2f}" for errors in columns.values())
+            for name in names
+        ),
         "",
         f"{'cycle':{width}s}{'use':>20s}{'mean':>20s}",
         *(
-            f"{name:{width}s}{own['use']:>20s}{own['mae_Nm']['mean']:20.2f}"
-            for name, own in content["trials"].items()
+            f"{name:{width}s}{cycle['use']:>20s}{cycle['mae_Nm']['mean']:20.2f}"
+            for name, cycle in content["trials"].items()
         ),
     ]
     return "\n".join([*lines, *(f"note: {note}" for note in content["notes"])])
@@ -40,10 +40,21 @@ def evaluation_table(content: dict[str, Any]) -> str:
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    evaluate = command("evaluate", run, "Predict other cycles by a finished calibration.")
-    evaluate.add_argument("calibration", type=Path, metavar="RUN", help="from 'wrapjax calibrate'")
-    evaluate.add_argument("subject", type=Path, metavar="SUBJECT", help="with the run's muscles")
-    evaluate.add_argument("--out", type=Path, metavar="DIR", help="write moments and a report, too")
+    evaluate = command(
+        "evaluate",
+        run,
+        "Predict the joint moments of other recordings with a calibrated model, without fitting.",
+    )
+    evaluate.add_argument("calibration", type=Path, metavar="RUN", help="folder from 'wrapjax calibrate'")
+    evaluate.add_argument(
+        "subject",
+        type=Path,
+        metavar="SUBJECT",
+        help="subject folder with the muscles and coordinates of the run",
+    )
+    evaluate.add_argument(
+        "--out", type=Path, metavar="DIR", help="output folder for moments and a report (default: only print)"
+    )
     add_settings(evaluate)
 
 
@@ -52,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     set_up_jax()
     from wrapjax.evaluation.evaluation import evaluate
     from wrapjax.evaluation.stored_run import load_run
-    from wrapjax.subject.subject import load_subject as load_subject
+    from wrapjax.subject.subject import load_subject
 
     if options.out:
         check_output_folder(options.out, options.force)

@@ -1,4 +1,4 @@
-"""``wrapjax fetch``."""
+"""Command ``wrapjax fetch``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from wrapjax.io.files import check_output_folder
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     fetch = command("fetch", run, "Download a public recording of walking as a subject folder.")
-    fetch.add_argument("name", nargs="?", metavar="NAME", help="one of those that --list shows")
-    fetch.add_argument("--list", action="store_true", help="show what can be fetched")
-    fetch.add_argument("--out", type=Path, metavar="DIR", help="the subject folder (default: ./NAME)")
+    fetch.add_argument("name", nargs="?", metavar="NAME", help="name of the recording, see --list")
+    fetch.add_argument("--list", action="store_true", help="list the recordings that can be downloaded")
+    fetch.add_argument("--out", type=Path, metavar="DIR", help="subject folder to write (default: ./NAME)")
 
 
 def run(options: argparse.Namespace) -> int:

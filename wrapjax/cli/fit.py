@@ -1,7 +1,4 @@
-"""``wrapjax fit``.
-
-A fit of muscle paths for a terminal, muscle by muscle and cylinder by cylinder.
-"""
+"""Command ``wrapjax fit``, with tables of the fit's errors by muscle and by wrapping cylinder."""
 
 from __future__ import annotations
 
@@ -19,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def fit_table(fit: Fit) -> str:
-    """Show the errors of a fit, muscle by muscle."""
+    """Tabulate the errors of fitted muscle paths, one line per muscle."""
     titles = ("wrapped", "terms", "length RMSE", "length max", "arm RMSE", "arm max")
     lines = [
-        "Errors on poses never used in fitting, mm (moment arms pooled over coordinates)",
+        "Errors on poses not used in fitting, mm (moment arms pooled over coordinates)",
         f"{'muscle':16s}" + "".join(f"{title:>13s}" for title in titles),
     ]
     for name, error in fit.errors.items():
@@ -40,11 +37,13 @@ def fit_table(fit: Fit) -> str:
 
 
 def wrap_table(wraps: WrapFit) -> str:
-    """Show how a fit's cylinders fared, one by one."""
-    titles = ("box", "physiological", "accuracy", "let through", "touched")
+    """Tabulate bounds and feasibility of the wrapping cylinders, one line per cylinder."""
+    titles = ("half width", "physiological", "accuracy", "false positive", "touched")
     lines = [
-        "Cylinders, on samples never used in fitting: half width of the box (mm), share of it that leaves",
-        "paths physiological, balanced accuracy of the limit, share of other samples that it lets through",
+        "Wrapping cylinders, on samples not used in fitting: half width of the translation bounds (mm), "
+        "share",
+        "of samples with physiological paths, balanced accuracy of the feasibility score, share of the other",
+        "samples that it accepts (false positive), and whether a muscle touches it in a recorded frame",
         f"{'cylinder':24s}" + "".join(f"{title:>15s}" for title in titles),
     ]
     for name, quality in wraps.quality.items():
@@ -55,30 +54,34 @@ def wrap_table(wraps: WrapFit) -> str:
     return "\n".join(lines)
 
 
-#: What a path may differ by from the nominal one and still count as physiological, by the names that
-#: `PhysiologicalThresholds` has, with its defaults.
+#: Largest differences from the nominal path at which a path counts as physiological, by the names and with
+#: the defaults of `PhysiologicalThresholds`.
 THRESHOLDS = {
-    "length_deviation": "length, in any pose, m (default: 0.025)",
-    "moment_arm_deviation": "moment arm, in any pose and about any coordinate, m (default: 0.02)",
-    "variability": "ratio of standard deviations over poses, of length or of a moment arm (default: 3)",
-    "length_step": "change of length from frame to frame of a recorded cycle, m (default: 0.001)",
-    "moment_arm_step": "change of a moment arm from frame to frame of a recorded cycle, m (default: 0.003)",
+    "length_deviation": "difference of length in any pose, m (default: 0.025)",
+    "moment_arm_deviation": "difference of a moment arm in any pose, m (default: 0.02)",
+    "variability": "ratio of the standard deviations over poses of length or moment arm (default: 3)",
+    "length_step": "change of the length difference between frames of a recorded cycle, m (default: 0.001)",
+    "moment_arm_step": "change of the moment-arm difference between frames of a recorded cycle, m (default: "
+    "0.003)",
 }
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    fit = command("fit", run, "Replace the subject's muscle paths by polynomials.", writing)
-    fit.add_argument("subject", type=Path, metavar="SUBJECT")
-    fit.add_argument("--out", type=Path, required=True, metavar="FIT")
+    fit = command("fit", run, "Fit polynomials to the muscle paths of a subject's model.", writing)
+    fit.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
+    fit.add_argument("--out", type=Path, required=True, metavar="FIT", help="output folder")
     fit.add_argument(
         "--geometry",
         choices=["opensim", "engine", "engine-parity"],
         default="opensim",
-        help="source of the paths: OpenSim, the exact engine (shortest paths), or it as OpenSim wraps",
+        help="source of the muscle paths: opensim, by OpenSim (default); engine, shortest paths by the exact "
+        "engine; engine-parity, the exact engine with OpenSim's wrapping",
     )
     add_undriven_options(fit)
-    limits = fit.add_argument_group("a placement of cylinders is physiological up to these differences")
+    limits = fit.add_argument_group(
+        "limits of physiological paths, as differences from those round the nominal cylinders"
+    )
     for name, what in THRESHOLDS.items():
         limits.add_argument(f"--{name.replace('_', '-')}", type=positive_number, metavar="X", help=what)
 
@@ -91,14 +94,14 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
     from wrapjax.path_sources.wrap_fitting import fit_wraps
     from wrapjax.progress import print_progress
-    from wrapjax.subject.subject import load_subject as load_subject
+    from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
     subject = apply_undriven_strategy(load_subject(options.subject), options.undriven, options.synergies)
-    how = {"processes": options.threads, "quiet": options.quiet}
-    given = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
-    fitted = fit(subject, options.geometry, seed=options.seed, **how)
-    result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**given), **how)
+    settings = {"processes": options.threads, "quiet": options.quiet}
+    thresholds = {name: value for name in THRESHOLDS if (value := getattr(options, name)) is not None}
+    fitted = fit(subject, options.geometry, seed=options.seed, **settings)
+    result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**thresholds), **settings)
     print_progress("drawing the report", quiet=options.quiet)
     result.save(options.out, subject=subject, force=options.force)
 

@@ -1,7 +1,4 @@
-"""``wrapjax initialise``.
-
-Lengths to start from, for a terminal.
-"""
+"""Command ``wrapjax initialise``, with the table of initial fiber and tendon slack lengths."""
 
 from __future__ import annotations
 
@@ -9,14 +6,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_json
+from wrapjax.cli.common import CURVES_HELP, DONE, NOT_CONVERGED, AddCommand, print_json
 from wrapjax.cli.settings import add_settings
 from wrapjax.io.files import check_output_folder, to_json_values
 from wrapjax.jax_setup import set_up_jax
 
 
 def initialisation_table(content: dict[str, Any]) -> str:
-    """Show lengths before and after, and what passive moments say."""
+    """Tabulate lengths before and after, and the errors of passive moments."""
     width = max(map(len, (*content["muscles"], "coordinate")))
     lines = [f"{content['subject']}: {content['message']}", ""]
     if content["passive_mae_Nm"]:
@@ -25,20 +22,20 @@ def initialisation_table(content: dict[str, Any]) -> str:
             f"{'coordinate':{width}s}{'before':>12s}{'after':>12s}",
         ]
         lines += [
-            f"{name:{width}s}{own['before']:12.2f}{own['after']:12.2f}"
-            for name, own in content["passive_mae_Nm"].items()
+            f"{name:{width}s}{errors['before']:12.2f}{errors['after']:12.2f}"
+            for name, errors in content["passive_mae_Nm"].items()
         ]
         lines.append("")
     lines += [
-        "Lengths in mm (before, after), and normalised fiber lengths in walking after",
+        "Fiber and tendon slack lengths, mm (before, after), and normalised fiber lengths in walking (after)",
         f"{'muscle':{width}s}{'fiber':>16s}{'slack':>18s}{'range':>16s}",
     ]
-    for muscle, own in content["muscles"].items():
+    for muscle, values in content["muscles"].items():
         pairs = [
-            f"{1e3 * own[name]['before']:8.1f}{1e3 * own[name]['after']:8.1f}"
+            f"{1e3 * values[name]['before']:8.1f}{1e3 * values[name]['after']:8.1f}"
             for name in ("optimal_fiber_length_m", "tendon_slack_length_m")
         ]
-        low, high = own["normalized_fiber_length"]["after"]
+        low, high = values["normalized_fiber_length"]["after"]
         lines.append(f"{muscle:{width}s}{pairs[0]}  {pairs[1]}{low:9.2f} to {high:.2f}")
     return "\n".join([*lines, *(f"note: {note}" for note in content["notes"])])
 
@@ -46,13 +43,16 @@ def initialisation_table(content: dict[str, Any]) -> str:
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     initialise = command(
-        "initialise", run, "Find fiber and slack lengths to start from, by passive moments and walking."
+        "initialise", run, "Estimate initial fiber and tendon slack lengths from passive moments and walking."
     )
     initialise.add_argument(
-        "subject", type=Path, metavar="SUBJECT", help="with [[passive]] trials, if it has any"
+        "subject",
+        type=Path,
+        metavar="SUBJECT",
+        help="subject folder; its [[passive]] trials are used, if it has any",
     )
-    initialise.add_argument("--out", type=Path, required=True, metavar="FOLDER")
-    initialise.add_argument("--curves", choices=["paper", "opensim"], default="paper", help="Hill curves")
+    initialise.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="output folder")
+    initialise.add_argument("--curves", choices=["paper", "opensim"], default="paper", help=CURVES_HELP)
     add_settings(initialise)
 
 
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.calibration.initialisation import PARAMETERS_FILE, initialise
-    from wrapjax.subject.subject import load_subject as load_subject
+    from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
     done = initialise(load_subject(options.subject), curves=options.curves)

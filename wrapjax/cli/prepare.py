@@ -1,4 +1,4 @@
-"""``wrapjax prepare``."""
+"""Command ``wrapjax prepare``."""
 
 from __future__ import annotations
 
@@ -14,10 +14,16 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     prepare = command(
         "prepare",
         run,
-        "Make a subject folder of a laboratory's raw files, or of a project of the NMSM Pipeline.",
+        "Make a subject folder from a laboratory's raw files or a project of the NMSM Pipeline.",
     )
-    prepare.add_argument("settings", type=Path, metavar="SETTINGS", help="TOML, or the project's XML")
-    prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT")
+    prepare.add_argument(
+        "settings",
+        type=Path,
+        metavar="SETTINGS",
+        help="laboratory settings (TOML), or settings of the NMSM Pipeline's muscle-tendon personalization "
+        "(XML)",
+    )
+    prepare.add_argument("--out", type=Path, required=True, metavar="SUBJECT", help="subject folder to write")
 
 
 def run(options: argparse.Namespace) -> int:

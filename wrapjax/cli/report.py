@@ -1,7 +1,4 @@
-"""``wrapjax report``.
-
-``report``: pages drawn again from what is stored, and an index over many results.
-"""
+"""Command ``wrapjax report``: rendering of stored results, and an index of many results."""
 
 from __future__ import annotations
 
@@ -14,23 +11,24 @@ from wrapjax.io.files import write_text
 
 
 def redraw(folder: str | Path) -> Path:
-    """Draw the report of a result again, or an index of the results below a folder.
+    """Render the report of a stored result again, or an index of the results in a folder.
 
     Parameters
     ----------
     folder
-        Of an evaluation or a cohort: its ``report.html`` is drawn again. Of anything else that holds
-        results: an ``index.html`` is written there, one line and link each.
+        Folder of an evaluation or a cohort, whose ``report.html`` is rendered again; or a folder that
+        contains results, in which an ``index.html`` with a line and a link for each is written.
 
     Returns
     -------
     Path
-        The page.
+        File of the page.
 
     Raises
     ------
     InputError
-        If the folder is a result whose report needs what is not stored, or holds no result at all.
+        If the folder does not exist, contains no result, or is a result that does not store all that its
+        report needs.
     """
     from wrapjax.cohorts.cohort import redraw_cohort
     from wrapjax.report.evaluation_page import redraw_evaluation
@@ -38,8 +36,8 @@ def redraw(folder: str | Path) -> Path:
 
     place = Path(folder)
     if not place.is_dir():
-        found = "is a file, where a folder was expected" if place.exists() else "does not exist"
-        raise InputError(Problem(str(place), found))
+        message = "is a file, where a folder was expected" if place.exists() else "does not exist"
+        raise InputError(Problem(str(place), message))
     kind = kind_of(place)
     redrawn = {"evaluation": redraw_evaluation, "cohort": redraw_cohort}
     if kind in redrawn:
@@ -56,13 +54,19 @@ def redraw(folder: str | Path) -> Path:
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    report = command("report", run, "Draw a report again from what is stored, or an index of results.")
-    report.add_argument("folder", type=Path, metavar="DIR", help="a result, or what holds several")
+    report = command(
+        "report", run, "Render the report of a stored result again, or an index of the results in a folder."
+    )
+    report.add_argument(
+        "folder",
+        type=Path,
+        metavar="DIR",
+        help="folder of an evaluation or a cohort, or a folder that contains results",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-
     page = redraw(options.folder)
     if options.json:
         print_json({"page": str(page)})

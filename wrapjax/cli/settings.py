@@ -1,7 +1,7 @@
-"""Options of a command in one TOML file: read before the command line, and kept beside what came of them.
+"""Options of a command from a TOML file, and the settings file that a command writes into its output folder.
 
-Keys are the options' long names with underscores, paths are relative to the file. What the command line says
-goes before what the file says.
+Keys are the long names of the options with underscores. Paths are relative to the file. Options on the
+command line take precedence over the file.
 """
 
 from __future__ import annotations
@@ -15,35 +15,50 @@ from typing import Any
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import write_text
 
-#: In the folder that a command writes.
+#: Name of the file in an output folder.
 FILE = "settings.toml"
-# Of one call and not of what it is for.
-_NOT_KEPT = {"help", "settings", "out", "force", "resume", "quiet", "json", "threads", "workers", "scheduler"}
+# Options that concern a single run and not its result.
+_NOT_SAVED = {
+    "help",
+    "settings",
+    "out",
+    "force",
+    "resume",
+    "quiet",
+    "json",
+    "threads",
+    "workers",
+    "scheduler",
+}
 
 
 def add_settings(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names the file."""
+    """Add the option ``--settings``."""
     parser.add_argument(
-        "--settings", type=Path, metavar="FILE.toml", help="options in a file, as RUN/settings.toml has them"
+        "--settings",
+        type=Path,
+        metavar="FILE.toml",
+        help="read options from a file, such as the settings.toml of an output folder; options on the "
+        "command line take precedence",
     )
 
 
 def apply_settings(parser: argparse.ArgumentParser, command: str, arguments: Sequence[str]) -> None:
-    """Take a command's defaults from the file that its arguments name, if they name one.
+    """Set the defaults of a command's options from the file of ``--settings``, if the option is given.
 
     Parameters
     ----------
     parser
-        Of the command.
+        Parser of the command.
     command
-        Its name: a file that was kept by another command is refused.
+        Name of the command; a file that another command wrote is refused.
     arguments
-        Those of the command.
+        Arguments of the command.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or says something that is no option or no value of one.
+        If the file cannot be read, or contains an unknown option or an invalid value.
     """
     if not _takes_settings(parser):
         return
@@ -67,15 +82,17 @@ def apply_settings(parser: argparse.ArgumentParser, command: str, arguments: Seq
         action.default, action.required = _value(file, key, value, action), False
 
 
-def keep_settings(parser: argparse.ArgumentParser, command: str, options: argparse.Namespace) -> None:
-    """Write what a command was asked for into the folder that it wrote, if it wrote one.
+def save_settings(parser: argparse.ArgumentParser, command: str, options: argparse.Namespace) -> None:
+    """Write the options of a command into its output folder, if it wrote one.
 
     Parameters
     ----------
-    parser, command
-        As of `apply_settings`.
+    parser
+        Parser of the command.
+    command
+        Name of the command.
     options
-        As they were parsed.
+        Parsed options.
     """
     folder: Path | None = getattr(options, "out", None)
     if not _takes_settings(parser) or folder is None or not folder.is_dir():
@@ -83,13 +100,13 @@ def keep_settings(parser: argparse.ArgumentParser, command: str, options: argpar
     from wrapjax.io.toml import toml_string
 
     lines = [
-        f"# What 'wrapjax {command}' was asked for: begin anew with --settings {FILE}",
+        f"# Options of 'wrapjax {command}'; repeat it with --settings {FILE}",
         f"command = {toml_string(command)}",
     ]
     for action in _options(parser):
         value = getattr(options, action.dest, None)
         if value is not None and value is not False and value != []:
-            lines.append(f"{action.dest} = {_written(value, folder)}")
+            lines.append(f"{action.dest} = {_toml(value, folder)}")
     write_text(folder / FILE, "\n".join(lines) + "\n")
 
 
@@ -99,12 +116,12 @@ def _takes_settings(parser: argparse.ArgumentParser) -> bool:
 
 def _options(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
     for action in parser._actions:
-        if action.option_strings and action.dest not in _NOT_KEPT:
+        if action.option_strings and action.dest not in _NOT_SAVED:
             yield action
 
 
 def _value(file: Path, key: str, value: Any, action: argparse.Action) -> Any:
-    """Read a value as the command line would."""
+    """Convert the value of an option as the command line would."""
     if action.nargs == 0:
         if not isinstance(value, bool):
             raise InputError(Problem(str(file), f"expected true or false, found {value!r}", key))
@@ -112,7 +129,7 @@ def _value(file: Path, key: str, value: Any, action: argparse.Action) -> Any:
     if action.nargs is not None:
         if not isinstance(value, list):
             raise InputError(Problem(str(file), f"expected a list, found {value!r}", key))
-        return [_single(file, key, one, action) for one in value]
+        return [_single(file, key, entry, action) for entry in value]
     return _single(file, key, value, action)
 
 
@@ -122,26 +139,27 @@ def _single(file: Path, key: str, value: Any, action: argparse.Action) -> Any:
     if action.type is Path:
         return file.parent / str(value)
     try:
-        found = action.type(str(value)) if callable(action.type) else str(value)
+        converted = action.type(str(value)) if callable(action.type) else str(value)
     except (ValueError, argparse.ArgumentTypeError) as error:
         raise InputError(Problem(str(file), str(error), key)) from None
-    if action.choices is not None and found not in action.choices:
+    if action.choices is not None and converted not in action.choices:
         listed = ", ".join(map(str, action.choices))
         raise InputError(Problem(str(file), f"expected one of {listed}, found {value!r}", key))
-    return found
+    return converted
 
 
-def _written(value: Any, folder: Path) -> str:
+def _toml(value: Any, folder: Path) -> str:
+    """Format a value for TOML; paths become relative to the folder."""
     from wrapjax.io.toml import toml_string
 
     if isinstance(value, bool):
         return "true"
     if isinstance(value, (list, tuple)):
-        return f"[{', '.join(_written(one, folder) for one in value)}]"
+        return f"[{', '.join(_toml(entry, folder) for entry in value)}]"
     if isinstance(value, Path):
         try:
             value = os.path.relpath(value.resolve(), folder.resolve())
-        except ValueError:  # another drive
+        except ValueError:  # The folder is on another drive.
             value = value.resolve()
         return toml_string(Path(value).as_posix())
     return str(value) if isinstance(value, (int, float)) else toml_string(str(value))

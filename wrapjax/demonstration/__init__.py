@@ -1,1 +1,1 @@
-"""What ``wrapjax demo`` does: calibration, recovery of moved wraps, diagnosis of a hidden effect."""
+"""The demonstration ``wrapjax demo``: calibration, recovery of wrapping cylinders, and a diagnosis."""

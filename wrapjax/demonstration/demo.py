@@ -1,6 +1,7 @@
-"""``demo``: calibrate a virtual subject whose truth is known by every method, and diagnose another.
+"""Demonstration: calibration of a virtual subject by every method, and diagnosis of a simulated effect.
 
-The end of the demo: a virtual person with something amiss, and what a diagnosis says of it.
+The true parameters of the virtual subject are known, and its recordings come from the package's own
+equations.
 """
 
 from __future__ import annotations
@@ -31,36 +32,44 @@ from wrapjax.path_sources.path_fitting import fit
 from wrapjax.progress import print_progress
 from wrapjax.subject.subject import load_subject
 
-#: What readers of the page must not miss.
+#: Note on the page of the demonstration's diagnosis.
 NOTE = (
-    "This person walks by the package's own equations, and what was hidden in the recording has a form like "
-    "the catalogue's: same-form data, a unit test and no accuracy."
+    "The recordings of this virtual person come from the package's own equations, and the simulated effect "
+    "has a form like the catalogue's: same-form data, a unit test and no accuracy."
 )
-#: Of the walking: more cycles than the demo's calibrations need, as what repeats has to be told from noise.
+#: Walking of the diagnosed person: a diagnosis needs more cycles than a calibration, to separate repeatable
+#: error from noise.
 _SERIES = (Series(0.8, 4, 1), Series(1.2, 4, 1))
 _DIAGNOSIS_STARTS, _NULL_REPLICATES = 2, 20
-#: Not drawn by lot: of a size that people have it leads the list and is not named.
+#: Effects that `draw_effect` excludes: at a realistic size this one has the most evidence but is not named.
 EXCLUDED_EFFECTS = ("emg_crosstalk",)
 
 
 @dataclass(frozen=True)
 class DiagnosisDemonstration:
-    """What was hidden in a virtual person, and what a diagnosis says."""
+    """Diagnosis of a virtual person with a known simulated effect.
 
-    #: None for nothing.
+    Parameters
+    ----------
+    hidden
+        Identifier of the simulated effect; None for none.
+    diagnosis
+        Diagnosis of the person.
+    """
+
     hidden: str | None
     diagnosis: Diagnosis
 
     @property
     def correct(self) -> bool:
-        """Whether what was hidden is named, alone or in a tie; of nothing: whether nothing is."""
+        """Whether the simulated effect is named, alone or in a tie; without one, whether none is named."""
         result = self.diagnosis.result
-        said = {*result.named, *(id for tie in result.ties for id in tie)}
-        return self.hidden in said if self.hidden else not said
+        named = {*result.named, *(id for tie in result.ties for id in tie)}
+        return self.hidden in named if self.hidden else not named
 
     @property
     def content(self) -> dict[str, Any]:
-        """As ``demo.json`` has it."""
+        """Entry of ``demo.json``."""
         result = self.diagnosis.result
         return {
             "hidden": self.hidden,
@@ -73,7 +82,7 @@ class DiagnosisDemonstration:
 
 
 def draw_effect(seed: int) -> str:
-    """Draw what is hidden, of `HIDDEN_EFFECTS` without `EXCLUDED_EFFECTS`."""
+    """Draw a random effect from `HIDDEN_EFFECTS` without `EXCLUDED_EFFECTS`."""
     names = sorted(set(HIDDEN_EFFECTS) - set(EXCLUDED_EFFECTS))
     return names[int(np.random.default_rng([seed, 5]).integers(len(names)))]
 
@@ -88,25 +97,36 @@ def demonstrate_diagnosis(
     callback: IterationCallback | None = None,
     log: Callable[[str], None] = lambda line: None,
 ) -> DiagnosisDemonstration:
-    """Make up a person with something amiss, and diagnose them.
+    """Simulate a virtual person with an effect, and diagnose it.
 
     Parameters
     ----------
     folder
-        Gets ``hidden_effect/`` (the subject) and ``gap/``.
+        Folder in which ``hidden_effect/`` (the subject) and ``gap/`` (the diagnosis) are written.
     hidden
-        One of `HIDDEN_EFFECTS`; None for nothing.
-    seed, force, quiet, callback
-        As of `demo`.
-    tell
-        As of `diagnose`.
+        Identifier of the effect, one of `HIDDEN_EFFECTS`; None for none.
+    seed
+        Seed of the person, the walking and the noise.
+    force
+        Replace existing folders.
+    quiet
+        Print no progress of the fit.
+    callback
+        As in `calibrate`.
+    log
+        As in `diagnose`.
+
+    Returns
+    -------
+    DiagnosisDemonstration
+        The diagnosis beside the simulated effect.
     """
     place = folder / "hidden_effect"
     write_virtual_subject(
         place, seed=seed, moment_noise=1.0, series=_SERIES, hidden_effect=hidden, force=force
     )
     subject = load_subject(place)
-    found = diagnose(
+    diagnosis = diagnose(
         subject,
         "NGA",
         fit(subject, "engine", seed=seed, quiet=quiet),
@@ -116,51 +136,71 @@ def demonstrate_diagnosis(
         callback=callback,
         log=log,
     )
-    found.save(folder / "gap", force=force, note=NOTE)
-    return DiagnosisDemonstration(hidden, found)
+    diagnosis.save(folder / "gap", force=force, note=NOTE)
+    return DiagnosisDemonstration(hidden, diagnosis)
 
 
-#: Of the virtual recordings, N m.
+#: Standard deviation of the noise of the virtual moments, N m.
 MOMENT_NOISE = 1.0
-#: How far the person's cylinders may be from the model's, in 5 mm, 10 degrees and 10 % of the radius.
+#: Largest displacement of the virtual subject's cylinders, as a multiple of 5 mm, 10 degrees and 10 % of the
+#: radius.
 WRAP_SPREAD = 0.6
-# Those that move paths take longer, and one start shows them.
+# Number of starting points. Methods that change paths take longer, and one start suffices to show them.
 _STARTS = {"NGA": 4, "SGA": 1, "LSGA": 1, "PGA": 1}
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """How far one kind of parameter is from the truth, over muscles."""
+    """Errors of one kind of parameter before and after calibration.
+
+    Parameters
+    ----------
+    parameter, unit
+        Name and unit of the parameter.
+    median_error_before, median_error_after
+        Median absolute error over muscles.
+    median_deviation
+        Median over muscles of the standard deviation that the noise of the moments causes, without priors.
+    """
 
     parameter: str
     unit: str
     median_error_before: float
     median_error_after: float
-    #: What the moments alone leave open, median over muscles: the standard deviation that their noise causes.
     median_deviation: float
 
 
 @dataclass(frozen=True)
 class Demonstration:
-    """A virtual subject, calibrated by every method, beside its truth."""
+    """Calibrations of a virtual subject by every method beside its true parameters, and a diagnosis.
 
-    #: By method.
+    Parameters
+    ----------
+    calibrations
+        Calibrations by method.
+    true_parameters
+        True parameters of the virtual subject.
+    recovery
+        Errors of the parameters that NGA calibrates.
+    wraps
+        Errors of moment arms and wrapping cylinders by PGA.
+    effect_diagnosis
+        Diagnosis of another virtual person with a simulated effect.
+    """
+
     calibrations: dict[str, Calibration]
     true_parameters: TrueParameters
-    #: Of NGA's parameters.
     recovery: tuple[Recovery, ...]
-    #: Of PGA's cylinders and moment arms.
     wraps: WrapRecovery
-    #: Of a person with something amiss.
-    gap: DiagnosisDemonstration
+    effect_diagnosis: DiagnosisDemonstration
 
     @property
     def converged(self) -> bool:
-        """Whether every method's calibration did."""
-        return all(one.status.converged for one in self.calibrations.values())
+        """Whether the calibrations by all methods converged."""
+        return all(calibration.status.converged for calibration in self.calibrations.values())
 
     def save(self, folder: Path) -> None:
-        """Write ``demo.json``, and figures of parameters and of moment arms against the truth."""
+        """Write ``demo.json``, and figures of estimated against true parameters and moment arms."""
         from wrapjax.report.recovery import draw_recovery
 
         content = {
@@ -168,8 +208,8 @@ class Demonstration:
             "note": "same-form data: a unit test, not an accuracy",
             "recovery": [vars(row) for row in self.recovery],
             "wrap_recovery": self.wraps.content(),
-            "gap": self.gap.content,
-            "methods": {name: _in_short(one.result) for name, one in self.calibrations.items()},
+            "gap": self.effect_diagnosis.content,
+            "methods": {name: _method_summary(entry.result) for name, entry in self.calibrations.items()},
         }
         write_json(folder / "demo.json", content)
         result = self.calibrations["NGA"].result
@@ -187,33 +227,45 @@ def demo(
     checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Demonstration:
-    """Make up a person, let them walk, calibrate by every method, and compare with the truth.
+    """Calibrate a virtual subject by every method and compare it with its true parameters; diagnose another.
 
-    The virtual leg walks by the package's own equations, so this shows what calibration finds of what it
-    looks for; how well it does on people is another question. Its true cylinders are a little elsewhere
-    than the model's. NGA cannot follow them, SGA and LSGA can with polynomials, and PGA, by the exact
-    engine, with the cylinders themselves: as far as noisy moments say where they are. Another person has
-    something amiss that no file tells of, drawn by the seed; a diagnosis says what.
+    The recordings come from the package's own equations, so this tests the software and not its accuracy on
+    people. The subject's cylinders are displaced from those of its model. NGA cannot account for that; SGA
+    and LSGA can by their polynomials, and PGA, with the exact engine, by moving the cylinders, as far as
+    noisy moments determine them. Another virtual person has an effect that the seed selects and that is noted
+    in no input file, and is diagnosed.
 
     Parameters
     ----------
     folder
-        Gets ``virtual_subject/``, ``fit/``, a folder a method, ``hidden_effect/``, ``gap/``, ``demo.json``,
-        ``recovery.png`` and ``wrap_recovery.png``.
+        Output folder: ``virtual_subject/``, ``fit/``, one folder for each method, ``hidden_effect/``,
+        ``gap/``, ``demo.json``, ``recovery.png`` and ``wrap_recovery.png``.
     seed
-        Decides the person, the walking and the noise.
+        Seed of the person, the walking, the noise and the effect.
     force
-        Replace what is there.
+        Replace existing results.
     quiet
         Print no progress.
     callback
         As in `calibrate`.
-    journal, resume
-        As in `calibrate`: the folder has one a method in it, and they go when all is done. What else is there
-        is made again in place.
+    checkpoints
+        Folder of the checkpoints, with one folder for each method; removed at the end. None for no
+        checkpoints.
+    resume
+        Continue from the checkpoints. Everything else is computed again in place.
+
+    Returns
+    -------
+    Demonstration
+        Calibrations, true parameters, errors and the diagnosis.
+
+    Raises
+    ------
+    InputError
+        If the output exists already and ``force`` and ``resume`` are not set.
     """
     folder, force = Path(folder), force or resume
-    print_progress("building a virtual person and letting it walk", quiet=quiet)
+    print_progress("simulating the recordings of a virtual person", quiet=quiet)
     true_parameters = write_virtual_subject(
         folder / "virtual_subject",
         seed=seed,
@@ -228,7 +280,7 @@ def demo(
     for method, starts in _STARTS.items():
         print_progress(f"calibrating by {method}", quiet=quiet)
         paths = exact_geometry(subject) if method == "PGA" else fitted
-        book = None if checkpoints is None else checkpoints / method
+        method_checkpoints = None if checkpoints is None else checkpoints / method
         calibrations[method] = calibrate(
             subject,
             method,
@@ -236,13 +288,13 @@ def demo(
             starts=starts,
             seed=seed,
             callback=callback,
-            checkpoints=book,
-            resume=resume and book is not None and book.exists(),
+            checkpoints=method_checkpoints,
+            resume=resume and method_checkpoints is not None and method_checkpoints.exists(),
         )
-        # Saving closes a journal: not before the last one is done.
+        # Saving would delete the checkpoints, which are needed until the whole demonstration is done.
         replace(calibrations[method], checkpoints=None).save(folder / method, force=force)
-    print_progress("hiding something in another virtual person, and diagnosing it", quiet=quiet)
-    gap = demonstrate_diagnosis(
+    print_progress("simulating an effect in another virtual person, and diagnosing it", quiet=quiet)
+    effect_diagnosis = demonstrate_diagnosis(
         folder,
         draw_effect(seed),
         seed=seed,
@@ -251,21 +303,21 @@ def demo(
         callback=callback,
         log=lambda line: print_progress(line, quiet=quiet),
     )
-    shown = Demonstration(
+    demonstration = Demonstration(
         calibrations,
         true_parameters,
         _recovery(calibrations["NGA"], true_parameters),
         wrap_recovery(calibrations["PGA"], true_parameters, MOMENT_NOISE),
-        gap,
+        effect_diagnosis,
     )
-    shown.save(folder)
+    demonstration.save(folder)
     if checkpoints is not None:
         shutil.rmtree(checkpoints, ignore_errors=True)
-    return shown
+    return demonstration
 
 
-def _in_short(result: CalibrationResult) -> dict[str, float]:
-    """Mean absolute moment errors in N m, and the change of moment arms in m."""
+def _method_summary(result: CalibrationResult) -> dict[str, float]:
+    """Summarise moment errors (N m), change of moment arms (m) and number of variables of a method."""
     error = np.abs(result.modelled - result.measured).mean(axis=(1, 2))
     uses = np.array(result.uses)
     arms = np.asarray(result.states.path.moment_arm) - np.asarray(result.initial_states.path.moment_arm)
@@ -278,6 +330,7 @@ def _in_short(result: CalibrationResult) -> dict[str, float]:
 
 
 def _recovery(calibration: Calibration, true_parameters: TrueParameters) -> tuple[Recovery, ...]:
+    """Compute the errors of the muscle parameters that NGA calibrates."""
     result = calibration.result
     problem = build_objective(calibration.subject, "NGA", calibration.fit)
     deviation = laplace_deviation(problem, result.solution.variables, MOMENT_NOISE)

@@ -1,4 +1,4 @@
-"""How near a calibration's moment arms and cylinders came to a virtual person's."""
+"""Errors of moment arms and wrapping cylinders of a virtual subject after calibration by PGA."""
 
 from __future__ import annotations
 
@@ -18,29 +18,35 @@ from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
 from wrapjax.subject.subject import Subject
 
-#: An arm counts as told apart from other parameters where the moments leave this part of its change open.
+#: A moment arm is identifiable if its standard deviation due to the noise of the moments is below this
+#: fraction of its error before calibration,
 IDENTIFIABLE_RATIO = 0.1
-# How many arms the figure shows.
-_DRAWN = 8
-#: And where it is at least as far (m) from the true one: a smaller change shows nothing.
+#: and if that error exceeds this value, m.
 MINIMUM_ERROR = 1e-4
+# Number of moment arms in the figure.
+_DRAWN = 8
 
 
 @dataclass(frozen=True)
 class WrapRecovery:
-    """Moment arms and cylinders of a calibration that moved them, beside the true ones.
+    """Moment arms and wrapping cylinders after a calibration that changed them, beside the true ones.
 
     Parameters
     ----------
-    muscles, coordinates
-        Those that run by a cylinder that was free, and all coordinates.
-    true, before, after
-        Moment arms (m): OpenSim's round the true cylinders; the calibration's own round nominal ones and
-        round those that it found.
+    muscles
+        Names of the muscles that wrap round a freed cylinder.
+    coordinates
+        Names of all coordinates.
+    true
+        Moment arms by OpenSim with the true cylinders, m.
+    before, after
+        Moment arms of the calibrated model with the nominal and with the calibrated cylinders, m.
     deviation
-        What the moments leave open of them (m), mean over frames: the standard deviation that noise causes.
-    wraps, true_wraps, found_wraps
-        Names, and parameters as in `WRAP_PARAMETERS`.
+        Standard deviation of the moment arms due to the noise of the moments, mean over frames, m.
+    wraps
+        Names of the cylinders.
+    true_wraps, calibrated_wraps
+        Parameters of the cylinders (`WRAP_PARAMETERS`).
     """
 
     muscles: tuple[str, ...]
@@ -51,11 +57,11 @@ class WrapRecovery:
     deviation: Float[np.ndarray, "muscle coordinate"]
     wraps: tuple[str, ...]
     true_wraps: Float[np.ndarray, "wrap wrap_parameter"]
-    found_wraps: Float[np.ndarray, "wrap wrap_parameter"]
+    calibrated_wraps: Float[np.ndarray, "wrap wrap_parameter"]
 
     @property
     def error_before(self) -> Float[np.ndarray, "muscle coordinate"]:
-        """Mean absolute error of moment arms round nominal cylinders, m."""
+        """Mean absolute error of moment arms with nominal cylinders, m."""
         return np.abs(self.before - self.true).mean(axis=(1, 3))
 
     @property
@@ -65,17 +71,17 @@ class WrapRecovery:
 
     @property
     def identifiable(self) -> Bool[np.ndarray, "muscle coordinate"]:
-        """Arms whose change the moments tell apart from other parameters, to a tenth of its size."""
+        """Whether the recorded moments identify each moment arm, see `identifiable`."""
         return identifiable(self.error_before, self.deviation)
 
     def largest_errors(self, count: int) -> tuple[tuple[int, int], ...]:
-        """Give muscle and coordinate, by number, of the arms that are furthest from nominal."""
+        """Return (muscle, coordinate) indices of the moment arms with the largest initial errors."""
         order = np.argsort(-self.error_before, axis=None, kind="stable")[:count]
         muscles, coordinates = np.unravel_index(order, self.error_before.shape)
         return tuple(zip(muscles.tolist(), coordinates.tolist(), strict=True))
 
     def content(self) -> dict[str, object]:
-        """Arrange for JSON; moment-arm errors are means over these muscles and all frames."""
+        """Entry of ``demo.json``; errors of moment arms are means over the muscles and all frames."""
         errors = {
             coordinate: {
                 "before_m": self.error_before[:, column].mean(),
@@ -88,14 +94,14 @@ class WrapRecovery:
         wraps = {
             name: {
                 "true": dict(zip(WRAP_PARAMETERS, true, strict=True)),
-                "found": dict(zip(WRAP_PARAMETERS, found, strict=True)),
+                "found": dict(zip(WRAP_PARAMETERS, calibrated, strict=True)),
             }
-            for name, true, found in zip(self.wraps, self.true_wraps, self.found_wraps, strict=True)
+            for name, true, calibrated in zip(self.wraps, self.true_wraps, self.calibrated_wraps, strict=True)
         }
         return {"muscles": self.muscles, "moment_arm_error": errors, "wraps": wraps}
 
     def draw(self, file: Path) -> None:
-        """Draw the arms that were hidden furthest, mean over cycles, with what the moments leave open."""
+        """Plot the moment arms with the largest errors, mean over cycles, with their standard deviations."""
         from wrapjax.report.recovery import draw_wrap_recovery
 
         shown = self.largest_errors(_DRAWN)
@@ -117,16 +123,26 @@ class WrapRecovery:
 def wrap_recovery(
     calibration: Calibration, true_parameters: TrueParameters, moment_noise: float
 ) -> WrapRecovery:
-    """Compare what PGA found with the true cylinders.
+    """Compare moment arms and cylinders calibrated by PGA with the true ones.
 
     Parameters
     ----------
     calibration
-        Of a virtual subject, with cylinders free.
-    truth
-        Theirs.
+        Calibration of a virtual subject with free cylinders.
+    true_parameters
+        True parameters of that subject.
     moment_noise
-        Standard deviation of the recorded moments' noise, N m.
+        Standard deviation of the noise of the recorded moments, N m.
+
+    Returns
+    -------
+    WrapRecovery
+        True and calibrated moment arms and cylinders.
+
+    Raises
+    ------
+    ValueError
+        If the calibration freed no cylinder.
     """
     subject, result = calibration.subject, calibration.result
     freed, moving = result.freedom.wraps, result.freedom.moving_paths
@@ -143,21 +159,29 @@ def wrap_recovery(
         deviation=deviation[moving].mean(axis=(1, 3)),
         wraps=freed.names,
         true_wraps=np.stack([true_parameters.wraps.get(name, NOMINAL) for name in freed.names]),
-        found_wraps=NOMINAL + freed.changes_of(np.asarray(result.parameters.path_changes)),
+        calibrated_wraps=NOMINAL + freed.changes_of(np.asarray(result.parameters.path_changes)),
     )
 
 
 def identifiable(
     error_before: Float[np.ndarray, "muscle coordinate"], deviation: Float[np.ndarray, "muscle coordinate"]
 ) -> Bool[np.ndarray, "muscle coordinate"]:
-    """Tell moment arms whose change the moments do not take for another parameter's; both are in m."""
+    """Find the moment arms that the recorded moments identify.
+
+    Parameters
+    ----------
+    error_before
+        Mean absolute error before calibration, m.
+    deviation
+        Standard deviation due to the noise of the moments, m.
+    """
     return (error_before > MINIMUM_ERROR) & (deviation < IDENTIFIABLE_RATIO * error_before)
 
 
 def compute_true_moment_arms(
     subject: Subject, true_parameters: TrueParameters
 ) -> Float[np.ndarray, "muscle trial coordinate frame"]:
-    """Compute a virtual person's moment arms (m) by OpenSim, round their true cylinders."""
+    """Compute the moment arms of a virtual subject (m) by OpenSim with the true cylinders."""
     trials, muscles = subject.trials, subject.muscles.names
     poses = np.moveaxis(trials.angles, 1, -1)
     with TemporaryDirectory() as place:
