@@ -1,4 +1,4 @@
-"""People of one shape in one program: a batch of problems for `vmap`."""
+"""Evaluation of several problems of one shape in one program by `jax.vmap`."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from wrapjax.calibration.objective import Objective
 def batched(
     function: Callable[[Objective, Array], Any], problems: Sequence[Objective]
 ) -> Callable[[Float[Array, "subject variable"]], Any]:
-    """Compile a function of problem and variables for several people at once.
+    """Compile a function of problem and variables for several subjects at once.
 
-    What is the same in all of them, as the layout of the variables, stays single: a gather by an index that
-    differs from person to person would be another, slower program.
+    Arrays that are equal in all problems, such as the layout of the variables, are not batched: a gather by
+    an index that differs between subjects compiles to a slower program.
 
     Parameters
     ----------
     function
-        Of one problem and its variables.
+        Function of one problem and its variables.
     problems
-        Of one shape.
+        Problems whose arrays have equal shapes.
 
     Returns
     -------
     Callable
-        From the variables of all people to what the function gives, leaves leading with ``subject``.
+        Function of the variables of all subjects; the leaves of its result lead with ``subject``.
     """
     leaves = [jax.tree.leaves(eqx.filter(problem, eqx.is_array)) for problem in problems]
     structure = jax.tree.structure(eqx.filter(problems[0], eqx.is_array))
     rest = eqx.filter(problems[0], eqx.is_array, inverse=True)
-    together, axes = [], []
+    stacked, axes = [], []
     for first, *others in zip(*leaves, strict=True):
-        alike = all(np.array_equal(first, other) for other in others)
-        together.append(first if alike else jnp.stack([first, *others]))
-        axes.append(None if alike else 0)
+        equal = all(np.array_equal(first, other) for other in others)
+        stacked.append(first if equal else jnp.stack([first, *others]))
+        axes.append(None if equal else 0)
 
     @jax.jit
-    def run(together: list[Array], variables: Float[Array, "subject variable"]) -> Any:
-        def of_one(own: list[Array], point: Float[Array, " variable"]) -> Any:
-            return function(eqx.combine(jax.tree.unflatten(structure, own), rest), point)
+    def run(stacked: list[Array], variables: Float[Array, "subject variable"]) -> Any:
+        def single(arrays: list[Array], point: Float[Array, " variable"]) -> Any:
+            return function(eqx.combine(jax.tree.unflatten(structure, arrays), rest), point)
 
-        return jax.vmap(of_one, in_axes=(axes, 0))(together, variables)
+        return jax.vmap(single, in_axes=(axes, 0))(stacked, variables)
 
-    return lambda variables: run(together, variables)
+    return lambda variables: run(stacked, variables)

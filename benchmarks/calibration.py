@@ -1,4 +1,4 @@
-"""Time of a calibration's kernels and of their compilation."""
+"""Run times and compile times of the computations that a calibration consists of."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from wrapjax.model.forward import joint_moments
 
 
 def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
-    """Time the forward model and its derivatives; compare the per-muscle Jacobian with a plain one."""
+    """Time the forward model and its derivatives; compare the Jacobian by muscle with `jax.jacfwd`."""
     point = case.start
     forward = case.compiled(
         lambda problem, x: joint_moments(problem.curves, problem.variables.unpack(x), problem.recording)
@@ -53,11 +53,11 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
         "cost": "all terms",
         "gradient": "jax.grad of the cost",
         "linearization": "cost, gradient and exact Hessian of all terms",
-        "step": "to the minimum of the damped quadratic model within bounds",
-        "jacobian_by_muscle": "of the moment residuals",
-        "jacobian_plain": "the same by jax.jacfwd",
+        "step": "minimum of the damped quadratic model within bounds",
+        "jacobian_by_muscle": "Jacobian of the moment residuals",
+        "jacobian_plain": "the same Jacobian by jax.jacfwd",
     }
-    found, expected = np.asarray(by_muscle(point)), np.asarray(plain(point))
+    by_muscle_jacobian, expected = np.asarray(by_muscle(point)), np.asarray(plain(point))
     return [
         *(Metric(f"kernels/{name}", 1e3 * seconds[name], "ms", "lower", notes[name]) for name in notes),
         Metric(
@@ -65,23 +65,23 @@ def kernels(case: Case, *, quick: bool = False) -> list[Metric]:
             seconds["jacobian_plain"] / seconds["jacobian_by_muscle"],
             "x",
             "higher",
-            "plain over by muscle; target at least 20",
+            "time of jax.jacfwd over time by muscle; target at least 20",
         ),
         Metric(
             "kernels/jacobian_difference",
-            float(np.abs(found - expected).max()),
+            float(np.abs(by_muscle_jacobian - expected).max()),
             "1",
             "lower",
-            f"largest entry {np.abs(expected).max():.3g}",
+            f"largest entry of the Jacobian {np.abs(expected).max():.3g}",
             negligible=1e-9,
         ),
     ]
 
 
 def compilation(case: Case) -> list[Metric]:
-    """Time the first calibration in a new process: with nothing compiled, with all of it, and as JAX would.
+    """Time the first calibration in a new process: empty cache, full cache, and XLA's default options.
 
-    These run as a user runs them, on all cores.
+    The processes use all cores, as they do for a user.
     """
     with tempfile.TemporaryDirectory() as folder:
         case.fit.save(Path(folder) / "fit")
@@ -108,19 +108,25 @@ def compilation(case: Case) -> list[Metric]:
             )
             for name, changed in (("first", {}), ("cached", {}), ("usual", usual))
         }
-    places = {
-        "first": ("nothing compiled yet", "; target at most 20"),
-        "cached": ("kernels from the cache", "; target at most 3"),
-        "usual": ("nothing compiled yet, by XLA's usual options", ""),
+    conditions = {
+        "first": ("empty compilation cache", "; target at most 20"),
+        "cached": ("programs from the compilation cache", "; target at most 3"),
+        "usual": ("empty compilation cache, XLA's default options", ""),
     }
     metrics = []
-    for name, (place, target) in places.items():
+    for name, (condition, target) in conditions.items():
         seconds = runs[name]
         metrics += [
-            Metric(f"compile/{name}_prepare", seconds["prepare"], "s", "lower", f"problem set-up, {place}"),
-            Metric(f"compile/{name}", seconds["compile"], "s", "lower", f"solver, {place}{target}"),
             Metric(
-                f"compile/{name}_solve", seconds["solve"], "s", "lower", f"first solve, {place}, all cores"
+                f"compile/{name}_prepare", seconds["prepare"], "s", "lower", f"problem set-up, {condition}"
+            ),
+            Metric(f"compile/{name}", seconds["compile"], "s", "lower", f"solver, {condition}{target}"),
+            Metric(
+                f"compile/{name}_solve",
+                seconds["solve"],
+                "s",
+                "lower",
+                f"first solve, {condition}, all cores",
             ),
         ]
     return metrics

@@ -1,4 +1,4 @@
-"""Figures of what was measured, beside its numbers."""
+"""Figures of the benchmarks of growth and roofline."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PANEL = (3.6, 3.2)
 
 
 def draw_growth(grown: Sequence[Growth], folder: Path) -> None:
-    """Draw times over sizes, both by their logarithms, one panel an axis: ``growth.png`` and ``.svg``."""
+    """Plot times over problem sizes on logarithmic axes, one panel per axis: ``growth.png`` and ``.svg``."""
     axes = list(dict.fromkeys(one.axis for one in grown))
     figure, panels = _figure(len(axes))
     for panel, axis in zip(panels, axes, strict=True):
@@ -34,7 +34,7 @@ def draw_growth(grown: Sequence[Growth], folder: Path) -> None:
 
 
 def draw_roofline(roof: Roof, works: Sequence[Work], folder: Path) -> None:
-    """Draw what kernels reach below what the machine can: ``roofline.png`` and ``.svg``."""
+    """Plot the operation rates of the kernels below the machine's roofline: ``roofline.png`` and ``.svg``."""
     figure, (panel,) = _figure(1)
     intensities = [work.intensity for work in works]
     span = np.geomspace(0.3 * min(*intensities, roof.ridge), 3.0 * max(*intensities, roof.ridge), 100)

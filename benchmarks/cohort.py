@@ -1,9 +1,8 @@
-"""How many subjects a minute a cohort does with one worker, and how many times as many with several.
+"""Throughput of a cohort in subjects per minute, with one worker and with several.
 
-``python -m benchmarks.cohort`` makes up 32 virtual subjects and calibrates all of them by NGA, first with one
-worker, then with two; ``--diagnose`` diagnoses them, too. Nothing that was calculated is recalled: each pass
-has a cache of its own, in which only what is compiled for the first subject lies ready. Run it on a machine
-with nothing beside.
+``python -m benchmarks.cohort`` simulates 32 virtual subjects and calibrates all of them by NGA, first with
+one worker, then with two; ``--diagnose`` also diagnoses them. Each pass has its own cache, which holds only
+the programs compiled for the first subject, so no result is reused. Run it on an otherwise idle machine.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from wrapjax.jax_setup import set_up_jax
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX is loaded, which reads it once.
+    # JAX reads the thread counts once, when it is imported.
     pin_threads()
-    with tempfile.TemporaryDirectory() as made:
-        place = options.place or Path(made)
-        subjects = _make(place / "subjects", options.subjects)
+    with tempfile.TemporaryDirectory() as temporary:
+        place = options.place or Path(temporary)
+        subjects = _write_subjects(place / "subjects", options.subjects)
         _pass(subjects[:1], place / "first", 1, options, compiled=None)
         passes = {}
         for workers in (1, options.workers):
@@ -37,7 +36,7 @@ def main() -> int:
             passes[workers] = 60.0 * len(subjects) / seconds
             print(f"{workers} workers: {seconds:.0f} s, {passes[workers]:.2f} subjects a minute", flush=True)
     ratio = passes[options.workers] / passes[1]
-    print(f"{options.workers} workers do {ratio:.2f} times as much as one")
+    print(f"{options.workers} workers process {ratio:.2f} times as many subjects as one")
     if options.out:
         from wrapjax.io.files import write_json
 
@@ -56,8 +55,8 @@ def main() -> int:
     return 0
 
 
-def _make(place: Path, count: int) -> list[Path]:
-    """Make up persons, those that are not there yet."""
+def _write_subjects(place: Path, count: int) -> list[Path]:
+    """Simulate the virtual subjects that do not exist yet."""
     set_up_jax()
     from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 
@@ -71,7 +70,7 @@ def _make(place: Path, count: int) -> list[Path]:
 def _pass(
     subjects: Sequence[Path], place: Path, workers: int, options: argparse.Namespace, *, compiled: Path | None
 ) -> float:
-    """Time a cohort (s) that starts from nothing but compiled programs."""
+    """Time a cohort (s) that starts with compiled programs and no cached results."""
     from wrapjax.cohorts.cohort import cohort
 
     shutil.rmtree(place, ignore_errors=True)
@@ -91,7 +90,7 @@ def _pass(
     )
     seconds = time.perf_counter() - began
     if done.failed:
-        raise RuntimeError(f"a pass with failures measures nothing: {done.failed}")
+        raise RuntimeError(f"throughput cannot be measured, subjects failed: {done.failed}")
     return seconds
 
 
@@ -101,8 +100,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--starts", type=int, default=4)
     parser.add_argument("--diagnose", action="store_true")
-    parser.add_argument("--place", type=Path, help="where to work, and keep subjects (default: thrown away)")
-    parser.add_argument("--out", type=Path, help="JSON file for the figures")
+    parser.add_argument(
+        "--place", type=Path, help="working folder that keeps the subjects (default: temporary)"
+    )
+    parser.add_argument("--out", type=Path, help="JSON file to write the throughput to")
     return parser
 
 

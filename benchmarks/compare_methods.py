@@ -1,7 +1,8 @@
-"""Calibrate subjects by NGA, SGA, LSGA and PGA: errors in the layout of the paper's Table I, and times.
+"""Comparison of NGA, SGA, LSGA and PGA: errors in the layout of the paper's Table I, and times.
 
-``python -m benchmarks.compare_methods [SUBJECT ...]`` prints Markdown, ``--out FILE.json`` writes JSON. From
-three legs on means and deviations are over legs, below that over gait cycles; the tables say which.
+``python -m benchmarks.compare_methods [SUBJECT ...]`` prints Markdown, ``--out FILE.json`` writes JSON. Means
+and standard deviations are over legs if there are at least three, otherwise over gait cycles, as the table
+titles say.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ _METHODS = ("NGA", "SGA", "LSGA", "PGA")
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX and NumPy are loaded, which read it once.
+    # JAX and NumPy read the thread counts once, when they are imported.
     pin_threads(options.threads)
     set_up_jax()
     import wrapjax
     from wrapjax.cli.calibrate import iteration_printer
     from wrapjax.io.files import write_json
 
-    with ExitStack() as made:
-        folders = options.subjects or [made.enter_context(default_subject(None))]
+    with ExitStack() as stack:
+        folders = options.subjects or [stack.enter_context(default_subject(None))]
         done = wrapjax.compare(
             [wrapjax.load_subject(folder) for folder in folders],
             options.methods,
@@ -60,17 +61,17 @@ def main() -> int:
 
 
 def describe(done: Comparison) -> dict[str, Any]:
-    """Give errors and change of geometry of every method, and how each calibration ended; SI units, N m."""
+    """Collect moment errors (N m), changes of geometry (m) and the outcome of each calibration for JSON."""
     from wrapjax.comparison.samples import unit_of_analysis
 
     return {
         "unit_of_analysis": unit_of_analysis(done.legs, "cycle"),
-        "methods": {method: _of_method(done, method) for method in done.methods},
-        "legs": {leg.label: {method: _ending(leg, method) for method in done.methods} for leg in done.legs},
+        "methods": {method: _errors_and_changes(done, method) for method in done.methods},
+        "legs": {leg.label: {method: _outcome(leg, method) for method in done.methods} for leg in done.legs},
     }
 
 
-def _of_method(done: Comparison, method: str) -> dict[str, Any]:
+def _errors_and_changes(done: Comparison, method: str) -> dict[str, Any]:
     return {
         "mae_Nm": [
             {"use": row.use, "speed": row.speed, "coordinate": row.item, "n": row.n}
@@ -86,7 +87,7 @@ def _of_method(done: Comparison, method: str) -> dict[str, Any]:
     }
 
 
-def _ending(leg: ComparedLeg, method: str) -> dict[str, Any]:
+def _outcome(leg: ComparedLeg, method: str) -> dict[str, Any]:
     result = leg.results[method]
     solution = result.solution
     return {
@@ -103,7 +104,7 @@ def _ending(leg: ComparedLeg, method: str) -> dict[str, Any]:
 
 
 def markdown(done: Comparison) -> Iterator[str]:
-    """Write tables: errors by speed, change of geometry, how each calibration ended."""
+    """Write Markdown tables of errors by speed, changes of geometry and outcomes of the calibrations."""
     for quantity, title, factor in (
         ("moment_error", "Mean absolute moment error, N m", 1.0),
         ("length_change", "Mean absolute change of muscle-tendon lengths, mm", 1e3),
@@ -114,13 +115,13 @@ def markdown(done: Comparison) -> Iterator[str]:
             continue
         items = list(dict.fromkeys(row.item for row in rows))
         yield from ("", f"{title}: mean ± standard deviation over {rows[0].unit_of_analysis}s", "")
-        yield from _head(["cycles", "method", *items])
+        yield from _header(["cycles", "method", *items])
         for use, speed in dict.fromkeys((row.use, row.speed) for row in rows):
             cells = {row.item: row for row in rows if (row.use, row.speed) == (use, speed)}
             for method in done.methods:
-                own = (cells[item].spreads[method] if item in cells else None for item in items)
-                shown = ["" if one is None else _mean_and_sd(one.mean, one.sd, factor) for one in own]
-                yield _line([f"{use}, {speed}", method, *shown])
+                spreads = (cells[item].spreads[method] if item in cells else None for item in items)
+                texts = ["" if one is None else _mean_and_sd(one.mean, one.sd, factor) for one in spreads]
+                yield _line([f"{use}, {speed}", method, *texts])
     names = [
         "leg",
         "method",
@@ -131,11 +132,11 @@ def markdown(done: Comparison) -> Iterator[str]:
         "solve (s)",
         "converged",
     ]
-    yield from ("", "How each calibration ended; iterations are of the start that was taken", "")
-    yield from _head([*names, "largest violation"])
+    yield from ("", "Outcome of each calibration; iterations of the best start", "")
+    yield from _header([*names, "largest violation"])
     for leg in done.legs:
         for method in done.methods:
-            one = _ending(leg, method)
+            one = _outcome(leg, method)
             seconds = one["seconds"]
             yield _line(
                 [
@@ -151,7 +152,7 @@ def _mean_and_sd(mean: float, sd: float, factor: float) -> str:
     return text if sd != sd else f"{text} ± {factor * sd:.2f}"
 
 
-def _head(names: Sequence[str]) -> Iterator[str]:
+def _header(names: Sequence[str]) -> Iterator[str]:
     yield _line(names)
     yield _line(["---"] * len(names))
 
@@ -167,7 +168,7 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         nargs="*",
         metavar="SUBJECT",
-        help="subject folders (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+        help="subject folders (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
     )
     parser.add_argument(
         "--methods", nargs="+", choices=_METHODS, default=_METHODS, metavar="NAME", help="default: all four"
@@ -176,14 +177,16 @@ def _parser() -> argparse.ArgumentParser:
         "--geometry",
         choices=("surrogate", "engine"),
         default="surrogate",
-        help="what NGA and PGA take paths from",
+        help="path source of NGA and PGA",
     )
-    parser.add_argument("--starts", type=int, default=1, metavar="N", help="of each calibration (default: 1)")
     parser.add_argument(
-        "--threads", type=int, default=1, metavar="N", help="of the numerical libraries (default: 1)"
+        "--starts", type=int, default=1, metavar="N", help="starts of each calibration (default: 1)"
+    )
+    parser.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="threads of each numerical library (default: 1)"
     )
     parser.add_argument("--quiet", action="store_true", help="print no progress")
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the results to")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Counting what is done, where it is done: evaluations of a problem, and programs that XLA is asked for."""
+"""Counters of function evaluations by the solver and of programs requested from XLA."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from wrapjax.calibration.solvers import interface
 
 @dataclass
 class Evaluations:
-    """How often our solver asked for a cost alone, and for a cost with all its derivatives."""
+    """Number of evaluations of the cost alone, and of the cost with all its derivatives."""
 
     values: int = 0
     linearizations: int = 0
 
     @property
     def total(self) -> int:
-        """Both; a linearization evaluates the residuals once, as a cost does."""
+        """Sum of both; a linearization evaluates the residuals once, as a cost does."""
         return self.values + self.linearizations
 
 
 @contextmanager
 def counted_evaluations() -> Iterator[Evaluations]:
-    """Count what `ProjectedLevenbergMarquardt` asks of its problem meanwhile."""
+    """Count the evaluations by `ProjectedLevenbergMarquardt` inside the context."""
     count = Evaluations()
     value, linearize = interface._value, interface._linearize
 
@@ -46,15 +46,15 @@ def counted_evaluations() -> Iterator[Evaluations]:
 
 @contextmanager
 def counted_programs() -> Iterator[list[str]]:
-    """List the programs that XLA is asked for meanwhile, by name, whether compiled or found on disk."""
-    asked: list[str] = []
+    """List the names of the programs requested from XLA inside the context, compiled or read from disk."""
+    requested: list[str] = []
 
-    def note(event: str, duration_secs: float, **about: str | int) -> None:
+    def record(event: str, duration_secs: float, **about: str | int) -> None:
         if event == "/jax/core/compile/backend_compile_duration":
-            asked.append(str(about.get("fun_name", "?")))
+            requested.append(str(about.get("fun_name", "?")))
 
-    monitoring.register_event_duration_secs_listener(note)
+    monitoring.register_event_duration_secs_listener(record)
     try:
-        yield asked
+        yield requested
     finally:
-        monitoring.unregister_event_duration_listener(note)
+        monitoring.unregister_event_duration_listener(record)

@@ -1,4 +1,4 @@
-"""The same code on every device of this machine: how fast, and whether a GPU says what the processor says."""
+"""Speed on every device of this machine, and differences of GPU results from those of the processor."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ import numpy as np
 
 from benchmarks.batching import batched
 from benchmarks.case import Case
-from benchmarks.engine import POSES, SAMPLES, samples_in_the_box, wrapping_muscles
+from benchmarks.engine import POSES, SAMPLES, wrap_parameter_samples, wrapping_muscles
 from benchmarks.metric import Metric
-from benchmarks.tiled import another_person
+from benchmarks.tiled_problems import perturb_problem
 from benchmarks.timing import median_seconds
 from wrapjax.calibration.objective import Objective
 from wrapjax.geometry.engine import PosedPath, wrap_at_samples
 from wrapjax.subject.subject import Subject
 
-#: People of one shape in one batch.
-PEOPLE = 32
-#: How far a GPU may be from the processor, relative to the largest number of each array.
+#: Subjects of one shape in one batch.
+SUBJECTS = 32
+#: Largest allowed difference of a GPU from the processor, relative to the largest number of each array.
 TARGET = 1e-9
-#: How many times as fast a batch on a GPU is as one after the other.
+#: Least speed-up of a batch on a GPU over the same problems in turn.
 BATCH_TARGET = 3
 _REPEATS = 5
 
 
 def devices(subject: Subject, case: Case) -> list[Metric]:
-    """Time paths, a linearization and a batch of people on the processor, and on a GPU if there is one.
+    """Time paths, a linearization and a batch of subjects on the processor, and on a GPU if there is one.
 
     Parameters
     ----------
     subject
-        Whose wrapped muscles are laid, in poses of its gait and at samples over the box of fitting.
+        Subject whose wrapped muscle paths are computed, in poses of its gait and at wrap parameters sampled
+        over the box that fitting uses.
     case
-        Its NGA problem.
+        NGA problem of the subject.
     """
     engine, poses = wrapping_muscles(subject)
     posed = engine.posed(poses)
@@ -47,18 +48,18 @@ def devices(subject: Subject, case: Case) -> list[Metric]:
         kinds["gpu"] = jax.devices("gpu")[0]
     except RuntimeError:
         missing = Metric("devices/gpu", np.nan, "x", "higher", "no GPU on this machine", np.inf)
-    found = {kind: _on(device, paths, case) for kind, device in kinds.items()}
-    metrics = [metric for kind in kinds for metric in found[kind][1]]
+    by_kind = {kind: _measure(device, paths, case) for kind, device in kinds.items()}
+    metrics = [metric for kind in kinds for metric in by_kind[kind][1]]
     if "gpu" not in kinds:
         return [*metrics, missing]
-    for name, here in found["cpu"][0].items():
+    for name, here in by_kind["cpu"][0].items():
         metrics.append(
             Metric(
                 f"devices/gpu/{name}/difference",
-                _difference(found["gpu"][0][name], here),
+                _difference(by_kind["gpu"][0][name], here),
                 "1",
                 "lower",
-                f"from the processor, of the largest number of each array; target at most {TARGET:g}",
+                f"from the processor, relative to the largest entry of each array; target at most {TARGET:g}",
                 negligible=TARGET,
             )
         )
@@ -70,47 +71,47 @@ def on_device(device: jax.Device, tree: Any) -> Any:
     return jax.tree.map(lambda leaf: jax.device_put(leaf, device) if eqx.is_array_like(leaf) else leaf, tree)
 
 
-def _on(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[dict[str, Any], list[Metric]]:
-    """Give what is calculated on a device, and how long it takes there."""
+def _measure(device: jax.Device, paths: list[PosedPath], case: Case) -> tuple[dict[str, Any], list[Metric]]:
+    """Compute and time everything on a device; return the results by name, and the metrics."""
     with jax.default_device(device):
         paths = on_device(device, paths)
-        people = [on_device(device, another_person(case.problem, seed)) for seed in range(PEOPLE)]
-        points = [on_device(device, person.variables.start()) for person in people]
+        problems = [on_device(device, perturb_problem(case.problem, seed)) for seed in range(SUBJECTS)]
+        points = [on_device(device, problem.variables.start()) for problem in problems]
         linearize = eqx.filter_jit(_linearized)
-        together, stacked = batched(_linearized, people), jnp.stack(points)
-        samples = samples_in_the_box(SAMPLES)[:, None]
+        together, stacked = batched(_linearized, problems), jnp.stack(points)
+        samples = wrap_parameter_samples(SAMPLES)[:, None]
         calls: dict[str, Callable[[], Any]] = {
             "engine": lambda: [wrap_at_samples(path, samples) for path in paths],
-            "linearization": lambda: linearize(people[0], points[0]),
-            "in_turn": lambda: [linearize(*one) for one in zip(people, points, strict=True)],
+            "linearization": lambda: linearize(problems[0], points[0]),
+            "in_turn": lambda: [linearize(*one) for one in zip(problems, points, strict=True)],
             "together": lambda: together(stacked),
         }
-        found = {name: calls[name]() for name in ("engine", "linearization", "together")}
+        results = {name: calls[name]() for name in ("engine", "linearization", "together")}
         seconds = median_seconds(calls, _REPEATS)
     kind = device.platform
     analyses = len(paths) * POSES * SAMPLES
-    return found, [
+    return results, [
         Metric(
             f"devices/{kind}/engine",
             1e6 * seconds["engine"] / analyses,
             "us",
             "lower",
-            f"an analysis, {len(paths)} muscles of one cylinder, {POSES} poses, {SAMPLES} samples",
+            f"one analysis, {len(paths)} muscles round one cylinder, {POSES} poses, {SAMPLES} samples",
         ),
         Metric(f"devices/{kind}/linearization", 1e3 * seconds["linearization"], "ms", "lower", case.size),
         Metric(
             f"devices/{kind}/person",
-            1e3 * seconds["together"] / PEOPLE,
+            1e3 * seconds["together"] / SUBJECTS,
             "ms",
             "lower",
-            f"a linearization of one of {PEOPLE} people in one program",
+            f"a linearization of one of {SUBJECTS} subjects in one program",
         ),
         Metric(
             f"devices/{kind}/in_turn_over_vmap",
             seconds["in_turn"] / seconds["together"],
             "x",
             "higher",
-            f"the same one after the other over all together; target on a GPU at least {BATCH_TARGET}",
+            f"time of linearizations in turn over time in one program; GPU target at least {BATCH_TARGET}",
         ),
     ]
 
@@ -119,10 +120,10 @@ def _linearized(problem: Objective, variables: Any) -> Any:
     return problem.linearize(variables)
 
 
-def _difference(found: Any, expected: Any) -> float:
-    """Largest relative difference of two trees, each array by its largest number."""
+def _difference(actual: Any, expected: Any) -> float:
+    """Compute the largest difference of two trees, relative to the largest number of each array."""
     worst = 0.0
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+    for one, other in zip(jax.tree.leaves(actual), jax.tree.leaves(expected), strict=True):
         here, there = np.asarray(other, dtype=float), np.asarray(one, dtype=float)
         size = np.abs(here[np.isfinite(here)]).max(initial=0.0) or 1.0
         same = (here == there) | (np.isnan(here) & np.isnan(there))

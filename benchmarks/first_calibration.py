@@ -1,6 +1,6 @@
-"""A first calibration in a process of its own, timed; prints JSON.
+"""Times (s) of preparing, compiling and solving the first calibration of a process, printed as JSON.
 
-Run by the benchmarks: ``python -m benchmarks.first_calibration SUBJECT FIT``
+Started by `benchmarks.calibration`: ``python -m benchmarks.first_calibration SUBJECT FIT``
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Whether a change made anything worse: ``python -m benchmarks.gate`` (or ``make bench-gate``).
+"""Regression test of speed and quality: ``python -m benchmarks.gate`` (or ``make bench-gate``).
 
-A short set is measured: kernels, our solve and what it needed, programs compiled again, how times grow with
-muscles and trials. Each number is held to what ``floors.toml`` says; with ``--against FILE.json``, which
-``--out`` wrote before the change, also to what it was then, within its own tolerance. Exit status 1 if
-anything is worse.
+A short set of metrics is measured: kernels, one solve and its effort, repeated compilations, and how times
+grow with muscles and trials. Each metric is checked against ``gate_limits.toml`` and, with ``--against
+FILE.json`` (written by ``--out`` before the change), against its earlier value within its tolerance. The exit
+status is 1 if any metric is worse.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks.comparison import regressions
-from benchmarks.floors import read_floors, shortfalls
+from benchmarks.gate_limits import read_limits, violations_of
 from benchmarks.machine import pin_threads, processor
 from benchmarks.metric import Metric, text_table
+from benchmarks.regressions import regressions
 from benchmarks.subjects import default_subject
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from benchmarks.run_file import EarlierRun
 
-#: What runs of this set have in common.
+#: Name of this set of metrics in the files of runs.
 ASKED = "gate"
-#: What the gate looks at of the kernels that may grow: this one holds all that the others do.
+#: Kernels whose growth the gate measures: the linearization contains the others.
 _GROWING = ("linearization",)
 
 
 def main(words: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(words)
-    # Before JAX and NumPy are loaded, which read it once.
+    # JAX and NumPy read the thread counts once, when they are imported.
     pin_threads()
     set_up_jax()
     from benchmarks.run_file import read_run, write_run
@@ -42,7 +42,7 @@ def main(words: Sequence[str] | None = None) -> int:
         try:
             earlier = read_run(options.against) if options.against else None
             if earlier and earlier.subject != folder.name:
-                message = f"is of subject '{earlier.subject}', where '{folder.name}' was expected"
+                message = f"run of subject '{earlier.subject}', expected a run of '{folder.name}'"
                 raise InputError(Problem(str(options.against), message))
         except InputError as error:
             print(error, file=sys.stderr)
@@ -55,13 +55,13 @@ def main(words: Sequence[str] | None = None) -> int:
     for sentence in worse:
         print(f"WORSE  {sentence}")
     if not worse:
-        print(f"none of {len(metrics)} numbers is worse than it must be")
+        print(f"all {len(metrics)} metrics are within their limits")
     return 1 if worse else 0
 
 
 def judge(metrics: Sequence[Metric], subject: str, earlier: EarlierRun | None) -> list[str]:
-    """Say what falls short of the floors, or got worse since an earlier run: a sentence each."""
-    worse = shortfalls(metrics, read_floors(subject))
+    """Describe the metrics that violate their limits or are worse than earlier, one sentence each."""
+    worse = violations_of(metrics, read_limits(subject))
     if earlier is not None:
         worse += regressions(
             earlier.metrics,
@@ -78,12 +78,12 @@ def _measure(folder: Path) -> list[Metric]:
     from benchmarks.case import nga_case
 
     case = nga_case(wrapjax.load_subject(folder))
-    grown = [*growth.by_muscles(case.problem, _GROWING), *growth.by_trials(case.problem, _GROWING)]
+    measured = [*growth.by_muscles(case.problem, _GROWING), *growth.by_trials(case.problem, _GROWING)]
     return [
         *calibration.kernels(case, quick=True),
         *solving.our_solve(case, quick=True)[1],
         *recompilation.recompilations(case.problem),
-        *(metric for one in grown for metric in one.metrics()),
+        *(metric for kernel in measured for metric in kernel.metrics()),
     ]
 
 
@@ -93,10 +93,12 @@ def _parser() -> argparse.ArgumentParser:
         "--subject",
         type=Path,
         metavar="DIR",
-        help="subject folder (default: $WRAPJAX_DATA/s1_left, else a virtual subject)",
+        help="subject folder (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
     )
-    parser.add_argument("--against", type=Path, metavar="FILE.json", help="an earlier run to compare with")
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    parser.add_argument(
+        "--against", type=Path, metavar="FILE.json", help="file of an earlier run to compare with"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the metrics to")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""How times grow with muscles, trials, path coefficients and people; steady state, compiling apart."""
+"""Growth of run times with the numbers of muscles, trials, path coefficients and subjects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from benchmarks.batching import batched
 from benchmarks.metric import Metric
-from benchmarks.tiled import another_person, tiled
+from benchmarks.tiled_problems import perturb_problem, tile_problem
 from benchmarks.timing import median_seconds
 from wrapjax.calibration.objective import Objective
 
@@ -28,10 +28,10 @@ KERNELS: dict[str, Kernel] = {
 }
 ALL = tuple(KERNELS)
 _COMPILED = {name: eqx.filter_jit(kernel) for name, kernel in KERNELS.items()}
-#: Sizes in parts of the subject's own muscles and trials; modes a muscle, and people.
+#: Numbers of muscles and trials relative to the subject's own; modes of each path; numbers of subjects.
 PARTS = (0.5, 1.0, 2.0, 4.0)
 MODES = (4, 8, 16, 32)
-PEOPLE = (1, 2, 4, 8)
+SUBJECTS = (1, 2, 4, 8)
 _REPEATS = 5
 
 
@@ -42,13 +42,13 @@ class Growth:
     Parameters
     ----------
     axis
-        What there is more and more of.
+        Quantity that is increased, such as ``muscles``.
     kernel
-        What is timed.
+        Name of the timed function.
     sizes
-        How many.
+        Numbers of that quantity.
     seconds, compile_seconds
-        Median of steady calls, and what the first took over that; one a size.
+        Median time of calls after the first, and the excess of the first call over it, for each size.
     """
 
     axis: str
@@ -59,11 +59,11 @@ class Growth:
 
     @property
     def slope(self) -> float:
-        """Power of the size that times grow with: the straight line through logarithms."""
+        """Exponent of a power law, fitted to the logarithms of times and sizes."""
         return float(np.polyfit(np.log(self.sizes), np.log(self.seconds), 1)[0])
 
     def metrics(self) -> list[Metric]:
-        """Its slope; time and compiling at the largest size."""
+        """Return the slope, and the time and compile time at the largest size."""
         name, largest = f"growth/{self.axis}/{self.kernel}", self.sizes[-1]
         return [
             Metric(
@@ -71,7 +71,7 @@ class Growth:
                 self.slope,
                 "slope",
                 "lower",
-                f"of log time over log number, {self.sizes[0]} to {largest} {self.axis}",
+                f"log time over log number, {self.sizes[0]} to {largest} {self.axis}",
                 negligible=0.15,
             ),
             Metric(name, 1e3 * self.seconds[-1], "ms", "lower", f"{largest} {self.axis}"),
@@ -80,85 +80,85 @@ class Growth:
                 self.compile_seconds[-1],
                 "s",
                 "lower",
-                f"first call at {largest} {self.axis} over later ones; less where the disk still has it",
+                f"first call at {largest} {self.axis} minus later ones; less if cached on disk",
                 negligible=5.0,
             ),
         ]
 
 
 def growth(problem: Objective) -> tuple[list[Growth], list[Metric]]:
-    """Time kernels with more and more muscles, trials, path coefficients and people; give metrics, too."""
-    grown = [*by_muscles(problem), *by_trials(problem), *by_modes(problem)]
-    in_turn, by_vmap = by_people(problem)
-    grown += [in_turn, by_vmap]
-    metrics = [metric for one in grown for metric in one.metrics()]
+    """Time kernels for increasing numbers of muscles, trials, path coefficients and subjects."""
+    measured = [*by_muscles(problem), *by_trials(problem), *by_modes(problem)]
+    in_turn, by_vmap = by_subjects(problem)
+    measured += [in_turn, by_vmap]
+    metrics = [metric for kernel in measured for metric in kernel.metrics()]
     ratio = Metric(
         "growth/people/in_turn_over_vmap",
         in_turn.seconds[-1] / by_vmap.seconds[-1],
         "x",
         "higher",
-        f"linearizations of {PEOPLE[-1]} people of one shape, one after the other over all in one program",
+        f"time of {SUBJECTS[-1]} linearizations in turn over their time in one program",
     )
-    return grown, [*metrics, ratio]
+    return measured, [*metrics, ratio]
 
 
 def by_muscles(problem: Objective, kernels: Sequence[str] = ALL) -> list[Growth]:
-    """With muscles, and variables with them."""
-    muscles, trials = _own_size(problem)
-    problems = {size: tiled(problem, muscles=size, trials=trials) for size in _sizes(muscles)}
-    return [_of_kernel("muscles", name, problems) for name in kernels]
+    """Time kernels for increasing numbers of muscles, and so of variables."""
+    muscles, trials = _problem_size(problem)
+    problems = {size: tile_problem(problem, muscles=size, trials=trials) for size in _sizes(muscles)}
+    return [_time_kernel("muscles", name, problems) for name in kernels]
 
 
 def by_trials(problem: Objective, kernels: Sequence[str] = ALL) -> list[Growth]:
-    """With trials, and residuals with them."""
-    muscles, trials = _own_size(problem)
-    problems = {size: tiled(problem, muscles=muscles, trials=size) for size in _sizes(trials)}
-    return [_of_kernel("trials", name, problems) for name in kernels]
+    """Time kernels for increasing numbers of trials, and so of residuals."""
+    muscles, trials = _problem_size(problem)
+    problems = {size: tile_problem(problem, muscles=muscles, trials=size) for size in _sizes(trials)}
+    return [_time_kernel("trials", name, problems) for name in kernels]
 
 
 def by_modes(problem: Objective, kernels: Sequence[str] = ALL) -> list[Growth]:
-    """With free coefficients of every path, as in SGA: a few more variables a muscle, then dozens."""
-    muscles, trials = _own_size(problem)
-    problems = {size: tiled(problem, muscles=muscles, trials=trials, modes=size) for size in MODES}
-    return [_of_kernel("modes", name, problems) for name in kernels]
+    """Time kernels for increasing numbers of free coefficients of each path, as in SGA."""
+    muscles, trials = _problem_size(problem)
+    problems = {size: tile_problem(problem, muscles=muscles, trials=trials, modes=size) for size in MODES}
+    return [_time_kernel("modes", name, problems) for name in kernels]
 
 
-def by_people(problem: Objective) -> tuple[Growth, Growth]:
-    """With people of one shape: linearizations one after the other, and all in one program by `vmap`."""
-    people = [another_person(problem, seed) for seed in range(PEOPLE[-1])]
-    points = [person.variables.start() for person in people]
+def by_subjects(problem: Objective) -> tuple[Growth, Growth]:
+    """Time linearizations of several subjects of one shape, in turn and in one program by `vmap`."""
+    problems = [perturb_problem(problem, seed) for seed in range(SUBJECTS[-1])]
+    points = [one.variables.start() for one in problems]
 
     def in_turn(size: int) -> Callable[[], Any]:
-        pairs = list(zip(people[:size], points[:size], strict=True))
-        return lambda: [_COMPILED["linearization"](person, point) for person, point in pairs]
+        pairs = list(zip(problems[:size], points[:size], strict=True))
+        return lambda: [_COMPILED["linearization"](one, point) for one, point in pairs]
 
     def by_vmap(size: int) -> Callable[[], Any]:
-        together, stacked = batched(KERNELS["linearization"], people[:size]), jnp.stack(points[:size])
-        return lambda: together(stacked)
+        run, stacked = batched(KERNELS["linearization"], problems[:size]), jnp.stack(points[:size])
+        return lambda: run(stacked)
 
     return (
-        _grown("people", "linearization_in_turn", {size: in_turn(size) for size in PEOPLE}),
-        _grown("people", "linearization_by_vmap", {size: by_vmap(size) for size in PEOPLE}),
+        _time_calls("people", "linearization_in_turn", {size: in_turn(size) for size in SUBJECTS}),
+        _time_calls("people", "linearization_by_vmap", {size: by_vmap(size) for size in SUBJECTS}),
     )
 
 
-def _own_size(problem: Objective) -> tuple[int, int]:
+def _problem_size(problem: Objective) -> tuple[int, int]:
     return len(problem.initial.emg_scale), len(problem.measured)
 
 
-def _sizes(own: int) -> tuple[int, ...]:
-    return tuple(max(round(part * own), 1) for part in PARTS)
+def _sizes(present: int) -> tuple[int, ...]:
+    return tuple(max(round(part * present), 1) for part in PARTS)
 
 
-def _of_kernel(axis: str, kernel: str, problems: Mapping[int, Objective]) -> Growth:
+def _time_kernel(axis: str, kernel: str, problems: Mapping[int, Objective]) -> Growth:
     def call_of(problem: Objective) -> Callable[[], Any]:
         point = problem.variables.start()
         return lambda: _COMPILED[kernel](problem, point)
 
-    return _grown(axis, kernel, {size: call_of(problem) for size, problem in problems.items()})
+    return _time_calls(axis, kernel, {size: call_of(problem) for size, problem in problems.items()})
 
 
-def _grown(axis: str, kernel: str, calls: Mapping[int, Callable[[], Any]]) -> Growth:
+def _time_calls(axis: str, kernel: str, calls: Mapping[int, Callable[[], Any]]) -> Growth:
     first = {}
     for size, call in calls.items():
         began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""The dense Jacobian of all residuals, put together from our blocks of muscles, for solvers that want it."""
+"""Dense Jacobian of all residuals, for solvers that need it."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ from wrapjax.calibration.objective import Objective
 def residual_jacobian(
     problem: Objective, variables: Float[Array, " variable"]
 ) -> Float[Array, "row variable"]:
-    """Differentiate `Objective.residuals`, rows in its order, by one small Jacobian a muscle.
+    """Differentiate `Objective.residuals` by one small Jacobian for each muscle; rows in its order.
 
-    Our own solver never forms it: it needs the products of its columns only.
+    The solver of wrapjax never forms this matrix: it needs only the products of its columns.
     """
     of_variables = problem.variables
     _, values, moment_slopes, value_slopes = problem._muscle_slopes(problem._muscle_inputs(variables))
     muscles = jnp.arange(of_variables.index.shape[0])[:, None]
     blocks = []
-    for restraint, value, slope in zip(problem._restraints, values, value_slopes, strict=True):
-        # How the quantity moves with each variable: by those muscles' entries that it stands at.
-        moved = jnp.zeros((of_variables.count + 1, *value.shape)).at[of_variables.index, muscles].add(slope)
-        _, push = jax.linearize(restraint.rows, value)
-        blocks.append(jax.vmap(push)(moved[:-1]).reshape(of_variables.count, -1).T)
+    for penalty, value, slope in zip(problem._all_penalties, values, value_slopes, strict=True):
+        # Derivative of the muscles' values with respect to each variable, added over the places it occupies.
+        derivative = (
+            jnp.zeros((of_variables.count + 1, *value.shape)).at[of_variables.index, muscles].add(slope)
+        )
+        _, push = jax.linearize(penalty.rows, value)
+        blocks.append(jax.vmap(push)(derivative[:-1]).reshape(of_variables.count, -1).T)
     moments = of_variables.gather(moment_slopes).T
     priors = jnp.diag(jnp.asarray(problem._prior_weight()))
     penalties = len(problem.penalties)

@@ -1,4 +1,4 @@
-"""Where and with what a benchmark ran."""
+"""Machine, package versions and commit of a benchmark run."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-#: What decides the thread counts of XLA and of the numerical libraries.
+#: Environment variables that set the thread counts of XLA and of the numerical libraries.
 THREAD_VARIABLES = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _PACKAGES = ("wrapjax", "jax", "jaxlib", "equinox", "numpy", "scipy", "opensim", "optimistix", "jaxopt")
 
 
 def pin_threads(count: int = 1) -> None:
-    """Give every numerical library so many threads: ours and the peers' alike.
+    """Set the number of threads of all numerical libraries.
 
-    To be called before any of them is loaded.
+    Must be called before any of them is imported.
     """
     for variable in THREAD_VARIABLES:
         os.environ[variable] = str(count)
 
 
 def describe_machine() -> dict[str, Any]:
-    """Name processor, cores and the threads in use."""
+    """Describe processor, cores, threads, load and system."""
     return {
         "processor": processor(),
         "cores": os.cpu_count(),
@@ -37,12 +37,12 @@ def describe_machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of what is compared; None where a package is missing."""
+    """Return the versions of the compared packages; None where one is missing."""
     return {name: _version(name) for name in _PACKAGES}
 
 
 def commit() -> str | None:
-    """Name the commit that the code is at, with a plus if files were changed since; None outside git."""
+    """Return the current commit, with a plus if tracked files differ from it; None outside git."""
     here = Path(__file__).parent
     try:
         name, changed = (
@@ -64,7 +64,7 @@ def _version(package: str) -> str | None:
 
 
 def processor() -> str:
-    """Name the processor as the machine does."""
+    """Return the processor's model name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

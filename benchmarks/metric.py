@@ -1,4 +1,4 @@
-"""One number that a benchmark measured, and a table of many."""
+"""Metrics measured by benchmarks, with units and tolerances, and their text table."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-#: By how much of itself a number may get worse before that counts, by its unit. Others use the machine, too:
-#: times and rates say something from twice on. What is calculated is the same but for its last digits.
+#: Relative worsening that is tolerated, by unit. The machine is shared, so only a factor of two in times and
+#: rates is significant; computed numbers change by rounding only.
 TOLERANCES = {
     **dict.fromkeys(("s", "ms", "us", "core s", "GFLOP/s", "GB/s"), 1.0),
     "x": 0.3,
@@ -22,34 +22,34 @@ TOLERANCES = {
     "1": 0.001,
 }
 
-#: Tolerance of what is measured for information: a peer that gets worse is no regression of ours.
+#: Tolerance of metrics that are informative only, such as those of other tools.
 INFORMATION = math.inf
 
-#: What only says how fast this machine was, and nothing on another.
+#: Units whose metrics depend on the machine.
 MACHINE_UNITS = ("s", "ms", "us", "core s", "GFLOP/s", "GB/s")
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A measured number.
+    """Measured number.
 
     Parameters
     ----------
     name
-        Group and quantity, as ``kernels/linearization``.
+        Group and quantity, such as ``kernels/linearization``.
     value
-        NaN where nothing could be measured; ``note`` then says why.
+        Value in ``unit``; NaN if it could not be measured, with the reason in ``note``.
     unit
-        As printed; ``x`` for ratios.
+        Unit as printed; ``x`` for ratios.
     better
         Whether ``lower`` or ``higher`` is better.
     note
-        What it is compared with, or under which conditions it holds.
+        What the value is compared with, or the conditions of the measurement.
     tolerance
-        Relative change for the worse beyond which a later run is a regression; by its unit
-        (`TOLERANCES`) where it is not given.
+        Relative worsening beyond which a later run is a regression; by default that of the unit
+        (`TOLERANCES`).
     negligible
-        Change, in its unit, that never counts: rounding, or what is too short to be timed.
+        Change in ``unit`` that is ignored: rounding, or times too short to be measured.
     """
 
     name: str
@@ -62,16 +62,16 @@ class Metric:
 
     @property
     def allowed(self) -> float:
-        """The tolerance that holds."""
+        """Tolerance that applies: its own, or that of the unit."""
         return TOLERANCES[self.unit] if self.tolerance is None else self.tolerance
 
     def as_json(self) -> dict[str, Any]:
-        """Give all of it, with the tolerance that holds."""
+        """Return all fields for JSON, with the tolerance that applies."""
         return vars(self) | {"tolerance": self.allowed}
 
 
 def text_table(metrics: Sequence[Metric]) -> str:
-    """Lay metrics out, one a line."""
+    """Format metrics as a table, one per line."""
     header = ("name", "value", "unit", "better", "compared with")
     rows = [(one.name, _number(one.value), one.unit, one.better, one.note) for one in metrics]
     widths = [max(len(row[column]) for row in [header, *rows]) for column in range(4)]
@@ -90,7 +90,7 @@ def text_table(metrics: Sequence[Metric]) -> str:
 
 
 def _number(value: float) -> str:
-    """Four digits, and no exponent where a plain number is as short."""
+    """Format with four digits, without an exponent where a plain number is as short."""
     if value != value:
         return "-"
     if value == 0.0 or 1e-3 <= abs(value) < 1e6:

@@ -1,8 +1,8 @@
-"""How well OpenSim's own PolynomialPathFitter fits the same muscles, on poses that it never saw.
+"""Fit errors of OpenSim's PolynomialPathFitter on poses that were not used for fitting.
 
 Run: ``python -m benchmarks.polynomial_path_fitter SUBJECT --muscles soleus_l vasmed_l --out FILE.json``
 
-It takes about a minute a muscle, as OpenSim asks for every moment arm about every coordinate.
+It takes about a minute for each muscle, because OpenSim computes moment arms about every coordinate.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
 
-#: Poses to judge by, and where their random numbers start.
+#: Number of evaluation poses, and the seed of their random numbers.
 UNSEEN_POSES, SEED = 500, 1
 
 
@@ -39,24 +39,24 @@ def fit_with_opensim(
     maximum_order: int = 5,
     threads: int = 2,
 ) -> dict[str, Any]:
-    """Fit muscles by PolynomialPathFitter and judge the fits.
+    """Fit muscle paths by PolynomialPathFitter and compute the errors of the fits.
 
     Parameters
     ----------
     model_file, muscles, coordinates
-        OpenSim model and the names in it.
+        OpenSim model, and names of its muscles and coordinates.
     trajectory, half_width
-        Poses (rad) that the fitter samples about, and how far to each side of them (rad).
+        Poses (rad) that the fitter samples around, and the sampling half-width of each coordinate (rad).
     unseen
-        Poses (rad) to judge the fits on.
+        Poses (rad) at which the fits are evaluated.
     samples_per_frame, maximum_order, threads
-        The fitter's own settings; 25 is its default. All others are left at their defaults.
+        Settings of the fitter (its default is 25 samples); all other settings are left at their defaults.
 
     Returns
     -------
     dict
-        ``seconds`` of fitting and, by muscle, errors against OpenSim in mm, as ``fit.json`` has
-        them: moment arms pooled over poses and the given coordinates that the muscle spans.
+        ``seconds`` of fitting and, by muscle, errors against OpenSim in mm under the names of ``fit.json``;
+        moment arm errors are pooled over poses and the given coordinates that the muscle spans.
     """
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     started = time.perf_counter()
@@ -70,13 +70,13 @@ def fit_with_opensim(
         seconds = time.perf_counter() - started
         (paths,) = Path(folder).glob("*_FunctionBasedPathSet.xml")
         length, moment_arm = _evaluate(paths, muscles, coordinates, unseen)
-    truth = analyse_muscles(model_file, muscles, coordinates, unseen, quiet=True)
+    reference = analyse_muscles(model_file, muscles, coordinates, unseen, quiet=True)
     model = describe_model(model_file)
     errors = {}
     for index, muscle in enumerate(muscles):
         spanned = [coordinates.index(name) for name in model.spanned_by(muscle) if name in coordinates]
-        length_error = 1e3 * (length - truth.length)[:, index]
-        arm_error = 1e3 * (moment_arm - truth.moment_arm)[:, spanned, index]
+        length_error = 1e3 * (length - reference.length)[:, index]
+        arm_error = 1e3 * (moment_arm - reference.moment_arm)[:, spanned, index]
         errors[muscle] = {
             "length_rmse_mm": np.sqrt(np.mean(length_error**2)),
             "length_max_mm": np.abs(length_error).max(),
@@ -101,7 +101,7 @@ def _fitter(
             forces.remove(index)
     model.finalizeConnections()
     model.initSystem()
-    # The fitter wants a column for every coordinate that it cannot compute from others.
+    # The fitter requires a column for every coordinate that is not coupled to others.
     coupled = {entry.name for entry in describe_model(model_file).coordinates if entry.coupled_to}
     known = [model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())]
     free = [coordinate for coordinate in known if coordinate.getName() not in coupled]
@@ -131,7 +131,7 @@ def _evaluate(
     coordinates: tuple[str, ...],
     poses: Float[np.ndarray, "pose coordinate"],
 ) -> tuple[Float[np.ndarray, "pose muscle"], Float[np.ndarray, "pose coordinate muscle"]]:
-    """Evaluate fitted paths by OpenSim's functions; coordinates not given are at zero."""
+    """Evaluate lengths and moment arms of fitted paths; coordinates that are not given are zero."""
     opensim = import_opensim()
     fitted = opensim.SetFunctionBasedPaths(str(paths))
     length = np.zeros((len(poses), len(muscles)))
@@ -156,12 +156,12 @@ def _evaluate(
 
 def main() -> None:
     from wrapjax import load_subject
-    from wrapjax.geometry.training_samples import random_poses, walking_belt
+    from wrapjax.geometry.training_samples import angle_ranges, random_poses
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("subject", type=Path, help="subject folder")
-    parser.add_argument("--muscles", nargs="+", help="all that are driven, if not given")
-    parser.add_argument("--out", type=Path, help="JSON file to write")
+    parser.add_argument("--muscles", nargs="+", help="muscles to fit (default: all of the subject)")
+    parser.add_argument("--out", type=Path, help="JSON file to write the errors to")
     parser.add_argument("--samples-per-frame", type=int, default=25)
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
@@ -170,7 +170,7 @@ def main() -> None:
     coordinates = subject.trials.moment_coordinates
     columns = [subject.trials.coordinates.index(name) for name in coordinates]
     angles = subject.trials.angles[:, columns]
-    lower, upper = walking_belt(angles)
+    lower, upper = angle_ranges(angles)
     unseen = random_poses(angles, UNSEEN_POSES, np.random.default_rng(SEED))
     result = fit_with_opensim(
         subject.model_file,

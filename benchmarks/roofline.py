@@ -1,11 +1,11 @@
-"""How near kernels come to what the machine can do: its roofline, by arithmetic and by memory.
+"""Roofline of the machine, and the operation rates of the kernels below it.
 
-Operations and bytes are XLA's own count for the compiled program. It counts the body of a loop once, however
-often it runs (activation steps through the frames in one), nothing of what libraries are called for (LAPACK),
-and transcendental functions apart. Its bytes are what each fused operation reads and writes, and much of that
-never leaves the caches: a kernel can lie above the sloping part of the roof.
-
-Williams, Waterman & Patterson 2009, doi:10.1145/1498765.1498785.
+The roofline is the highest rate that arithmetic and memory bandwidth allow at a given number of operations
+per byte (Williams, Waterman & Patterson 2009, doi:10.1145/1498765.1498785). Operations and bytes are counted
+by XLA for the compiled program. XLA counts the body of a loop once, however often it runs (activation
+dynamics loop over frames), nothing of library calls (LAPACK), and transcendental functions separately. Its
+bytes are those that each fused operation reads and writes; most of them stay in the caches, so a kernel can
+lie above the sloping part of the roofline.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath
 from wrapjax.geometry.training_samples import random_poses
-from wrapjax.geometry.wrap_bounds import NARROWER, box, hammersley
+from wrapjax.geometry.wrap_bounds import NARROWER_TRANSLATIONS, hammersley, parameter_box
 from wrapjax.osim.model import describe_model
 from wrapjax.subject.subject import Subject
 
-#: Rows of the square matrices that are multiplied, and numbers in each array that is streamed (80 MB, which
-#: no cache holds).
+#: Rows of the square matrices that are multiplied, and numbers in each streamed array (80 MB, larger than any
+#: cache).
 _MATRIX, _STREAM = 1024, 10_000_000
 _REPEATS = 7
 _POSES, _SAMPLES = 500, 40
@@ -38,14 +38,14 @@ _POSES, _SAMPLES = 500, 40
 
 @dataclass(frozen=True)
 class Roof:
-    """What the machine can do with the threads it was given.
+    """Highest rates of the machine with the threads in use.
 
     Parameters
     ----------
     peak
-        Floating-point operations a second (float64).
+        Floating-point operations per second (float64).
     bandwidth
-        Bytes a second.
+        Memory bandwidth, bytes per second.
     """
 
     peak: float
@@ -53,28 +53,28 @@ class Roof:
 
     @property
     def ridge(self) -> float:
-        """Operations a byte from which on arithmetic is what limits."""
+        """Operations per byte above which arithmetic is the limit."""
         return self.peak / self.bandwidth
 
     def at(self, intensity: float) -> float:
-        """Most operations a second at so many operations a byte."""
+        """Return the highest operations per second at a number of operations per byte."""
         return min(self.peak, self.bandwidth * intensity)
 
 
 @dataclass(frozen=True)
 class Work:
-    """What one call of a kernel does, as XLA counts it, and how long it takes.
+    """Work of one call of a kernel as counted by XLA, and its time.
 
     Parameters
     ----------
     name
-        Of the kernel.
+        Name of the kernel.
     flops, transcendentals, bytes_moved
-        Counted for the compiled program.
+        Counts for the compiled program.
     seconds
-        Median of steady calls.
+        Median time of calls after the first.
     missed
-        In words: what of it the count leaves out.
+        Description of the work that the count omits.
     """
 
     name: str
@@ -86,18 +86,18 @@ class Work:
 
     @property
     def rate(self) -> float:
-        """Operations a second."""
+        """Operations per second."""
         return self.flops / self.seconds
 
     @property
     def intensity(self) -> float:
-        """Operations a byte."""
+        """Operations per byte."""
         return self.flops / self.bytes_moved
 
 
 def roofline(subject: Subject, case: Case) -> tuple[Roof, list[Work], list[Metric]]:
-    """Measure the machine and its roof, then the kernels of a calibration and the path engine below it."""
-    roof = measured_roof()
+    """Measure the machine's roofline, and the kernels of a calibration and the path engine."""
+    roof = measure_roof()
     start = case.start
     kernels: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {
         "residuals": (lambda problem, x: problem.residuals(x), (case.problem, start)),
@@ -107,7 +107,7 @@ def roofline(subject: Subject, case: Case) -> tuple[Roof, list[Work], list[Metri
     engine = _path_engine(subject)
     if engine is not None:
         kernels["path_engine"] = engine
-    works = [work_of(name, function, arguments) for name, (function, arguments) in kernels.items()]
+    works = [measure_work(name, function, arguments) for name, (function, arguments) in kernels.items()]
     metrics = [
         Metric(
             "roofline/peak", 1e-9 * roof.peak, "GFLOP/s", "higher", f"{_MATRIX} x {_MATRIX} float64 matmul"
@@ -118,21 +118,21 @@ def roofline(subject: Subject, case: Case) -> tuple[Roof, list[Work], list[Metri
     return roof, works, metrics
 
 
-def measured_roof() -> Roof:
-    """Time what does nothing but multiply and add, and what does nothing but read and write."""
+def measure_roof() -> Roof:
+    """Measure peak arithmetic by a matrix product and bandwidth by an array update."""
     matrix = jnp.asarray(np.random.default_rng(0).standard_normal((_MATRIX, _MATRIX)))
     multiply = jax.jit(jnp.matmul)
     first, second = np.ones(_STREAM), np.ones(_STREAM)
 
-    # By NumPy and in place, piece by piece: XLA would ask the system for a new array with every call.
+    # By NumPy, in place and in pieces: XLA would allocate a new array at every call.
     piece, scratch = 16_384, np.empty(16_384)
 
     def stream() -> None:
         for begin in range(0, _STREAM, piece):
-            own = slice(begin, begin + piece)
-            product = scratch[: len(first[own])]
-            np.multiply(second[own], 1e-3, out=product)
-            first[own] += product
+            span = slice(begin, begin + piece)
+            product = scratch[: len(first[span])]
+            np.multiply(second[span], 1e-3, out=product)
+            first[span] += product
 
     seconds = median_seconds({"multiply": lambda: multiply(matrix, matrix), "stream": stream}, _REPEATS)
     return Roof(
@@ -141,14 +141,14 @@ def measured_roof() -> Roof:
     )
 
 
-def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Work:
-    """Compile a function, have XLA count its work, and time it."""
+def measure_work(name: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Work:
+    """Compile a function, count its work by XLA, and time it."""
     jitted: Any = eqx.filter_jit(function)
     program = jitted.lower(*arguments).compile()
     counted, text = program.compiled.cost_analysis(), program.compiled.as_text()
     loops, calls = len(re.findall(r" while\(", text)), len(re.findall(r" custom-call\(", text))
     turns = ", ".join(dict.fromkeys(re.findall(r'known_trip_count":{"n":"(\d+)"', text)))
-    of_turns = f" of {turns} turns" if turns else ""
+    of_turns = f" of {turns} iterations" if turns else ""
     seconds = median_seconds({name: lambda: program(*arguments)}, _REPEATS)[name]
     return Work(
         name=name,
@@ -156,7 +156,7 @@ def work_of(name: str, function: Callable[..., Any], arguments: tuple[Any, ...])
         transcendentals=counted.get("transcendentals", 0.0),
         bytes_moved=counted["bytes accessed"],
         seconds=seconds,
-        missed=f"loops{of_turns} counted as one turn: {loops}; library calls not counted: {calls}",
+        missed=f"loops{of_turns} counted as one iteration: {loops}; library calls not counted: {calls}",
     )
 
 
@@ -172,16 +172,14 @@ def _metrics(work: Work, roof: Roof) -> list[Metric]:
             work.intensity,
             "flop/byte",
             "higher",
-            f"{1e-6 * work.bytes_moved:.3g} MB; the roof turns at {roof.ridge:.2g}",
+            f"{1e-6 * work.bytes_moved:.3g} MB; ridge of the roofline at {roof.ridge:.2g}",
         ),
-        Metric(
-            f"{name}/share", share, "%", "higher", f"of the roof, where {limit} is the limit", tolerance=1.0
-        ),
+        Metric(f"{name}/share", share, "%", "higher", f"of the roofline, limited by {limit}", tolerance=1.0),
     ]
 
 
 def _path_engine(subject: Subject) -> tuple[Callable[..., Any], tuple[Any, ...]] | None:
-    """Lay the first path round one cylinder, in many poses and round it placed in many ways."""
+    """Compute the first path round one cylinder in many poses and for many wrap parameters."""
     trials, model = subject.trials, describe_model(subject.model_file)
     coordinates = trials.moment_coordinates
     wrapped = [name for name in subject.muscles.names if model.muscle(name).wraps]
@@ -191,7 +189,7 @@ def _path_engine(subject: Subject) -> tuple[Callable[..., Any], tuple[Any, ...]]
         return None
     angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
     posed = engine.posed(random_poses(angles, _POSES, np.random.default_rng(0)))[single]
-    lower, upper = box(max(NARROWER))
+    lower, upper = parameter_box(max(NARROWER_TRANSLATIONS))
     samples = jnp.asarray((lower + (upper - lower) * hammersley(_SAMPLES))[:, None])
 
     def wrap(posed: PosedPath, samples: jax.Array) -> Any:

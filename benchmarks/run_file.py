@@ -1,4 +1,4 @@
-"""The file that a run of the benchmarks leaves, and how it is read again."""
+"""JSON files of benchmark runs."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _SCHEMA = 2
 
 @dataclass(frozen=True)
 class EarlierRun:
-    """What a run measured, of whom and where.
+    """Metrics of an earlier run, with its subject and processor.
 
     Parameters
     ----------
     asked
-        Which set of measurements it was, in words; runs of one set measure the same things.
+        Name of the set of metrics; runs of one set measure the same metrics.
     subject
         Name of the subject's folder.
     processor
-        As the machine names it.
+        Model name of the processor.
     metrics
-        By their names.
+        Metrics by name.
     """
 
     asked: str
@@ -41,7 +41,7 @@ class EarlierRun:
 
 
 def write_run(file: Path, asked: str, subject: str, metrics: Sequence[Metric]) -> None:
-    """Write what was measured, with machine, versions and commit."""
+    """Write metrics with machine, package versions and commit."""
     content = {
         "schema": _SCHEMA,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -56,12 +56,12 @@ def write_run(file: Path, asked: str, subject: str, metrics: Sequence[Metric]) -
 
 
 def read_run(file: Path) -> EarlierRun:
-    """Read a run.
+    """Read the file of a run.
 
     Raises
     ------
     InputError
-        Where the file is none.
+        If the file is not one that a benchmark run wrote.
     """
     try:
         content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
@@ -73,12 +73,12 @@ def read_run(file: Path) -> EarlierRun:
             {metric.name: metric for metric in metrics},
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        message = "is no file that a run of the benchmarks wrote"
+        message = "not a file of a benchmark run"
         raise InputError(Problem(str(file), f"{message} ({error})")) from None
 
 
 def _numbers(entry: dict[str, Any]) -> dict[str, Any]:
-    """JSON has neither NaN nor infinity: both are null, where nothing could be measured or all is allowed."""
+    """Replace null by NaN (not measured) or infinity (any tolerance), which JSON cannot represent."""
     value, tolerance = entry["value"], entry["tolerance"]
     return entry | {
         "value": math.nan if value is None else float(value),

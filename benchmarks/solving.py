@@ -1,4 +1,4 @@
-"""Time, effort and quality of whole solves, ours and those of peers, from one start."""
+"""Time, effort and final cost of NGA solves by wrapjax and by other optimizers from one start."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import numpy as np
 from benchmarks.case import Case
 from benchmarks.counting import counted_evaluations
 from benchmarks.metric import INFORMATION, Metric
-from benchmarks.peers import PEERS
-from benchmarks.published import NMSM_PIPELINE, beside_published
-from benchmarks.race import Run
+from benchmarks.other_solvers import OTHER_SOLVERS
+from benchmarks.published_times import NMSM_PIPELINE, compare_with_published
+from benchmarks.timed_run import Run
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 
-#: A peer has arrived when its cost is this close to ours, relatively. The problem has several minima
-#: less than one percent apart, and which of them an optimizer meets is luck.
-ARRIVED = 1e-2
+#: Relative distance from the cost of wrapjax at which another optimizer counts as converged. The problem has
+#: several minima less than one percent apart, and which of them an optimizer finds depends on chance.
+CONVERGED = 1e-2
 
 OURS = "wrapjax"
-#: How many costs are evaluated to learn what one takes.
+#: Evaluations of the cost over which its time is averaged.
 _COSTS = 20
 
 
 def our_solve(case: Case, *, quick: bool = False) -> tuple[Run, list[Metric]]:
-    """Solve NGA with our solver: time, quality and effort, beside what was published of another tool's."""
+    """Solve NGA by wrapjax; measure time, cost and effort, and compare with published effort."""
     ours = _our_run(case, repeats=2 if quick else 5)
     value = case.compiled(lambda problem, x: problem.value(x))
     jax.block_until_ready(value(case.start))
@@ -33,16 +33,19 @@ def our_solve(case: Case, *, quick: bool = False) -> tuple[Run, list[Metric]]:
     for _ in range(_COSTS):
         jax.block_until_ready(value(case.start))
     cost_seconds = (time.process_time() - began) / _COSTS
-    return ours, [*_metrics(case, ours), *beside_published(ours, cost_seconds, case.size, NMSM_PIPELINE)]
+    return ours, [
+        *_metrics(case, ours),
+        *compare_with_published(ours, cost_seconds, case.size, NMSM_PIPELINE),
+    ]
 
 
 def solves(case: Case, *, quick: bool = False, limit: float = 120.0) -> list[Metric]:
-    """Solve NGA with our solver and with peers, from one start; quality beside time.
+    """Solve NGA by wrapjax and by other optimizers from one start; measure times and final costs.
 
-    No peer runs longer than ``limit`` seconds.
+    Each of the other optimizers runs for at most ``limit`` seconds.
     """
     ours, metrics = our_solve(case, quick=quick)
-    for name, solve in PEERS.items():
+    for name, solve in OTHER_SOLVERS.items():
         try:
             run = solve(case, limit)
         except ImportError as error:
@@ -56,7 +59,8 @@ def solves(case: Case, *, quick: bool = False, limit: float = 120.0) -> list[Met
 def _our_run(case: Case, repeats: int) -> Run:
     solver = ProjectedLevenbergMarquardt()
     solver.compile(case.problem, case.start)
-    # The first solve may still compile what only the second step needs; it is counted, but not timed.
+    # The first solve may compile programs that only the second step needs; its evaluations count, not its
+    # time.
     with counted_evaluations() as asked:
         solver.solve(case.problem, case.start)
     seconds, core_seconds = [], []
@@ -98,11 +102,11 @@ def _metrics(case: Case, run: Run) -> list[Metric]:
     ]
 
 
-def _speedup(ours: Run, peer: Run) -> Metric:
-    """Peer's time to come near our cost, over the time of our whole solve."""
-    arrival = peer.arrival(ours.cost * (1.0 + ARRIVED))
-    seconds = peer.seconds if arrival is None else arrival
-    note = "its time to within 1 % of our cost, over our time to the end"
-    if arrival is None:
-        note = f"at least: it never came within 1 % of our cost (best {peer.cost:.5g} to {ours.cost:.5g})"
-    return Metric(f"solve/{peer.name}/slower", seconds / ours.seconds, "x", "higher", note, tolerance=1.0)
+def _speedup(ours: Run, other: Run) -> Metric:
+    """Compute the time of another optimizer to reach the cost of wrapjax, over the time of wrapjax."""
+    reached = other.seconds_to_reach(ours.cost * (1.0 + CONVERGED))
+    seconds = other.seconds if reached is None else reached
+    note = "its time to within 1 % of wrapjax's cost, over wrapjax's time to convergence"
+    if reached is None:
+        note = f"lower bound: never within 1 % of wrapjax's cost (best {other.cost:.5g} to {ours.cost:.5g})"
+    return Metric(f"solve/{other.name}/slower", seconds / ours.seconds, "x", "higher", note, tolerance=1.0)

@@ -1,4 +1,4 @@
-"""Whom benchmarks calibrate."""
+"""Subject that the benchmarks calibrate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 @contextmanager
 def default_subject(given: Path | None) -> Iterator[Path]:
-    """Give the folder of a subject: the one asked for, a recorded one, or a virtual one made up for now."""
+    """Return the subject folder given, or ``$WRAPJAX_DATA/s1_left``, or a temporary virtual subject."""
     if given:
         yield given
     elif os.environ.get("WRAPJAX_DATA"):

@@ -1,4 +1,4 @@
-"""How well muscle paths are fitted by polynomials, OpenSim's own PolynomialPathFitter beside."""
+"""Fit errors and times of the surrogate and of OpenSim's PolynomialPathFitter."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from wrapjax.path_sources.fit_poses import TRAINING_POSES
 from wrapjax.path_sources.path_fitting import path_errors
 from wrapjax.subject.subject import Subject
 
-#: Broad fans, paths over the pelvic brim, paths that lift off their cylinder, knee and ankle.
+#: Muscles with broad origins, paths over the pelvic brim, paths that lift off their wrap, knee and ankle.
 DEFAULT_MUSCLES = ("iliacus", "psoas", "glmax1", "glmax2", "recfem", "vasmed", "semimem", "gasmed")
 
 _QUANTITIES = ("length_rmse_mm", "length_max_mm", "moment_arm_rmse_mm", "moment_arm_max_mm")
 
 
 def default_muscles(subject: Subject) -> tuple[str, ...]:
-    """Those of `DEFAULT_MUSCLES` that the subject has."""
+    """Return those of `DEFAULT_MUSCLES` that the subject has."""
     return tuple(
         name for name in subject.muscles.names if name.removesuffix(f"_{subject.side}") in DEFAULT_MUSCLES
     )
@@ -33,18 +33,18 @@ def default_muscles(subject: Subject) -> tuple[str, ...]:
 def surrogates(
     subject: Subject, muscles: Sequence[str], *, quick: bool = False, samples_per_frame: int = 25
 ) -> list[Metric]:
-    """Fit the same muscles both ways, on one thread, and judge both on the same unseen poses.
+    """Fit the same muscles both ways on one thread, and evaluate both on the same held-out poses.
 
     Parameters
     ----------
     subject
-        Its cycles define the belt of poses.
+        Subject whose cycles define the range of poses.
     muscles
-        OpenSim's fitter takes about a minute for each.
+        Muscles to fit; OpenSim's fitter takes about a minute for each.
     quick
-        Take the first two muscles only, and few samples for the peer.
+        Fit the first two muscles only, with few samples by OpenSim.
     samples_per_frame
-        Of the peer; 25 is its default.
+        Setting of OpenSim's fitter; 25 is its default.
     """
     muscles = tuple(muscles)[: 2 if quick else None]
     if quick:
@@ -72,12 +72,12 @@ def surrogates(
         known.moment_arm,
     )
     fitted = time.perf_counter()
-    truth = analyse_muscles(subject.model_file, muscles, coordinates, unseen, processes=1, quiet=True)
+    reference = analyse_muscles(subject.model_file, muscles, coordinates, unseen, processes=1, quiet=True)
     wrapped = {muscle.name: bool(muscle.wraps) for muscle in describe_model(subject.model_file).muscles}
-    ours = path_errors(surrogate, unseen, truth, slice(None), wrapped)
+    ours = path_errors(surrogate, unseen, reference, slice(None), wrapped)
 
     lower, upper = angle_ranges(angles)
-    peer = fit_with_opensim(
+    opensim = fit_with_opensim(
         subject.model_file,
         muscles,
         coordinates,
@@ -90,10 +90,10 @@ def surrogates(
     count = f"{len(muscles)} muscles, one thread"
     metrics = [
         Metric("surrogate/seconds", fitted - began, "s", "lower", f"{count}; OpenSim's analysis included"),
-        Metric("surrogate/fit_seconds", fitted - analysed, "s", "lower", "of it, fitting and pruning"),
+        Metric("surrogate/fit_seconds", fitted - analysed, "s", "lower", "of these, fitting and pruning"),
         Metric(
             "surrogate/opensim_seconds",
-            peer["seconds"],
+            opensim["seconds"],
             "s",
             "lower",
             f"{count}; PolynomialPathFitter, {samples_per_frame} samples a frame",
@@ -101,15 +101,15 @@ def surrogates(
         ),
         Metric(
             "surrogate/opensim_slower",
-            peer["seconds"] / (fitted - began),
+            opensim["seconds"] / (fitted - began),
             "x",
             "higher",
-            "its time over ours",
+            "time of OpenSim over time of wrapjax",
         ),
     ]
     for muscle in muscles:
         for quantity in _QUANTITIES:
-            theirs = float(peer["muscles"][muscle][quantity])
+            theirs = float(opensim["muscles"][muscle][quantity])
             name = quantity.removesuffix("_mm")
             metrics.append(
                 Metric(

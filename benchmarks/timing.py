@@ -1,4 +1,4 @@
-"""Timing on a machine that others use too."""
+"""Wall times of function calls on a shared machine."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy as np
 
 
 def median_seconds(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Time calls in turn, so that whatever else the machine does meets all of them alike.
+    """Time calls in turn, so that other load on the machine affects all of them equally.
 
-    Each timed call follows an untimed one of its own kind: what ran before it, perhaps with hundreds of
-    megabytes, must not be charged to it. The very first call also compiles.
+    Each timed call follows an untimed one of the same function, so that its time does not depend on the
+    memory use of the previous function. The first call also compiles.
 
     Parameters
     ----------
     calls
-        By name; each returns JAX arrays, which are waited for.
+        Functions by name; each returns JAX arrays, which are waited for.
     repeats
-        How often each is timed.
+        Number of timed calls of each function.
 
     Returns
     -------
     dict
-        Median wall time of each.
+        Median wall time of each function, s.
     """
     taken: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):

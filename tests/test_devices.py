@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.batching import batched
 from benchmarks.devices import on_device
-from benchmarks.tiled import another_person
+from benchmarks.tiled_problems import perturb_problem
 from tests.model.small import small_limited_objective, small_objective
 from tests.subject.synthetic import write_wrapped_subject
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
@@ -75,7 +75,7 @@ def test_paths_agree(wrapping, tmp_path):
 @pytest.mark.gpu
 def test_people_in_one_program_agree():
     device, problem = gpu(), small_objective()
-    people = [another_person(problem, seed) for seed in range(3)]
+    people = [perturb_problem(problem, seed) for seed in range(3)]
     points = np.stack([person.variables.start() for person in people])
     with jax.default_device(device):
         there = batched(lambda one, x: one.linearize(x), on_device(device, people))(on_device(device, points))

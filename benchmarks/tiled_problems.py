@@ -1,4 +1,4 @@
-"""Problems of any size, made by repeating the arrays of a recorded one; and people who differ a little."""
+"""Calibration problems of any size, by repetition of a recorded one, and slightly perturbed problems."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from wrapjax.model.freedom import nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import free_variables
 
-#: Size of a made-up change of path, in parts of the path.
+#: Amplitude of a synthetic path mode, relative to the path.
 _MODE_SIZE = 0.01
-#: How much made-up people differ, in parts of each number.
+#: Relative standard deviation of the numbers of perturbed problems.
 _SPREAD = 0.01
 
 
-def tiled(problem: Objective, *, muscles: int, trials: int, modes: int = 0) -> Objective:
-    """Repeat a problem's muscles and trials, or leave some out, until there are so many.
+def tile_problem(problem: Objective, *, muscles: int, trials: int, modes: int = 0) -> Objective:
+    """Build a problem with given numbers of muscles and trials by repeating or omitting those of another.
 
-    It is a problem to be timed: the moments of repeated muscles have nothing to do with those measured.
+    The problem is meant for timing only: the moments of repeated muscles do not fit the measured ones.
 
     Parameters
     ----------
     problem
-        Whose paths are held.
+        Problem with fixed paths.
     muscles, trials
-        How many there will be.
+        Numbers of muscles and trials of the new problem.
     modes
-        How many changes of each path will be free, as in SGA: made-up ones.
+        Number of free synthetic modes of each path, as in SGA.
     """
     present = len(problem.initial.emg_scale)
     chosen, cycles = np.arange(muscles) % present, np.arange(trials) % len(problem.measured)
@@ -47,12 +47,12 @@ def tiled(problem: Objective, *, muscles: int, trials: int, modes: int = 0) -> O
     emg, path = jax.tree.map(lambda leaf: leaf[chosen][:, cycles], (problem.recording.emg, held))
     base = jax.tree.map(lambda leaf: leaf[chosen], problem.initial)
     base = eqx.tree_at(lambda tree: tree.path_changes, base, jnp.zeros((muscles, modes)))
-    recording = Recording(emg, AdjustablePath(path, _made_up_modes(path, modes)), problem.recording.padding)
+    recording = Recording(emg, AdjustablePath(path, _synthetic_modes(path, modes)), problem.recording.padding)
     return _problem(problem, recording, base, problem.measured[cycles])
 
 
-def another_person(problem: Objective, seed: int) -> Objective:
-    """Make up a person of the same shape, in whom all that is recorded and every muscle is a little other."""
+def perturb_problem(problem: Objective, seed: int) -> Objective:
+    """Build a problem of the same shape with slightly different recordings and muscle parameters."""
     generator = np.random.default_rng(seed)
 
     def changed(leaf: Array) -> Array:
@@ -72,16 +72,19 @@ def _problem(
     base: ModelParameters,
     measured: Float[Array, "trial coordinate frame"],
 ) -> Objective:
-    """Put a problem together as `prepare` does: NGA, or SGA where paths have modes."""
+    """Build an NGA problem, or an SGA problem if the paths have modes."""
     muscles, modes = base.path_changes.shape
     freedom = nga_freedom(base)
     if modes:
         freedom = with_paths(freedom, "SGA", np.ones((muscles, modes), dtype=bool), prior_sd=PATH_CHANGE)
     reference = eqx.filter_jit(muscle_states)(like.curves, base, recording)
-    own = tuple(dict.fromkeys(label.rsplit(".", 1)[0] for label in like.variables.labels))
-    present = len(own)
-    # The first ones keep their names: programs are compiled for names, too.
-    names = [own[one % present] + (f"_{one // present}" if one >= present else "") for one in range(muscles)]
+    present_names = tuple(dict.fromkeys(label.rsplit(".", 1)[0] for label in like.variables.labels))
+    present = len(present_names)
+    # The first muscles keep their names: names are part of what a program is compiled for.
+    names = [
+        present_names[index % present] + (f"_{index // present}" if index >= present else "")
+        for index in range(muscles)
+    ]
     return Objective(
         curves=like.curves,
         recording=recording,
@@ -102,15 +105,15 @@ def _groups(problem: Objective, name: str) -> tuple[tuple[int, ...], ...]:
 
 
 def _tiled_groups(groups: Sequence[Sequence[int]], present: int, muscles: int) -> tuple[tuple[int, ...], ...]:
-    """Repeat groups with their members; those that are left with one member are none."""
+    """Repeat groups for the repeated muscles, and drop groups with a single member left."""
     copies = -(-muscles // present)
     moved = [[copy * present + one for one in group] for copy in range(copies) for group in groups]
-    kept = (tuple(one for one in group if one < muscles) for group in moved)
-    return tuple(group for group in kept if len(group) > 1)
+    present_groups = (tuple(one for one in group if one < muscles) for group in moved)
+    return tuple(group for group in present_groups if len(group) > 1)
 
 
-def _made_up_modes(path: PathState, count: int) -> PathState:
-    """Waves along the cycle, in parts of the path: as dense as recorded modes, which is what takes time."""
+def _synthetic_modes(path: PathState, count: int) -> PathState:
+    """Build cosine modes along the cycle, relative to the path and as dense as the modes of SGA."""
     frames = path.length.shape[-1]
     waves = np.cos(np.pi * np.arange(1, count + 1)[:, None] * np.linspace(0.0, 1.0, frames))
 

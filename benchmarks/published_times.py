@@ -1,27 +1,27 @@
-"""What others published of how long their tools take, restated beside what we counted in the same run."""
+"""Published effort of another tool's calibration, compared with the measured effort of wrapjax."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from benchmarks.metric import Metric
-from benchmarks.race import Run
+from benchmarks.timed_run import Run
 
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """A calibration that somebody else's tool did on somebody else's machine.
+    """Published calibration by another tool on another machine.
 
     Parameters
     ----------
     name, source
-        Of the tool, and where its figures are.
+        Name of the tool, and publication of its figures.
     evaluations, iterations
-        Of the cost, and of the optimizer.
+        Evaluations of the cost, and iterations of the optimizer.
     minutes, threads
-        Wall time, and how many threads it was given. That all of them were busy is our assumption.
+        Wall time, and number of threads. All threads are assumed to be busy.
     problem
-        In words.
+        Description of the problem.
     """
 
     name: str
@@ -34,7 +34,7 @@ class PublishedRun:
 
     @property
     def core_seconds(self) -> float:
-        """Processor time at most."""
+        """Upper bound of the processor time (s)."""
         return 60.0 * self.minutes * self.threads
 
 
@@ -46,28 +46,29 @@ NMSM_PIPELINE = PublishedRun(
     iterations=409,
     minutes=7.4,
     threads=16,
-    problem="one trial, 43 muscles, EMG of some made up by synergies",
+    problem="one trial, 43 muscles, EMG of some extrapolated by synergies",
 )
 
-#: How many times fewer evaluations we want to need than it did.
+#: Target ratio of published evaluations to those of wrapjax.
 EVALUATIONS_TARGET = 1000
 
 
-def beside_published(ours: Run, cost_seconds: float, size: str, theirs: PublishedRun) -> list[Metric]:
-    """Restate a published run as evaluations, iterations and core-seconds, over ours.
+def compare_with_published(ours: Run, cost_seconds: float, size: str, theirs: PublishedRun) -> list[Metric]:
+    """Compute ratios of published evaluations, iterations and core-seconds to those of wrapjax.
 
-    Problems and machines differ: orders of magnitude are meant, not digits.
+    Problems and machines differ, so only orders of magnitude are meaningful.
 
     Parameters
     ----------
     ours
-        Counted and timed now.
+        Measured run of wrapjax.
     cost_seconds
-        Processor time of one evaluation of our cost: linearizations are dear, and this says how dear in all.
+        Processor time (s) of one evaluation of the cost by wrapjax. It expresses the whole solve, with its
+        expensive linearizations, in evaluations of the cost.
     size
-        Of our problem, in words.
+        Size of the measured problem, as text.
     theirs
-        As published.
+        Published run.
     """
     prefix = f"solve/{theirs.name}"
     return [
@@ -76,7 +77,7 @@ def beside_published(ours: Run, cost_seconds: float, size: str, theirs: Publishe
             ours.core_seconds / cost_seconds,
             "evaluations",
             "lower",
-            "as many evaluations of the cost alone take as much processor time as our whole solve",
+            "evaluations of the cost alone that take as much processor time as the whole solve",
             tolerance=1.0,
         ),
         Metric(

@@ -1,4 +1,4 @@
-"""What got worse since an earlier run, beyond each number's own tolerance."""
+"""Comparison of metrics with those of an earlier run, within the tolerance of each metric."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmarks.metric import MACHINE_UNITS, Metric
 
 
 def worsening(before: float, now: Metric) -> float:
-    """By how much of itself a number got worse; 0 where it did not, infinite where it is none any more."""
+    """Compute the relative worsening of a metric: 0 if it is not worse, infinite if it is NaN now."""
     if math.isnan(now.value):
         return 0.0 if math.isnan(before) else math.inf
     if math.isnan(before):
@@ -23,18 +23,18 @@ def worsening(before: float, now: Metric) -> float:
 def regressions(
     before: Mapping[str, Metric], now: Sequence[Metric], *, same_machine: bool, same_set: bool
 ) -> list[str]:
-    """Say what got worse, a sentence each.
+    """Describe the metrics that got worse, one sentence each.
 
     Parameters
     ----------
     before
-        The earlier run's numbers by their names.
+        Metrics of the earlier run by name.
     now
-        This run's; their tolerances hold.
+        Metrics of this run; their tolerances apply.
     same_machine
-        Whether both ran on one kind of processor; times of different ones are not compared.
+        Whether both runs used the same kind of processor; otherwise times are not compared.
     same_set
-        Whether both were asked for the same things: then what is missing now is worse.
+        Whether both runs measured the same set of metrics; then a missing metric is reported.
     """
     worse = []
     for metric in now:
@@ -46,7 +46,7 @@ def regressions(
             by = "" if math.isinf(change) else f", {100.0 * change:.0f} % worse"
             worse.append(
                 f"{metric.name}: {earlier:.6g} before, {metric.value:.6g} {metric.unit} now"
-                f"{by} ({100.0 * metric.allowed:g} % are allowed)"
+                f"{by} ({100.0 * metric.allowed:g} % allowed)"
             )
     if same_set:
         present = {metric.name for metric in now}

@@ -1,7 +1,7 @@
 """Other optimizers on the same problem, from the same start, within the same bounds.
 
-All get our jitted functions, compiled beforehand, and our scaled variables, which are of order one.
-Tolerances are tight, so that none stops early for being content with less.
+All use the compiled functions and the scaled variables (of order one) of wrapjax. Their tolerances are tight,
+so that none stops at a higher cost than it can reach.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from scipy.optimize import Bounds, least_squares, minimize
 
 from benchmarks.case import Case, total_cost
 from benchmarks.jacobian import residual_jacobian
-from benchmarks.race import IterationCallback, Run, race
+from benchmarks.timed_run import EvaluationRecorder, Run, run_with_limit
 
 _MANY = 1_000_000
 
 
 def trf_exact(case: Case, limit: float) -> Run:
-    """SciPy's least_squares with a dense Jacobian by jax.jacfwd."""
+    """Run SciPy's ``least_squares`` with a dense Jacobian by `jax.jacfwd`."""
     jacobian = case.compiled(jax.jacfwd(lambda problem, x: problem.residuals(x), argnums=1))
     jax.block_until_ready(jacobian(case.start))
     return _trf("scipy_trf_exact", case, limit, lambda x: np.asarray(jacobian(x)))
 
 
 def trf_by_muscle(case: Case, limit: float) -> Run:
-    """SciPy's least_squares with our Jacobian: the same matrix, muscle by muscle."""
+    """Run SciPy's ``least_squares`` with the same Jacobian computed muscle by muscle."""
     jacobian = case.compiled(residual_jacobian)
     jax.block_until_ready(jacobian(case.start))
     return _trf("scipy_trf_by_muscle", case, limit, lambda x: np.asarray(jacobian(x)))
 
 
 def trf_differences(case: Case, limit: float) -> Run:
-    """SciPy's least_squares with 2-point differences."""
+    """Run SciPy's ``least_squares`` with 2-point differences."""
     return _trf("scipy_trf_differences", case, limit, "2-point")
 
 
@@ -45,10 +45,10 @@ def _trf(name: str, case: Case, limit: float, jacobian: str | Callable[[Any], An
     residuals = case.compiled(lambda problem, x: problem.residuals(x))
     jax.block_until_ready(residuals(case.start))
 
-    def optimize(watch: IterationCallback) -> str:
+    def optimize(recorder: EvaluationRecorder) -> str:
         def function(x):
             rows = np.asarray(residuals(x))
-            watch.see(x, rows @ rows)
+            recorder.record(x, rows @ rows)
             return rows
 
         found = least_squares(
@@ -64,11 +64,11 @@ def _trf(name: str, case: Case, limit: float, jacobian: str | Callable[[Any], An
         )
         return found.message
 
-    return race(name, limit, optimize)
+    return run_with_limit(name, limit, optimize)
 
 
 def lbfgsb_gradient(case: Case, limit: float) -> Run:
-    """SciPy's L-BFGS-B with jax.grad."""
+    """Run SciPy's L-BFGS-B with the gradient by `jax.value_and_grad`."""
     both = case.compiled(jax.value_and_grad(total_cost, argnums=1))
     jax.block_until_ready(both(case.start))
 
@@ -80,17 +80,17 @@ def lbfgsb_gradient(case: Case, limit: float) -> Run:
 
 
 def lbfgsb_differences(case: Case, limit: float) -> Run:
-    """SciPy's L-BFGS-B with 2-point differences of the jitted cost: what MATLAB tools do."""
+    """Run SciPy's L-BFGS-B with 2-point differences of the compiled cost, as MATLAB tools do."""
     cost = case.compiled(total_cost)
     jax.block_until_ready(cost(case.start))
     return _lbfgsb("scipy_lbfgsb_differences", case, limit, lambda x: float(cost(x)), "2-point")
 
 
 def _lbfgsb(name: str, case: Case, limit: float, evaluate: Callable[[Any], Any], jacobian: str | bool) -> Run:
-    def optimize(watch: IterationCallback) -> str:
+    def optimize(recorder: EvaluationRecorder) -> str:
         def function(x):
             value = evaluate(x)
-            watch.see(x, value[0] if jacobian is True else value)
+            recorder.record(x, value[0] if jacobian is True else value)
             return value
 
         options = {"maxiter": _MANY, "maxfun": _MANY, "ftol": 1e-13, "gtol": 1e-8}
@@ -100,18 +100,18 @@ def _lbfgsb(name: str, case: Case, limit: float, evaluate: Callable[[Any], Any],
         )
         return found.message
 
-    return race(name, limit, optimize)
+    return run_with_limit(name, limit, optimize)
 
 
 def slsqp_differences(case: Case, limit: float) -> Run:
-    """SciPy's SLSQP with 2-point differences of the jitted cost: the SQP of MATLAB tools."""
+    """Run SciPy's SLSQP with 2-point differences of the compiled cost, as the SQP of MATLAB tools."""
     cost = case.compiled(total_cost)
     jax.block_until_ready(cost(case.start))
 
-    def optimize(watch: IterationCallback) -> str:
+    def optimize(recorder: EvaluationRecorder) -> str:
         def function(x):
             value = float(cost(x))
-            watch.see(x, value)
+            recorder.record(x, value)
             return value
 
         found = minimize(
@@ -123,13 +123,13 @@ def slsqp_differences(case: Case, limit: float) -> Run:
         )
         return found.message
 
-    return race("scipy_slsqp_differences", limit, optimize)
+    return run_with_limit("scipy_slsqp_differences", limit, optimize)
 
 
 def jaxopt_lbfgsb(case: Case, limit: float) -> Run:
-    """Run jaxopt's bounded L-BFGS, one jitted step at a time."""
+    """Run jaxopt's L-BFGS-B, one compiled step at a time."""
     with warnings.catch_warnings():
-        # It says at import that it is no longer maintained.
+        # It warns at import that it is no longer maintained.
         warnings.simplefilter("ignore", DeprecationWarning)
         import jaxopt
 
@@ -144,21 +144,21 @@ def jaxopt_lbfgsb(case: Case, limit: float) -> Run:
     start = (case.start, begin(case.start))
     jax.block_until_ready((advance(start), cost(case.start)))
 
-    def optimize(watch: IterationCallback) -> str:
+    def optimize(recorder: EvaluationRecorder) -> str:
         carry = start
         for _ in range(_MANY):
-            watch.see(np.asarray(carry[0]), float(carry[1].value))
+            recorder.record(np.asarray(carry[0]), float(carry[1].value))
             if carry[1].error <= 1e-8 or carry[1].failed_linesearch:
                 break
             carry = advance(carry)
         failed = bool(carry[1].failed_linesearch)
         return "line search failed" if failed else "projected gradient below tol"
 
-    return race("jaxopt_lbfgsb", limit, optimize)
+    return run_with_limit("jaxopt_lbfgsb", limit, optimize)
 
 
 def optimistix_lm(case: Case, limit: float) -> Run:
-    """Run optimistix' Levenberg-Marquardt on variables that a sigmoid keeps within their bounds."""
+    """Run optimistix' Levenberg-Marquardt with a sigmoid transform that keeps variables within bounds."""
     import equinox as eqx
     import optimistix
 
@@ -186,18 +186,18 @@ def optimistix_lm(case: Case, limit: float) -> Run:
     cost = case.compiled(lambda problem, free: total_cost(problem, inside(free)))
     jax.block_until_ready((advance(case.problem, free, state)[0], cost(free)))
 
-    def optimize(watch: IterationCallback) -> str:
+    def optimize(recorder: EvaluationRecorder) -> str:
         point, carry, done = free, state, False
         while not done:
-            watch.see(np.asarray(inside(point)), float(cost(point)))
+            recorder.record(np.asarray(inside(point)), float(cost(point)))
             point, carry, done = advance(case.problem, point, carry)
         return "step below tolerance"
 
-    return race("optimistix_lm_sigmoid", limit, optimize)
+    return run_with_limit("optimistix_lm_sigmoid", limit, optimize)
 
 
-#: In the order in which they run.
-PEERS: dict[str, Callable[[Case, float], Run]] = {
+#: Other optimizers by name, in the order in which they run.
+OTHER_SOLVERS: dict[str, Callable[[Case, float], Run]] = {
     "scipy_trf_exact": trf_exact,
     "scipy_trf_by_muscle": trf_by_muscle,
     "scipy_trf_differences": trf_differences,
