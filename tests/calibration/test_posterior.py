@@ -16,8 +16,9 @@ from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.uncertainty.intervals import summarize_draws
-from wrapjax.calibration.uncertainty.posterior import Posterior, draw_truncated_normal, posterior
+from wrapjax.calibration.uncertainty.posterior import Posterior, posterior
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
+from wrapjax.calibration.uncertainty.truncated_normal import draw_truncated_normal
 from wrapjax.calibration.uncertainty.uncertainty import randomized_refits
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import Freedom, FreedParameter
@@ -75,7 +76,7 @@ def test_covariance_of_drawn_noise_is_what_was_asked_for():
     np.testing.assert_allclose(np.sqrt((draws**2).mean(axis=(0, 1, 3))), noise.deviation, rtol=0.02)
     slopes = np.random.default_rng(4).normal(size=(6, 2, 51, 3)).cumsum(axis=2)
     seen = np.cov(np.einsum("dtcf,tcfv->dv", draws, slopes).T)
-    np.testing.assert_allclose(seen, noise.through(slopes), rtol=0.15, atol=0.1 * np.diag(seen).min())
+    np.testing.assert_allclose(seen, noise.propagate(slopes), rtol=0.15, atol=0.1 * np.diag(seen).min())
 
 
 @pytest.mark.parametrize("repeated", [1.0, 6.0])
@@ -138,7 +139,7 @@ class Line(AbstractCalibration):
         raise NotImplementedError
 
 
-def by_hand(lower: float, at: float, pull: float) -> tuple[Posterior, np.ndarray]:
+def by_hand(lower: float, at: float, gradient: float) -> tuple[Posterior, np.ndarray]:
     """Two variables, white noise; the posterior's precision is ``information * (seen + prior)``."""
     seen, prior = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, 0.5])
     problem = Line(limits=(), ends=np.array([[lower, -np.inf], [np.inf, np.inf]]))
@@ -152,11 +153,11 @@ def by_hand(lower: float, at: float, pull: float) -> tuple[Posterior, np.ndarray
         information=10.0,
         prior_information=10.0,
         curvature=seen + prior,
-        restraint=prior,
-        pull=np.array([pull, 0.0]),
-        restraint_pull=np.zeros(2),
-        moment_pull=np.zeros(2),
-        moment_noise=seen / 10.0,
+        prior_curvature=prior,
+        gradient=np.array([gradient, 0.0]),
+        prior_gradient=np.zeros(2),
+        moment_gradient=np.zeros(2),
+        gradient_noise=seen / 10.0,
     )
     return judged, 10.0 * (seen + prior)
 

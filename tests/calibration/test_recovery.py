@@ -13,7 +13,7 @@ import pytest
 import wrapjax
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.calibration.uncertainty.intervals import laplace_deviation
+from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import parameter_names
 from wrapjax.model.forward import joint_moments

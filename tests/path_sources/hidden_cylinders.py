@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.calibration.uncertainty.intervals import moment_arm_deviation
+from wrapjax.calibration.uncertainty.identifiability import moment_arm_deviation
 from wrapjax.demonstration.wrap_recovery import IDENTIFIABLE_RATIO
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.model.forward import joint_moments

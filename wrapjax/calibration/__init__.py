@@ -1,1 +1,1 @@
-"""Calibration of the model to a person: objective, penalties, limits, solvers, uncertainty."""
+"""Calibration of the model to a subject: objective, penalties, limits, solvers, uncertainty."""

@@ -1,7 +1,4 @@
-"""``calibrate``: fit a subject's model to its recorded moments.
-
-The model that a calibration found, as a file that OpenSim opens.
-"""
+"""Calibration of a subject's model to measured joint moments (``calibrate``), and its model file."""
 
 from __future__ import annotations
 
@@ -17,6 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from wrapjax.calibration.leg_setup import (
+    LegSetup,
+    MuscleOptions,
+    build_leg_setups,
+    calibration_fingerprint,
+)
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_stages, fit_for_methods
 from wrapjax.calibration.result import CalibrationResult
@@ -30,14 +33,7 @@ from wrapjax.calibration.solvers.multistart import (
     solve_from_starts,
     starting_points,
 )
-from wrapjax.calibration.two_legs import (
-    LegSetup,
-    MuscleOptions,
-    build_leg_setups,
-    calibration_fingerprint,
-    join_leg_objectives,
-    leg_solution,
-)
+from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.files import cache_folder
 from wrapjax.io.model_file import MuscleParameters, read_model_file
@@ -57,93 +53,66 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def write_calibrated_model(subject: Subject, result: CalibrationResult, file: Path) -> None:
-    """Write a subject's model with its cylinders and muscles as calibrated.
-
-    Parameters
-    ----------
-    subject, result
-        What was calibrated, and what came of it. Cylinders that were held stay as they are. Driven muscles
-        get all constants that the calibration had, those too that it held; others of the leg get what the
-        subject says of them, where that is not what the model says.
-    file
-        Where to; written whole or not at all.
-    """
-    wraps = {}
-    if result.freedom.wraps is not None:
-        values = NOMINAL + result.freedom.wraps.changes_of(np.asarray(result.parameters.path_changes))
-        wraps = dict(zip(result.freedom.wraps.names, map(tuple, values.tolist()), strict=True))
-    muscles = dict(_undriven(subject)) | dict(_constants(_calibrated(result)))
-    write_personalised_model(subject.model_file, file, wraps, muscles)
-
-
-def _calibrated(result: CalibrationResult) -> MuscleParameters:
-    found = result.parameters
-    return MuscleParameters(
-        names=result.muscles,
-        max_isometric_force=np.asarray(found.max_isometric_force),
-        optimal_fiber_length=np.asarray(found.optimal_fiber_length),
-        tendon_slack_length=np.asarray(found.tendon_slack_length),
-        pennation_angle=np.asarray(found.pennation_angle),
-    )
-
-
-def _undriven(subject: Subject) -> Iterator[tuple[str, MuscleConstants]]:
-    """Give constants of muscles that nothing drives, where the subject's table differs from its model."""
-    if subject.undriven_parameters is None:
-        return
-    in_model = dict(_constants(read_model_file(subject.model_file).muscles))
-    for name, constants in _constants(subject.undriven_parameters):
-        if constants != in_model[name]:
-            yield name, constants
-
-
-def _constants(muscles: MuscleParameters) -> Iterator[tuple[str, MuscleConstants]]:
-    columns = (
-        muscles.optimal_fiber_length,
-        muscles.tendon_slack_length,
-        muscles.max_isometric_force,
-        muscles.pennation_angle,
-    )
-    for name, *values in zip(muscles.names, *(column.tolist() for column in columns), strict=True):
-        yield name, MuscleConstants(*values)
-
-
-#: Starts of a calibration that does not ask for another number.
+#: Default number of starting points.
 STARTS = 4
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration of a leg."""
+    """Finished calibration of a leg.
+
+    Parameters
+    ----------
+    subject
+        Subject that was calibrated, with its undriven muscles where synergies drive them.
+    fit
+        Source of the muscle paths.
+    result
+        Calibrated parameters, curves and solver output.
+    other_leg
+        Calibration of the subject's other leg, if both were calibrated together.
+    checkpoints
+        Checkpoints of the calibration, deleted by `save`; None without any.
+    """
 
     subject: Subject
     fit: Fit | ExactGeometry
     result: CalibrationResult
-    #: The person's other leg, where both were calibrated together.
     other_leg: Calibration | None = None
-    #: Where the work is kept until it is saved.
     checkpoints: Checkpoints | None = None
 
     @property
     def legs(self) -> tuple[Calibration, ...]:
-        """This leg, and the other one if both were calibrated together."""
+        """Calibrations of the legs that were calibrated together, this one first."""
         return (self,) if self.other_leg is None else (self, self.other_leg)
 
     @property
     def status(self) -> Status:
-        """Why the solver stopped; of two legs, for both."""
+        """Reason why the solver stopped; the same for legs that were calibrated together."""
         return self.result.solution.status
 
     @property
     def dataset(self) -> Dataset:
-        """This leg's curves and parameters as an `xarray.Dataset`, every variable with its unit."""
+        """Curves and parameters of this leg as an `xarray.Dataset`, with units."""
         from wrapjax.report.labelled_arrays import calibration_dataset
 
         return calibration_dataset(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write the run's folder: summary, parameters, curves and report; ``other_leg/`` within it."""
+        """Write the folder of the run: summary, parameters, curves, model and report.
+
+        Parameters
+        ----------
+        folder
+            Folder to create; the other leg, if any, is in its subfolder ``other_leg``.
+        force
+            Replace an existing folder.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and ``force`` is not set, or it cannot be created.
+        """
         from wrapjax.report.run_folder import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
@@ -176,84 +145,103 @@ def calibrate(
     checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Calibration:
-    """Calibrate a subject's model on its trials marked ``calibration``.
+    """Calibrate a subject's model to the measured joint moments of its trials marked ``calibration``.
 
-    Where the subject names its ``other_leg``, both legs are calibrated together: muscles of the same name
-    share activation constants and the ratios of fiber and slack lengths to the model's. Delays, EMG scales
-    and paths are each leg's own. To calibrate one leg alone, take the key out of ``subject.toml``, or
-    `dataclasses.replace` it by None.
+    The objective is the sum of mean squared errors of the joint moments, penalties and priors (`Objective`).
+    If the subject has an ``other_leg``, both legs are calibrated together: muscles of the same name share
+    activation constants and the ratios of fiber and slack lengths to the model's; delays, EMG scales and
+    paths are separate. To calibrate one leg alone, remove ``other_leg`` from ``subject.toml``, or set it to
+    None with `dataclasses.replace`.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     method
-        What is adjusted: ``NGA``, nothing of the geometry; ``SGA``, the polynomials of all muscle
-        paths; ``LSGA``, those of muscles that touch a wrapping surface; ``PGA``, the place, turn and
-        size of the cylinders that muscles touch.
+        Parameters that are adjusted in addition to EMG-to-activation parameters and fiber and slack lengths
+        (Ao, Fregly et al.): ``NGA``, none; ``SGA``, the polynomials of all muscle paths; ``LSGA``, those of
+        muscles that touch a wrap; ``PGA``, translations, rotations and radii of wraps. Ignored where
+        ``freedom`` is given.
     fit
-        Source of the paths: from `wrapjax.fit`, made (or found in the cache) if not given; or from
-        `wrapjax.exact_geometry`. The other leg's are always made, in the same way.
+        Source of the muscle paths: polynomials from `wrapjax.fit`, computed or taken from the cache if not
+        given, or paths from `wrapjax.exact_geometry`. Those of the other leg are always computed, by a source
+        of the same kind.
     freedom
-        Another selection of what may move, with its own bounds and priors; for one leg alone.
+        Custom selection of parameters, with bounds and priors; for one leg alone.
     solver
-        Tolerances and limits.
+        Solver with its tolerances; `AugmentedLagrangian` with the defaults if not given.
     starts
-        How many: the model's own values, then random ones. Several minima are normal here.
+        Number of starting points: the values of the model, then random ones. Several minima are common.
     seed
-        Start number n is made from ``seed + n``.
+        Seed of the random starting points; start number n has ``seed + n``.
     callback
-        Called with the number of the start, the iteration and the state after each iteration; raise
-        `KeyboardInterrupt` to stop with the best so far.
+        Called after each iteration with the number of the start, the iteration and the solver's state; raise
+        `KeyboardInterrupt` in it to stop with the best result so far.
     curves
-        Hill curves: ``paper`` (as published) or ``opensim`` (the later refit).
+        Hill curves: ``paper`` (as published) or ``opensim`` (a later refit); see `HILL_CURVES`.
     tendon
-        ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers at every frame, 4 %
-        longer at maximum isometric force. That takes several times as long.
+        ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers in every frame, with a
+        strain of 4 % at maximum isometric force. A compliant tendon takes several times as long.
     surfaces
-        Which cylinders PGA moves: ``touched``, those that some muscle lies on in a recorded frame, or
-        ``all``; of a cylinder that stays out of reach moments say nothing, and it stays where it is.
+        Wraps that PGA frees: ``touched``, those that some muscle touches in a recorded frame, or ``all``.
+        Moments do not depend on a wrap that no muscle touches, so that it keeps its nominal parameters.
     undriven, synergies
-        What drives muscles without an electrode, and how many synergies where they do; see
+        Strategy for muscles without an electrode, and number of synergies; see
         `wrapjax.path_sources.undriven_muscles.apply_undriven_strategy`.
-    journal
-        Folder in which to keep where the work stands, so that it can be resumed; removed when the
+    checkpoints
+        Folder for checkpoints, from which an interrupted calibration can be resumed; it is deleted when the
         result is saved.
     resume
-        Go on with the journal's work instead of beginning anew.
+        Continue from the checkpoints instead of starting again.
 
     Returns
     -------
     Calibration
-        Whether it converged is in ``status``; a fit that did not is returned, not raised.
+        Result with the lowest cost of all starts. Whether it converged is in its ``status``; a result that
+        did not converge is returned as well.
+
+    Raises
+    ------
+    InputError
+        If there is no trial marked ``calibration``, ``fit`` is not one of the subject, the method has nothing
+        to free, or checkpoints to resume are missing or those of another calibration.
+    ValueError
+        If an option is unknown, or a custom freedom is given for two legs.
+
+    Examples
+    --------
+    >>> subject = load_subject("subject")  # doctest: +SKIP
+    >>> calibration = calibrate(subject, "SGA", starts=4)  # doctest: +SKIP
+    >>> calibration.status.converged, calibration.result.parameters.emg_scale  # doctest: +SKIP
+    >>> calibration.save("run")  # doctest: +SKIP
     """
     solver = solver or AugmentedLagrangian()
     legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
-    law = MuscleOptions(curves, tendon)
-    question = calibration_fingerprint(legs, solver, law, starts, seed)
+    options = MuscleOptions(curves, tendon)
+    fingerprint = calibration_fingerprint(legs, solver, options, starts, seed)
     by_leg = [
         build_stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs
     ]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
         problems = tuple(starmap(join_leg_objectives, zip(*by_leg, strict=True)))
-    book = None
+    opened = None
     if checkpoints is not None:
-        book = Checkpoints.open(checkpoints, question, resume=resume)
+        opened = Checkpoints.open(checkpoints, fingerprint, resume=resume)
     first = np.asarray(problems[0].start(problems[0].initial))
-    began = time.perf_counter()
+    started = time.perf_counter()
     for problem in problems:
         solver.compile(problem, problem.start(problem.initial))
-    compiled = time.perf_counter() - began
+    compiled = time.perf_counter() - started
     outcomes = solve_from_starts(
-        problems, starting_points(problems[0], first, starts, seed), solver, callback, book
+        problems, starting_points(problems[0], first, starts, seed), solver, callback, opened
     )
     finished = []
     for number, leg in enumerate(legs):
-        own = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
-        result = _result(leg, own, best_start(outcomes), solver, law, compiled)
+        leg_outcomes = outcomes if len(legs) == 1 else _outcomes_of_leg(outcomes, number)
+        result = _result(leg, leg_outcomes, best_start(outcomes), solver, options, compiled)
         finished.append(Calibration(leg.subject, leg.fit, result))
-    return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, checkpoints=book)
+    return replace(finished[0], other_leg=finished[1] if len(legs) == 2 else None, checkpoints=opened)
 
 
 def cached_calibration(
@@ -265,11 +253,14 @@ def cached_calibration(
     seed: int = 0,
     callback: IterationCallback | None = None,
 ) -> Calibration:
-    """Calibrate, or recall how the same calibration ended; an interrupted one goes on (see `calibrate`)."""
+    """Calibrate with checkpoints in the user's cache, which restore or continue the same calibration.
+
+    Parameters are those of `calibrate`.
+    """
     fitted = fit_for_methods((method,), subject) if fit is None else fit
     legs = build_leg_setups(subject, fitted, method, None)
-    question = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleOptions(), starts, seed)
-    checkpoints = cache_folder("calibrations") / question
+    fingerprint = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleOptions(), starts, seed)
+    checkpoints = cache_folder("calibrations") / fingerprint
     begun = (checkpoints / "question.json").exists()
     return calibrate(
         subject,
@@ -284,8 +275,7 @@ def cached_calibration(
 
 
 def _outcomes_of_leg(outcomes: tuple[Outcome, ...], leg: int) -> tuple[Outcome, ...]:
-    cut = [(outcome, leg_solution(outcome.solution, leg)) for outcome in outcomes]
-    return tuple(replace(outcome, solution=solution) for outcome, solution in cut)
+    return tuple(replace(outcome, solution=leg_solution(outcome.solution, leg)) for outcome in outcomes)
 
 
 def _result(
@@ -293,25 +283,25 @@ def _result(
     outcomes: tuple[Outcome, ...],
     chosen: int,
     solver: AugmentedLagrangian,
-    law: MuscleOptions,
+    options: MuscleOptions,
     compile_seconds: float,
 ) -> CalibrationResult:
     subject, fit, freedom = leg.subject, leg.fit, leg.freedom
     solution = outcomes[chosen].solution
-    problem = solution.problem  # of an earlier stage, if it was interrupted there
+    problem = solution.problem  # that of an earlier stage after an interruption in it
     assert isinstance(problem, Objective)
     trials = subject.trials
     paths = fit.paths(subject, trials, freedom)
-    everything = recording(subject, trials, paths)
+    all_cycles = recording(subject, trials, paths)
     found = problem.parameters(jnp.asarray(solution.variables))
     terms = eqx.filter_jit(problem.terms)(found)
     initial, parameters = (
         with_path_modes(tree, paths.modes_count) for tree in (problem.variables.base, found)
     )
     run = eqx.filter_jit(muscle_states)
-    states = run(problem.curves, parameters, everything, problem.alterations)
-    initial_states = run(problem.curves, initial, everything, problem.alterations)
-    stuck = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
+    states = run(problem.curves, parameters, all_cycles, problem.alterations)
+    initial_states = run(problem.curves, initial, all_cycles, problem.alterations)
+    at_bounds = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
     return CalibrationResult(
         method=freedom.name,
         muscles=subject.muscles.names,
@@ -323,7 +313,7 @@ def _result(
         initial=initial,
         parameters=parameters,
         freedom=freedom,
-        at_bounds=tuple(np.array(problem.variables.labels)[stuck].tolist()),
+        at_bounds=tuple(np.array(problem.variables.labels)[at_bounds].tolist()),
         labels=problem.variables.labels,
         geometry=fit.geometry if isinstance(fit, Fit) else fit.name,
         paths=fit.surrogate.select_muscles(subject.muscles.names) if isinstance(fit, Fit) else None,
@@ -336,9 +326,65 @@ def _result(
         cost_by_term={name: float(jnp.sum(rows**2)) for name, rows in terms.items()},
         outcomes=outcomes,
         chosen=chosen,
-        curves=law.curves,
-        tendon=law.tendon,
+        curves=options.curves,
+        tendon=options.tendon,
         solver=solver,
         n_residuals=problem.measured.size,
         compile_seconds=compile_seconds,
     )
+
+
+def write_calibrated_model(subject: Subject, result: CalibrationResult, file: Path) -> None:
+    """Write the OpenSim model of a subject with calibrated muscle parameters and wraps.
+
+    Driven muscles have the parameters of the calibration, including those that it held. Undriven muscles of
+    the leg have those of the subject's parameter table, where it differs from the model. Wraps that were held
+    are unchanged.
+
+    Parameters
+    ----------
+    subject
+        Subject that was calibrated.
+    result
+        Result of its calibration.
+    file
+        Model file to write, atomically.
+    """
+    wraps = {}
+    if result.freedom.wraps is not None:
+        values = NOMINAL + result.freedom.wraps.changes_of(np.asarray(result.parameters.path_changes))
+        wraps = dict(zip(result.freedom.wraps.names, map(tuple, values.tolist()), strict=True))
+    muscles = dict(_undriven_constants(subject)) | dict(_constants(_calibrated_parameters(result)))
+    write_personalised_model(subject.model_file, file, wraps, muscles)
+
+
+def _calibrated_parameters(result: CalibrationResult) -> MuscleParameters:
+    found = result.parameters
+    return MuscleParameters(
+        names=result.muscles,
+        max_isometric_force=np.asarray(found.max_isometric_force),
+        optimal_fiber_length=np.asarray(found.optimal_fiber_length),
+        tendon_slack_length=np.asarray(found.tendon_slack_length),
+        pennation_angle=np.asarray(found.pennation_angle),
+    )
+
+
+def _undriven_constants(subject: Subject) -> Iterator[tuple[str, MuscleConstants]]:
+    """Iterate over undriven muscles whose parameters differ between the subject's table and its model."""
+    if subject.undriven_parameters is None:
+        return
+    in_model = dict(_constants(read_model_file(subject.model_file).muscles))
+    for name, constants in _constants(subject.undriven_parameters):
+        if constants != in_model[name]:
+            yield name, constants
+
+
+def _constants(muscles: MuscleParameters) -> Iterator[tuple[str, MuscleConstants]]:
+    columns = (
+        muscles.optimal_fiber_length,
+        muscles.tendon_slack_length,
+        muscles.max_isometric_force,
+        muscles.pennation_angle,
+    )
+    for name, *values in zip(muscles.names, *(column.tolist() for column in columns), strict=True):
+        yield name, MuscleConstants(*values)

@@ -1,4 +1,4 @@
-"""``initialise``: fiber and slack lengths to start a calibration from."""
+"""Initial fiber and tendon slack lengths for a calibration (``initialise``)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.path_sources.undriven_muscles import acting_muscles
-from wrapjax.subject.muscle_parameters import CSV_COLUMNS, fiber_length_groups
+from wrapjax.subject.muscle_groups import fiber_length_groups
+from wrapjax.subject.muscle_parameters import CSV_COLUMNS
 from wrapjax.subject.passive import PassiveTrial
 from wrapjax.subject.subject import Subject
 
@@ -34,33 +35,35 @@ if TYPE_CHECKING:
 
     from wrapjax.report.initialisation_page import PassiveCurves
 
-#: The file that ``subject.toml`` can name as ``[model] muscle_parameters``.
+#: Name of the table that ``subject.toml`` can refer to as ``[model] muscle_parameters``.
 PARAMETERS_FILE = "muscle_parameters.csv"
-#: Said where there is none.
-NO_PASSIVE_TRIALS = "No [[passive]] trial: only the ranges that fibers work in acted on lengths."
+#: Note in the results where there is no passive trial.
+NO_PASSIVE_TRIALS = (
+    "No [[passive]] trial: lengths follow from operating ranges of the fibers in walking alone."
+)
 
 
 @dataclass(frozen=True)
 class Initialisation:
-    """Lengths found from passive moments and operating ranges.
+    """Fiber and slack lengths determined from passive moments and operating ranges.
 
     Parameters
     ----------
     subject
-        Whose.
+        Subject whose lengths were determined.
     before, after
-        Parameters of all muscles, those without an electrode too.
+        Parameters of all muscles before and after, including those without an electrode.
     at_bounds
-        Ratios to the model's lengths that ended on a bound, as ``soleus_l.optimal_fiber_length``.
+        Names of the lengths whose ratio to the model's is at a bound, as ``soleus_l.optimal_fiber_length``.
     ranges
         Shortest and longest normalised fiber length in walking, before and after.
     passive
-        Passive moments about the coordinates whose moments are matched, N m: recorded (NaN where not),
-        before, after; the samples of all passive trials one after the other.
+        Passive moments about the matched coordinates, N m: recorded (NaN where not), before and after; the
+        samples of all passive trials one after the other.
     cost_by_term
-        The parts of the cost at the solution.
+        Cost of each term at the solution.
     status
-        Why the solver stopped.
+        Reason why the solver stopped.
     """
 
     subject: Subject
@@ -93,7 +96,7 @@ class Initialisation:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be known of it, in sentences."""
+        """Remarks on the result, as sentences."""
         notes = [] if self.subject.passive else [NO_PASSIVE_TRIALS]
         if self.at_bounds:
             notes.append(
@@ -103,7 +106,7 @@ class Initialisation:
         return tuple(notes)
 
     def content(self) -> dict[str, Any]:
-        """Describe it in plain values: what ``initialisation.json`` holds."""
+        """Return the content of ``initialisation.json``."""
         lengths = ("optimal_fiber_length", "tendon_slack_length")
         return {
             "schema": 1,
@@ -138,7 +141,17 @@ class Initialisation:
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``muscle_parameters.csv``, ``initialisation.json`` and ``report.html``.
 
-        The first is what ``subject.toml`` can name.
+        Parameters
+        ----------
+        folder
+            Folder to create. ``subject.toml`` can refer to the table in it as ``[model] muscle_parameters``.
+        force
+            Replace an existing folder.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and ``force`` is not set, or it cannot be created.
         """
         from wrapjax.report.initialisation_page import render_initialisation
 
@@ -152,25 +165,38 @@ class Initialisation:
 def initialise(
     subject: Subject, *, curves: str = "paper", errors: LengthErrors | None = None
 ) -> Initialisation:
-    """Find fiber and slack lengths from passive joint moments and from where fibers work in walking.
+    """Determine fiber and slack lengths from passive joint moments and operating ranges in walking.
 
-    Muscles are those with a channel and the others of the leg that act on the coordinates: passive moments
-    are made by all of them. Paths are the exact engine's. Strengths and pennation stay what they are. The
-    walking cycles are those marked ``calibration``.
+    All muscles that act on the matched coordinates are included, with or without an EMG channel, because all
+    contribute to passive moments. Paths are those of the exact engine. Maximum isometric forces and pennation
+    angles are unchanged. The walking cycles are those of the trials marked ``calibration``. The terms are
+    described in `wrapjax.calibration.initial_lengths`.
 
     Parameters
     ----------
     subject
-        From `load_subject`. Without ``[[passive]]`` trials only operating ranges act.
+        Subject from `load_subject`. Without ``[[passive]]`` trials the lengths depend on operating ranges
+        alone.
     curves
         Hill curves: ``paper`` or ``opensim``.
     errors
-        Allowable error of each term.
+        Allowable error of each term; the defaults are those of the NMSM Pipeline.
+
+    Returns
+    -------
+    Initialisation
+        Lengths (m) before and after, operating ranges and passive moments (N m).
 
     Raises
     ------
     InputError
-        If a muscle's path has something that the engine does not know.
+        If a muscle's path has an element that the exact engine does not support.
+
+    Examples
+    --------
+    >>> initialised = initialise(load_subject("subject"))  # doctest: +SKIP
+    >>> initialised.passive_mae["knee_angle_l"]  # doctest: +SKIP
+    >>> initialised.save("initialisation")  # doctest: +SKIP
     """
     require_float64()
     before = subject.muscles
@@ -189,14 +215,14 @@ def initialise(
     ends = [problem.parameters, found]
     walking = [np.asarray(problem.normalized_lengths(one)) for one in ends]
     ratios = solution.variables[: 2 * problem.muscles].reshape(2, -1)
-    stuck = (ratios <= problem.lower[0]) | (ratios >= problem.upper[0])
+    on_bound = (ratios <= problem.lower[0]) | (ratios >= problem.upper[0])
     return Initialisation(
         subject=subject,
         before=before,
         after=after,
         at_bounds=tuple(
             f"{before.names[row]}.{('optimal_fiber_length', 'tendon_slack_length')[kind]}"
-            for kind, row in np.argwhere(stuck)
+            for kind, row in np.argwhere(on_bound)
         ),
         ranges=np.array([[one.min(axis=1), one.max(axis=1)] for one in walking]).transpose(0, 2, 1),
         passive=np.array(
@@ -257,14 +283,14 @@ def _poses(
 
 
 def _moments(trial: PassiveTrial, wanted: tuple[str, ...]) -> Float[np.ndarray, "coordinate sample"]:
-    """Moments about all coordinates; NaN where none was recorded."""
+    """Return the moments about the wanted coordinates, N m; NaN where none was recorded."""
     given = dict(zip(trial.moment_coordinates, trial.moments, strict=True))
-    nothing = np.full(trial.moments.shape[1], np.nan)
-    return np.array([given.get(name, nothing) for name in wanted])
+    missing = np.full(trial.moments.shape[1], np.nan)
+    return np.array([given.get(name, missing) for name in wanted])
 
 
 def _passive_curves(done: Initialisation) -> list[PassiveCurves]:
-    """Take passive moments apart again: one entry a trial and coordinate."""
+    """Split the passive moments by trial and coordinate."""
     from wrapjax.report.initialisation_page import PassiveCurves
 
     found, first = [], 0

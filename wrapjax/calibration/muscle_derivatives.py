@@ -1,10 +1,11 @@
-"""Derivatives of one muscle's outputs by its own variables.
+"""First and second derivatives of the outputs of one muscle by its local variables.
 
-A muscle has a few parameters that act through time (delay, activation) and, where its path may change,
-many modes that do not: with a rigid tendon, what a muscle does at a frame depends on the path at that
-frame alone. So the few are differentiated in forward mode, and the many by the chain rule through length,
-rate and moment arms, frame by frame: three directions instead of a hundred. What remembers, as a tendon
-that stretches does, is differentiated along every mode.
+The local variables are a few scalar parameters and, where the path may change, many path modes. The scalar
+parameters (delay, activation, ...) affect all frames and are differentiated in forward mode. With a rigid
+tendon the outputs in a frame depend on the path in that frame alone. The ``framewise_...`` functions then
+differentiate by the modes with the chain rule through length, velocity and moment arms, frame by frame, which
+takes three directional derivatives instead of one per mode. Where frames are coupled, as by a compliant
+tendon, the ``coupled_...`` functions differentiate along every mode.
 """
 
 from __future__ import annotations
@@ -19,32 +20,33 @@ from jaxtyping import Array, Float
 
 from wrapjax.geometry.paths import PathState
 
-#: From single parameters and the path to any tree of outputs: numbers, or arrays ``trial frame``,
-#: ``trial coordinate frame`` or, of the path's infeasibility alone, ``wrap``.
+#: Function from scalar parameters and the path to a tree of outputs: numbers, or arrays ``trial frame``,
+#: ``trial coordinate frame`` or (for the infeasibility of the path alone) ``wrap``.
 Outputs = Callable[[Float[Array, " single"], PathState], Any]
 
 
-def slopes(
+def framewise_jacobian(
     outputs: Outputs, single: Float[Array, " single"], path: PathState, modes: PathState
 ) -> tuple[Any, Any]:
-    """Compute outputs and their derivatives.
+    """Compute outputs and their Jacobian where frames are independent given the path.
 
     Parameters
     ----------
     outputs
-        What to differentiate.
+        Function to differentiate.
     single
-        Parameters of which each is one number.
-    path, modes
-        Where to differentiate, and what a unit of each mode adds.
+        Scalar parameters at which to differentiate.
+    path
+        Path at which to differentiate.
+    modes
+        Change of the path per unit of each mode; the leading axis of the leaves is ``mode``.
 
     Returns
     -------
-    tuple
-        Outputs, and derivatives with one more axis at the front: parameters, then modes.
+    values, jacobian
+        Outputs, and their derivatives with a leading axis for scalar parameters followed by modes.
     """
-
-    values, by_single = _along_each(outputs, single, path)
+    values, by_single = _scalar_jacobian(outputs, single, path)
     if not modes.length.shape[0]:
         return values, by_single
     units = _units(path)
@@ -53,20 +55,25 @@ def slopes(
     return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
 
 
-def curvature(
+def framewise_hessian(
     total: Callable[[Float[Array, " single"], PathState], Float[Array, ""]],
     single: Float[Array, " single"],
     path: PathState,
     modes: PathState,
 ) -> Float[Array, "local local"]:
-    """Compute the Hessian of one number by parameters, then modes.
+    """Compute the Hessian of a sum of outputs where frames are independent given the path.
 
     Parameters
     ----------
     total
-        A sum of outputs; linear in the moment arms.
+        Sum of outputs, linear in the moment arms.
     single, path, modes
-        As for `slopes`.
+        See `framewise_jacobian`.
+
+    Returns
+    -------
+    Array
+        Hessian by scalar parameters followed by modes.
     """
     by_single = jax.hessian(total)(single, path)
     if not modes.length.shape[0]:
@@ -84,26 +91,29 @@ def curvature(
     units = _units(path)
     by_length = jax.jvp(lambda at: path_slope(single, at), (path,), (units["length"],))[1]
     by_rate = jax.jvp(lambda at: path_slope(single, at), (path,), (units["velocity"],))[1]
-    # One half of a symmetric sum; what two moment arms have in common is zero.
-    beside_length = (
+    # Half of a symmetric sum; second derivatives by two moment arms are zero.
+    with_length = (
         0.5 * by_length.length[None] * modes.length
         + by_rate.length[None] * modes.velocity
         + jnp.einsum("tcf,mtcf->mtf", by_length.moment_arm, modes.moment_arm)
     )
-    beside_rate = 0.5 * by_rate.velocity[None] * modes.velocity + jnp.einsum(
+    with_rate = 0.5 * by_rate.velocity[None] * modes.velocity + jnp.einsum(
         "tcf,mtcf->mtf", by_rate.moment_arm, modes.moment_arm
     )
-    half = jnp.einsum("mtf,ntf->mn", modes.length, beside_length) + jnp.einsum(
-        "mtf,ntf->mn", modes.velocity, beside_rate
+    half = jnp.einsum("mtf,ntf->mn", modes.length, with_length) + jnp.einsum(
+        "mtf,ntf->mn", modes.velocity, with_rate
     )
     return jnp.block([[by_single, cross], [cross.T, half + half.T]])
 
 
-def slopes_through_time(
+def coupled_jacobian(
     outputs: Outputs, single: Float[Array, " single"], path: PathState, modes: PathState
 ) -> tuple[Any, Any]:
-    """Compute what `slopes` does of outputs that depend, at a frame, on the path at any other one too."""
-    values, by_single = _along_each(outputs, single, path)
+    """Compute outputs and their Jacobian where an output in a frame may depend on the path in all frames.
+
+    Parameters and returns are those of `framewise_jacobian`.
+    """
+    values, by_single = _scalar_jacobian(outputs, single, path)
     if not modes.length.shape[0]:
         return values, by_single
 
@@ -114,44 +124,49 @@ def slopes_through_time(
     return values, jax.tree.map(lambda *both: jnp.concatenate(both), by_single, by_modes)
 
 
-def curvature_through_time(
+def coupled_hessian(
     total: Callable[[Float[Array, " single"], PathState], Float[Array, ""]],
     single: Float[Array, " single"],
     path: PathState,
     modes: PathState,
 ) -> Float[Array, "local local"]:
-    """Compute what `curvature` does of outputs that depend, at a frame, on the path at any other one too."""
+    """Compute the Hessian where an output in a frame may depend on the path in all frames.
+
+    Parameters and returns are those of `framewise_hessian`.
+    """
     count = modes.length.shape[0]
     if not count:
         return jax.hessian(total)(single, path)
 
-    def of_all(local: Float[Array, " local"]) -> Float[Array, ""]:
+    def total_of_local(local: Float[Array, " local"]) -> Float[Array, ""]:
         changes = local[single.size :]
         moved = jax.tree.map(lambda leaf, mode: leaf + jnp.tensordot(changes, mode, axes=1), path, modes)
         return total(local[: single.size], moved)
 
-    return jax.hessian(of_all)(jnp.concatenate([single, jnp.zeros(count)]))
+    return jax.hessian(total_of_local)(jnp.concatenate([single, jnp.zeros(count)]))
 
 
-def _along_each(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> tuple[Any, Any]:
+def _scalar_jacobian(outputs: Outputs, single: Float[Array, " single"], path: PathState) -> tuple[Any, Any]:
+    """Compute outputs and their derivatives by the scalar parameters, with a leading axis for these."""
+
     def along(direction: Float[Array, " single"]) -> tuple[Any, Any]:
         return jax.jvp(lambda at: outputs(at, path), (single,), (direction,))
 
-    # By hand and not by `jax.jacfwd`, whose last axis counts the directions: with it first, gathering
-    # the Jacobian copies whole rows, and that is a third of all the time.
+    # Not `jax.jacfwd`, which has the axis of directions last: with this axis first, `Variables.gather` copies
+    # contiguous rows, which saves a third of the time.
     values, slopes = jax.vmap(along, out_axes=(None, 0))(jnp.eye(single.size))
     return values, slopes
 
 
 def _units(path: PathState) -> dict[str, PathState]:
-    """Directions that move one part of the path alone, by its name, at all frames at once."""
-    nothing = jax.tree.map(jnp.zeros_like, path)
+    """Build unit changes of each part of the path (length, velocity, ...) in all frames, by name."""
+    zero = jax.tree.map(jnp.zeros_like, path)
     parts = {name: part for name, part in vars(path).items() if part is not None}
-    return {name: replace(nothing, **{name: jnp.ones_like(part)}) for name, part in parts.items()}
+    return {name: replace(zero, **{name: jnp.ones_like(part)}) for name, part in parts.items()}
 
 
 def _chain(by: dict[str, Array], modes: PathState) -> Array:
-    """Multiply derivatives of one output by each part of the path with those of that part by modes."""
+    """Apply the chain rule to the derivatives of one output by the parts of the path."""
     dimensions = by["length"].ndim
     if dimensions == 0:
         return jnp.zeros(modes.length.shape[0])

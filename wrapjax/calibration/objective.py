@@ -1,4 +1,4 @@
-"""What a calibration minimises, and its derivatives by blocks of muscles."""
+"""Objective of a calibration, and its first and second derivatives assembled from blocks of muscles."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.calibration.muscle_derivatives import (
-    curvature,
-    curvature_through_time,
-    slopes,
-    slopes_through_time,
+    coupled_hessian,
+    coupled_jacobian,
+    framewise_hessian,
+    framewise_jacobian,
 )
 from wrapjax.calibration.penalties import AbstractPenalty, Limit
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Linearization
@@ -31,33 +31,37 @@ from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import Variables
 from wrapjax.muscle.curves import AbstractCurves
 
-#: Allowable error of a joint moment in N m (the NMSM Pipeline's default).
+#: Allowable error of a joint moment, N m (the default of the NMSM Pipeline).
 MOMENT_ERROR = 2.5
 
 
 class Objective(AbstractCalibration):
-    """Moment error, penalties and priors as one least-squares problem.
+    """Least-squares objective: joint moment errors, penalties and priors.
 
-    The cost is the plain sum of its terms, each a mean square in allowable errors.
+    The cost is the sum of its terms. Each term is a mean square of residuals divided by their allowable error
+    (of moments and penalties) or prior standard deviation.
     """
 
     curves: AbstractCurves
+    #: EMG and paths of the calibration cycles.
     recording: Recording
+    #: Measured joint moments, N m.
     measured: Float[Array, "trial coordinate frame"]
     variables: Variables
     penalties: tuple[AbstractPenalty, ...]
+    #: Hard limits, with the shifts and weights of the augmented Lagrangian method.
     limits: tuple[Limit, ...]
-    #: Allowable error of a moment, N m; infinite where a moment does not count. Lowering it weakens every
-    #: penalty against the moments.
+    #: Allowable error of a moment, N m; infinite for moments that are not matched. A smaller error gives the
+    #: moments more weight relative to the penalties.
     moment_error: Float[Array | np.ndarray, ""] | Float[Array | np.ndarray, "#trial #coordinate #frame"] = (
         eqx.field(default_factory=lambda: np.array(MOMENT_ERROR))
     )
-    #: What else there is than the plain model, held at its amounts. What changes paths needs held ones.
+    #: Changes of the plain model, which are not calibrated; with those of paths, all paths must be held.
     alterations: tuple[Alteration, ...] = ()
 
     def __check_init__(self):
-        # An altered path may be a mix of several muscles' ones, and their modes then touch other forces.
-        if self.variables.modes and any(one.paths is not None for one in self.alterations):
+        # An altered path may depend on the paths of several muscles, whose modes then affect other forces.
+        if self.variables.modes and any(alteration.paths is not None for alteration in self.alterations):
             raise ValueError("a model whose paths are altered can be calibrated with held paths only")
 
     @property
@@ -72,11 +76,11 @@ class Objective(AbstractCalibration):
 
     @property
     def resolution(self) -> float:
-        """As fine as the paths are smooth."""
+        """Relative decrease of the cost below which its expansion fails because of kinks of the paths."""
         return self.recording.path.resolution
 
     def with_limits(self, limits: tuple[Limit, ...]) -> Objective:
-        """Take others in their place."""
+        """Return the objective with other limits."""
         return replace(self, limits=limits)
 
     @property
@@ -85,17 +89,17 @@ class Objective(AbstractCalibration):
         return self.variables.base
 
     def parameters(self, variables: Float[Array, " variable"]) -> ModelParameters:
-        """Put variables into the parameter tree."""
+        """Insert variables into the parameter tree."""
         return self.variables.unpack(variables)
 
     def start(self, parameters: ModelParameters) -> Float[Array, " variable"]:
-        """Read the variables off a tree and move them inside the bounds."""
+        """Extract the variables from a parameter tree and clip them to the bounds."""
         return jnp.clip(self.variables.pack(parameters), self.lower, self.upper)
 
     def terms(self, parameters: ModelParameters) -> dict[str, Float[Array, " row"]]:
-        """Residuals by term; the cost of a term is the sum of squares of its residuals.
+        """Compute the residuals by term; the cost of a term is the sum of squares of its residuals.
 
-        Limits are no terms: they cost nothing where they are kept.
+        The terms are ``joint_moment``, those of the penalties by name, and ``prior``. Limits are not terms.
         """
         states = self._states(parameters)
         residuals = {"joint_moment": self._moment_rows(states.moment.sum(axis=0))}
@@ -105,38 +109,43 @@ class Objective(AbstractCalibration):
         return residuals
 
     def cost(self, parameters: ModelParameters) -> Float[Array, ""]:
-        """Sum of squares of all terms: a pure function, to be differentiated as one likes."""
+        """Compute the sum of squares of all terms, a pure function of the parameter tree."""
         return sum((jnp.sum(rows**2) for rows in self.terms(parameters).values()), start=jnp.zeros(()))
 
     def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
-        """Give how far each limited value is above its bound, by limit; negative: below."""
+        """Compute the excess of each limited value over its bound, by limit; negative below the bound."""
         parameters = self.variables.unpack(variables)
         states = self._states(parameters)
         return tuple(limit.excess(limit.values(parameters, states)) for limit in self.limits)
 
     def residuals(self, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
-        """All residuals, those of limits too, as one vector for solvers that want nothing else."""
+        """Compute all residuals, those of limits included, as one vector."""
         parameters = self.variables.unpack(variables)
         states = self._states(parameters)
         limited = [limit.rows(limit.values(parameters, states)).ravel() for limit in self.limits]
         return jnp.concatenate([*self.terms(parameters).values(), *limited])
 
     def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-        """Sum of squares of all residuals, those of limits too."""
+        """Compute the sum of squares of all residuals, those of limits included."""
         return jnp.sum(self.residuals(variables) ** 2)
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
-        """Compute cost, gradient and both parts of the Hessian: see `expand`."""
+        """Compute cost, gradient and both parts of the Hessian; see `expand`."""
         return self.expand(variables)[0]
 
     def expand(
         self, variables: Float[Array, " variable"]
     ) -> tuple[Linearization, Float[Array, "row variable"]]:
-        """Compute what `linearize` does, and what `moment_jacobian` does, by blocks of muscles.
+        """Compute the second-order expansion of the cost and the Jacobian of the moment residuals.
 
-        A muscle's parameters touch its own force alone. So one small Jacobian a muscle gives all first
-        derivatives, and the second derivatives of all residuals, weighted by the residuals, are one
-        small block a muscle. Only the joint moments add up over muscles.
+        A muscle's parameters affect its own force alone. One small Jacobian per muscle therefore gives all
+        first derivatives, and the second derivatives of the residuals, weighted by the residuals, are one
+        small block per muscle. Only the joint moments are sums over muscles.
+
+        Returns
+        -------
+        expansion, jacobian
+            See `linearize` and `moment_jacobian`.
         """
         index = self.variables.index
         inputs = self._muscle_inputs(variables)
@@ -151,12 +160,12 @@ class Objective(AbstractCalibration):
         own_gram = jnp.zeros((*index.shape, index.shape[1]))
         groups: dict[tuple[int, ...], Array] = {}
         multipliers = []
-        for restraint, value, slope in zip(self._restraints, values, value_slopes, strict=True):
-            restraint_rows, pull_back = jax.vjp(restraint.rows, value)
-            multipliers.append(pull_back(restraint_rows)[0])
-            cost += jnp.sum(restraint_rows**2)
+        for penalty, value, slope in zip(self._all_penalties, values, value_slopes, strict=True):
+            penalty_rows, pull_back = jax.vjp(penalty.rows, value)
+            multipliers.append(pull_back(penalty_rows)[0])
+            cost += jnp.sum(penalty_rows**2)
             local_gradient += jnp.einsum("mk,mpk->mp", multipliers[-1], slope)
-            gram = restraint.gram(value, slope)
+            gram = penalty.gram(value, slope)
             own_gram += gram.own
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block
@@ -172,7 +181,7 @@ class Objective(AbstractCalibration):
         return model, transposed.T
 
     def moment_jacobian(self, variables: Float[Array, " variable"]) -> Float[Array, "row variable"]:
-        """Differentiate the moment residuals, muscle by muscle."""
+        """Compute the Jacobian of the moment residuals by the variables."""
         _, _, moment_slopes, _ = self._muscle_slopes(self._muscle_inputs(variables))
         return self.variables.gather(moment_slopes).T
 
@@ -180,11 +189,12 @@ class Objective(AbstractCalibration):
         return muscle_states(self.curves, parameters, self.recording, self.alterations)
 
     @property
-    def _restraints(self) -> tuple[AbstractPenalty, ...]:
+    def _all_penalties(self) -> tuple[AbstractPenalty, ...]:
+        """Penalties and limits."""
         return (*self.penalties, *self.limits)
 
     def _muscle_inputs(self, variables: Float[Array, " variable"]):
-        """What the functions of one muscle take, with a leading axis ``muscle``."""
+        """Collect the arguments of the functions of one muscle, with a leading axis ``muscle``."""
         count, modes = self.variables.nonpath_count, self.variables.modes
         scale = jnp.asarray(self.variables.scale)
         changes = self.variables.unpack(variables).path_changes
@@ -198,20 +208,20 @@ class Objective(AbstractCalibration):
         return single, path, unit_modes, scale[:, :count], self.variables.base, emg, parts
 
     def _muscle_outputs(self, single, path, scale, base, emg, parts):
-        """What the residuals are made of, for one muscle."""
+        """Compute the moment of one muscle and the quantities of its penalties and limits."""
         parameters = self.variables.insert(base, single * scale)
         state = muscle_state_along(path, self.curves, parameters, emg, self.recording.padding, parts)
-        return state.moment, tuple(restraint.read(parameters, state) for restraint in self._restraints)
+        return state.moment, tuple(penalty.read(parameters, state) for penalty in self._all_penalties)
 
     def _muscle_slopes(self, inputs: tuple):
-        """Values and derivatives by local variables, of every muscle."""
-        differentiate = slopes_through_time if self.alterations else slopes
+        """Compute outputs and their derivatives by local variables, of every muscle."""
+        differentiate = coupled_jacobian if self.alterations else framewise_jacobian
 
         def of_one(single, path, modes, *inputs):
             (moment, quantities), (moment_slope, quantity_slopes) = differentiate(
                 lambda single, path: self._muscle_outputs(single, path, *inputs), single, path, modes
             )
-            reductions = [restraint.reduce for restraint in self._restraints]
+            reductions = [penalty.reduce for penalty in self._all_penalties]
             values = tuple(map(lambda reduce, one: reduce(one), reductions, quantities))
             value_slopes = tuple(map(lambda reduce, one: jax.vmap(reduce)(one), reductions, quantity_slopes))
             flat = moment_slope.reshape(moment_slope.shape[0], -1)
@@ -225,15 +235,15 @@ class Objective(AbstractCalibration):
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local local"]:
-        """Sum of residuals times their Hessians: one block a muscle, for moments add linearly.
+        """Compute the sum of residuals times their Hessians: one block per muscle, as moments are sums.
 
-        Moments are linear in the moment arms too. So arms are first summed over coordinates, each weighted
-        by the residual of its moment; and what is read off the arms alone has no second derivatives.
+        Moments are linear in the moment arms. Arms are therefore first summed over coordinates, weighted by
+        the residuals of the moments; quantities of the arms alone have no second derivatives.
         """
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
-        differentiate = curvature_through_time if self.alterations else curvature
+        differentiate = coupled_hessian if self.alterations else framewise_hessian
 
-        def lever(path: PathState) -> PathState:
+        def with_weighted_arm(path: PathState) -> PathState:
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
             return replace(path, moment_arm=arm[..., None, :])
 
@@ -241,12 +251,12 @@ class Objective(AbstractCalibration):
             def weighted(single, path):
                 moment, quantities = self._muscle_outputs(single, path, *inputs)
                 total = jnp.sum(moment)
-                for multiplier, restraint, quantity in zip(own, self._restraints, quantities, strict=True):
+                for multiplier, penalty, quantity in zip(own, self._all_penalties, quantities, strict=True):
                     if quantity.ndim < 3:
-                        total += multiplier @ restraint.reduce(quantity)
+                        total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return differentiate(weighted, single, lever(path), lever(modes))
+            return differentiate(weighted, single, with_weighted_arm(path), with_weighted_arm(modes))
 
         return jax.vmap(of_one)(multipliers, *inputs)
 
@@ -257,7 +267,7 @@ class Objective(AbstractCalibration):
         rows: Float[Array, " row"],
         multipliers: tuple[Float[Array, "muscle _"], ...],
     ) -> Float[Array, "muscle local local"]:
-        """What curved paths add to the same sum: slopes of everything by the path times its Hessians."""
+        """Compute the part of that sum due to second derivatives of the path by its modes."""
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
         count = self.variables.nonpath_count
 
@@ -265,8 +275,8 @@ class Objective(AbstractCalibration):
             def weighted(path):
                 moment, quantities = self._muscle_outputs(single, path, *inputs)
                 total = jnp.vdot(weights, moment)
-                for multiplier, restraint, quantity in zip(own, self._restraints, quantities, strict=True):
-                    total += multiplier @ restraint.reduce(quantity)
+                for multiplier, penalty, quantity in zip(own, self._all_penalties, quantities, strict=True):
+                    total += multiplier @ penalty.reduce(quantity)
                 return total
 
             return jax.grad(weighted)(path)
@@ -282,7 +292,7 @@ class Objective(AbstractCalibration):
         return jnp.zeros((len(scale), count + modes, count + modes)).at[:, count:, count:].set(block)
 
     def row_scale(self) -> Float[Array, " row"]:
-        """Turn a moment in N m into a residual."""
+        """Compute the factor that turns a moment in N m into a residual, for each residual."""
         error = jnp.broadcast_to(jnp.asarray(self.moment_error), self.measured.shape)
         return (1.0 / (error * np.sqrt(self.measured.size))).ravel()
 
@@ -291,7 +301,7 @@ class Objective(AbstractCalibration):
         return self.row_scale() * (modelled - self.measured).ravel()
 
     def _prior_weight(self) -> Float[Array | np.ndarray, " variable"]:
-        """One over prior deviation and the root of how many variables of its kind there are."""
+        """Compute one over the prior deviation and the root of the number of variables of the same kind."""
         kinds = [label.rsplit(".", 1)[1] for label in self.variables.labels]
         counts = np.array([kinds.count(kind) for kind in kinds])
         return self.variables.prior_precision / np.sqrt(counts)

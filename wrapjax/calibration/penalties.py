@@ -1,7 +1,8 @@
-"""What a calibration avoids besides moment error.
+"""Penalty terms and hard limits of the calibration's objective.
 
-Every penalty is the mean square of a quantity of each muscle, less its center, over an allowable
-error: the allowable error is the weight. Some compare a muscle with the mean of its group.
+A penalty is the mean square of ``(quantity - center) / allowable_error`` over muscles and the quantity's
+values; the allowable error determines its weight. Group penalties compare each muscle with the mean of its
+group. The allowable errors are those of the NMSM Pipeline.
 """
 
 from __future__ import annotations
@@ -18,25 +19,25 @@ from jaxtyping import Array, Float
 from wrapjax.model.forward import MuscleState
 from wrapjax.model.parameters import ModelParameters
 
-#: Reads a quantity off one muscle: one number; one a frame, which may depend on the path at that frame
-#: alone; one a frame and coordinate, which may depend on that coordinate's moment arm as well; or the
-#: path's infeasibility, one a cylinder.
+#: Function from the parameters and state of one muscle to a quantity: one number; one per frame, which may
+#: depend on the path in that frame alone; one per frame and coordinate, which may depend on the moment arm
+#: about that coordinate as well; or the infeasibility of the path, one per wrap.
 Reader = Callable[[ModelParameters, MuscleState], Float[Array, "..."]]
-#: What of the quantity counts: a linear function of it.
+#: Linear function of the quantity whose values are penalised.
 Reduction = Callable[[Float[Array, "..."]], Float[Array, " value"]]
 
 
 class Gram(eqx.Module):
-    """Inner products of residuals' derivatives by local variables, where they are not zero."""
+    """Nonzero blocks of ``J'J``, with J the Jacobian of residuals by the local variables of the muscles."""
 
-    #: Of every muscle with itself.
+    #: Diagonal block of every muscle.
     own: Float[Array, "muscle local local"]
-    #: Of the members of each group with one another: their numbers, and one block each.
+    #: Block of each group of muscles: the indices of its members, and the block of their local variables.
     groups: tuple[tuple[tuple[int, ...], Float[Array, "_ _"]], ...] = ()
 
 
 class AbstractPenalty(eqx.Module):
-    """Sum of squares of what a quantity has that it should not have."""
+    """Sum of squares of a function of muscle quantities, a term of the objective."""
 
     name: eqx.AbstractVar[str]
     read: eqx.AbstractVar[Reader]
@@ -44,19 +45,19 @@ class AbstractPenalty(eqx.Module):
 
     @abstractmethod
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Turn the reduced quantity of all muscles into residuals."""
+        """Compute the residuals from the reduced quantity of all muscles."""
 
     @abstractmethod
     def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
-        """Multiply the residuals' derivatives, given the reduced quantity and its derivatives."""
+        """Compute ``J'J`` of the residuals from the reduced quantity and its derivatives."""
 
     def values(self, parameters: ModelParameters, states: MuscleState) -> Float[Array, "muscle value"]:
-        """Read and reduce the quantity of all muscles."""
+        """Compute the reduced quantity of all muscles."""
         return jax.vmap(lambda *muscle: self.reduce(self.read(*muscle)))(parameters, states)
 
 
 class MusclePenalty(AbstractPenalty):
-    """Each muscle on its own."""
+    """Penalty on the difference of each muscle's quantity from a center."""
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
@@ -69,13 +70,13 @@ class MusclePenalty(AbstractPenalty):
         return (values - self.center) / (self.allowable_error * np.sqrt(values.size))
 
     def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
-        """Muscles do not mix."""
+        """Compute one block per muscle."""
         weight = 1.0 / (self.allowable_error**2 * values.size)
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
 
 
 class SubsetPenalty(AbstractPenalty):
-    """Some muscles, each on its own, about zero; the others do not count."""
+    """Penalty on the quantity of some muscles, with center zero."""
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
@@ -84,11 +85,11 @@ class SubsetPenalty(AbstractPenalty):
     muscles: tuple[int, ...] = eqx.field(static=True)
 
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Divide by the allowable error and the root of the number of values that count."""
+        """Divide by the allowable error and the root of the number of penalised values."""
         return self._weight(values) * values
 
     def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
-        """Muscles do not mix."""
+        """Compute one block per muscle."""
         weight = self._weight(values)[:, :, None] ** 2
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
 
@@ -101,7 +102,10 @@ class SubsetPenalty(AbstractPenalty):
 
 
 class GroupPenalty(AbstractPenalty):
-    """Each muscle against the mean of its group; muscles in no group do not count."""
+    """Penalty on the difference of each muscle's quantity, less its center, from the mean of its group.
+
+    Muscles in no group are not penalised.
+    """
 
     name: str = eqx.field(static=True)
     read: Reader = eqx.field(static=True)
@@ -111,7 +115,7 @@ class GroupPenalty(AbstractPenalty):
     groups: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Take the group means off, then divide as for single muscles."""
+        """Subtract group means, and divide by the allowable error and the root of the number of values."""
         change = values - self.center
         rows = jnp.zeros_like(change)
         for group in self.groups:
@@ -120,15 +124,15 @@ class GroupPenalty(AbstractPenalty):
         return rows * self._weight(values)
 
     def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
-        """Members of one group mix."""
+        """Compute one block per group; the muscles of a group are coupled."""
         local = slopes.shape[1]
         blocks = []
         for group in self.groups:
-            together = slopes[np.array(group)].reshape(-1, slopes.shape[-1])
-            # Taking the mean off is a projection: its product with itself is itself.
+            group_slopes = slopes[np.array(group)].reshape(-1, slopes.shape[-1])
+            # Subtraction of the mean is a projection, so its square is itself.
             projection = np.eye(len(group)) - 1.0 / len(group)
             shares = self._weight(values) ** 2 * jnp.asarray(np.kron(projection, np.ones((local, local))))
-            blocks.append((group, shares * (together @ together.T)))
+            blocks.append((group, shares * (group_slopes @ group_slopes.T)))
         return Gram(jnp.zeros((slopes.shape[0], local, local)), tuple(blocks))
 
     def _weight(self, values: Float[Array, "muscle value"]) -> float:
@@ -137,10 +141,10 @@ class GroupPenalty(AbstractPenalty):
 
 
 class Limit(AbstractPenalty):
-    """A quantity that must not exceed a bound, as one step of an augmented Lagrangian sees it.
+    """Upper limit on a quantity of each muscle, as a term of an augmented Lagrangian.
 
-    ``weight * max(0, excess + shift)**2``: raising the shift by the excess, again and again, makes
-    ``2 * weight * shift`` the multiplier and the excess zero, whatever the weight (Hestenes 1969,
+    The term is ``weight * max(0, excess + shift)**2``. Repeatedly increasing the shift by the excess makes
+    ``2 * weight * shift`` converge to the multiplier and the excess to zero, for any weight (Hestenes 1969,
     doi:10.1007/BF00927673; Powell 1969).
     """
 
@@ -154,41 +158,41 @@ class Limit(AbstractPenalty):
     weight: Float[Array, "muscle value"]
 
     def excess(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Give how far values are above the bound; negative where they are below."""
+        """Compute the excess of values over the bound; negative below it."""
         return self.factor * values - self.bound
 
     def rows(self, values: Float[Array, "muscle value"]) -> Float[Array, "muscle value"]:
-        """Give what is above the shifted bound."""
+        """Compute the weighted excess over the shifted bound; zero below it."""
         return jnp.sqrt(self.weight) * jnp.maximum(self.excess(values) + self.shift, 0.0)
 
     def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
-        """Only what is above the shifted bound counts."""
+        """Compute one block per muscle from the values above the shifted bound."""
         above = self.weight * self.factor**2 * (self.excess(values) + self.shift > 0.0)
         return Gram(jnp.einsum("mpk,mqk,mk->mpq", slopes, slopes, above))
 
 
-def whole(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
-    """Take every number of a quantity."""
+def flatten(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
+    """Use every value of the quantity."""
     return quantity.ravel()
 
 
 def overall_mean(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
-    """Take the mean over trials and frames."""
+    """Compute the mean over trials and frames."""
     return quantity.mean()[None]
 
 
 def mean_over_trials(quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
-    """Take the mean cycle."""
+    """Compute the mean over trials, frame by frame."""
     return quantity.mean(axis=0)
 
 
-def without_mean(quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
-    """Take the shape: what is left without the overall mean."""
+def subtract_mean(quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
+    """Subtract the mean over trials and frames: the shape of the curves."""
     return (quantity - quantity.mean()).ravel()
 
 
 def normalized_length(parameters: ModelParameters, state: MuscleState) -> Float[Array, "trial frame"]:
-    """Read fiber length in optimal fiber lengths."""
+    """Return the normalised fiber length."""
     return state.fiber.normalized_length
 
 
@@ -214,49 +218,55 @@ def pipeline_penalties(
     fiber_length_groups: Sequence[Sequence[int]],
     extrapolated: Sequence[int] = (),
 ) -> tuple[AbstractPenalty, ...]:
-    """Build the NMSM Pipeline's penalties that are not priors on single parameters.
+    """Build the penalties of the NMSM Pipeline, except priors on single parameters.
 
-    Normalised fiber lengths stay near the reference in mean (0.1) and in shape (0.1) and alike within
-    groups (0.05, in mean and in shape); passive forces stay small (50 N); EMG scales (0.1) and delays
-    (20 ms) are alike within groups; activations that no EMG vouches for stay small (0.3).
+    Allowable errors are in parentheses. Penalised are: the difference of normalised fiber lengths from the
+    reference in mean (0.1) and shape (0.1); the passive force (50 N); differences within groups of the mean
+    and shape of normalised fiber lengths (0.05 each), of EMG scales (0.1) and of delays (20 ms); and the
+    activation of muscles without EMG (0.3).
 
     Parameters
     ----------
     reference
         States of all muscles before calibration.
     activation_groups, fiber_length_groups
-        Lists of muscle indices.
+        Groups of muscles that are expected to be similar, as muscle indices.
     extrapolated
-        Muscles without a channel.
+        Indices of the muscles without an EMG channel.
+
+    Returns
+    -------
+    tuple of AbstractPenalty
+        Penalties with nonempty groups.
     """
     length = reference.fiber.normalized_length  # (muscle, trial, frame)
     muscles = length.shape[0]
-    nothing = jnp.zeros((muscles, 1))
+    zero = jnp.zeros((muscles, 1))
     overall = length.mean(axis=(1, 2))[:, None]
     shape = (length - overall[:, :, None]).reshape(muscles, -1)
     mean = length.mean(axis=1)
     penalties: list[AbstractPenalty] = [
         MusclePenalty("normalized_fiber_length_mean", normalized_length, mean_over_trials, mean, 0.1),
-        MusclePenalty("normalized_fiber_length_shape", normalized_length, without_mean, shape, 0.1),
-        MusclePenalty("passive_force", _passive_force, whole, nothing, 50.0),
+        MusclePenalty("normalized_fiber_length_shape", normalized_length, subtract_mean, shape, 0.1),
+        MusclePenalty("passive_force", _passive_force, flatten, zero, 50.0),
     ]
-    similar = tuple(tuple(group) for group in fiber_length_groups)
-    if similar:
+    length_groups = tuple(tuple(group) for group in fiber_length_groups)
+    if length_groups:
         penalties += [
             GroupPenalty(
-                "grouped_fiber_length_mean", normalized_length, overall_mean, overall, 0.05, similar
+                "grouped_fiber_length_mean", normalized_length, overall_mean, overall, 0.05, length_groups
             ),
             GroupPenalty(
-                "grouped_fiber_length_shape", normalized_length, without_mean, nothing, 0.05, similar
+                "grouped_fiber_length_shape", normalized_length, subtract_mean, zero, 0.05, length_groups
             ),
         ]
-    together = tuple(tuple(group) for group in activation_groups)
-    if together:
+    excitation_groups = tuple(tuple(group) for group in activation_groups)
+    if excitation_groups:
         penalties += [
-            GroupPenalty("grouped_emg_scale", _emg_scale, whole, nothing, 0.1, together),
-            GroupPenalty("grouped_delay", _delay, whole, nothing, 0.02, together),
+            GroupPenalty("grouped_emg_scale", _emg_scale, flatten, zero, 0.1, excitation_groups),
+            GroupPenalty("grouped_delay", _delay, flatten, zero, 0.02, excitation_groups),
         ]
     if extrapolated:
         chosen = tuple(extrapolated)
-        penalties.append(SubsetPenalty("extrapolated_activation", _activation, whole, 0.3, chosen))
+        penalties.append(SubsetPenalty("extrapolated_activation", _activation, flatten, 0.3, chosen))
     return tuple(penalties)

@@ -1,4 +1,4 @@
-"""From a subject to what a calibration minimises."""
+"""Construction of the objective of a calibration from a subject, its muscle paths and a method."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wrapjax.path_sources.undriven_muscles import with_synergy_weights
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import Subject
 
-#: Ways of adjusting a model, by the names of Ao, Fregly et al.
+#: Methods of calibration, by the names of Ao, Fregly et al.; see `wrapjax.calibrate`.
 METHODS = ("NGA", "SGA", "LSGA", "PGA")
 
 
@@ -42,23 +42,42 @@ def build_objective(
     curves: str = "paper",
     tendon: str = "rigid",
 ) -> Objective:
-    """Build what `calibrate` minimises.
+    """Build the objective that `calibrate` minimises for one leg.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     method
-        One of `METHODS`; ignored where ``freedom`` is given.
+        Method, one of `METHODS` (see `calibrate`); ignored where ``freedom`` is given.
     fit
-        Source of the muscle paths: from `wrapjax.fit` (polynomials), made or found in the cache if not
-        given; or from `wrapjax.exact_geometry`.
+        Source of the muscle paths: polynomials from `wrapjax.fit`, computed or taken from the cache if not
+        given, or paths from `wrapjax.exact_geometry`.
     freedom
-        What may move, with bounds and priors.
+        Custom selection of parameters, with bounds and priors.
     curves
         Hill curves: ``paper`` or ``opensim``.
     tendon
-        ``rigid`` or ``compliant`` (`wrapjax.model.TENDONS`).
+        Kind of tendon: ``rigid`` or ``compliant``.
+
+    Returns
+    -------
+    Objective
+        Objective over the trials marked ``calibration``. Its variables are in solver units; ``parameters``
+        and ``start`` convert between them and the parameter tree.
+
+    Raises
+    ------
+    InputError
+        If no trial is marked ``calibration``, or the method has nothing to free.
+    ValueError
+        If the method or the kind of tendon is unknown.
+
+    Examples
+    --------
+    >>> problem = build_objective(subject, "NGA")  # doctest: +SKIP
+    >>> variables = problem.start(problem.initial)  # doctest: +SKIP
+    >>> problem.linearize(variables).gradient  # doctest: +SKIP
     """
     return build_stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
 
@@ -72,11 +91,11 @@ def build_stages(
     curves: str = "paper",
     tendon: str = "rigid",
 ) -> tuple[Objective, ...]:
-    """Build the problems that `calibrate` solves one after the other; the last is that of `build_objective`.
+    """Build the objectives that `calibrate` minimises one after the other; the last is `build_objective`'s.
 
-    Where paths may change, a first problem holds them: the many coefficients then start near an
-    optimum of the few parameters that every method frees. It is of one shape for all methods, so that what is
-    compiled for one serves the others.
+    Where paths may change, a first stage holds them, so that the many path variables start near an optimum of
+    the parameters that every method frees. Its shape is the same for all methods, so that functions compiled
+    for one serve the others. Parameters are those of `build_objective`.
     """
     require_float64()
     trials = subject.trials.used_for("calibration")
@@ -116,8 +135,10 @@ def build_stages(
     )
     if freedom.wraps is None:
         return held, replace(moving, limits=path_limits(paths.nominal))
-    kept = () if paths.nominal.proximity is None else (proximity_penalty(len(names)),)
-    moving = replace(moving, penalties=(*held.penalties, *kept), limits=feasibility_limits(paths.nominal))
+    proximity = () if paths.nominal.proximity is None else (proximity_penalty(len(names)),)
+    moving = replace(
+        moving, penalties=(*held.penalties, *proximity), limits=feasibility_limits(paths.nominal)
+    )
     return held, moving
 
 
@@ -130,30 +151,36 @@ def fit_for_methods(
     processes: int | None = None,
     quiet: bool = True,
 ) -> Fit:
-    """Make the polynomials that serve all of these methods, or find them in the cache.
+    """Fit the polynomials that several methods need, or take them from the cache.
 
-    Where PGA is among them they know how they follow cylinders, and are made from the exact engine's
-    paths: half a million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` does either).
+    If PGA is one of the methods, the polynomials depend on wrap parameters and are fitted to paths of the
+    exact engine: half a million analyses take it minutes, and OpenSim hours (`wrapjax.fit_wraps` supports
+    both).
 
     Parameters
     ----------
     methods
-        Of `METHODS`.
+        Methods, of `METHODS`.
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     geometry
-        Whose paths they are fitted to where PGA is not among the methods; as of `wrapjax.fit`.
+        Source of lengths and moment arms for methods other than PGA; see `wrapjax.fit`.
     seed, processes, quiet
-        As of `wrapjax.fit`.
+        See `wrapjax.fit`.
+
+    Returns
+    -------
+    Fit
+        Polynomial paths, with ``wraps`` for PGA.
     """
-    knows_cylinders = "PGA" in methods
-    source = "engine" if knows_cylinders else geometry
+    with_wraps = "PGA" in methods
+    source = "engine" if with_wraps else geometry
     fitted = fit_paths(subject, source, seed=seed, processes=processes, quiet=quiet)
-    return fit_wraps(subject, fitted, processes=processes, quiet=quiet) if knows_cylinders else fitted
+    return fit_wraps(subject, fitted, processes=processes, quiet=quiet) if with_wraps else fitted
 
 
 def matching_path_source(fit: Fit | ExactGeometry, subject: Subject) -> Fit | ExactGeometry:
-    """Take a subject's paths from where another's, the other leg's for example, come from."""
+    """Build a path source for a subject of the same kind as an existing one, as that of the other leg."""
     if isinstance(fit, ExactGeometry):
         return exact_geometry(subject, fit.name)
     fitted = fit_paths(subject, fit.geometry)
@@ -163,10 +190,25 @@ def matching_path_source(fit: Fit | ExactGeometry, subject: Subject) -> Fit | Ex
 def objective(
     subject: Subject, method: str = "NGA", fit: Fit | ExactGeometry | None = None
 ) -> Callable[[ModelParameters], Float[Array, ""]]:
-    """Give the calibration's cost as a pure jitted function of the parameter tree.
+    """Return the cost of a calibration as a pure, compiled function of the parameter tree.
 
-    Use it with `jax.grad`, `jax.jit` and `jax.vmap`; the tree to start from is
+    Use it with `jax.grad`, `jax.jit` and `jax.vmap`. The initial parameter tree is
     ``build_objective(subject, method).variables.base``.
+
+    Parameters
+    ----------
+    subject, method, fit
+        See `build_objective`.
+
+    Returns
+    -------
+    Callable
+        Function from `ModelParameters` to the cost (dimensionless scalar), without hard limits.
+
+    Raises
+    ------
+    InputError, ValueError
+        See `build_objective`.
 
     Examples
     --------
@@ -179,7 +221,26 @@ def objective(
 def method_freedom(
     method: str, subject: Subject, fit: Fit | ExactGeometry, surfaces: str = SURFACES[0]
 ) -> Freedom:
-    """Say what a method frees for a subject, of the paths from this source; `SURFACES` are PGA's."""
+    """Build the freedom of a method for a subject.
+
+    Parameters
+    ----------
+    method
+        Method, one of `METHODS`.
+    subject
+        Subject with its muscles.
+    fit
+        Source of the muscle paths.
+    surfaces
+        Wraps that PGA frees, one of `SURFACES`.
+
+    Raises
+    ------
+    InputError
+        If the method has nothing to free.
+    ValueError
+        If the method or ``surfaces`` is unknown.
+    """
     if method not in METHODS:
         raise ValueError(f"unknown method '{method}': expected one of {', '.join(METHODS)}")
     if surfaces not in SURFACES:

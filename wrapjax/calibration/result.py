@@ -1,7 +1,4 @@
-"""What a calibration found, as plain arrays.
-
-Hard limits at the solution: which ones push, how hard, and by how much they are exceeded.
-"""
+"""Result of a calibration as arrays, and its active hard limits."""
 
 from __future__ import annotations
 
@@ -22,46 +19,52 @@ from wrapjax.model.parameters import ModelParameters
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A calibrated model and how it behaves on every recorded cycle.
+    """Calibrated parameters of a leg, and the states and moments of the model over all recorded cycles.
 
     Parameters
     ----------
     method
         Name of the freedom.
     muscles, coordinates, trials
-        Names along the axes; ``uses`` says what each trial was for, ``speeds`` is in m/s (NaN: unknown).
+        Names along the axes of the arrays.
+    uses
+        Use of each trial, such as ``calibration``.
+    speeds
+        Walking speed of each trial, m/s; NaN where unknown.
     time
-        Of every frame, in s.
+        Time of every frame, s.
     initial, parameters
-        Before and after calibration.
+        Parameter trees before and after calibration.
     freedom
-        What was free, with its bounds.
+        Selection of calibrated parameters, with its bounds and priors.
     at_bounds
-        Variables that ended on a bound, as ``soleus_l.emg_scale``.
+        Names of the variables at a bound at the solution, as ``soleus_l.emg_scale``.
     labels
         Names of the variables.
     geometry
-        Where paths came from: ``opensim``, ``engine`` or ``engine-parity``.
+        Source of the paths: ``opensim``, ``engine`` or ``engine-parity``.
     paths, calibrated_paths
-        As polynomials, before and after calibration; None where paths are exact.
+        Polynomial paths before and after calibration; None where paths are exact.
     measured, modelled, initial_modelled
-        Joint moments in N m; the last before calibration.
+        Joint moments, N m: measured, of the calibrated model, and of the initial model.
     states, initial_states
-        All muscles over all cycles.
+        States of all muscles over all cycles, after and before calibration.
     cost_by_term
-        The parts of the cost at the solution.
+        Cost of each term at the solution.
     curves
         Name of the Hill curves.
     tendon
         Kind of tendon.
-    outcomes, chosen
-        Where each start led, and the number of the one that was taken.
+    outcomes
+        Result of each start.
+    chosen
+        Number of the start whose result was taken.
     solver
-        With its tolerances.
+        Solver with its tolerances.
     n_residuals
         Number of measured moments that were matched.
     compile_seconds
-        Time that went into compiling, apart from solving.
+        Time for compilation, which is not part of `solve_seconds`, s.
     """
 
     method: str
@@ -95,12 +98,12 @@ class CalibrationResult:
 
     @property
     def solution(self) -> ConstrainedSolution:
-        """Of the start that was taken."""
+        """Solution of the start that was taken."""
         return self.outcomes[self.chosen].solution
 
     @property
     def solve_seconds(self) -> float:
-        """Time that went into solving from all starts, compiling apart."""
+        """Time of the solves from all starts without compilation, s."""
         return sum(outcome.seconds for outcome in self.outcomes)
 
 
@@ -109,7 +112,7 @@ FIBER_LIMITS = ("shortest_fiber", "longest_fiber")
 
 
 def muscles_at_limits(result: CalibrationResult) -> dict[str, tuple[str, ...]]:
-    """Name the muscles that push against each hard limit; empty without limits."""
+    """List the muscles with a nonzero multiplier of each hard limit; empty without limits."""
     return {
         name: tuple(
             muscle for muscle, own in zip(result.muscles, multipliers, strict=True) if (own > 0.0).any()
@@ -124,10 +127,10 @@ def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
     Returns
     -------
     dict
-        By limit: ``pushing`` (how many values of the calibration cycles do), their ``muscles``,
-        ``largest_multiplier`` (how much the cost would fall for one unit of room) and ``largest_excess``
-        in the limit's unit (normalised fiber length, cm of moment arm or clearance, the feasibility's
-        score), 0 where it is kept.
+        By limit: ``pushing`` (number of values in the calibration cycles with a nonzero multiplier), their
+        ``muscles``, ``largest_multiplier`` (decrease of the cost per unit by which the limit is relaxed) and
+        ``largest_excess`` in the limit's unit (normalised fiber length, cm of moment arm, feasibility score),
+        0 where the limit is satisfied.
     """
     muscles, excess = muscles_at_limits(result), largest_excess(result)
     return {
@@ -142,16 +145,16 @@ def describe_limits(result: CalibrationResult) -> dict[str, dict[str, Any]]:
 
 
 def largest_excess(result: CalibrationResult) -> dict[str, float]:
-    """Give by how much each limit is exceeded at most on the calibration cycles, in its unit."""
-    kept = np.array([use == "calibration" for use in result.uses])
-    states = _of_trials(result.states, kept)
-    found = {}
+    """Compute the largest excess over each limit in the calibration cycles, in the limit's unit."""
+    calibrated = np.array([use == "calibration" for use in result.uses])
+    states = _select_trials(result.states, calibrated)
+    largest = {}
     for limit in result.solution.problem.limits:
         excess = np.asarray(limit.excess(limit.values(result.parameters, states)))
-        found[limit.name] = float(np.maximum(excess, 0.0).max())
-    return found
+        largest[limit.name] = float(np.maximum(excess, 0.0).max())
+    return largest
 
 
-def _of_trials(states: MuscleState, kept: Bool[np.ndarray, " trial"]) -> MuscleState:
-    """Pick trials; how feasible cylinders are, ``muscle wrap``, does not depend on them."""
-    return jax.tree.map(lambda leaf: leaf[:, kept] if leaf.ndim > 2 else leaf, states)
+def _select_trials(states: MuscleState, chosen: Bool[np.ndarray, " trial"]) -> MuscleState:
+    """Select trials; the infeasibility of wraps, ``muscle wrap``, does not depend on trials."""
+    return jax.tree.map(lambda leaf: leaf[:, chosen] if leaf.ndim > 2 else leaf, states)

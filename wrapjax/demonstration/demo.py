@@ -18,7 +18,7 @@ from wrapjax.calibration.calibration import Calibration, calibrate
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.calibration.uncertainty.intervals import laplace_deviation
+from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.uncertainty.intervals import moment_arm_deviation
+from wrapjax.calibration.uncertainty.identifiability import moment_arm_deviation
 from wrapjax.datasets.virtual_person.true_parameters import TrueParameters
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles

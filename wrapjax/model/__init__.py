@@ -1,1 +1,1 @@
-"""The forward model from EMG and paths to joint moments: parameters, freedoms, alterations."""
+"""Forward model from EMG and muscle paths to joint moments: parameters, freedoms, alterations."""

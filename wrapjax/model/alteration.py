@@ -1,9 +1,8 @@
-"""Where a model may be altered: what a plain one leaves out, off at zero amount.
+"""Alterations of the forward model: changes at its stages, from EMG to joint moments.
 
-A muscle's own part sees that muscle alone, so derivatives stay one small block a muscle. What mixes
-muscles acts before them, on the EMG, or on their paths, whose moment arms say where forces go.
-
-Tendons, by name: what puts fibers in series with another than a rigid one.
+A compliant tendon is one alteration; the effects of a diagnosis are others. Alterations of a single muscle
+depend on that muscle alone, so that derivatives remain one small block per muscle. Alterations that couple
+muscles act before the muscles, on the EMG or on the paths, or add to the joint moments after them.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from wrapjax.muscle.hill import FiberState
 
 
 def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
-    """Pick what the law of fibers takes by name."""
+    """Select the arguments of `rigid_tendon_fiber` from the parameter tree, by name."""
     return {
         "max_isometric_force": parameters.max_isometric_force,
         "optimal_fiber_length": parameters.optimal_fiber_length,
@@ -36,7 +35,7 @@ def fiber_parameters(parameters: ModelParameters) -> dict[str, Any]:
 
 
 class MuscleInputs(eqx.Module):
-    """All that decides what one muscle does."""
+    """Inputs of the model of one muscle."""
 
     curves: AbstractCurves
     parameters: ModelParameters
@@ -44,75 +43,74 @@ class MuscleInputs(eqx.Module):
     emg: EmgSpline
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
-    #: See `neural_activation`.
+    #: Ratio of the deactivation to the activation time constant, see `neural_activation`.
     deactivation_ratio: Float[Array, ""] | float = DEACTIVATION_RATIO
-    #: What multiplies the optimal fiber length, frame by frame; None for nothing.
+    #: Factor on the optimal fiber length in each frame; None for 1.
     length_factor: Float[Array, "trial frame"] | None = None
 
     @property
     def law(self) -> dict[str, Any]:
-        """What the laws of fibers and tendon take by name."""
+        """Keyword arguments of `rigid_tendon_fiber` and `compliant_tendon_fiber`."""
         return {**fiber_parameters(self.parameters), "length_factor": self.length_factor}
 
 
 class MuscleAlteration(eqx.Module):
-    """What is different in one muscle, stage by stage; every stage hands on what it is given.
+    """Changes of the model of one muscle, one method per stage; by default every stage is unchanged.
 
-    Leaves have no axis ``muscle`` here; in an `Alteration` they lead with it.
+    Leaves have no axis ``muscle`` in these methods; in an `Alteration` it is their leading axis.
     """
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
-        """Alter what the muscle starts from."""
+        """Alter the inputs of the muscle."""
         return inputs
 
     def excitation(
         self, excitation: Float[Array, "trial padded_frame"], inputs: MuscleInputs
     ) -> Float[Array, "trial padded_frame"]:
-        """Alter its excitation."""
+        """Alter the excitation."""
         return excitation
 
     def activation(
         self, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> Float[Array, "trial frame"]:
-        """Alter its activation."""
+        """Alter the activation."""
         return activation
 
     def fibers(self, inputs: MuscleInputs, activation: Float[Array, "trial frame"]) -> MuscleInputs:
-        """Alter what fibers and tendon are, now that activation is known."""
+        """Alter the inputs of fibers and tendon, given the activation."""
         return inputs
 
     def tendon(
         self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> FiberState:
-        """Put fibers in series with another tendon than a rigid one."""
+        """Replace the fiber state of a rigid tendon by that of another tendon."""
         return fiber
 
     def force(
         self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> FiberState:
-        """Alter the force that fibers give in the end."""
+        """Alter the resulting fiber state and force."""
         return fiber
 
 
 class Alteration(eqx.Module):
-    """What is different in a leg; parts that are None leave everything as it is.
+    """Changes of the forward model of a leg; parts that are None change nothing.
 
-    Functions are `jax.tree_util.Partial` ones, so that their arrays are leaves.
+    Functions are `jax.tree_util.Partial` objects, so that their arrays are leaves.
     """
 
-    #: Of all muscles, before any of them.
+    #: Change of the EMG of all muscles.
     emg: Callable[[EmgSpline], EmgSpline] | None = None
-    #: Of all muscles, before any of them. What it makes of a path must not depend on other muscles'
-    #: parameters.
+    #: Change of the paths of all muscles; it must not depend on muscle parameters.
     paths: Callable[[PathState], PathState] | None = None
-    #: Leaves lead with ``muscle``.
+    #: Changes of single muscles; the leading axis of the leaves is ``muscle``.
     muscle: MuscleAlteration | None = None
-    #: Added to what muscles do, N m: a function of what was recorded, not of any muscle's parameter.
+    #: Joint moments added to those of the muscles, N m; they must not depend on muscle parameters.
     moment: Float[Array, "trial coordinate frame"] | None = None
 
 
 def altered_emg(emg: EmgSpline, alterations: tuple[Alteration, ...]) -> EmgSpline:
-    """Alter the EMG of all muscles."""
+    """Apply the changes of the EMG of all muscles."""
     for alteration in alterations:
         if alteration.emg is not None:
             emg = alteration.emg(emg)
@@ -120,7 +118,7 @@ def altered_emg(emg: EmgSpline, alterations: tuple[Alteration, ...]) -> EmgSplin
 
 
 def altered_paths(paths: PathState, alterations: tuple[Alteration, ...]) -> PathState:
-    """Alter the paths of all muscles."""
+    """Apply the changes of the paths of all muscles."""
     for alteration in alterations:
         if alteration.paths is not None:
             paths = alteration.paths(paths)
@@ -128,34 +126,34 @@ def altered_paths(paths: PathState, alterations: tuple[Alteration, ...]) -> Path
 
 
 def muscle_alterations(alterations: tuple[Alteration, ...]) -> tuple[MuscleAlteration, ...]:
-    """Take what alters single muscles; leaves lead with ``muscle``."""
+    """Select the changes of single muscles; the leading axis of their leaves is ``muscle``."""
     return tuple(alteration.muscle for alteration in alterations if alteration.muscle is not None)
 
 
 def altered_moments(
     moments: Float[Array, "trial coordinate frame"], alterations: tuple[Alteration, ...]
 ) -> Float[Array, "trial coordinate frame"]:
-    """Add what is not muscles'."""
+    """Add the joint moments of the alterations to those of the muscles, N m."""
     for alteration in alterations:
         if alteration.moment is not None:
             moments = moments + alteration.moment
     return moments
 
 
-#: Strain at maximum isometric force of each kind of tendon: none, as the NMSM Pipeline has it, or what
-#: most tendons have (Zajac 1989, Crit Rev Biomed Eng 17:359; PMC3656509, with 0.10 of the Achilles tendon).
+#: Strain at maximum isometric force of each kind of tendon: zero as in the NMSM Pipeline, or the value of
+#: most tendons (Zajac 1989, Crit Rev Biomed Eng 17:359; PMC3656509, which has 0.10 for the Achilles tendon).
 TENDONS = {"rigid": 0.0, "compliant": 0.04}
 
 
 class CompliantTendon(MuscleAlteration):
-    """Put fibers in series with a tendon that stretches."""
+    """Compliant tendon in series with the fibers."""
 
     strain_at_max_force: Float[Array, "*muscle"]
 
     def tendon(
         self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> FiberState:
-        """See `MuscleAlteration`."""
+        """Compute the fiber state with the compliant tendon; see `MuscleAlteration`."""
         return compliant_tendon_fiber(
             inputs.curves,
             activation,
@@ -168,19 +166,19 @@ class CompliantTendon(MuscleAlteration):
 
 
 def tendon_alterations(tendon: str, muscles: int) -> tuple[Alteration, ...]:
-    """Alter so many muscles to this kind of tendon; rigid ones need nothing.
+    """Build the alterations that give muscles a kind of tendon; none for a rigid one.
 
     Parameters
     ----------
     tendon
-        One of `TENDONS`.
+        Kind of tendon, one of `TENDONS`.
     muscles
-        How many.
+        Number of muscles.
 
     Raises
     ------
     ValueError
-        If there is no such kind.
+        If the kind of tendon is unknown.
     """
     if tendon not in TENDONS:
         raise ValueError(f"unknown tendon '{tendon}': expected one of {', '.join(TENDONS)}")

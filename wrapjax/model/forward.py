@@ -1,4 +1,4 @@
-"""From EMG and muscle paths to joint moments: the only forward model there is."""
+"""Forward model: joint moments from EMG and muscle paths."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
 
 
 class Recording(eqx.Module):
-    """What was recorded of all cycles, as the model takes it in."""
+    """EMG and muscle paths of all cycles: the recorded inputs of the forward model."""
 
-    #: Leaves lead with ``muscle``.
+    #: EMG splines; their leading axis is ``muscle``.
     emg: EmgSpline
     path: AbstractPath
     #: Frames of EMG before and after each cycle.
     padding: int = eqx.field(static=True)
 
     def select_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
-        """Keep some cycles, by their numbers; paths stay as they are nominally, and are held."""
+        """Select cycles by their numbers, with the nominal paths held."""
         emg, nominal = jax.tree.map(lambda leaf: leaf[:, trials], (self.emg, _frames(self.path.nominal)))
         return Recording(emg, fixed_path(nominal), self.padding)
 
 
 class MuscleState(eqx.Module):
-    """What a muscle does over all cycles."""
+    """Excitation, activation, path, fiber state and joint moments of a muscle over all cycles."""
 
-    #: After delay and scale, padding trimmed.
+    #: EMG after delay and scale, without the padding frames.
     excitation: Float[Array, "*muscle trial frame"]
     activation: Float[Array, "*muscle trial frame"]
     path: PathState
     fiber: FiberState
-    #: Its part of every joint moment, N m.
+    #: Contribution of the muscle to the joint moments, N m.
     moment: Float[Array, "*muscle trial coordinate frame"]
 
 
 def _frames(path: PathState) -> PathState:
-    """Keep what a path is at every frame, not what it is as a whole."""
+    """Keep the parts of a path that are defined in every frame: length, velocity and moment arms."""
     return PathState(path.length, path.velocity, path.moment_arm)
 
 
@@ -67,21 +67,26 @@ def muscle_state_along(
     padding: int,
     alterations: tuple[MuscleAlteration, ...] = (),
 ) -> MuscleState:
-    """Run one muscle along a path over all cycles.
+    """Compute the state of one muscle over all cycles, given its path.
 
-    Of the path, the tendon force of a muscle that is not altered depends, at a frame, on length and rate
-    at that frame alone.
+    Without alterations, the tendon force in a frame depends on the path's length and velocity in that frame
+    alone.
 
     Parameters
     ----------
     path, parameters, emg
-        Of one muscle.
+        Path, parameters and EMG of one muscle.
     curves
         Normalised force curves.
     padding
         Frames of EMG before and after each cycle.
     alterations
-        Of this muscle, in their order.
+        Changes of this muscle, applied in their order within each stage.
+
+    Returns
+    -------
+    MuscleState
+        State of the muscle; leaves have the axes ``trial frame`` or ``trial coordinate frame``.
     """
     inputs = MuscleInputs(curves, parameters, path, emg, padding)
     for alteration in alterations:
@@ -121,7 +126,18 @@ def muscle_states(
     recording: Recording,
     alterations: tuple[Alteration, ...] = (),
 ) -> MuscleState:
-    """Run every muscle over all cycles; leaves of the result lead with ``muscle``."""
+    """Compute the states of all muscles over all cycles.
+
+    Parameters
+    ----------
+    curves, parameters, recording, alterations
+        See `joint_moments`.
+
+    Returns
+    -------
+    MuscleState
+        States; the leading axis of the leaves is ``muscle``.
+    """
     path = altered_paths(recording.path.at(parameters.path_changes), alterations)
     emg = altered_emg(recording.emg, alterations)
     return jax.vmap(muscle_state_along, in_axes=(0, None, 0, 0, None, 0))(
@@ -135,18 +151,23 @@ def joint_moments(
     recording: Recording,
     alterations: tuple[Alteration, ...] = (),
 ) -> Float[Array, "trial coordinate frame"]:
-    """Predict the joint moments of all cycles, in N m (sign of the model's coordinates).
+    """Compute the joint moments of all cycles.
 
     Parameters
     ----------
     curves
         Normalised force curves.
     parameters
-        Of all muscles.
+        Parameters of all muscles.
     recording
-        EMG and paths.
+        EMG and paths of the cycles.
     alterations
-        What else there is than the plain model, in its order within each stage.
+        Changes of the plain model, applied in their order within each stage.
+
+    Returns
+    -------
+    Array
+        Sum of the moments of all muscles, N m, with the sign of the model's coordinates.
     """
     states = muscle_states(curves, parameters, recording, alterations)
     return altered_moments(states.moment.sum(axis=0), alterations)
@@ -155,22 +176,30 @@ def joint_moments(
 def apply_recording_alterations(
     recording: Recording, parameters: ModelParameters, alterations: tuple[Alteration, ...]
 ) -> tuple[Recording, tuple[Alteration, ...]]:
-    """Alter EMG, paths and moments now; what is left says what single muscles do.
+    """Apply the alterations of EMG, paths and moments to the recording.
 
-    The same comes out. But a program for it need not know what altered EMG, paths and moments, so that one
-    serves all that does nothing else.
+    The model with the result computes the same moments. A compiled program then depends on the changes of
+    single muscles alone, so that it serves all alterations without such changes.
 
     Parameters
     ----------
-    recording, alterations
-        EMG and paths, and what else there is than the plain model.
+    recording
+        EMG and paths of the cycles.
     parameters
-        They say how paths are held.
+        Parameters whose ``path_changes`` determine the paths, which are held.
+    alterations
+        Changes of the plain model.
+
+    Returns
+    -------
+    recording, alterations
+        Recording with altered EMG and held paths, and the remaining alterations: additional moments, and
+        changes of single muscles.
     """
     path = altered_paths(_frames(recording.path.at(parameters.path_changes)), alterations)
     emg = altered_emg(recording.emg, alterations)
     if emg.lag is None:
         emg = replace(emg, lag=jnp.zeros(emg.step.shape))
     moment = altered_moments(jnp.zeros(path.moment_arm.shape[1:]), alterations)
-    left = tuple(Alteration(muscle=part) for part in muscle_alterations(alterations))
-    return Recording(emg, fixed_path(path), recording.padding), (Alteration(moment=moment), *left)
+    remaining = tuple(Alteration(muscle=part) for part in muscle_alterations(alterations))
+    return Recording(emg, fixed_path(path), recording.padding), (Alteration(moment=moment), *remaining)

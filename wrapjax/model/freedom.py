@@ -1,4 +1,4 @@
-"""Freedoms: named selections from the parameter tree, with bounds and scales."""
+"""Freedoms: named selections of the parameter tree with bounds, scales and priors."""
 
 from __future__ import annotations
 
@@ -13,20 +13,25 @@ from wrapjax.model.parameters import QUANTITIES, ModelParameters
 
 @dataclass(frozen=True)
 class FreedParameter:
-    """One leaf of the parameter tree that may move.
+    """Scalar parameter that is freed, with bounds, scale and prior for each muscle.
 
     Parameters
     ----------
     name
-        Leaf of `ModelParameters`.
+        Name of the leaf of `ModelParameters`.
     lower, upper
-        Bounds in the leaf's own unit. They belong to the freedom and do not follow the parameters:
-        calibrating in several stages cannot creep past them.
+        Bounds in the unit of the parameter. They are absolute, so that a calibration in several stages cannot
+        exceed them.
     scale
-        Size of one solver unit, so that all variables are of order one.
+        Size of one solver unit in the unit of the parameter, so that all variables are of order one.
     prior_mean, prior_sd
-        Where the parameter is expected and how far it may be from there at the cost of one
-        allowable error; an infinite deviation expects nothing.
+        Prior mean and prior standard deviation in the unit of the parameter; an infinite deviation means no
+        prior.
+
+    Raises
+    ------
+    ValueError
+        If there is no such parameter, or a lower bound is above its upper bound.
     """
 
     name: str
@@ -45,15 +50,15 @@ class FreedParameter:
 
 @dataclass(frozen=True)
 class FreedPaths:
-    """Paths that may change by any sum of their modes.
+    """Muscle paths that may change by linear combinations of their modes.
 
     Parameters
     ----------
     free
-        Which modes of which muscles; at least one.
+        Whether each mode of each muscle is free; at least one is.
     prior_sd
-        Length of a muscle's vector of changes, root mean square over muscles, that costs one
-        allowable error.
+        Prior standard deviation: root mean square over muscles of the norm of the mode coefficients of a
+        muscle.
     """
 
     free: Bool[np.ndarray, "muscle mode"]
@@ -67,23 +72,23 @@ class FreedPaths:
 
 @dataclass(frozen=True)
 class FreedWraps:
-    """Cylinders whose parameters may change, each alike for all muscles that wrap round it.
+    """Wraps whose parameters are freed, each shared by all muscles that wrap round it.
 
     Parameters
     ----------
     names
-        Of the cylinders.
+        Names of the wraps.
     quantities, units
-        Names and units of a cylinder's parameters, by which it may differ from nominal.
+        Names and units of the wrap parameters.
     places
-        Which cylinder stands in each place of a muscle's path: a number in ``names``, -1 for one that
-        is held and where a muscle has fewer.
+        Index in ``names`` of each wrap of each muscle's path; -1 for a wrap that is held, and where a muscle
+        has fewer wraps than others.
     lower, upper
-        Bounds of what each parameter may differ from nominal by, in its unit.
+        Bounds of the difference of each wrap parameter from its nominal value, in its unit.
     scale
-        Size of one solver unit.
+        Size of one solver unit, in the unit of the wrap parameter.
     prior_sd
-        How far a parameter may be from nominal at the cost of one allowable error.
+        Prior standard deviation of that difference, in its unit; the prior mean is zero.
     """
 
     names: tuple[str, ...]
@@ -98,30 +103,30 @@ class FreedWraps:
     def changes_of(
         self, path_changes: Float[np.ndarray, "muscle mode"]
     ) -> Float[np.ndarray, "wrap wrap_parameter"]:
-        """Read each cylinder's difference from nominal off the muscles that wrap round it."""
+        """Extract each wrap's difference from its nominal parameters from the path changes of its muscles."""
         by_place = np.asarray(path_changes).reshape(*self.places.shape, len(self.quantities))
         return np.stack([by_place[self.places == number][0] for number in range(len(self.names))])
 
 
 @dataclass(frozen=True)
 class FreedSynergies:
-    """Excitations of muscles without a channel, each a weighted sum of commands.
+    """Freed synergy weights: excitations of muscles without a channel as weighted sums of commands.
 
-    Weights are one set for all cycles of a person. Sets of a cycle's own, which the NMSM Pipeline has by
-    default, predict no cycle that was not calibrated on.
+    One set of weights serves all cycles of a subject. Separate weights for each cycle, the NMSM Pipeline's
+    default, cannot predict cycles that were not part of the calibration.
 
     Parameters
     ----------
     names
-        Of the excitations.
+        Names of the excitations.
     places
-        Which excitation drives each muscle: a number in ``names``, -1 for one that has a channel.
+        Index in ``names`` of the excitation of each muscle; -1 for a muscle with a channel.
     commands
-        How many weights an excitation has; the last is of the constant.
+        Number of weights of an excitation; the last is that of the constant command.
     bound
-        Largest size of a weight.
+        Largest absolute value of a weight.
     prior_sd
-        How far a weight may be from zero at the cost of one allowable error.
+        Prior standard deviation of a weight; the prior mean is zero.
     """
 
     names: tuple[str, ...]
@@ -132,20 +137,36 @@ class FreedSynergies:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Name the weights of one excitation."""
+        """Names of the weights of one excitation."""
         return synergy_labels(self.commands)
 
 
 def synergy_labels(commands: int) -> tuple[str, ...]:
-    """Name the weights of one excitation, the last of the constant."""
+    """List the names of the weights of one excitation; the last is that of the constant command."""
     return (*(f"synergy_weight_{number}" for number in range(1, commands)), "synergy_offset")
 
 
 @dataclass(frozen=True)
 class Freedom:
-    """A named set of freed parameters, and of what may change of the paths: their modes, or cylinders.
+    """Selection of the parameter tree that a calibration adjusts, with bounds, scales and priors.
 
-    Where muscles have no channel, also what drives them.
+    Parameters
+    ----------
+    name
+        Name of the selection, usually that of a method.
+    parameters
+        Freed scalar parameters.
+    paths
+        Freed path modes; None where the paths are held. Excludes ``wraps``.
+    wraps
+        Freed wraps; None where these are held.
+    synergies
+        Freed synergy weights; None where every muscle has a channel.
+
+    Raises
+    ------
+    ValueError
+        If both path modes and wraps are freed.
     """
 
     name: str
@@ -160,35 +181,40 @@ class Freedom:
 
     @property
     def moving_paths(self) -> Bool[np.ndarray, " muscle"] | None:
-        """Whether a muscle's path may change; None where all are held."""
+        """Whether each muscle's path may change; None where all paths are held."""
         if self.paths is not None:
             return self.paths.muscles
         return None if self.wraps is None else np.asarray((self.wraps.places >= 0).any(axis=1))
 
     def without(self, names: Sequence[str]) -> Freedom:
-        """Hold the named parameters at their values."""
+        """Return the freedom with the named scalar parameters held."""
         kept = tuple(parameter for parameter in self.parameters if parameter.name not in names)
         return replace(self, parameters=kept)
 
     def with_held_paths(self) -> Freedom:
-        """Hold all paths as they are."""
+        """Return the freedom with all paths held."""
         return replace(self, paths=None, wraps=None)
 
 
 def nga_freedom(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedom:
-    """Free what needs no geometry: delay, activation, EMG scale, fiber and slack lengths.
+    """Build the freedom of the method NGA: delay, activation, EMG scale, fiber and slack lengths.
 
-    Bounds, units and priors are the NMSM Pipeline's: delay 0 to 125 ms, activation time constant 7.5
-    to 35 ms (15 +- 20), nonlinearity 0 to 0.35 (0 +- 0.1), EMG scale 0.05 to 1 (0.3 +- 0.2), lengths
-    within 40 % of the reference (+- 0.1 m). One prior is added: nothing in the Pipeline's cost holds
-    the delay, which then runs to its upper bound.
+    Bounds, scales and priors are those of the NMSM Pipeline: delay 0 to 125 ms, activation time constant 7.5
+    to 35 ms (prior 15 +- 20 ms), nonlinearity 0 to 0.35 (0 +- 0.1), EMG scale 0.05 to 1 (0.3 +- 0.2), lengths
+    within 40 % of the reference (+- 0.1 m). A prior on the delay is added: the Pipeline's cost has none, and
+    the delay then tends to its upper bound.
 
     Parameters
     ----------
     reference
-        The model's own parameters, about which the bounds of the lengths are set.
+        Parameters of the model, about which the bounds of the lengths are set.
     delay_sd
-        Spread of the prior on the delay about 50 ms, in s; infinite for the Pipeline's own cost.
+        Standard deviation of the prior on the delay about 50 ms, s; infinite for the Pipeline's cost.
+
+    Returns
+    -------
+    Freedom
+        Freedom with all paths held.
     """
     ones = np.ones(len(reference.emg_scale))
 
@@ -215,14 +241,14 @@ def nga_freedom(reference: ModelParameters, *, delay_sd: float = 0.05) -> Freedo
 def with_paths(
     freedom: Freedom, name: str, free: Bool[np.ndarray, "muscle mode"], *, prior_sd: float
 ) -> Freedom:
-    """Free paths as well: of all muscles (SGA), or of those that touch a wrapping surface (LSGA).
+    """Add path modes to a freedom, of all muscles (SGA) or of those that touch a wrap (LSGA).
 
     Parameters
     ----------
     freedom
-        What else may move.
+        Freedom to extend.
     name
-        Of the new freedom.
+        Name of the new freedom.
     free, prior_sd
         See `FreedPaths`.
     """
@@ -230,21 +256,22 @@ def with_paths(
 
 
 def with_wraps(freedom: Freedom, name: str, wraps: FreedWraps) -> Freedom:
-    """Free cylinders as well (PGA)."""
+    """Add wraps to a freedom (PGA); ``name`` is that of the new freedom."""
     return replace(freedom, name=name, paths=None, wraps=wraps)
 
 
-#: Largest size of a synergy's weight. The Pipeline has 100; EMG that is held within 0 and 1 needs no more
-#: than this, and random starts, which go a part of the way to the bounds, stay where it is not level.
+#: Largest absolute value of a synergy weight. The NMSM Pipeline has 100. EMG limited to 0 to 1 needs no more
+#: than this, and random starts, which lie a part of the way to the bounds, avoid the constant ends of
+#: `wrapjax.muscle.excitation.smooth_unit_clip`.
 SYNERGY_WEIGHT = 5.0
-#: Spread of the prior on a synergy's weight about zero. Ours: commands are in units of normalised EMG, so
-#: that components of little variance, which are mostly noise, add little.
+#: Standard deviation of the prior on a synergy weight about zero (not in the NMSM Pipeline). Commands are in
+#: units of normalised EMG, so that components of small variance, which are mostly noise, contribute little.
 SYNERGY_PRIOR_SD = 1.0
 
 
 def with_synergies(
     freedom: Freedom, names: tuple[str, ...], places: Int[np.ndarray, " muscle"], commands: int
 ) -> Freedom:
-    """Free the weights of synergies as well; see `FreedSynergies`."""
+    """Add synergy weights to a freedom; see `FreedSynergies` for the parameters."""
     freed = FreedSynergies(names, places, commands, SYNERGY_WEIGHT, SYNERGY_PRIOR_SD)
     return replace(freedom, synergies=freed)

@@ -1,4 +1,4 @@
-"""The one tree of everything that can be adjusted, with units."""
+"""Parameter tree: all quantities of the muscles that a calibration can adjust, with units."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from jaxtyping import Array, Float
 
 
 class ModelParameters(eqx.Module):
-    """Parameters of all muscles, SI units; every leaf has a leading axis ``muscle``."""
+    """Parameters of all muscles in SI units; the leading axis of every leaf is ``muscle``.
+
+    Units and meanings of the scalar parameters are in `QUANTITIES`.
+    """
 
     electromechanical_delay: Float[Array, "*muscle"]
     activation_time_constant: Float[Array, "*muscle"]
@@ -22,22 +25,23 @@ class ModelParameters(eqx.Module):
     max_isometric_force: Float[Array, "*muscle"]
     pennation_angle: Float[Array, "*muscle"]
     max_fiber_velocity: Float[Array, "*muscle"]
-    #: Amount of each mode of the path (`AdjustablePath`), no unit. As many as the paths have, often none.
+    #: Coefficient of each mode of the path (`AdjustablePath`) or change of each wrap parameter; the number of
+    #: modes is that of the paths, often zero.
     path_changes: Float[Array, "*muscle mode"]
-    #: Weights of synergies' commands in the EMG of muscles without a channel, no unit; zero for the others.
-    #: None where every muscle has a channel.
+    #: Weights of the synergy commands in the EMG of muscles without a channel, dimensionless; zero for other
+    #: muscles. None where every muscle has a channel.
     synergy_weights: Float[Array, "*muscle command"] | None = None
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a parameter is: its unit, and a sentence for reports."""
+    """Unit of a parameter and its meaning in words, for reports."""
 
     unit: str
     meaning: str
 
 
-#: Every leaf of `ModelParameters` that is one number a muscle.
+#: Unit and meaning of the scalar parameters: leaves of `ModelParameters` with one number per muscle.
 QUANTITIES: dict[str, Quantity] = {
     "electromechanical_delay": Quantity("s", "time from EMG to muscle excitation"),
     "activation_time_constant": Quantity(
@@ -52,7 +56,7 @@ QUANTITIES: dict[str, Quantity] = {
     "max_fiber_velocity": Quantity("1/s", "fastest shortening in optimal fiber lengths a second"),
 }
 
-#: Generic shortening velocity, optimal fiber lengths a second (Zajac 1989, Crit Rev Biomed Eng 17:359).
+#: Generic maximum fiber velocity, optimal fiber lengths per second (Zajac 1989, Crit Rev Biomed Eng 17:359).
 MAX_FIBER_VELOCITY = 10.0
 
 
@@ -65,24 +69,23 @@ def initial_parameters(
     path_modes: int = 0,
     commands: int | None = None,
 ) -> ModelParameters:
-    """Build the tree that calibration starts from.
+    """Build the initial parameter tree of a calibration.
 
-    Delay 50 ms, activation time constant 15 ms, nonlinearity 0.05 and EMG scale 0.5 are the NMSM
-    Pipeline's starting values; the rest is the model's.
+    Electromechanical delay 50 ms, activation time constant 15 ms, nonlinearity 0.05 and EMG scale 0.5 are
+    the initial values of the NMSM Pipeline; the other values are those of the model.
 
     Parameters
     ----------
     max_isometric_force
-        In N.
+        Maximum isometric forces, N.
     optimal_fiber_length, tendon_slack_length
-        In m.
+        Lengths, m.
     pennation_angle
-        In rad.
+        Pennation angles at optimal fiber length, rad.
     path_modes
-        How many modes the paths have; none of them is in use at the start.
+        Number of modes of the paths; their initial coefficients are zero.
     commands
-        How many commands drive muscles without a channel, all with weight zero at the start; None where
-        every muscle has one.
+        Number of synergy commands, with initial weights of zero; None where every muscle has an EMG channel.
     """
     ones = jnp.ones(jnp.shape(max_isometric_force))
     return ModelParameters(
@@ -101,8 +104,8 @@ def initial_parameters(
 
 
 def with_path_modes(parameters: ModelParameters, count: int) -> ModelParameters:
-    """Give a tree so many modes of paths; those that it lacks are not in use, as in paths that are held."""
+    """Pad a parameter tree with zeros to at least ``count`` path modes, as paths that are held have none."""
     changes = parameters.path_changes
-    lacking = max(count - changes.shape[-1], 0)
-    padded = jnp.pad(changes, [(0, 0)] * (changes.ndim - 1) + [(0, lacking)])
+    missing = max(count - changes.shape[-1], 0)
+    padded = jnp.pad(changes, [(0, 0)] * (changes.ndim - 1) + [(0, missing)])
     return eqx.tree_at(lambda tree: tree.path_changes, parameters, padded)

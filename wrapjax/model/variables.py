@@ -1,4 +1,4 @@
-"""Between the parameter tree and the flat vector that a solver moves."""
+"""Mapping between the parameter tree and the vector of variables of a solver."""
 
 from __future__ import annotations
 
@@ -15,31 +15,33 @@ from wrapjax.model.parameters import ModelParameters, with_path_modes
 
 
 class Variables(eqx.Module):
-    """The free entries of a parameter tree, scaled to order one.
+    """Free entries of a parameter tree as a vector of variables of order one.
 
-    A muscle's force depends on that muscle's parameters alone. So every muscle keeps a short vector
-    of its own, ``local``, and ``index`` says which variable stands at each place of it. Entries of
-    several muscles may point to one variable: that is how parameters are shared.
+    A muscle's force depends on that muscle's parameters alone. Each muscle therefore has a short vector of
+    local entries (scalar parameters, synergy weights, path modes), and ``index`` maps local entries to
+    variables. Local entries of several muscles may refer to one variable: such parameters are shared.
     """
 
+    #: Parameter tree with the values of entries that are held, and the initial values of free ones.
     base: ModelParameters
-    #: The free leaves of one number a muscle, at the first local places.
+    #: Free scalar parameters: the first local entries.
     names: tuple[str, ...] = eqx.field(static=True)
-    #: How many synergy weights follow them; 0 where every muscle has a channel.
+    #: Number of synergy weights, the next local entries; 0 where every muscle has a channel.
     weights: int = eqx.field(static=True)
-    #: How many modes of its path follow these; 0 where paths are held.
+    #: Number of path modes, the last local entries; 0 where paths are held.
     modes: int = eqx.field(static=True)
+    #: Size of one solver unit, in the unit of the entry.
     scale: Float[np.ndarray, "muscle local"]
-    #: Past the last variable where an entry is held.
+    #: Variable of each local entry; the number of variables for an entry that is held.
     index: Int[np.ndarray, "muscle local"]
-    #: Flat places of each variable in ``index``, one row a muscle that shares it.
+    #: Flat positions of each variable in ``index``, one row for each muscle that may share it.
     places: Int[np.ndarray, "layer variable"]
     lower: Float[np.ndarray, " variable"]
     upper: Float[np.ndarray, " variable"]
     prior_mean: Float[np.ndarray, " variable"]
-    #: One over the prior's standard deviation; 0 where nothing is expected.
+    #: One over the prior standard deviation; 0 without a prior.
     prior_precision: Float[np.ndarray, " variable"]
-    #: ``soleus_l.emg_scale``: one a variable.
+    #: Name of each variable, as ``soleus_l.emg_scale``.
     labels: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -49,25 +51,25 @@ class Variables(eqx.Module):
 
     @property
     def nonpath_count(self) -> int:
-        """Number of a muscle's local places before the modes of its path: all that acts through time."""
+        """Number of local entries of a muscle that are not path modes."""
         return len(self.names) + self.weights
 
     def start(self) -> Float[Array, " variable"]:
-        """Give the variables of the base parameters, moved inside the bounds."""
+        """Compute the variables of the base parameters, clipped to the bounds."""
         return jnp.clip(self.pack(self.base), self.lower, self.upper)
 
     @eqx.filter_jit
     def pack(self, parameters: ModelParameters) -> Float[Array, " variable"]:
-        """Read the variables off a parameter tree; of a shared one, the last muscle's value.
+        """Extract the variables from a parameter tree; the last muscle's value where a variable is shared.
 
-        The tree may be one whose paths were held, and that has no modes.
+        The tree may have no path modes, as trees of held paths do.
         """
-        whole = with_path_modes(parameters, self.modes)
-        return jnp.zeros(self.count + 1).at[self.index].set(self._local(whole))[:-1]
+        padded = with_path_modes(parameters, self.modes)
+        return jnp.zeros(self.count + 1).at[self.index].set(self._local(padded))[:-1]
 
     @eqx.filter_jit
     def unpack(self, variables: Float[Array, " variable"]) -> ModelParameters:
-        """Put the variables into the tree."""
+        """Insert variables into the base parameter tree."""
         values = self.localize(variables) * self.scale
         tree = self.insert(self.base, values[:, : self.nonpath_count])
         if not self.modes:
@@ -75,7 +77,7 @@ class Variables(eqx.Module):
         return eqx.tree_at(lambda tree: tree.path_changes, tree, values[:, self.nonpath_count :])
 
     def localize(self, variables: Float[Array, " variable"]) -> Float[Array, "muscle local"]:
-        """Hand every muscle its own variables; what is held has its base value."""
+        """Compute the local entries of every muscle, in solver units; held entries have their base values."""
         held = self.index == self.count
         return jnp.where(held, self._local(self.base), jnp.append(variables, 0.0)[self.index])
 
@@ -87,7 +89,7 @@ class Variables(eqx.Module):
         return jnp.concatenate(parts, axis=-1) / self.scale
 
     def insert(self, parameters: ModelParameters, values: Float[Array, "*muscle single"]) -> ModelParameters:
-        """Put values of the single parameters, in their units, into the tree of one muscle or of all."""
+        """Insert scalar parameters and synergy weights, in their units, into a tree of one or all muscles."""
         leaves = [values[..., place] for place in range(len(self.names))]
         if self.weights:
             leaves.append(values[..., len(self.names) :])
@@ -95,7 +97,7 @@ class Variables(eqx.Module):
         return eqx.tree_at(lambda tree: [getattr(tree, name) for name in names], parameters, replace=leaves)
 
     def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
-        """Turn derivatives by local entries into derivatives by variables (chain rule)."""
+        """Sum derivatives by local entries into derivatives by variables (chain rule)."""
         flat = blocks.reshape(-1, blocks.shape[-1])
         if len(self.places) == 1:
             return flat[self.places[0]]
@@ -107,14 +109,14 @@ class Variables(eqx.Module):
         own: Float[Array, "muscle local local"],
         groups: Mapping[tuple[int, ...], Float[Array, "_ _"]] = MappingProxyType({}),
     ) -> Float[Array, "variable variable"]:
-        """Turn second derivatives by local entries into those by variables.
+        """Assemble second derivatives by local entries into those by variables.
 
         Parameters
         ----------
         own
-            Of every muscle by its own entries.
+            Second derivatives of every muscle by its own entries.
         groups
-            Of muscles by the entries of all of them, by their numbers.
+            Second derivatives by the entries of several muscles, by the indices of these muscles.
         """
         rows = [jnp.repeat(self.index, self.index.shape[1], axis=1).ravel()]
         columns = [jnp.tile(self.index, (1, self.index.shape[1])).ravel()]
@@ -123,33 +125,36 @@ class Variables(eqx.Module):
             rows.append(jnp.repeat(index, len(index)))
             columns.append(jnp.tile(index, len(index)))
         values = jnp.concatenate([own.ravel(), *(block.ravel() for block in groups.values())])
-        # All at once: each scatter would fill a matrix of its own first.
+        # One scatter for all blocks: each scatter would allocate a matrix of its own.
         total = jnp.zeros((self.count + 1, self.count + 1))
         return total.at[jnp.concatenate(rows), jnp.concatenate(columns)].add(values)[:-1, :-1]
 
 
 def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarray, "layer variable"]:
-    """Find where each variable stands: its first place, its second, ...; past its last, none."""
+    """Find the first, second, ... position of each variable in ``index``; its size past the last one."""
     order = np.argsort(index, axis=None, kind="stable")
-    owner = index.ravel()[order]
-    order, owner = order[owner < count], owner[owner < count]
-    occurrence = np.arange(len(owner)) - np.searchsorted(owner, owner)
+    variable_of = index.ravel()[order]
+    order, variable_of = order[variable_of < count], variable_of[variable_of < count]
+    occurrence = np.arange(len(variable_of)) - np.searchsorted(variable_of, variable_of)
     places = np.full((int(occurrence.max()) + 1, count), index.size)
-    places[occurrence, owner] = order
+    places[occurrence, variable_of] = order
     return places
 
 
 def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[str]) -> Variables:
-    """Lay out the variables of a freedom, all of one muscle after all of another.
+    """Build the variables of a freedom.
+
+    Their order is: scalar parameters and path modes muscle by muscle, then synergy weights, then wrap
+    parameters.
 
     Parameters
     ----------
     base
-        Values of what is not freed, and the start of what is.
+        Values of entries that are held, and initial values of free ones.
     freedom
-        What may move.
+        Selection of the parameters that may change.
     muscles
-        Names, in the order of the tree's leading axis.
+        Names of the muscles, in the order of the tree's leading axis.
     """
     freed, paths, wraps = freedom.parameters, freedom.paths, freedom.wraps
     modes = 0 if paths is None else paths.free.shape[1]
@@ -158,51 +163,52 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     count = len(muscles)
     synergies = freedom.synergies
     weights = 0 if synergies is None else synergies.commands
-    # Modes are parts of one change: it is the length of their vector that is expected to be short.
+    # The prior is on the norm of the vector of mode coefficients, not on each of them.
     mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
 
-    def column(name: str, of_modes: float) -> Float[np.ndarray, "muscle local"]:
+    def local_values(name: str, mode_value: float) -> Float[np.ndarray, "muscle local"]:
         single = [getattr(parameter, name) for parameter in freed]
-        # Weights are no muscle's own: what is said here of them and of held modes is not asked for.
-        return np.stack([*single, *[np.full(count, of_modes)] * (weights + modes)], axis=-1)
+        # Values of synergy weights, set below, and of held modes are placeholders.
+        return np.stack([*single, *[np.full(count, mode_value)] * (weights + modes)], axis=-1)
 
-    scale = column("scale", 1.0)
+    scale = local_values("scale", 1.0)
     free = np.ones(scale.shape, dtype=bool)
-    shared = len(freed) + weights
-    free[:, len(freed) : shared] = False
-    free[:, shared:] = False if paths is None else paths.free
-    own = int(free.sum())
-    index = np.full(free.shape, own)
-    index[free] = np.arange(own)
+    first_mode = len(freed) + weights
+    free[:, len(freed) : first_mode] = False
+    free[:, first_mode:] = False if paths is None else paths.free
+    offset = int(free.sum())
+    index = np.full(free.shape, offset)
+    index[free] = np.arange(offset)
     names = [parameter.name for parameter in freed] + [""] * weights
     names += [f"path_changes_{mode:03d}" for mode in range(modes)]
     labels = [f"{muscles[muscle]}.{names[place]}" for muscle, place in np.argwhere(free)]
     bounds = {
-        name: (column(name, sign * np.inf) / scale)[free] for name, sign in (("lower", -1), ("upper", 1))
+        name: (local_values(name, sign * np.inf) / scale)[free]
+        for name, sign in (("lower", -1), ("upper", 1))
     }
-    prior_mean = (column("prior_mean", 0.0) / scale)[free]
-    prior_precision = (scale / column("prior_sd", mode_sd))[free]
-    total = own + (0 if synergies is None else len(synergies.names) * weights)
+    prior_mean = (local_values("prior_mean", 0.0) / scale)[free]
+    prior_precision = (scale / local_values("prior_sd", mode_sd))[free]
+    total = offset + (0 if synergies is None else len(synergies.names) * weights)
     if wraps is not None:
         total += wraps.lower.size
-    index[index == own] = total
+    index[index == offset] = total
     if synergies is not None:
-        # After all muscles: muscles may have an excitation in common.
-        number = own + synergies.places[:, None] * weights + np.arange(weights)
-        index[:, len(freed) : shared] = np.where(synergies.places[:, None] < 0, total, number)
+        # After the variables of single muscles: several muscles may share an excitation.
+        number = offset + synergies.places[:, None] * weights + np.arange(weights)
+        index[:, len(freed) : first_mode] = np.where(synergies.places[:, None] < 0, total, number)
         labels += [f"{name}.{weight}" for name in synergies.names for weight in synergies.labels]
         size = len(synergies.names) * weights
         for name, sign in (("lower", -1.0), ("upper", 1.0)):
             bounds[name] = np.append(bounds[name], np.full(size, sign * synergies.bound))
         prior_mean = np.append(prior_mean, np.zeros(size))
         prior_precision = np.append(prior_precision, np.full(size, 1.0 / synergies.prior_sd))
-        own += size
+        offset += size
     if wraps is not None:
-        # Last: a cylinder is nobody's own.
+        # Last: several muscles may share a wrap.
         held = wraps.places[:, :, None] < 0
-        number = own + wraps.places[:, :, None] * len(wraps.quantities) + np.arange(len(wraps.quantities))
-        index[:, shared:] = np.where(held, total, number).reshape(count, -1)
-        scale[:, shared:] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
+        number = offset + wraps.places[:, :, None] * len(wraps.quantities) + np.arange(len(wraps.quantities))
+        index[:, first_mode:] = np.where(held, total, number).reshape(count, -1)
+        scale[:, first_mode:] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
         labels += [f"{name}.{quantity}" for name in wraps.names for quantity in wraps.quantities]
         for name in bounds:
             bounds[name] = np.append(bounds[name], getattr(wraps, name) / wraps.scale)

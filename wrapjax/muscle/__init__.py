@@ -1,1 +1,1 @@
-"""One muscle: excitation, activation dynamics, Hill curves, rigid and compliant tendons."""
+"""Model of one muscle: excitation, activation dynamics, Hill curves, rigid and compliant tendons."""

@@ -1,4 +1,4 @@
-"""Activation dynamics and the nonlinear relation of activation to force."""
+"""First-order activation dynamics and the nonlinear activation-force relation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-#: Deactivation takes this many times as long as activation (He et al. 1991, doi:10.1109/10.84276).
+#: Ratio of the deactivation to the activation time constant (He et al. 1991, doi:10.1109/10.84276).
 DEACTIVATION_RATIO = 4.0
 
 # Rational fit of the isometric EMG-force curve, with G(0) = 0 and G(1) = 1
@@ -25,26 +25,27 @@ def neural_activation(
     step: Float[Array, " trial"],
     deactivation_ratio: Float[Array, ""] | float = DEACTIVATION_RATIO,
 ) -> Float[Array, "trial padded_frame"]:
-    """Integrate first-order activation dynamics from rest.
+    """Compute neural activation from excitation by first-order activation dynamics, from rest.
 
-    ``da/dt = (c1 e + c2)(e - a)`` with ``c2 = 1/(r ta)`` and ``c1 = 1/ta - c2``, discretised by the
-    implicit second-order backward difference; the first two frames are at rest.
+    ``da/dt = (c1 e + c2)(e - a)`` with ``c2 = 1/(r ta)`` and ``c1 = 1/ta - c2`` (He et al. 1991,
+    doi:10.1109/10.84276), discretised by the implicit second-order backward difference. The first two frames
+    are zero.
 
     Parameters
     ----------
     excitation
-        Excitation in 0 to 1, padding included.
+        Excitation e, 0 to 1, including the padding frames.
     activation_time_constant
-        ta in s.
+        Activation time constant ta, s.
     step
-        Time step of each cycle in s.
+        Time between frames of each cycle, s.
     deactivation_ratio
-        r: how many times as long as activation deactivation takes.
+        Ratio r of the deactivation to the activation time constant.
 
     Returns
     -------
     Array
-        Neural activation. It can undershoot zero by the order of the discretisation error.
+        Neural activation a; it can undershoot zero by the order of the discretisation error.
     """
     fast = 1.0 / activation_time_constant
     slow = fast / deactivation_ratio
@@ -64,17 +65,22 @@ def neural_activation(
 def muscle_activation(
     neural: Float[Array, "*shape"], nonlinearity: Float[Array, ""]
 ) -> Float[Array, "*shape"]:
-    """Mix neural activation with its saturating image.
+    """Compute muscle activation from neural activation by a nonlinear activation-force relation.
 
-    ``(1 - c) a + c G(a)``, with G the isometric EMG-force curve of Meyer et al. 2017,
-    doi:10.1371/journal.pone.0179698.
+    ``(1 - c) a + c G(a)``, with G the isometric EMG-force curve of Meyer et al. 2017 (equation 8,
+    doi:10.1371/journal.pone.0179698).
 
     Parameters
     ----------
     neural
-        Neural activation, not negative.
+        Neural activation a, not negative.
     nonlinearity
-        c, between 0 (linear) and 0.35.
+        Weight c of the nonlinear curve, from 0 (linear) to 0.35.
+
+    Returns
+    -------
+    Array
+        Muscle activation, 0 to 1.
     """
     saturating = _G4 / (_G1 * (neural + _G6) ** _G5 + _G2) + _G3
     return (1.0 - nonlinearity) * neural + nonlinearity * saturating

@@ -1,4 +1,4 @@
-"""A Hill-type muscle in series with a tendon that stretches: implicit equilibrium, exact derivatives."""
+"""Hill-type muscle in equilibrium with a compliant tendon, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -13,30 +13,35 @@ from jaxtyping import Array, Float
 from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
 
-#: Force that damps what the tendon's stretching adds to fiber velocity, in maximum isometric forces at
-#: maximum fiber velocity (the value of Millard et al. 2013, doi:10.1115/1.4023390). With it equilibrium
-#: is unique on the falling side of the force-length curve too.
+#: Damping coefficient for the part of the fiber velocity that is due to tendon stretch: force in maximum
+#: isometric forces at maximum fiber velocity (the value of Millard et al. 2013, doi:10.1115/1.4023390). The
+#: damping makes the equilibrium unique on the descending limb of the force-length curve too.
 FIBER_DAMPING = 0.1
 
-# Of the tendon's curve: how fast it stiffens with force.
+# Shape factor of the tendon's strain curve: how fast the tendon stiffens with force.
 _STIFFENING = 8.0
-# Searches end where the force is known to so many maximum isometric forces, or after so many steps.
+# Tolerance of the equilibrium force in maximum isometric forces, and the largest number of Newton steps.
 _TOLERANCE, _STEPS = 1e-14, 60
-# No muscle gives less or more than these beyond its passive force, in maximum isometric forces.
-_LEAST, _MOST = -4.0, 6.0
+# Bracket of the equilibrium force, in maximum isometric forces; the passive force is added to its upper end.
+_LOWEST_FORCE, _HIGHEST_FORCE = -4.0, 6.0
 
 Frames = Float[Array, "trial frame"]
 
 
 def tendon_strain_curve(force: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Strain of a tendon over its force, in units of the strain at maximum isometric force.
+    """Compute tendon strain from tendon force, relative to the strain at maximum isometric force.
 
-    ``ln(1 + 8 F) / ln 9``: 0 at 0, 1 at 1, with a toe region; below zero it goes on as a straight line.
+    ``g(F) = ln(1 + 8 F) / ln 9``: 0 at 0 and 1 at 1, with a toe region; linear below zero.
 
     Parameters
     ----------
     force
-        In maximum isometric forces.
+        Tendon force in maximum isometric forces.
+
+    Returns
+    -------
+    Array
+        Strain divided by the strain at maximum isometric force.
     """
     pulled = jnp.log1p(_STIFFENING * jnp.maximum(force, 0.0)) + _STIFFENING * jnp.minimum(force, 0.0)
     return pulled / np.log1p(_STIFFENING)
@@ -57,32 +62,35 @@ def compliant_tendon_fiber(
     max_fiber_velocity: Float[Array, ""],
     length_factor: Frames | None = None,
 ) -> FiberState:
-    """Compute fiber state and force of a muscle whose tendon stretches.
+    """Compute fiber state and force of a muscle with a compliant tendon.
 
-    The tendon is as long as ``l_s (1 + e0 g(F / F0))``, and the fibers have what is left of length and
-    rate: from there on all is as with a rigid tendon. Force follows from its own past, for fiber velocity
-    holds the rate of the stretch: every frame is solved for the force at which fibers and tendon are in
-    equilibrium, with the rate as the second-order backward difference over frames. The first frame is at
-    a constant stretch.
+    The tendon length is ``l_s (1 + e0 g(F / F0))`` with g from `tendon_strain_curve`. Fiber length and
+    velocity are those of the muscle-tendon unit less those of the tendon stretch, and the force follows as
+    with a rigid tendon. Because fiber velocity contains the rate of the stretch, the equations are a
+    differential equation in time: every frame is solved for the force at which fibers and tendon are in
+    equilibrium, with the rate of the stretch as the second-order backward difference over frames. In the
+    first frame that rate is zero.
 
-    Strain zero gives the rigid tendon, to the last bit, and derivatives there are those of the limit.
-    All derivatives are exact, by the implicit function theorem, of any order.
+    Zero strain gives the rigid tendon to the last bit, with the derivatives of that limit. Derivatives of any
+    order are exact, by the implicit function theorem.
 
     Parameters
     ----------
     curves, activation, length, velocity
-        As of `rigid_tendon_fiber`.
+        See `rigid_tendon_fiber`.
     step
         Time between frames of each cycle, s.
     strain_at_max_force
-        e0: strain at maximum isometric force; about 0.04 (Zajac 1989, Crit Rev Biomed Eng 17:359).
+        Tendon strain e0 at maximum isometric force; about 0.04 (Zajac 1989, Crit Rev Biomed Eng 17:359).
     max_isometric_force, optimal_fiber_length, tendon_slack_length, pennation_angle, max_fiber_velocity
-        As of `rigid_tendon_fiber`, and so is ``length_factor``.
+        See `rigid_tendon_fiber`.
+    length_factor
+        See `rigid_tendon_fiber`.
 
     Returns
     -------
     FiberState
-        Damping is part of the passive force.
+        Fiber state; the damping force is part of the passive force.
     """
     reach = optimal_fiber_length * jnp.cos(pennation_angle)
     strength = max_isometric_force * jnp.cos(pennation_angle)
@@ -106,7 +114,7 @@ def compliant_tendon_fiber(
 
     muscle = activation, length, velocity, length_factor
     unstretched = curves.passive_force((length - tendon_slack_length) / reach)
-    frames = jax.tree.map(jnp.transpose, (muscle, _MOST + unstretched))
+    frames = jax.tree.map(jnp.transpose, (muscle, _HIGHEST_FORCE + unstretched))
     weights = jnp.asarray(_backward_difference(activation.shape[-1]))
 
     def advance(past, inputs):
@@ -120,12 +128,12 @@ def compliant_tendon_fiber(
             strain = tendon_strain_curve(force)
             return force - fibers(muscle, strain, rate_of(strain)).tendon_force / max_isometric_force
 
-        force = increasing_root(excess, guess, jnp.full_like(highest, _LEAST), highest)
+        force = increasing_root(excess, guess, jnp.full_like(highest, _LOWEST_FORCE), highest)
         strain = tendon_strain_curve(force)
         return (strain, before, jax.lax.stop_gradient(force)), (strain, rate_of(strain))
 
-    nothing = jnp.zeros_like(step)
-    _, (strain, strain_rate) = jax.lax.scan(advance, (nothing, nothing, nothing), (frames, weights))
+    zeros = jnp.zeros_like(step)
+    _, (strain, strain_rate) = jax.lax.scan(advance, (zeros, zeros, zeros), (frames, weights))
     return fibers(muscle, strain.T, strain_rate.T)
 
 
@@ -135,25 +143,31 @@ def increasing_root(
     lowest: Float[Array, "*shape"],
     highest: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """Find where a function of each element alone, which increases, is zero; differentiable to any order.
+    """Find the root of an elementwise increasing function; differentiable to any order.
 
-    Newton's method that falls back on halving the bracket wherever it would leave it.
+    Newton's method, with bisection wherever a Newton step would leave the bracket.
 
     Parameters
     ----------
     function
-        Elements must not mix. Its own parameters are differentiated by the implicit function theorem.
+        Increasing function; each element of the result depends on the same element of the argument alone.
+        Variables that it closes over are differentiated by the implicit function theorem.
     guess
-        Where to start; has no part in derivatives.
+        Starting point; it does not enter derivatives.
     lowest, highest
-        A bracket; where it holds no root its nearer end is given.
+        Bracket of the root.
+
+    Returns
+    -------
+    Array
+        Root of each element; the nearer end of the bracket where that contains no root.
     """
 
     def slope(function, at):
         return jax.jvp(function, (at,), (jnp.ones_like(at),))
 
     def solve(function, guess):
-        def unsettled(state):
+        def unconverged(state):
             at, _, _, change, count = state
             return (count < _STEPS) & jnp.any(jnp.abs(change) > _TOLERANCE * (1.0 + jnp.abs(at)))
 
@@ -168,7 +182,7 @@ def increasing_root(
 
         start = jnp.clip(guess, lowest, highest)
         state = start, lowest, highest, jnp.full_like(start, jnp.inf), 0
-        return jax.lax.while_loop(unsettled, improve, state)[0]
+        return jax.lax.while_loop(unconverged, improve, state)[0]
 
     lowest, highest, guess = jax.lax.stop_gradient((lowest, highest, guess))
     return jax.lax.custom_root(
@@ -177,7 +191,7 @@ def increasing_root(
 
 
 def _backward_difference(frames: int) -> Float[np.ndarray, "frame 3"]:
-    """Weights of a frame, the one before and the one before that: none at first, then of first order."""
+    """Weights of each frame and the two before it: zero at the first frame, first order at the second."""
     weights = np.tile([1.5, -2.0, 0.5], (frames, 1))
     weights[0] = 0.0
     weights[1:2] = [1.0, -1.0, 0.0]

@@ -1,4 +1,4 @@
-"""Normalised force curves of a Hill-type muscle."""
+"""Normalised force-length, force-velocity and passive force-length curves of a Hill-type muscle."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from jaxtyping import Array, Float
 
 
 class AbstractCurves(eqx.Module):
-    """Force curves of a muscle, in normalised units; see `HillCurves`."""
+    """Interface of the normalised force curves of a muscle; see `HillCurves`."""
 
     @abc.abstractmethod
     def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Active force over normalised fiber length."""
+        """Compute the active force factor at a normalised fiber length."""
 
     @abc.abstractmethod
     def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Force factor over normalised fiber velocity."""
+        """Compute the force factor at a normalised fiber velocity (lengthening positive)."""
 
     @abc.abstractmethod
     def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Passive force over normalised fiber length."""
+        """Compute the passive force factor at a normalised fiber length."""
 
 
 class HillCurves(AbstractCurves):
-    """Active force-length, force-velocity and passive force-length curve.
+    """Analytical active force-length, force-velocity and passive force-length curves.
 
     The forms are those of De Groote et al. 2016 (doi:10.1007/s10439-016-1591-9); the arctangent
     replaces their logarithm in the force-velocity curve. Forces are in units of the maximum
@@ -35,27 +35,27 @@ class HillCurves(AbstractCurves):
     (lengthening positive).
     """
 
-    #: Three Gaussian-like bumps: amplitude, centre, width, width's growth with length.
+    #: Amplitude, center, width and growth of the width with length of three Gaussian-like terms.
     active_bumps: Float[np.ndarray, "3 4"]
-    #: d1 to d6 of ``d1 + d2 atan(d3 + d4 atan(d5 + d6 v))``.
+    #: Coefficients d1 to d6 of ``d1 + d2 atan(d3 + d4 atan(d5 + d6 v))``.
     velocity: Float[np.ndarray, "6"]
-    #: e1 to e3 of ``e1 ln(1 + exp(e2 (l - e3)))``.
+    #: Coefficients e1 to e3 of ``e1 ln(1 + exp(e2 (l - e3)))``.
     passive: Float[np.ndarray, "3"]
 
     def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Active force over normalised fiber length: 1 near length 1."""
+        """Compute the active force factor at a normalised fiber length: 1 near length 1."""
         total = jnp.zeros_like(length)
         for amplitude, center, width, growth in self.active_bumps:
             total += amplitude * jnp.exp(-0.5 * ((length - center) / (width + growth * length)) ** 2)
         return total
 
     def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Force factor over normalised fiber velocity: 0 at -1, 1 at 0, about 1.5 at 1."""
+        """Compute the force factor at a normalised fiber velocity: 0 at -1, 1 at 0, about 1.5 at 1."""
         d1, d2, d3, d4, d5, d6 = self.velocity
         return d1 + d2 * jnp.arctan(d3 + d4 * jnp.arctan(d5 + d6 * velocity))
 
     def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Passive force over normalised fiber length: about 0.28 at 1.4."""
+        """Compute the passive force factor at a normalised fiber length: about 0.28 at 1.4."""
         e1, e2, e3 = self.passive
         return e1 * jnp.logaddexp(0.0, e2 * (length - e3))
 
@@ -63,9 +63,8 @@ class HillCurves(AbstractCurves):
 _PASSIVE = np.array([0.232000797810576, 12.438535493526128, 1.329470475731338])
 _THIRD_BUMP = [0.1, 1.0, 0.5 * np.sqrt(0.5), 0.0]
 
-#: The curves by name. ``paper`` are those that the NMSM Pipeline used until 2026, with which the
-#: published results were made; ``opensim`` are its later refit, "consistent with OpenSim".
-#: They differ by less than 6e-4.
+#: Hill curves by name: ``paper`` as in the NMSM Pipeline until 2026, used for the published results;
+#: ``opensim`` its later refit "consistent with OpenSim". They differ by less than 6e-4.
 HILL_CURVES: dict[str, HillCurves] = {
     "paper": HillCurves(
         active_bumps=np.array(

@@ -1,4 +1,4 @@
-"""From EMG envelopes to muscle excitations: scale and electromechanical delay, and EMG nobody measured."""
+"""Cubic splines of EMG envelopes and synergy commands, evaluated with an electromechanical delay."""
 
 from __future__ import annotations
 
@@ -12,59 +12,68 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
-#: How sharply EMG that nobody measured turns where it is held within 0 and 1: over about one over this.
+#: Sharpness of `smooth_unit_clip`: the transition at 0 and at 1 is about one over this wide.
 _SHARPNESS = 20.0
 
 
 def smooth_unit_clip(value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Hold a value within 0 and 1: the value itself between them, smoothly level beyond.
+    """Limit a value to 0 to 1 smoothly: the identity between them, constant beyond.
 
-    A difference of two softplus functions. Bounds at frames would hold in cycles that are calibrated on;
-    this holds in all, and leaves the problem smooth.
+    The difference of two softplus functions. Constraints at frames would hold in the calibration cycles
+    alone; this holds in every cycle and keeps the least-squares problem smooth.
     """
     above = jax.nn.softplus(_SHARPNESS * value) - jax.nn.softplus(_SHARPNESS * (value - 1.0))
     return above / _SHARPNESS
 
 
 class CommandSplines(eqx.Module):
-    """Commands that muscles without a channel take a weighted sum of, knots as in `EmgSpline`."""
+    """Cubic splines of synergy commands; weighted sums of them drive muscles without a channel.
 
-    #: The same for every muscle; highest power first, in units of one knot step.
+    The knots are those of `EmgSpline`.
+    """
+
+    #: Polynomial coefficients, the same for every muscle; highest power first, in units of one knot step.
     coefficients: Float[Array, "*channel trial command 4 interval"]
     #: 1 for a muscle without a channel, else 0.
     share: Float[Array, "*channel trial"]
 
 
 class EmgSpline(eqx.Module):
-    """Cubic splines through sampled EMG envelopes, one set of uniform knots a gait cycle.
+    """Cubic splines through sampled EMG envelopes, with uniform knots in each gait cycle.
 
-    The knots are uniform within a cycle, so that a delay shifts every frame by the same fraction of
-    a step: looking a value up is one gather and one cubic.
+    Because knots are uniform within a cycle, a delay shifts every frame by the same fraction of a step, and
+    an evaluation is one gather and one cubic polynomial.
     """
 
-    #: Highest power first, in units of one knot step.
+    #: Polynomial coefficients; highest power first, in units of one knot step.
     coefficients: Float[Array, "*channel trial 4 interval"]
     #: Time between knots in s.
     step: Float[Array, "*channel trial"]
-    #: By how much more each cycle's EMG is delayed, s; None for none.
+    #: Additional delay of each cycle's EMG, s; None for zero.
     lag: Float[Array, "*channel trial"] | None = None
-    #: Where some muscles have no channel; their own splines are zero then.
+    #: Synergy commands of muscles without a channel, whose own splines are zero; None where there are none.
     commands: CommandSplines | None = None
 
     def at_delay(
         self, delay: Float[Array, ""], weights: Float[Array, " command"] | None = None
     ) -> Float[Array, "trial knot"]:
-        """Evaluate the envelopes at every knot's time less the delay.
+        """Evaluate the envelopes at the time of every knot less the delay.
 
-        Before the first knot the envelope holds its first value: extrapolating a cubic through the
-        start of a recording would invent bursts that nobody measured.
+        Before the first knot the envelope is constant: extrapolating a cubic polynomial beyond the start
+        of a recording could produce EMG that was not measured.
 
         Parameters
         ----------
         delay
             Electromechanical delay in s, not negative; one number for all cycles.
         weights
-            Of the commands, for a muscle without a channel: its envelope is their sum, held within 0 and 1.
+            Weights of the commands, for a muscle without a channel: its envelope is their weighted sum,
+            limited to 0 to 1 by `smooth_unit_clip`.
+
+        Returns
+        -------
+        Array
+            Delayed envelope, dimensionless.
         """
         intervals = self.coefficients.shape[-1]
         delays = delay if self.lag is None else delay + self.lag
@@ -73,35 +82,35 @@ class EmgSpline(eqx.Module):
         interval = jnp.clip(jnp.floor(position).astype(int), 0, intervals - 1)
         fraction = position - interval
 
-        def look_up(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial knot"]:
+        def evaluate(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial knot"]:
             c3, c2, c1, c0 = jnp.moveaxis(
                 jnp.take_along_axis(coefficients, interval[:, None, :], axis=-1), 1, 0
             )
             return ((c3 * fraction + c2) * fraction + c1) * fraction + c0
 
-        measured = look_up(self.coefficients)
+        measured = evaluate(self.coefficients)
         if self.commands is None or weights is None:
             return measured
-        together = jnp.einsum("c,tcpi->tpi", weights, self.commands.coefficients)
-        return measured + self.commands.share[:, None] * smooth_unit_clip(look_up(together))
+        weighted_sum = jnp.einsum("c,tcpi->tpi", weights, self.commands.coefficients)
+        return measured + self.commands.share[:, None] * smooth_unit_clip(evaluate(weighted_sum))
 
 
 def fit_emg_spline(
     time: Float[np.ndarray, "trial knot"], emg: Float[np.ndarray, "trial channel knot"]
 ) -> EmgSpline:
-    """Fit the not-a-knot cubic spline of every cycle and channel.
+    """Fit a cubic spline with not-a-knot end conditions to every cycle and channel.
 
     Parameters
     ----------
     time
-        Times of the samples in s, uniform within a cycle.
+        Times of the samples, s, uniform within a cycle.
     emg
-        Envelopes, dimensionless.
+        EMG envelopes, dimensionless.
 
     Returns
     -------
     EmgSpline
-        Both fields with a leading axis ``channel``.
+        Splines; both fields have a leading axis ``channel``.
     """
     knots = np.arange(emg.shape[-1], dtype=float)
     pieces = CubicSpline(knots, emg, axis=-1, bc_type="not-a-knot").c  # (4, interval, trial, channel)
@@ -111,32 +120,37 @@ def fit_emg_spline(
 
 
 def sharpen_emg(emg: EmgSpline, share: Float[Array, ""], width: float) -> EmgSpline:
-    """Give back to envelopes what a filter has taken from their quick changes.
+    """Restore fast changes of EMG envelopes that low-pass filtering has removed.
 
-    What is left of an envelope after a Gaussian average, and after another one, is what is added: next to
-    nothing of slow changes, as good low-pass filters take next to nothing of them (of the fourth order, both
-    grow with the fourth power of the frequency).
+    The high-pass residual of an envelope, ``(I - G)(I - G) x`` with G a Gaussian average over time, is added
+    to it. Its frequency response rises with the fourth power of the frequency, as the attenuation of a
+    fourth-order low-pass filter does, so that slow changes stay as they are.
 
     Parameters
     ----------
     emg
-        As it was recorded.
+        Splines of the recorded envelopes.
     share
-        Of what is left; none of it at 0.
+        Factor on the residual that is added; 0 for the recorded envelopes.
     width
         Standard deviation of the Gaussian, s.
+
+    Returns
+    -------
+    EmgSpline
+        Splines of the sharpened envelopes.
     """
     count = emg.coefficients.shape[-1] + 1
     lag = np.subtract.outer(np.arange(count), np.arange(count))
-    through = CubicSpline(np.arange(count), np.eye(count), bc_type="not-a-knot").c
+    spline_matrix = CubicSpline(np.arange(count), np.eye(count), bc_type="not-a-knot").c
 
     @partial(jnp.vectorize, signature="(p,i),()->(p,i)")
-    def quick_changes(
+    def high_pass(
         coefficients: Float[Array, "4 interval"], step: Float[Array, ""]
     ) -> Float[Array, "4 interval"]:
         knots = jnp.append(coefficients[-1], coefficients[:, -1].sum())
         average = jax.nn.softmax(-0.5 * (lag * step / width) ** 2, axis=-1)
-        left = knots - average @ knots
-        return through @ (left - average @ left)
+        residual = knots - average @ knots
+        return spline_matrix @ (residual - average @ residual)
 
-    return replace(emg, coefficients=emg.coefficients + share * quick_changes(emg.coefficients, emg.step))
+    return replace(emg, coefficients=emg.coefficients + share * high_pass(emg.coefficients, emg.step))

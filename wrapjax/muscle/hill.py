@@ -1,4 +1,4 @@
-"""A Hill-type muscle in series with a rigid tendon."""
+"""Hill-type muscle in series with a rigid tendon."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wrapjax.muscle.curves import AbstractCurves
 
 
 class FiberState(eqx.Module):
-    """What a muscle's fibers do, in normalised units; forces along the tendon in N."""
+    """Normalised fiber length and velocity, and active and passive force along the tendon (N)."""
 
     normalized_length: Float[Array, "*shape"]
     normalized_velocity: Float[Array, "*shape"]
@@ -20,7 +20,7 @@ class FiberState(eqx.Module):
 
     @property
     def tendon_force(self) -> Float[Array | np.ndarray, "*shape"]:
-        """Force that the tendon passes on to the bones, in N."""
+        """Tendon force, N: the sum of active and passive force along the tendon."""
         return self.active_force + self.passive_force
 
 
@@ -37,29 +37,37 @@ def rigid_tendon_fiber(
     max_fiber_velocity: Float[Array, ""],
     length_factor: Float[Array, "*shape"] | None = None,
 ) -> FiberState:
-    """Compute fiber state and force of a muscle whose tendon does not stretch.
+    """Compute fiber state and force of a muscle with a rigid tendon.
 
-    ``F = F0 cos(alpha) (a fl(l) fv(v) + fp(l))`` with the pennation angle constant (the equations of
-    Meyer et al. 2017, doi:10.1371/journal.pone.0179698).
+    ``F = F0 cos(alpha) (a fl(l) fv(v) + fp(l))`` with ``l = (L - ls) / (lo cos(alpha))``,
+    ``v = V / (vmax lo cos(alpha))`` and a constant pennation angle alpha (Meyer et al. 2017,
+    doi:10.1371/journal.pone.0179698).
 
     Parameters
     ----------
     curves
         Normalised force curves.
     activation
-        Muscle activation, 0 to 1.
+        Muscle activation a, 0 to 1.
     length, velocity
-        Muscle-tendon length in m and its rate in m/s, lengthening positive.
+        Muscle-tendon length L, m, and its rate V, m/s (lengthening positive).
     max_isometric_force
-        F0 in N.
-    optimal_fiber_length, tendon_slack_length
-        In m.
+        Maximum isometric force F0, N.
+    optimal_fiber_length
+        Optimal fiber length lo, m.
+    tendon_slack_length
+        Tendon slack length ls, m.
     pennation_angle
-        In rad, at optimal fiber length.
+        Pennation angle alpha at optimal fiber length, rad.
     max_fiber_velocity
-        In optimal fiber lengths a second.
+        Maximum shortening velocity vmax, optimal fiber lengths per second.
     length_factor
-        What multiplies the optimal fiber length, frame by frame; nothing if not given.
+        Factor on the optimal fiber length in each frame; 1 if not given.
+
+    Returns
+    -------
+    FiberState
+        Fiber lengths and velocities in normalised units, forces in N.
     """
     projection = jnp.cos(pennation_angle)
     reach = optimal_fiber_length * projection

@@ -1,1 +1,1 @@
-"""Bounded least squares with inequality constraints, from several starting points, resumable."""
+"""Solvers of least squares with bounds and inequality constraints, multistart, checkpoints."""

@@ -1,7 +1,4 @@
-"""What an interrupted calibration leaves behind, to go on from.
-
-Solves that are kept: whatever stops work that needs many, at most the one under way is lost.
-"""
+"""Solver states on disk: checkpoints of an interrupted calibration, and a cache of finished solves."""
 
 from __future__ import annotations
 
@@ -26,52 +23,58 @@ from wrapjax.io.json_and_arrays import load_arrays, load_json
 
 
 @dataclass(frozen=True)
-class Entry:
-    """Where one stage of one start stands."""
+class Checkpoint:
+    """State of one solve (a stage of a start, or a draw) of a calibration."""
 
     state: LagrangianState
     history: tuple[Iteration, ...]
-    #: None while it is under way.
+    #: None while the solve is not finished.
     status: Status | None
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """A folder with one file for each stage of each start.
+    """Folder with the checkpoints of a calibration, one file for each solve.
 
-    Every file is replaced whole after each iteration, so that whatever stops the process, what is
-    there can be read and at most one step is lost.
+    Every file is replaced atomically after each iteration, so that an interruption loses at most one
+    iteration.
+
+    Parameters
+    ----------
+    folder
+        Folder of the files.
     """
 
     folder: Path
 
     @classmethod
-    def open(cls, folder: Path, question: str, *, resume: bool) -> Checkpoints:
-        """Open a folder to go on with, or make a new one.
+    def open(cls, folder: Path, fingerprint: str, *, resume: bool) -> Checkpoints:
+        """Open a folder with checkpoints to continue, or create an empty one.
 
         Parameters
         ----------
         folder
-            Where it is.
-        question
-            Names the calibration: data, method, settings. A journal of another is refused.
+            Folder of the checkpoints.
+        fingerprint
+            Hash of the data, method and settings of the calibration.
         resume
-            Go on with what is there; otherwise it is thrown away.
+            Continue from the checkpoints in the folder; otherwise they are deleted.
 
         Raises
         ------
         InputError
-            If there is nothing to resume, or it belongs to another calibration.
+            If ``resume`` is set and there are no checkpoints, or those of a calibration with another
+            fingerprint.
         """
         file = folder / "question.json"
         if resume:
             try:
-                found = load_json(file)["question"]
+                stored = load_json(file)["question"]
             except (OSError, ValueError, KeyError, TypeError):
                 raise InputError(
                     Problem(str(folder), "holds no interrupted work to resume", hint="leave out --resume")
                 ) from None
-            if found != question:
+            if stored != fingerprint:
                 raise InputError(
                     Problem(
                         str(folder),
@@ -81,11 +84,11 @@ class Checkpoints:
                 )
         else:
             with new_folder(folder, force=True) as made:
-                write_json(made / file.name, {"question": question})
+                write_json(made / file.name, {"question": fingerprint})
         return cls(folder)
 
     def close(self) -> None:
-        """Throw the journal away: the work is done."""
+        """Delete the checkpoints of a finished calibration."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def write(
@@ -95,11 +98,11 @@ class Checkpoints:
         history: Sequence[Iteration],
         status: Status | None = None,
     ) -> None:
-        """Keep where a stage stands."""
+        """Write the checkpoint of a solve; ``status`` is None while it is not finished."""
         arrays = {
             "variables": state.variables,
             "pace": np.array([state.damping_state.damping, state.damping_state.growth]),
-            "gaps": np.array([state.gap, state.gap_before]),
+            "gaps": np.array([state.constraint_residual, state.previous_residual]),
             "history": np.array([astuple(iteration) for iteration in history], dtype=float),
             "status": np.array("" if status is None else status.name),
         }
@@ -108,22 +111,22 @@ class Checkpoints:
         plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
         write_atomically(self.folder / f"{name}.npz", lambda path: np.savez(path, **plain))
 
-    def read(self, name: str) -> Entry | None:
-        """Find where a stage stands; None if it was never begun, or what is there cannot be read."""
+    def read(self, name: str) -> Checkpoint | None:
+        """Read the checkpoint of a solve; None if there is none or it cannot be read."""
         try:
-            kept = load_arrays(self.folder / f"{name}.npz")
-            limits = sum(key.startswith("shift_") for key in kept)
+            arrays = load_arrays(self.folder / f"{name}.npz")
+            limits = sum(key.startswith("shift_") for key in arrays)
             state = LagrangianState(
-                variables=jnp.asarray(kept["variables"]),
-                damping_state=DampingState(*map(jnp.asarray, kept["pace"])),
-                shifts=tuple(jnp.asarray(kept[f"shift_{number}"]) for number in range(limits)),
-                weights=tuple(jnp.asarray(kept[f"weight_{number}"]) for number in range(limits)),
-                gap=jnp.asarray(kept["gaps"][0]),
-                gap_before=jnp.asarray(kept["gaps"][1]),
+                variables=jnp.asarray(arrays["variables"]),
+                damping_state=DampingState(*map(jnp.asarray, arrays["pace"])),
+                shifts=tuple(jnp.asarray(arrays[f"shift_{number}"]) for number in range(limits)),
+                weights=tuple(jnp.asarray(arrays[f"weight_{number}"]) for number in range(limits)),
+                constraint_residual=jnp.asarray(arrays["gaps"][0]),
+                previous_residual=jnp.asarray(arrays["gaps"][1]),
             )
-            history = tuple(_iteration(row) for row in kept["history"])
-            name_of_status = str(kept["status"])
-            return Entry(state, history, Status[name_of_status] if name_of_status else None)
+            history = tuple(_iteration(row) for row in arrays["history"])
+            name_of_status = str(arrays["status"])
+            return Checkpoint(state, history, Status[name_of_status] if name_of_status else None)
         except (OSError, KeyError, ValueError, TypeError, IndexError):
             return None
 
@@ -135,26 +138,26 @@ def _iteration(row: np.ndarray) -> Iteration:
 
 @dataclass(frozen=True)
 class SolveCache:
-    """A folder with one file for each solve, named by all that decides where it ends.
+    """Folder with the results of finished solves, one file for each, named by its fingerprint.
 
     Parameters
     ----------
     folder
-        Where it is.
+        Folder of the files.
     """
 
     folder: Path
 
     def read(self, name: str) -> tuple[Float[np.ndarray, " variable"], Status] | None:
-        """Find where a solve ended, and why; None if it was not done, or what is there cannot be read."""
+        """Read the final variables and status of a solve; None if they are absent or cannot be read."""
         try:
-            kept = load_arrays(self.folder / f"{name}.npz")
-            return kept["variables"], Status[str(kept["status"])]
+            arrays = load_arrays(self.folder / f"{name}.npz")
+            return arrays["variables"], Status[str(arrays["status"])]
         except (OSError, ValueError, KeyError):
             return None
 
     def write(self, name: str, variables: Float[np.ndarray, " variable"], status: Status) -> None:
-        """Keep where a solve ended."""
+        """Write the final variables and status of a solve."""
         write_atomically(
             self.folder / f"{name}.npz",
             lambda path: np.savez(path, variables=variables, status=np.array(status.name)),
@@ -164,8 +167,8 @@ class SolveCache:
 def solve_fingerprint(
     problem: AbstractLeastSquares, start: Float[np.ndarray, " variable"], solver: ProjectedLevenbergMarquardt
 ) -> str:
-    """Name a solve by its problem (every number in it, and its structure), start, solver, and our code."""
+    """Compute the hash of a solve: all numbers and the structure of its problem, start, solver and code."""
     problem = jax.tree.map(np.asarray, problem)
-    # Functions by their names: what they are made of is numbers as well.
+    # The structure has the names of functions; the arrays in them are among the leaves.
     structure = eqx.tree_pformat(problem)
     return content_hash(code_hash(), structure, *jax.tree.leaves(problem), np.asarray(start), repr(solver))

@@ -1,7 +1,4 @@
-"""What the solver needs to know of a problem.
-
-What solvers share: why they stop, what they report, and what they give back.
-"""
+"""Interfaces of least-squares problems and of their solvers, and the results of a solve."""
 
 from __future__ import annotations
 
@@ -21,10 +18,11 @@ if TYPE_CHECKING:
 
 
 class Linearization(eqx.Module):
-    """A sum of squares and its exact second-order expansion.
+    """Second-order Taylor expansion of a sum of squares about a point.
 
-    ``cost(x + s) = cost + 2 gradient's + s'(gauss_newton + remainder) s + O(s^3)``: with residuals r
-    and Jacobian J these are r'r, J'r, J'J and the sum of r_i times the Hessian of r_i.
+    ``cost(x + s) = cost + 2 gradient's + s'(gauss_newton + remainder) s + O(s^3)``. With residuals r and
+    Jacobian J: ``cost = r'r``, ``gradient = J'r`` (half the gradient of the cost), ``gauss_newton = J'J`` and
+    ``remainder = sum_i r_i hess(r_i)``.
     """
 
     cost: Float[Array, ""]
@@ -34,7 +32,7 @@ class Linearization(eqx.Module):
 
 
 class AbstractLeastSquares(eqx.Module):
-    """A sum of squares to be minimised within bounds."""
+    """Least-squares problem with bounds on its variables."""
 
     @property
     @abstractmethod
@@ -48,23 +46,23 @@ class AbstractLeastSquares(eqx.Module):
 
     @property
     def resolution(self) -> float:
-        """Relative fall of the cost below which its expansion does not hold; zero for a smooth one."""
+        """Relative decrease of the cost below which its Taylor expansion fails; 0 for a smooth cost."""
         return 0.0
 
     @abstractmethod
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
-        """Cost and derivatives at a point."""
+        """Compute the cost and its first and second derivatives at a point."""
 
     def value(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-        """Cost alone; worth its own way where derivatives cost much more."""
+        """Compute the cost; override it where the cost alone is much cheaper than its derivatives."""
         return self.linearize(variables).cost
 
     def linearized_at(self, variables: Float[Array, " variable"]) -> Linearization:
-        """Compile and call `linearize`, as every solver does: what is compiled for one serves the others."""
+        """Evaluate `linearize` by a compiled function that all solvers share."""
         return _linearize(self, variables)
 
     def value_at(self, variables: Float[Array, " variable"]) -> Float[Array, ""]:
-        """Compile and call `value`."""
+        """Evaluate `value` by a compiled function that all solvers share."""
         return _value(self, variables)
 
 
@@ -79,18 +77,18 @@ def _value(problem: AbstractLeastSquares, variables: Float[Array, " variable"]) 
 
 
 class AbstractCalibration(AbstractLeastSquares):
-    """A sum of squares of parameter trees, to be minimised within bounds and below limits."""
+    """Least-squares problem over parameter trees with bounds and inequality constraints (limits)."""
 
-    #: Hard limits; their shifted excess is part of the sum of squares.
+    #: Hard limits; their shifted excess is part of the sum of squares (see `Limit`).
     limits: eqx.AbstractVar[tuple[Limit, ...]]
 
     @abstractmethod
     def with_limits(self, limits: tuple[Limit, ...]) -> AbstractCalibration:
-        """Take others in their place."""
+        """Return the problem with other limits."""
 
     @abstractmethod
     def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
-        """Give how far each limited value is above its bound, by limit; negative: below."""
+        """Compute the excess of each limited value over its bound, by limit; negative below the bound."""
 
     @property
     @abstractmethod
@@ -99,19 +97,19 @@ class AbstractCalibration(AbstractLeastSquares):
 
     @abstractmethod
     def parameters(self, variables: Float[Array, " variable"]) -> Any:
-        """Put variables into the parameter tree, or the trees."""
+        """Insert variables into the parameter tree, or the trees."""
 
     @abstractmethod
     def start(self, parameters: Any) -> Float[Array, " variable"]:
-        """Read the variables off the tree, or the trees, and move them inside the bounds."""
+        """Extract the variables from the tree, or the trees, and clip them to the bounds."""
 
 
-#: Factor on the damping after a first failed step.
+#: Factor on the damping after the first rejected step.
 FIRST_GROWTH = 2.0
 
 
 class Status(Enum):
-    """Why a solver stopped, as a sentence."""
+    """Reason why a solver stopped; the value is a sentence for the user."""
 
     gradient = "Converged: no variable can move downhill by more than gtol."
     cost = "Converged: steps no longer lower the cost by more than ftol of it."
@@ -124,38 +122,41 @@ class Status(Enum):
 
     @property
     def converged(self) -> bool:
-        """Whether the point is a minimum, to the tolerances."""
+        """Whether a convergence criterion is met."""
         return self in (Status.gradient, Status.cost, Status.step)
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """One line of the solver's log."""
+    """Summary of one iteration of a solver."""
 
     number: int
     cost: float
-    #: Largest move that projected steepest descent would make, in solver units.
+    #: First-order optimality: largest change of a variable by a projected gradient step, in solver units.
     optimality: float
     damping: float
+    #: Relative length of the step.
     step: float
+    #: Number of variables at a bound.
     at_bounds: int
+    #: Time since the start of the solve.
     seconds: float
 
 
 class DampingState(eqx.Module):
-    """How boldly the next step is taken."""
+    """Damping of the next step of a Levenberg-Marquardt method."""
 
     damping: Float[Array, ""]
-    #: Factor on the damping after a failure; it doubles with each further one.
+    #: Factor on the damping if the next step is rejected; it doubles with each rejected step.
     growth: Float[Array, ""]
 
-    def recovered(self) -> DampingState:
-        """Forget failures, but not how bold steps have become."""
+    def with_initial_growth(self) -> DampingState:
+        """Return the state with the same damping and the initial growth factor."""
         return DampingState(self.damping, jnp.full_like(self.growth, FIRST_GROWTH))
 
 
 class SolverState(eqx.Module):
-    """Everything a solve needs to go on from where it is."""
+    """State of a solver after an iteration, sufficient to continue from it."""
 
     variables: Float[Array, " variable"]
     linearization: Linearization
@@ -181,16 +182,16 @@ class Solution:
 
 @dataclass(frozen=True)
 class AbstractBoundedSolver(ABC):
-    """What minimises a sum of squares within bounds.
+    """Solver of least-squares problems with bounds on the variables.
 
     Parameters
     ----------
     gtol
-        Stop when projected steepest descent would move no variable by more (solver units).
+        Stop when a projected gradient step changes no variable by more than this (solver units).
     ftol
-        Stop when the relative fall of the cost is less.
+        Stop when the relative decrease of the cost is smaller than this.
     max_iterations
-        Raise it for problems far from their optimum.
+        Largest number of iterations; raise it for problems that start far from their optimum.
     """
 
     gtol: float = 1e-8
@@ -199,7 +200,7 @@ class AbstractBoundedSolver(ABC):
 
     @abstractmethod
     def compile(self, problem: AbstractLeastSquares, start: Float[Array | np.ndarray, " variable"]) -> None:
-        """Compile the kernels of `solve`, so that its time is that of solving alone."""
+        """Compile the functions that `solve` calls, so that its time excludes compilation."""
 
     @abstractmethod
     def solve(
@@ -209,17 +210,22 @@ class AbstractBoundedSolver(ABC):
         callback: Callable[[Iteration, SolverState], None] | None = None,
         damping_state: DampingState | None = None,
     ) -> Solution:
-        """Minimise from a start, which is moved inside the bounds.
+        """Minimise the cost from a starting point.
 
         Parameters
         ----------
         problem
-            Sum of squares and bounds.
+            Problem to solve.
         start
-            First point.
+            Starting point; it is clipped to the bounds.
         callback
-            Called after each iteration. `KeyboardInterrupt`, whether raised there or by Ctrl-C, ends
-            the solve with the best point so far.
-        pace
-            Of an earlier solve that this one goes on from.
+            Called after each iteration. A `KeyboardInterrupt`, raised in it or by Ctrl-C, ends the solve
+            with the best point so far.
+        damping_state
+            Initial damping, from an earlier solve that is continued.
+
+        Returns
+        -------
+        Solution
+            Final point; it is returned with its `Status` whether or not the solver converged.
         """

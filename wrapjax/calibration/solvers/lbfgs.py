@@ -1,7 +1,7 @@
-"""jaxopt's bounded L-BFGS behind our solver's interface: a second opinion from other arithmetic.
+"""L-BFGS-B of jaxopt with the interface of `AbstractBoundedSolver`, an independent check of solutions.
 
-It needs no second derivatives and takes hundreds of times as many iterations. jaxopt is no longer
-maintained, so it is optional, and nothing depends on it.
+It uses first derivatives alone and takes hundreds of times as many iterations as Levenberg-Marquardt. jaxopt
+is no longer maintained; it is an optional dependency.
 """
 
 from __future__ import annotations
@@ -31,15 +31,24 @@ from wrapjax.calibration.solvers.interface import (
 )
 from wrapjax.errors import InputError, Problem
 
-# The cost must have fallen by less than ``ftol`` over so many iterations: single ones may be short.
+# Number of iterations over which the decrease of the cost is compared with ``ftol``: some steps are short.
 _PATIENCE = 20
 
 
 @dataclass(frozen=True)
 class BoundedLBFGS(AbstractBoundedSolver):
-    """L-BFGS-B by jaxopt, from first derivatives alone.
+    """L-BFGS-B solver of jaxopt.
 
-    See `AbstractBoundedSolver` for its tolerances; they are looser by default, as what it can reach is.
+    Parameters
+    ----------
+    gtol, ftol, max_iterations
+        See `AbstractBoundedSolver`. The default tolerances are larger than those of Levenberg-Marquardt, in
+        accordance with the accuracy that a first-order method reaches.
+
+    Raises
+    ------
+    InputError
+        If jaxopt is not installed.
     """
 
     gtol: float = 1e-5
@@ -57,7 +66,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
             )
 
     def compile(self, problem: AbstractLeastSquares, start: Float[Array | np.ndarray, " variable"]) -> None:
-        """Compile the kernels of `solve`."""
+        """Compile the functions that `solve` calls; see `AbstractBoundedSolver`."""
         inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         jax.block_until_ready(_advance(problem, inside, _begin(problem, inside)))
         jax.block_until_ready(problem.linearized_at(inside))
@@ -69,7 +78,10 @@ class BoundedLBFGS(AbstractBoundedSolver):
         callback: Callable[[Iteration, SolverState], None] | None = None,
         damping_state: DampingState | None = None,
     ) -> Solution:
-        """Minimise from a start; see `AbstractBoundedSolver`. It has no pace to go on with."""
+        """Minimise the cost from a starting point; see `AbstractBoundedSolver`.
+
+        ``damping_state`` is ignored.
+        """
         began = time.perf_counter()
         variables = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
         damping_state = DampingState(jnp.asarray(0.0), jnp.asarray(FIRST_GROWTH))
@@ -77,7 +89,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
         linearization = problem.linearized_at(variables)
         history: list[Iteration] = []
 
-        def note(number: int, step: float) -> None:
+        def record(number: int, step: float) -> None:
             at_bounds = jnp.sum((variables <= problem.lower) | (variables >= problem.upper))
             seconds = time.perf_counter() - began
             history.append(
@@ -86,9 +98,9 @@ class BoundedLBFGS(AbstractBoundedSolver):
             if callback:
                 callback(history[-1], SolverState(variables, linearization, damping_state))
 
-        status, renewed = Status.iterations, np.inf
+        status, cost_at_restart = Status.iterations, np.inf
         try:
-            note(0, 0.0)
+            record(0, 0.0)
             for number in range(1, self.max_iterations + 1):
                 if history[-1].optimality <= self.gtol:
                     status = Status.gradient
@@ -96,17 +108,17 @@ class BoundedLBFGS(AbstractBoundedSolver):
                 previous = variables
                 variables, carry = _advance(problem, variables, carry)
                 move = jnp.linalg.norm(variables - previous) / (1.0 + jnp.linalg.norm(previous))
-                note(number, float(move))
+                record(number, float(move))
                 fall = history[max(0, number - _PATIENCE)].cost - history[-1].cost
                 if number > _PATIENCE and fall <= self.ftol * history[-1].cost:
                     status = Status.cost
                     break
                 if carry.failed_linesearch:
-                    # Its memory may mislead it: begin anew, unless that was of no use the last time.
-                    if renewed - history[-1].cost <= self.ftol * history[-1].cost:
+                    # Discard the approximate Hessian, unless that did not help the last time.
+                    if cost_at_restart - history[-1].cost <= self.ftol * history[-1].cost:
                         status = Status.cost
                         break
-                    renewed = history[-1].cost
+                    cost_at_restart = history[-1].cost
                     carry = _begin(problem, variables)
         except KeyboardInterrupt:
             status = Status.interrupted
@@ -123,7 +135,7 @@ class BoundedLBFGS(AbstractBoundedSolver):
 
 def _solver(problem: AbstractLeastSquares) -> Any:
     with warnings.catch_warnings():
-        # It says at import that it is no longer maintained.
+        # jaxopt warns at import that it is no longer maintained.
         warnings.simplefilter("ignore", DeprecationWarning)
         import jaxopt
     return jaxopt.LBFGSB(problem.value, tol=0.0)

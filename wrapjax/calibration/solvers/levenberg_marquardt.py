@@ -1,8 +1,24 @@
-"""Levenberg-Marquardt within bounds, by projection on the active set.
+"""Levenberg-Marquardt method for least squares with bounds, using exact second derivatives.
 
-Optima of a calibration often lie on bounds. Transforms that keep variables strictly inside converge
-slowly there; here variables at a bound that the gradient pushes against are held, and the others take
-a full damped Gauss-Newton step (Kanzow, Yamashita & Fukushima 2004, doi:10.1016/j.cam.2004.02.013).
+The problem is to minimise ``f(x) = r(x)'r(x)`` subject to ``lower <= x <= upper``. With the Jacobian J of
+the residuals r let ``g = J'r`` and ``H = J'J + sum_i r_i hess(r_i)`` (half the gradient and half the Hessian
+of f). An iteration is:
+
+1. *Step.* Minimise the damped quadratic model ``2 g's + s'(H + mu D) s`` within the bounds on ``x + s`` by a
+   primal-dual active set method (Hintermueller, Ito & Kunisch 2002, doi:10.1137/S1052623401383558). D is the
+   diagonal of J'J, with a lower limit of a tenth of its largest entry. Where ``H + mu D`` is not positive
+   definite, H is replaced by |H|, which has the absolute values of its eigenvalues (Dauphin et al. 2014,
+   arXiv:1406.2572).
+2. *Acceptance.* With ``rho = (f(x) - f(x + s)) / -(2 g's + s'Hs)``, the ratio of the actual to the predicted
+   decrease, the step is accepted if ``rho > 1e-4``. Where the costs are equal to rounding, it is accepted if
+   the first-order optimality improves.
+3. *Damping* (Nielsen 1999, IMM-REP-1999-05). After an accepted step ``mu *= max(1/3, 1 - (2 rho - 1)^3)`` and
+   ``nu = 2``; after a rejected one ``mu *= nu`` and ``nu *= 2``.
+
+H includes the second derivatives of the residuals because the moment errors of a calibration do not vanish at
+the optimum, where they determine the rate of convergence. Optima of a calibration often lie on bounds, where
+transformations that keep variables strictly inside the bounds converge slowly; a projected method with an
+active set does not (Kanzow, Yamashita & Fukushima 2004, doi:10.1016/j.cam.2004.02.013).
 """
 
 from __future__ import annotations
@@ -35,22 +51,29 @@ _Matrix = Float[Array, "variable variable"]
 
 @dataclass(frozen=True)
 class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
-    """Projected Levenberg-Marquardt.
+    """Levenberg-Marquardt solver of least-squares problems with bounds.
+
+    The algorithm is described in the module's docstring.
 
     Parameters
     ----------
     gtol
-        Stop when projected steepest descent would move no variable by more (solver units). Lower it
-        when the optimum must be sharp; it is the only test of first-order optimality.
+        Stop when ``max |clip(x - g, lower, upper) - x|``, the largest change of a variable by a projected
+        gradient step, is at most this (solver units). Lower it if the optimum must be located more precisely:
+        it is the only test of first-order optimality.
     ftol
-        Stop when both the predicted and the actual relative fall of the cost are less, or less than
-        the problem's own resolution: at a kink no gradient vanishes.
-    xtol
-        Stop when the relative length of the step is less.
+        Stop when both the predicted and the actual relative decrease of the cost are at most this, or the
+        ``resolution`` of the problem if that is larger (at a kink of the cost no gradient vanishes). Raise it
+        if an approximate optimum suffices.
     max_iterations
-        Raise it for problems far from their optimum.
+        Largest number of iterations, rejected steps included. Raise it for problems that start far from
+        their optimum.
+    xtol
+        Stop when the length of an accepted step, relative to one plus the norm of x, is at most this. Raise
+        it if small changes of the variables do not matter.
     initial_damping
-        Of the first step, relative to the largest curvature. Raise it if the first steps fail.
+        Damping mu of the first step, relative to the diagonal D of J'J. Raise it if the first steps are
+        rejected; lower it if the start is close to the optimum.
     """
 
     xtol: float = 1e-10
@@ -61,10 +84,10 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         problem: AbstractLeastSquares,
         start: Float[Array | np.ndarray, " variable"],
     ) -> None:
-        """Compile the kernels of `solve`."""
+        """Compile the functions that `solve` calls; see `AbstractBoundedSolver`."""
         state = self._begin(problem, start)
         jax.block_until_ready(problem.value_at(state.variables))
-        jax.block_until_ready(_mirrored(_hessian(state.linearization)))
+        jax.block_until_ready(_absolute_value(_hessian(state.linearization)))
         self._advance(problem, state, None)
 
     def solve(
@@ -74,13 +97,13 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         callback: Callable[[Iteration, SolverState], None] | None = None,
         damping_state: DampingState | None = None,
     ) -> Solution:
-        """Minimise from a start; see `AbstractBoundedSolver`."""
+        """Minimise the cost from a starting point; see `AbstractBoundedSolver`."""
         began = time.perf_counter()
         state = self._begin(problem, start, damping_state)
         history: list[Iteration] = []
         convex: _Matrix | None = None
 
-        def note(number: int, step: float) -> None:
+        def record(number: int, step: float) -> None:
             variables = state.variables
             at_bounds = jnp.sum((variables <= problem.lower) | (variables >= problem.upper))
             optimality = _optimality(variables, state.linearization.gradient, problem.lower, problem.upper)
@@ -100,7 +123,7 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
 
         status = Status.iterations
         try:
-            note(0, 0.0)
+            record(0, 0.0)
             if not np.isfinite(history[-1].cost):
                 status = Status.not_finite
             elif history[-1].optimality <= self.gtol:
@@ -110,7 +133,7 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
                     previous = history[-1].damping
                     state, tried, convex, accepted = self._advance(problem, state, convex)
                     step, actual, predicted = float(tried.length), float(tried.actual), float(tried.predicted)
-                    note(number, step)
+                    record(number, step)
                     limit = max(self.ftol, problem.resolution) * history[-1].cost
                     if history[-1].optimality <= self.gtol:
                         status = Status.gradient
@@ -141,7 +164,7 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         damping_state: DampingState | None = None,
     ) -> SolverState:
         inside = jnp.clip(jnp.asarray(start), problem.lower, problem.upper)
-        # Typed in full: a state of another type than the steps return would be compiled for once more.
+        # With explicit types: a state of another type than that of the steps would be compiled for again.
         return SolverState(
             variables=inside,
             linearization=problem.linearized_at(inside),
@@ -154,41 +177,52 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
     def _advance(
         self, problem: AbstractLeastSquares, state: SolverState, convex: _Matrix | None
     ) -> tuple[SolverState, _Step, _Matrix | None, bool]:
-        """Try a step.
+        """Perform one iteration.
+
+        Parameters
+        ----------
+        problem, state
+            Problem, and state before the iteration.
+        convex
+            Positive semidefinite replacement of the Hessian at this state, if it was computed already.
 
         Returns
         -------
-        tuple
-            The state after it, what it was, a convex stand-in for the Hessian if one was needed and still
-            holds, and whether the step was taken.
+        state, step, convex, accepted
+            State after the iteration, step that was tried, replacement of the Hessian if it was needed and
+            the state is unchanged, and whether the step was accepted.
         """
         lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
         hessian = _hessian(state.linearization)
         candidate = propose_step(state, hessian, lower, upper)
         if not jnp.isfinite(candidate).all():
-            convex = _mirrored(hessian) if convex is None else convex
+            convex = _absolute_value(hessian) if convex is None else convex
             candidate = propose_step(state, convex, lower, upper)
-        # Derivatives take many times as long as the cost, and a step that fails needs none.
-        step = _judge(state, candidate, problem.value_at(candidate))
-        if step.downhill or step.level:
+        # Derivatives take many times as long as the cost, and a rejected step needs none.
+        step = _evaluate_step(state, candidate, problem.value_at(candidate))
+        if step.decreases or step.unchanged:
             fresh = problem.linearized_at(candidate)
             before = _optimality(state.variables, state.linearization.gradient, lower, upper)
-            if step.downhill or _optimality(candidate, fresh.gradient, lower, upper) < before:
-                return SolverState(candidate, fresh, step.after_success), step, None, True
-        return SolverState(state.variables, state.linearization, step.after_failure), step, convex, False
+            if step.decreases or _optimality(candidate, fresh.gradient, lower, upper) < before:
+                return SolverState(candidate, fresh, step.after_acceptance), step, None, True
+        return SolverState(state.variables, state.linearization, step.after_rejection), step, convex, False
 
 
 class _Step(eqx.Module):
-    #: Relative length.
+    """Evaluation of a step."""
+
+    #: Length relative to one plus the norm of the variables.
     length: Float[Array, ""]
-    #: Falls of the cost.
+    #: Actual and predicted decrease of the cost.
     actual: Float[Array, ""]
     predicted: Float[Array, ""]
-    #: Whether the cost falls clearly; and whether, at its last digits, it does at least not rise.
-    downhill: Bool[Array, ""]
-    level: Bool[Array, ""]
-    after_success: DampingState
-    after_failure: DampingState
+    #: Whether the ratio of the two suffices for acceptance.
+    decreases: Bool[Array, ""]
+    #: Whether the cost is unchanged to rounding.
+    unchanged: Bool[Array, ""]
+    #: Damping of the next step if this one is accepted, and if it is rejected.
+    after_acceptance: DampingState
+    after_rejection: DampingState
 
 
 @jax.jit
@@ -198,9 +232,9 @@ def _optimality(
     lower: Float[Array | np.ndarray, " variable"],
     upper: Float[Array | np.ndarray, " variable"],
 ) -> Float[Array, ""]:
-    """Largest move that projected steepest descent would make: zero at a stationary point."""
-    downhill = jnp.clip(variables - gradient, lower, upper)
-    return jnp.max(jnp.abs(downhill - variables))
+    """Compute the largest change of a variable by a projected gradient step: zero at a stationary point."""
+    projected = jnp.clip(variables - gradient, lower, upper)
+    return jnp.max(jnp.abs(projected - variables))
 
 
 @jax.jit
@@ -209,7 +243,8 @@ def _hessian(model: Linearization) -> _Matrix:
 
 
 @jax.jit
-def _mirrored(hessian: _Matrix) -> _Matrix:
+def _absolute_value(hessian: _Matrix) -> _Matrix:
+    """Replace the eigenvalues of a symmetric matrix by their absolute values."""
     values, vectors = jnp.linalg.eigh(hessian)
     return (vectors * jnp.abs(values)[None, :]) @ vectors.T
 
@@ -221,11 +256,21 @@ def propose_step(
     lower: Float[Array, " variable"],
     upper: Float[Array, " variable"],
 ) -> Float[Array, " variable"]:
-    """Step to the minimum of the damped second-order model; not finite where that has none.
+    """Compute the next point: the minimum of the damped quadratic model within the bounds.
 
-    Moment errors do not vanish at the optimum, and there the remainder of the Hessian decides how
-    fast the last digits come. Far from it the Hessian may be indefinite: then `_mirrored` stands in for
-    it, with negative curvatures counted as positive (Dauphin et al. 2014, arXiv:1406.2572).
+    Parameters
+    ----------
+    state
+        State of the solver.
+    hessian
+        Half the Hessian of the cost, or its positive semidefinite replacement.
+    lower, upper
+        Bounds.
+
+    Returns
+    -------
+    Array
+        Next point; not finite where the damped Hessian is not positive definite.
     """
     return jnp.clip(_damped_step(state, hessian, lower, upper), lower, upper)
 
@@ -236,11 +281,11 @@ def _damped_step(
     lower: Float[Array, " variable"],
     upper: Float[Array, " variable"],
 ) -> Float[Array, " variable"]:
-    """Minimise the damped quadratic model within the bounds. Not finite where it is indefinite.
+    """Minimise the damped quadratic model within the bounds by a primal-dual active set method.
 
-    Primal-dual active sets (Hintermueller, Ito & Kunisch 2002, doi:10.1137/S1052623401383558): hold what
-    leaves the box, release what its multiplier pulls back in, until the sets repeat. A step that meets a
-    bound is thus not merely cut off: the other variables answer to it.
+    Variables that would leave the box are fixed at their bounds, and fixed variables whose multipliers have
+    the wrong sign are released, until the sets no longer change (at most 20 times). The free variables
+    minimise the model given the fixed ones, unlike in a step that is merely clipped to the bounds.
     """
     gradient = state.linearization.gradient
     damped = hessian + jnp.diag(state.damping_state.damping * _damping_metric(state.linearization))
@@ -250,14 +295,14 @@ def _damped_step(
         held = at_lower | at_upper
         fixed = jnp.where(at_lower, down, jnp.where(at_upper, up, 0.0))
         matrix = jnp.where(held[:, None] | held[None, :], jnp.diag(held.astype(damped.dtype)), damped)
-        pull = jnp.where(held, fixed, -(gradient + damped @ fixed))
-        return jsp.linalg.cho_solve(jsp.linalg.cho_factor(matrix), pull)
+        right_side = jnp.where(held, fixed, -(gradient + damped @ fixed))
+        return jsp.linalg.cho_solve(jsp.linalg.cho_factor(matrix), right_side)
 
-    def unsettled(carry):
+    def sets_changed(carry):
         _, _, _, changed, rounds = carry
         return changed & (rounds < 20)
 
-    def settle(carry):
+    def update_sets(carry):
         at_lower, at_upper, _, _, rounds = carry
         move = solve(at_lower, at_upper)
         slope = gradient + damped @ move
@@ -269,42 +314,42 @@ def _damped_step(
     at_lower = (down >= 0.0) & (gradient > 0.0)
     at_upper = (up <= 0.0) & (gradient < 0.0)
     start = (at_lower, at_upper, jnp.zeros_like(gradient), jnp.asarray(True), 0)
-    move = jax.lax.while_loop(unsettled, settle, start)[2]
-    # A variable that goes to its bound gets there exactly: x + (upper - x) may round to just inside.
+    move = jax.lax.while_loop(sets_changed, update_sets, start)[2]
+    # A variable that reaches its bound is set to it: x + (upper - x) may differ from upper by rounding.
     return jnp.where(move <= down, lower, jnp.where(move >= up, upper, state.variables + move))
 
 
 def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
-    """Curvature by variable, with a floor: what the data hardly see must not run away."""
+    """Compute the diagonal D of J'J, with a lower limit for variables that hardly affect the residuals."""
     curvature = jnp.diagonal(model.gauss_newton)
     return jnp.maximum(curvature, 1e-1 * curvature.max())
 
 
 @jax.jit
-def _judge(state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]) -> _Step:
-    """Compare the fall of the cost with what was predicted, and set the damping of the next step."""
+def _evaluate_step(state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]) -> _Step:
+    """Compare the actual decrease of the cost with the predicted one, and compute the next damping."""
     model, damping_state = state.linearization, state.damping_state
     move = candidate - state.variables
     hessian = model.gauss_newton + model.remainder
     predicted = -(2.0 * model.gradient @ move + move @ hessian @ move)
     actual = model.cost - cost
     ratio = actual / jnp.where(predicted > 0.0, predicted, jnp.inf)
-    # At the last digits costs no longer differ, but gradients still do.
+    # Close to the optimum costs are equal to rounding, but gradients still differ.
     same_cost = jnp.abs(actual) <= 1e-14 * model.cost
     possible = jnp.isfinite(cost) & (predicted > 0.0)
     ratio = jnp.where(same_cost, 1.0, ratio)
-    # Nielsen's rule (1999, IMM-REP-1999-05): smooth in the ratio, and slower to recover after failures.
-    eased = damping_state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
+    # Rule of Nielsen (1999): a smooth function of the ratio.
+    reduced = damping_state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
     return _Step(
         length=jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables)),
         actual=actual,
         predicted=predicted,
-        downhill=possible & ~same_cost & (ratio > 1e-4),
-        level=possible & same_cost,
-        after_success=DampingState(
-            jnp.maximum(eased, 1e-12), jnp.full_like(damping_state.growth, FIRST_GROWTH)
+        decreases=possible & ~same_cost & (ratio > 1e-4),
+        unchanged=possible & same_cost,
+        after_acceptance=DampingState(
+            jnp.maximum(reduced, 1e-12), jnp.full_like(damping_state.growth, FIRST_GROWTH)
         ),
-        after_failure=DampingState(
+        after_rejection=DampingState(
             damping_state.damping * damping_state.growth, FIRST_GROWTH * damping_state.growth
         ),
     )

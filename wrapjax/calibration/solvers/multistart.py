@@ -1,4 +1,4 @@
-"""One calibration from several starts, in stages, resumable after any step."""
+"""Solution of a calibration from several starting points, in stages, with checkpoints."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wrapjax.calibration.solvers.augmented_lagrangian import (
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Iteration, Status
 
-# How far random starts lie from the first, in parts of the way to each bound.
+# Largest distance of random starts from the first one, as a fraction of the distance to each bound.
 _SPREAD = 0.3
 
 #: Called after each iteration with the number of the start, the iteration and the solver's state.
@@ -26,35 +26,51 @@ IterationCallback = Callable[[int, Iteration, LagrangianState], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Where one start led."""
+    """Result of the solves from one starting point."""
 
-    #: None for the model's own values.
+    #: Seed of the random starting point; None for the first one, the values of the model.
     seed: int | None
     start: Float[np.ndarray, " variable"]
     solution: ConstrainedSolution
 
     @property
     def seconds(self) -> float:
-        """Time that went into solving, over all stages."""
+        """Time of all stages without compilation."""
         return self.solution.history[-1].seconds
 
 
 def starting_points(
     problem: AbstractCalibration, first: Float[np.ndarray, " variable"], count: int, seed: int
 ) -> list[tuple[int | None, Float[np.ndarray, " variable"]]]:
-    """Give the first start and random ones around it, each with the seed that makes it again.
+    """Draw random starting points around the first one.
 
-    A random start lies up to 30 % of the way from the first towards either bound, uniformly; variables
-    without bounds start where the first does.
+    A random start lies, uniformly, up to 30 % of the way from the first one towards either bound; variables
+    without bounds have the same value as in the first one.
+
+    Parameters
+    ----------
+    problem
+        Problem with the bounds.
+    first
+        First starting point.
+    count
+        Number of starting points, the first one included.
+    seed
+        Start number n is drawn with the seed ``seed + n``.
+
+    Returns
+    -------
+    list of (int or None, Array)
+        Seed (None for the first) and point of each start.
     """
     lower, upper = np.asarray(problem.lower), np.asarray(problem.upper)
     down = np.where(np.isfinite(lower), first - lower, 0.0)
     up = np.where(np.isfinite(upper), upper - first, 0.0)
     points: list[tuple[int | None, Float[np.ndarray, " variable"]]] = [(None, first)]
     for number in range(1, count):
-        own = seed + number
-        share = np.random.default_rng(own).uniform(-_SPREAD, _SPREAD, first.size)
-        points.append((own, first + share * np.where(share < 0.0, down, up)))
+        start_seed = seed + number
+        fraction = np.random.default_rng(start_seed).uniform(-_SPREAD, _SPREAD, first.size)
+        points.append((start_seed, first + fraction * np.where(fraction < 0.0, down, up)))
     return points
 
 
@@ -62,31 +78,30 @@ def solve_from_starts(
     stages: Sequence[AbstractCalibration],
     starts: Sequence[tuple[int | None, Float[np.ndarray, " variable"]]],
     solver: AugmentedLagrangian,
-    watch: IterationCallback | None = None,
+    callback: IterationCallback | None = None,
     checkpoints: Checkpoints | None = None,
 ) -> tuple[Outcome, ...]:
-    """Solve the stages one after the other from every start.
+    """Solve the stages one after the other from every starting point.
 
-    Each stage frees more than the one before and starts where that ended: so the many variables of the
-    last begin near an optimum of the few.
+    Each stage frees more parameters than the one before and starts from its solution.
 
     Parameters
     ----------
     stages
         Problems over the same parameter trees.
     starts
-        Seeds and points, in the first stage's variables.
+        Seed and starting point of each start, in the variables of the first stage.
     solver
-        For every stage.
-    watch
-        Called after each iteration; see `AugmentedLagrangian.solve` for stopping.
-    journal
-        Keeps what is finished and where the rest stands. What it holds already is not done again.
+        Solver of every stage.
+    callback
+        Called after each iteration; see `AugmentedLagrangian.solve` for interruptions.
+    checkpoints
+        Checkpoints of the solves. Finished ones are not repeated, and an unfinished one is continued.
 
     Returns
     -------
     tuple of Outcome
-        In the order of the starts; fewer if interrupted.
+        Results in the order of the starts; fewer after an interruption.
     """
     outcomes: list[Outcome] = []
     for number, (seed, point) in enumerate(starts):
@@ -97,7 +112,7 @@ def solve_from_starts(
             else:
                 at = problem.start(stages[place - 1].parameters(jnp.asarray(solution.variables)))
             before = () if solution is None else solution.history
-            solution = _solve(problem, at, solver, (number, place), before, watch, checkpoints)
+            solution = _solve(problem, at, solver, (number, place), before, callback, checkpoints)
             if solution.status is Status.interrupted:
                 break
         assert solution is not None
@@ -108,7 +123,7 @@ def solve_from_starts(
 
 
 def best_start(outcomes: Sequence[Outcome]) -> int:
-    """Number of the start that ended lowest, among those that converged if any did."""
+    """Find the start with the lowest cost, among those that converged if any did."""
 
     def rank(number: int) -> tuple[bool, float]:
         solution = outcomes[number].solution
@@ -123,26 +138,26 @@ def _solve(
     solver: AugmentedLagrangian,
     key: tuple[int, int],
     before: tuple[Iteration, ...],
-    watch: IterationCallback | None,
+    callback: IterationCallback | None,
     checkpoints: Checkpoints | None,
 ) -> ConstrainedSolution:
-    """Solve one stage of one start, or recall how it ended."""
+    """Solve one stage of one start, or restore its solution from a checkpoint."""
     number, place = key
     name = f"start_{number}_stage_{place}"
-    entry = checkpoints.read(name) if checkpoints else None
-    if entry is not None and entry.status is not None:
-        return solver.restore(problem, entry.state, entry.status, entry.history)
+    checkpoint = checkpoints.read(name) if checkpoints else None
+    if checkpoint is not None and checkpoint.status is not None:
+        return solver.restore(problem, checkpoint.state, checkpoint.status, checkpoint.history)
 
-    def note(iteration: Iteration, state: LagrangianState) -> None:
+    def record(iteration: Iteration, state: LagrangianState) -> None:
         log.append(iteration)
         if checkpoints:
             checkpoints.write(name, state, log)
-        if watch:
-            watch(number, iteration, state)
+        if callback:
+            callback(number, iteration, state)
 
-    start, history = (at, before) if entry is None else (entry.state, entry.history)
+    start, history = (at, before) if checkpoint is None else (checkpoint.state, checkpoint.history)
     log = list(history)
-    solution = solver.solve(problem, start, note, history)
+    solution = solver.solve(problem, start, record, history)
     if checkpoints and solution.status is not Status.interrupted:
         checkpoints.write(name, solution.state, solution.history, solution.status)
     return solution

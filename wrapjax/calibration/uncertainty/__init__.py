@@ -1,1 +1,1 @@
-"""How well the recordings determine calibrated parameters."""
+"""Uncertainty of calibrated parameters: noise of the moments, posterior, intervals, identifiability."""

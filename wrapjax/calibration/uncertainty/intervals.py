@@ -1,106 +1,34 @@
-"""Which parameters the moments can tell, and how well.
-
-How far parameters may be from where calibration ended, in their own units.
-"""
+"""Standard deviations and intervals of calibrated parameters and moments, computed from draws."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from wrapjax.calibration.objective import Objective
-
-
-def laplace_deviation(
-    problem: Objective, variables: Float[Array | np.ndarray, " variable"], moment_noise: float
-) -> Float[np.ndarray, "muscle parameter"]:
-    """Standard deviation that independent moment noise gives each free parameter, by Laplace.
-
-    Penalties and priors are left out: what counts is what the moments say. The width of its bounds
-    stands in as a variable's prior deviation, so that one that the moments cannot see comes out as
-    uncertain as its bounds allow.
-
-    Parameters
-    ----------
-    problem
-        The calibrated objective.
-    variables
-        Where to judge, in solver units.
-    moment_noise
-        Standard deviation of every moment sample, N m.
-
-    Returns
-    -------
-    Array
-        In each parameter's own unit; columns in the order of ``problem.variables.names``.
-    """
-    covariance = _covariance(problem, variables, moment_noise)
-    deviation = np.sqrt(np.diag(covariance))
-    return deviation[np.asarray(problem.variables.index)] * np.asarray(problem.variables.scale)
-
-
-def moment_arm_deviation(
-    problem: Objective, variables: Float[Array | np.ndarray, " variable"], moment_noise: float
-) -> Float[np.ndarray, "muscle trial coordinate frame"]:
-    """Standard deviation (m) that moment noise gives each moment arm where paths may move, by Laplace.
-
-    What an arm gains another parameter may lose again: an EMG scale above all. Where the moments cannot
-    tell the two apart, this is as large as the arm's bounds allow. Zero for paths that are held.
-
-    Parameters
-    ----------
-    problem, variables, moment_noise
-        As of `laplace_deviation`; arms are over the problem's cycles.
-    """
-    layout = problem.variables
-    covariance = np.pad(_covariance(problem, variables, moment_noise), (0, 1))  # nothing held varies
-    changes = layout.unpack(jnp.asarray(variables)).path_changes
-    _, slopes = eqx.filter_jit(problem.recording.path.linearized)(changes)
-    own = np.asarray(layout.index)[:, len(layout.names) :]
-    scale = np.asarray(layout.scale)[:, len(layout.names) :]
-    blocks = covariance[own[:, :, None], own[:, None, :]] * scale[:, :, None] * scale[:, None, :]
-    arms = np.asarray(slopes.moment_arm)[:, : own.shape[1]]
-    return np.sqrt(np.einsum("mktcf,mkl,mltcf->mtcf", arms, blocks, arms, optimize=True).clip(0.0))
-
-
-def _covariance(
-    problem: Objective, variables: Float[Array | np.ndarray, " variable"], moment_noise: float
-) -> Float[np.ndarray, "variable variable"]:
-    """Covariance of the variables, in solver units."""
-    jacobian = eqx.filter_jit(problem.moment_jacobian)(jnp.asarray(variables))
-    # Back from residuals in allowable errors to N m.
-    slopes = (
-        np.asarray(jacobian) * float(problem.moment_error) * np.sqrt(problem.measured.size) / moment_noise
-    )
-    width = np.asarray(problem.upper) - np.asarray(problem.lower)
-    return np.linalg.inv(slopes.T @ slopes + np.diag(1.0 / width**2))
-
-
-#: A deviation that moments did not bring below this part of what it is without them counts as open.
+#: A parameter counts as identified if moments reduce its deviation below this fraction of that without them.
 IDENTIFIED_BELOW = 0.8
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How far each variable of a leg may be from where calibration ended, in its own unit.
+    """Uncertainty of each variable of a leg, in its own unit.
 
     Parameters
     ----------
     labels, units
-        ``soleus_l.emg_scale``; SI.
+        Names, as ``soleus_l.emg_scale``, and SI units.
     value
-        As calibrated.
-    deviation, low, high
-        Standard deviation, and the interval that holds 90 % of the draws: of a variable at a bound the
-        one-sided interval from that bound.
+        Calibrated values.
+    deviation
+        Standard deviations.
+    low, high
+        90 % intervals of the draws; of a variable at a bound the one-sided interval from that bound.
     prior_deviation
-        Standard deviation without the moments: by priors, penalties and bounds alone.
+        Standard deviations without the moments, from priors, penalties and bounds alone.
     identified
-        Whether moments made the deviation smaller by more than a fifth.
+        Whether the moments reduce the deviation by more than a fifth.
     """
 
     labels: tuple[str, ...]
@@ -121,7 +49,19 @@ def summarize_draws(
     labels: tuple[str, ...],
     units: tuple[str, ...],
 ) -> Spread:
-    """Summarize draws; all in the variables' own units, ``at_bound`` as of `Posterior`."""
+    """Compute standard deviations and intervals from draws.
+
+    Parameters
+    ----------
+    draws, prior_draws
+        Draws with and without the moments, in the units of the variables.
+    value
+        Calibrated values, in the same units.
+    at_bound
+        Position of each variable relative to its bounds, see `Posterior`.
+    labels, units
+        Names and units of the variables.
+    """
     low, high = np.percentile(draws, [5.0, 95.0], axis=0)
     one_sided = np.percentile(draws, [10.0, 90.0], axis=0)
     low = np.where(at_bound == -1, value, np.where(at_bound == 1, one_sided[0], low))
@@ -141,27 +81,27 @@ def summarize_draws(
 
 @dataclass(frozen=True)
 class LegSpread:
-    """The spread of a leg's parameters and of the moments that they predict.
+    """Uncertainty of the parameters and predicted moments of a leg.
 
     Parameters
     ----------
     way
-        How it was found: ``laplace`` or ``bootstrap``.
+        Method: ``laplace`` or ``bootstrap``.
     parameters
-        Of each variable.
+        Standard deviations and intervals of the variables.
     draws
-        Variables in the units of ``parameters``.
+        Draws of the variables, in the units of ``parameters``.
     converged
-        How many draws came of a calibration that converged; all of them where none was calibrated.
+        Number of draws whose calibration converged; all draws of ``laplace``.
     low, high
-        Interval that holds 90 % of the modelled moments of the draws, N m: of the model, without the noise
-        of a measurement.
+        90 % interval of the modelled moments of the draws, N m, without measurement noise.
     noise
-        Standard deviation of moments about the model by coordinate, N m.
+        Standard deviation of the measured about the modelled moments by coordinate, N m.
     independent_samples
-        How many independent samples tell as much of the noise's size as all matched moments together.
+        Number of independent samples with the same information on the variance of the noise as all matched
+        moments.
     information
-        Factor that made the moments' part of the cost minus twice the logarithm of a probability.
+        Factor that turns the moment term of the cost into minus twice a log likelihood.
     """
 
     way: str

@@ -1,12 +1,11 @@
-"""Draws of a normal distribution of many variables within bounds.
+"""Approximate posterior distribution of the variables of a calibration.
 
-A calibration's cost as a probability: how far parameters may be from where it ended.
-
-The cost is a sum of mean squares in allowable errors, of moments and of what priors and penalties expect.
-Weights of means say how calibration answers, not how much is known: of moments, residuals say that, and
-their correlation; of priors and penalties, that each muscle is off by one allowable error as a rule. So the
-spread is that of calibration's answer to noise and to people who differ from what priors expect (sandwich
-form), and not narrower where calibration trusts a prior more than the prior deserves.
+The cost of a calibration is a sum of mean squares, so that it is no negative log likelihood: the weights of
+its terms determine the estimate, but not its uncertainty. The covariance of the moments is therefore
+estimated from the residuals (`residual_noise`), and that of priors and penalties follows from a deviation of
+one allowable error in each muscle. The covariance of the estimate is that of its response to both (sandwich
+form ``H^-1 S H^-1``, with S the covariance of the gradient); it is not smaller where the calibration weights
+a prior more than is justified.
 """
 
 from __future__ import annotations
@@ -17,8 +16,6 @@ from dataclasses import dataclass, field, replace
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-import scipy.special
 from jaxtyping import Array, Float, Int
 
 from wrapjax.calibration.objective import Objective
@@ -26,137 +23,48 @@ from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.two_legs import TwoLegObjective
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
+from wrapjax.calibration.uncertainty.truncated_normal import draw_truncated_normal
 
-# Chains side by side, sweeps before the first draw is kept, and between two that are.
-_CHAINS, _BURN_IN, _BETWEEN = 100, 25, 3
-
-
-def draw_truncated_normal(
-    mean: Float[np.ndarray, " variable"],
-    covariance: Float[np.ndarray, "variable variable"],
-    lower: Float[np.ndarray, " variable"],
-    upper: Float[np.ndarray, " variable"],
-    count: int,
-    seed: int,
-) -> Float[np.ndarray, "draw variable"]:
-    """Draw from a normal distribution of which only what is within bounds counts.
-
-    By Gibbs' sampler, along every variable and along the principal axes of those with bounds: the former
-    leave corners quickly, the latter follow valleys. Variables without bounds follow exactly.
-
-    Parameters
-    ----------
-    mean
-        May lie outside the bounds.
-    covariance
-        Positive definite.
-    lower, upper
-        Infinite where there are none.
-    count
-        Number of draws.
-    seed
-        Of the draws.
-    """
-    generator = np.random.default_rng(seed)
-    root = np.linalg.cholesky(covariance)
-    free = mean + generator.standard_normal((count, len(mean))) @ root.T
-    bounded = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
-    if not bounded.size:
-        return free
-    block = covariance[np.ix_(bounded, bounded)]
-    box = lower[bounded], upper[bounded]
-    kept = _gibbs(mean[bounded], block, *box, count, generator)
-    # Others keep what they are beside what those with bounds say of them.
-    follow = scipy.linalg.solve(block, covariance[bounded], assume_a="pos")
-    draws = free + (kept - free[:, bounded]) @ follow
-    draws[:, bounded] = kept
-    return draws
-
-
-def _gibbs(
-    mean: np.ndarray,
-    covariance: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    count: int,
-    generator: np.random.Generator,
-) -> Float[np.ndarray, "draw variable"]:
-    precision = scipy.linalg.inv(covariance)
-    axes = np.concatenate([np.eye(len(mean)), scipy.linalg.eigh(covariance)[1].T])
-    along = axes @ precision
-    curvature = np.einsum("ij,ij->i", along, axes)
-    start = mean + generator.standard_normal((_CHAINS, len(mean))) * np.sqrt(np.diag(covariance))
-    at = np.clip(start, lower, upper)
-    draws: list[np.ndarray] = []
-    needed = -(-count // _CHAINS)
-    for sweep in range(_BURN_IN + _BETWEEN * needed):
-        for axis, (direction, weights, own) in enumerate(zip(axes, along, curvature, strict=True)):
-            center = -((at - mean) @ weights) / own
-            if axis < len(mean):
-                low, high = lower[axis] - at[:, axis], upper[axis] - at[:, axis]
-            else:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    ends = np.stack([(lower - at) / direction, (upper - at) / direction])
-                ends = np.where(np.abs(direction) > 1e-12, ends, [[[-np.inf]], [[np.inf]]])
-                low, high = ends.min(axis=0).max(axis=1), ends.max(axis=0).min(axis=1)
-            step = _within(center, 1.0 / np.sqrt(own), low, high, generator)
-            at = np.clip(at + step[:, None] * direction, lower, upper)
-        if sweep >= _BURN_IN and (sweep - _BURN_IN) % _BETWEEN == 0:
-            draws.append(at)
-    return np.concatenate(draws)[:count]
-
-
-def _within(
-    center: np.ndarray,
-    deviation: float,
-    low: np.ndarray,
-    high: np.ndarray,
-    generator: np.random.Generator,
-) -> np.ndarray:
-    """Draw single normal values between two ends, also far out in a tail."""
-    first, last = (low - center) / deviation, (high - center) / deviation
-    turned = first + last > 0.0  # logarithms of probabilities are exact in the lower tail
-    bottom, top = np.where(turned, -last, first), np.where(turned, -first, last)
-    share = generator.uniform(1e-12, 1.0, len(center))
-    logs = scipy.special.log_ndtr(bottom), scipy.special.log_ndtr(top)
-    drawn = scipy.special.ndtri_exp(np.logaddexp(logs[0] + np.log1p(-share), logs[1] + np.log(share)))
-    drawn = np.clip(drawn, bottom, np.maximum(bottom, top))
-    return np.asarray(center + deviation * np.where(turned, -drawn, drawn))
-
-
-# Of a variable that no prior and no moment sees: curvature by the width of its bounds, wide enough to be
-# flat within them; and the least weight of a prior, by which it can be told a pull.
-_FLAT, _LEAST_PRIOR = 1e-3, 1e-3
+# Curvature times the squared width of the bounds, added for variables that neither priors nor moments
+# determine (nearly constant within the bounds); and smallest precision of a prior whose mean is randomized.
+_FLAT, _MIN_PRECISION = 1e-3, 1e-3
 
 _Matrix = Float[np.ndarray, "variable variable"]
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What is known about the variables of a calibration, to second order about its solution.
+    """Posterior of the variables of a calibration, to second order about its solution.
+
+    All matrices and gradients are in solver units. A gradient here is half the gradient of a cost, and a
+    curvature half its Hessian.
 
     Parameters
     ----------
     problem
-        What was minimised: of one leg, or of two.
+        Objective of one leg or of two.
     state
-        Where the solver ended.
+        Final state of the solver.
     noise
-        Of each leg's moments.
+        Noise of the moments of each leg.
     modelled
-        Each leg's moments at the solution, N m.
+        Moments of each leg at the solution, N m.
     information
-        Factor that makes the moments' part of the cost minus twice a logarithm of probability.
+        Factor that turns the moment term of the cost into minus twice a log likelihood.
     prior_information
-        The same of priors and penalties: how many muscles their means are over.
+        The same factor for priors and penalties: the number of muscles that their means are over.
     curvature
-        Gauss-Newton Hessian of half the cost; of hard limits, those that push.
-    restraint
-        Of priors and penalties alone, and a little where bounds are all that is known.
-    pull, restraint_pull, moment_pull
-        Half the slope of the cost, and the parts of it that priors with penalties, and moments, make.
-    moment_noise
-        Covariance of half the cost's slope that the noise of the moments makes.
+        Gauss-Newton curvature of the cost, including active hard limits.
+    prior_curvature
+        Gauss-Newton curvature of priors and penalties.
+    gradient
+        Gradient of the cost at the solution.
+    prior_gradient
+        Gradient of priors and penalties at the solution.
+    moment_gradient
+        Gradient of the moment term at the solution.
+    gradient_noise
+        Covariance of the gradient of the cost due to the noise of the moments.
     """
 
     problem: AbstractCalibration = field(repr=False)
@@ -166,53 +74,64 @@ class Posterior:
     information: float
     prior_information: float
     curvature: _Matrix = field(repr=False)
-    restraint: _Matrix = field(repr=False)
-    pull: Float[np.ndarray, " variable"] = field(repr=False)
-    restraint_pull: Float[np.ndarray, " variable"] = field(repr=False)
-    moment_pull: Float[np.ndarray, " variable"] = field(repr=False)
-    moment_noise: _Matrix = field(repr=False)
+    prior_curvature: _Matrix = field(repr=False)
+    gradient: Float[np.ndarray, " variable"] = field(repr=False)
+    prior_gradient: Float[np.ndarray, " variable"] = field(repr=False)
+    moment_gradient: Float[np.ndarray, " variable"] = field(repr=False)
+    gradient_noise: _Matrix = field(repr=False)
 
     @property
     def solution(self) -> Float[np.ndarray, " variable"]:
-        """Where calibration ended, solver units."""
+        """Calibrated variables, solver units."""
         return np.asarray(self.state.variables)
 
     @property
     def at_bound(self) -> Int[np.ndarray, " variable"]:
-        """-1 at the lower bound, 1 at the upper one, 0 between; 2 where they coincide."""
+        """Position of each variable: -1 at the lower bound, 1 at the upper, 0 between, 2 if they coincide."""
         return _at_bound(self.problem, self.solution)
 
     def laplace(self, count: int, seed: int) -> Float[np.ndarray, "draw variable"]:
-        """Draw from the normal distribution about the solution, within the bounds.
+        """Draw from the Laplace approximation: a normal distribution about the solution, within the bounds.
 
-        Free variables have the covariance that moments' noise and priors give them through calibration.
-        Variables at a bound leave it one-sided, the less the harder they are pushed.
+        Free variables have the covariance of the calibration's response to the noise of the moments and to
+        deviations from the priors. Variables at a bound have a one-sided distribution, which is narrower for
+        a larger gradient towards the bound.
+
+        Parameters
+        ----------
+        count
+            Number of draws.
+        seed
+            Seed of the draws.
         """
-        place = self.at_bound
-        free, stuck = np.flatnonzero(place == 0), np.flatnonzero(abs(place) == 1)
-        order = np.concatenate([stuck, free])
+        position = self.at_bound
+        free, bounded = np.flatnonzero(position == 0), np.flatnonzero(abs(position) == 1)
+        order = np.concatenate([bounded, free])
         total = self.curvature + _flat(self.problem)
         inverse = np.linalg.inv(total[np.ix_(free, free)])
-        slope = self.moment_noise + self.restraint / self.prior_information
-        own = inverse @ slope[np.ix_(free, free)] @ inverse
-        follow = -inverse @ total[np.ix_(free, stuck)]
-        profile = total[np.ix_(stuck, stuck)] + total[np.ix_(stuck, free)] @ follow
+        noise = self.gradient_noise + self.prior_curvature / self.prior_information
+        free_covariance = inverse @ noise[np.ix_(free, free)] @ inverse
+        response = -inverse @ total[np.ix_(free, bounded)]
+        profile = total[np.ix_(bounded, bounded)] + total[np.ix_(bounded, free)] @ response
         weight = min(self.information, self.prior_information)
-        of_stuck = np.linalg.inv(weight * profile)
+        bounded_covariance = np.linalg.inv(weight * profile)
         covariance = np.block(
-            [[of_stuck, of_stuck @ follow.T], [follow @ of_stuck, own + follow @ of_stuck @ follow.T]]
+            [
+                [bounded_covariance, bounded_covariance @ response.T],
+                [response @ bounded_covariance, free_covariance + response @ bounded_covariance @ response.T],
+            ]
         )
-        mean = -of_stuck @ (weight * self.pull[stuck])
-        return self._within(np.concatenate([mean, follow @ mean]), covariance, order, count, seed)
+        mean = -bounded_covariance @ (weight * self.gradient[bounded])
+        return self._draw(np.concatenate([mean, response @ mean]), covariance, order, count, seed)
 
     def sample_prior(self, count: int, seed: int) -> Float[np.ndarray, "draw variable"]:
-        """Draw from what priors, penalties and bounds alone say."""
+        """Draw from the distribution given by priors, penalties and bounds alone; see `laplace`."""
         order = np.flatnonzero(self.at_bound != 2)
-        inverse = np.linalg.inv((self.restraint + _flat(self.problem))[np.ix_(order, order)])
-        mean = -inverse @ self.restraint_pull[order]
-        return self._within(mean, inverse / self.prior_information, order, count, seed)
+        inverse = np.linalg.inv((self.prior_curvature + _flat(self.problem))[np.ix_(order, order)])
+        mean = -inverse @ self.prior_gradient[order]
+        return self._draw(mean, inverse / self.prior_information, order, count, seed)
 
-    def _within(
+    def _draw(
         self, mean: np.ndarray, covariance: _Matrix, order: np.ndarray, count: int, seed: int
     ) -> Float[np.ndarray, "draw variable"]:
         lower, upper = np.asarray(self.problem.lower), np.asarray(self.problem.upper)
@@ -224,27 +143,36 @@ class Posterior:
         return draws
 
     def randomized_problem(self, number: int, seed: int) -> AbstractCalibration:
-        """Give the problem with moments of the model with other noise, and priors that pull otherwise.
+        """Return the problem with simulated moments and randomized prior means, for one bootstrap draw.
 
-        Without noise its solution is the calibration's own, and to first order the solutions of many are
-        distributed as the posterior (Chen & Oliver 2012, doi:10.1007/s11004-011-9376-z; Bardsley et al. 2014,
-        doi:10.1137/140964023). Only arrays differ from the calibration's problem: compiled code is the same.
+        The moments are those of the calibrated model with simulated noise. Without noise the solution of this
+        problem is that of the calibration; to first order the solutions of many such problems are distributed
+        as the posterior (randomized maximum likelihood and randomize-then-optimize: Chen & Oliver 2012,
+        doi:10.1007/s11004-011-9376-z; Bardsley et al. 2014, doi:10.1137/140964023). It differs from the
+        calibration's problem in the values of arrays alone, so that compiled functions are reused.
+
+        Parameters
+        ----------
+        number
+            Number of the draw.
+        seed
+            Seed of all draws.
         """
         generator = np.random.default_rng([seed, number])
-        values, vectors = np.linalg.eigh(self.restraint / self.prior_information)
-        pull = vectors @ (np.sqrt(values.clip(0.0)) * generator.standard_normal(len(values)))
-        # What moments' misfit pulls at the solution is gone with the misfit: priors pull as much instead.
-        pull = pull - self.moment_pull
-        redone = []
-        told = np.zeros(len(pull), dtype=bool)
+        values, vectors = np.linalg.eigh(self.prior_curvature / self.prior_information)
+        shift_gradient = vectors @ (np.sqrt(values.clip(0.0)) * generator.standard_normal(len(values)))
+        # Simulated moments have no misfit at the solution; the priors get the gradient of the misfit instead.
+        shift_gradient = shift_gradient - self.moment_gradient
+        randomized = []
+        done = np.zeros(len(shift_gradient), dtype=bool)
         parts = zip(leg_objectives(self.problem), self.modelled, self.noise, strict=True)
         for (leg, place), modelled, noise in parts:
             variables = leg.variables
             counts = np.sqrt(_kind_counts(variables.labels))
-            precision = np.maximum(np.asarray(variables.prior_precision), _LEAST_PRIOR)
-            shift = np.where(told[place], 0.0, pull[place]) / (precision / counts) ** 2
-            told[place] = True
-            redone.append(
+            precision = np.maximum(np.asarray(variables.prior_precision), _MIN_PRECISION)
+            shift = np.where(done[place], 0.0, shift_gradient[place]) / (precision / counts) ** 2
+            done[place] = True
+            randomized.append(
                 replace(
                     leg,
                     measured=jnp.asarray(modelled + noise.draw(generator)),
@@ -256,78 +184,79 @@ class Posterior:
                 )
             )
         if isinstance(self.problem, TwoLegObjective):
-            return replace(self.problem, legs=(redone[0], redone[1]))
-        return redone[0]
+            return replace(self.problem, legs=(randomized[0], randomized[1]))
+        return randomized[0]
 
 
 def posterior(
     problem: AbstractCalibration, state: LagrangianState, speeds: Sequence[Float[np.ndarray, " trial"]]
 ) -> Posterior:
-    """Judge a solution.
+    """Compute the posterior of a calibration about its solution.
 
     Parameters
     ----------
     problem
-        What was minimised, with its limits as they were at the end.
+        Objective of the calibration, with the final shifts and weights of its limits.
     state
-        Where the solver ended.
+        Final state of the solver.
     speeds
-        Of each leg's cycles, m/s; NaN where unknown.
+        Walking speeds of the cycles of each leg, m/s; NaN where unknown.
     """
     variables = jnp.asarray(state.variables)
-    whole = problem.linearized_at(variables)
-    alone = _restraints_only(problem).linearized_at(variables)
-    curvature, restraint = np.asarray(whole.gauss_newton), np.asarray(alone.gauss_newton)
+    full = problem.linearized_at(variables)
+    priors = _priors_only(problem).linearized_at(variables)
+    curvature, prior_curvature = np.asarray(full.gauss_newton), np.asarray(priors.gauss_newton)
     free = _at_bound(problem, np.asarray(variables)) == 0
     inverse = np.linalg.inv((curvature + _flat(problem))[np.ix_(free, free)])
     count = len(curvature)
     noises, modelled = [], []
-    seen, noisy, pull = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+    moment_curvature, gradient_noise = np.zeros((count, count)), np.zeros((count, count))
+    moment_gradient = np.zeros(count)
     for (leg, place), speed in zip(leg_objectives(problem), speeds, strict=True):
         shape = leg.measured.shape
         scale = 1.0 / (float(leg.moment_error) * np.sqrt(leg.measured.size))
         rows, slopes = map(np.asarray, moments_and_slopes(leg, variables[place]))
         residuals, slopes = (rows / scale).reshape(shape), (slopes / scale).reshape(*shape, -1)
-        own = np.flatnonzero(free[place])
-        chosen = np.searchsorted(np.flatnonzero(free), place[own])
+        own_free = np.flatnonzero(free[place])
+        chosen = np.searchsorted(np.flatnonzero(free), place[own_free])
         gain = scale**2 * inverse[np.ix_(chosen, chosen)]
-        noise = residual_noise(residuals, speed, slopes[..., own], gain)
+        noise = residual_noise(residuals, speed, slopes[..., own_free], gain)
         flat = slopes.reshape(-1, len(place))
         block = np.ix_(place, place)
-        seen[block] += scale**2 * flat.T @ flat
-        noisy[block] += scale**4 * noise.through(slopes)
-        pull[place] += scale**2 * flat.T @ residuals.ravel()
+        moment_curvature[block] += scale**2 * flat.T @ flat
+        gradient_noise[block] += scale**4 * noise.propagate(slopes)
+        moment_gradient[place] += scale**2 * flat.T @ residuals.ravel()
         noises.append(noise)
         modelled.append(np.asarray(leg.measured) + residuals)
-    both = [np.sum(inverse * part[np.ix_(free, free)]) for part in (seen, noisy)]
+    traces = [np.sum(inverse * part[np.ix_(free, free)]) for part in (moment_curvature, gradient_noise)]
     return Posterior(
         problem=problem,
         state=state,
         noise=tuple(noises),
         modelled=tuple(modelled),
-        # As many independent samples as tell the parameters, on average over what moments tell of them, as
-        # much (Pauli, Racugno & Ventura 2011, Statistica Sinica 21:149).
-        information=float(both[0] / both[1]),
+        # Ratio of the curvature to the covariance of the gradient, averaged over what moments determine
+        # (adjusted composite likelihood; Pauli, Racugno & Ventura 2011, Statistica Sinica 21:149).
+        information=float(traces[0] / traces[1]),
         prior_information=float(max(len(leg.variables.index) for leg, _ in leg_objectives(problem))),
         curvature=curvature,
-        restraint=restraint,
-        pull=np.asarray(whole.gradient),
-        restraint_pull=np.asarray(alone.gradient),
-        moment_pull=pull,
-        moment_noise=noisy,
+        prior_curvature=prior_curvature,
+        gradient=np.asarray(full.gradient),
+        prior_gradient=np.asarray(priors.gradient),
+        moment_gradient=moment_gradient,
+        gradient_noise=gradient_noise,
     )
 
 
 def leg_objectives(problem: AbstractCalibration) -> list[tuple[Objective, Int[np.ndarray, " own"]]]:
-    """Give each leg's problem, and where its variables stand among all."""
+    """Return the objective of each leg, and the indices of its variables among all."""
     if isinstance(problem, TwoLegObjective):
         return list(zip(problem.legs, problem.places, strict=True))
     assert isinstance(problem, Objective)
     return [(problem, np.arange(problem.variables.count))]
 
 
-def _restraints_only(problem: AbstractCalibration) -> AbstractCalibration:
-    """Leave out moments and limits, by arrays alone."""
+def _priors_only(problem: AbstractCalibration) -> AbstractCalibration:
+    """Return the problem with zero weights of moments and limits; arrays keep their shapes."""
     unlimited = tuple(replace(limit, weight=jnp.zeros_like(limit.weight)) for limit in problem.limits)
     problem = problem.with_limits(unlimited)
     if isinstance(problem, TwoLegObjective):
@@ -357,5 +286,5 @@ def _kind_counts(labels: Sequence[str]) -> Float[np.ndarray, " variable"]:
 def moments_and_slopes(
     leg: Objective, variables: Float[Array, " variable"]
 ) -> tuple[Float[Array, " row"], Float[Array, "row variable"]]:
-    """Give the rows of the moments, and their derivatives by the leg's variables."""
+    """Compute the moment residuals of a leg and their Jacobian by its variables."""
     return leg.terms(leg.parameters(variables))["joint_moment"], leg.moment_jacobian(variables)

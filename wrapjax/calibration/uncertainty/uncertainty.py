@@ -1,7 +1,4 @@
-"""``uncertainty``: how far a calibration's parameters may be from what they are said to be.
-
-Calibrations of made-up moments, one a draw, resumable after any of them.
-"""
+"""Uncertainty of calibrated parameters and moments (`uncertainty`) by Laplace approximation or bootstrap."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ from wrapjax.path_sources.model_inputs import recording
 
 
 def randomized_refits(
-    judged: Posterior,
+    distribution: Posterior,
     solver: AugmentedLagrangian,
     count: int,
     seed: int,
@@ -39,66 +36,71 @@ def randomized_refits(
     checkpoints: Checkpoints | None = None,
     advance: Callable[[int], None] | None = None,
 ) -> tuple[Float[np.ndarray, "draw variable"], tuple[Status, ...]]:
-    """Calibrate again, from the solution, to moments and priors that were made up (`Posterior.randomized_problem`).
+    """Calibrate to randomized problems (`Posterior.randomized_problem`), one per draw, from the solution.
 
     Parameters
     ----------
-    judged
-        The solution.
+    distribution
+        Posterior of the calibration.
     solver
-        That found it.
+        Solver of the calibration.
     count, seed
-        Of the draws; the first of many are those of few.
-    journal
-        Keeps what is finished. What it holds already is not done again.
+        Number and seed of the draws; the first draws do not depend on their number.
+    checkpoints
+        Checkpoints of the draws; finished ones are not repeated.
     advance
         Called with the number of finished draws.
+
+    Returns
+    -------
+    draws, statuses
+        Variables (solver units) and status of each draw.
 
     Raises
     ------
     KeyboardInterrupt
-        If the user stops it; the journal keeps what was done.
+        If interrupted; the checkpoints have the finished draws.
     """
-    found, statuses = [], []
+    draws, statuses = [], []
     for number in range(count):
         name = f"draw_{number}"
-        entry = checkpoints.read(name) if checkpoints else None
-        if entry is not None and entry.status is not None:
-            variables, status = np.asarray(entry.state.variables), entry.status
+        checkpoint = checkpoints.read(name) if checkpoints else None
+        if checkpoint is not None and checkpoint.status is not None:
+            variables, status = np.asarray(checkpoint.state.variables), checkpoint.status
         else:
-            solution = solver.solve(judged.randomized_problem(number, seed), judged.state)
+            solution = solver.solve(distribution.randomized_problem(number, seed), distribution.state)
             variables, status = solution.variables, solution.status
             if status is Status.interrupted:
                 raise KeyboardInterrupt
             if checkpoints:
                 checkpoints.write(name, solution.state, solution.history, status)
-        found.append(variables)
+        draws.append(variables)
         statuses.append(status)
         if advance:
             advance(number + 1)
-    return np.stack(found), tuple(statuses)
+    return np.stack(draws), tuple(statuses)
 
 
-#: How spread can be found.
+#: Methods of `uncertainty`.
 WAYS = ("laplace", "bootstrap")
-#: Draws that do not ask for another number: of a bootstrap, each is a calibration.
+#: Default number of draws; each draw of a bootstrap is a calibration.
 DRAWS = {"laplace": 2000, "bootstrap": 50}
-# Of what priors alone say: only its width is used.
+# Number of draws from the prior, of which the standard deviation alone is used.
 _PRIOR_DRAWS = 1000
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """A calibration with the spread of what it found.
+    """Calibration with the uncertainty of its parameters and moments.
 
     Parameters
     ----------
     calibration
-        What was judged.
+        Calibration whose uncertainty was estimated.
     way
-        ``laplace`` or ``bootstrap``.
+        Method: ``laplace`` or ``bootstrap``.
     spreads
-        Of each leg that was calibrated together.
+        Uncertainty of each leg that was calibrated together.
     """
 
     calibration: Calibration
@@ -107,11 +109,24 @@ class Uncertainty:
 
     @property
     def spread(self) -> LegSpread:
-        """Of the leg (the first one of two)."""
+        """Uncertainty of the leg (the first of two)."""
         return self.spreads[0]
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write the run's folder as `Calibration.save` does, with spreads in tables and report."""
+        """Write the folder of the run as `Calibration.save` does, with uncertainties in tables and report.
+
+        Parameters
+        ----------
+        folder
+            Folder to create.
+        force
+            Replace an existing folder.
+
+        Raises
+        ------
+        InputError
+            If the folder exists and ``force`` is not set, or it cannot be created.
+        """
         from wrapjax.report.run_folder import write_run
 
         write_run(
@@ -134,40 +149,49 @@ def uncertainty(
     seed: int = 0,
     advance: Callable[[int], None] | None = None,
 ) -> Uncertainty:
-    """Say how well the recordings determine what a calibration found.
+    """Estimate the uncertainty of the parameters and moments of a calibration.
 
-    What is judged is calibration's answer, with the weights that it had, to noise of the moments and to
-    people who differ from what priors and penalties expect by one allowable error. How large the noise is,
-    and how few independent samples a cycle holds, is read off the residuals; what they repeat in every cycle
-    of a speed counts as one draw, not as many.
+    The uncertainty is that of the calibration's response, with its weights, to noise of the moments and to
+    subjects that differ from priors and penalties by one allowable error. The variance of the noise and its
+    correlation over a cycle are estimated from the residuals; residuals that recur in every cycle of a speed
+    count as one sample (see `wrapjax.calibration.uncertainty.posterior`).
 
     Parameters
     ----------
     calibration
-        From `calibrate`. Both legs are judged together where they were calibrated together.
+        Calibration from `calibrate`. Legs that were calibrated together are treated together.
     way
-        ``laplace``: a normal distribution about the solution, within the bounds. ``bootstrap``:
-        calibrations of moments made up by the model with noise like the residuals', and of priors drawn
-        anew, each from the solution; it sees how nonlinear the model is. Its draws lie on the bounds that
-        stopped them, where those of ``laplace`` keep off: what nothing but bounds decides is wider by it.
+        ``laplace``: draws from a normal distribution about the solution, within the bounds. ``bootstrap``:
+        calibrations to simulated moments (the calibrated model with noise like that of the residuals) with
+        randomized priors, each from the solution; it includes the nonlinearity of the model. Bootstrap draws
+        can lie on bounds and Laplace draws do not, so that parameters that are determined by bounds alone
+        have wider bootstrap intervals.
     draws
-        How many: 2000 by ``laplace``, 50 by ``bootstrap`` if not given.
+        Number of draws; 2000 for ``laplace`` and 50 for ``bootstrap`` if not given.
     seed
-        Of the draws.
+        Seed of the draws.
     advance
         Called with the number of finished draws of a bootstrap.
 
     Returns
     -------
     Uncertainty
-        Standard deviation, 90 % interval and whether moments determine it, of each parameter in its unit; and
-        a band about the modelled moments of every cycle. What is wrong with the model itself is in none of
-        them, but for what residuals show.
+        Standard deviation, 90 % interval and identifiability of each parameter in its unit, and a 90 % band
+        about the modelled moments (N m) of every cycle. Errors of the model are included only as far as they
+        are visible in the residuals.
 
     Raises
     ------
+    ValueError
+        If the method is unknown, or there are fewer than 2 draws.
     KeyboardInterrupt
-        If a bootstrap is stopped; the calibration's journal, where it has one, keeps what was done.
+        If a bootstrap is interrupted; the checkpoints of the calibration, if any, have the finished draws.
+
+    Examples
+    --------
+    >>> estimated = uncertainty(calibrate(subject))  # doctest: +SKIP
+    >>> estimated.spread.parameters.deviation  # doctest: +SKIP
+    >>> estimated.save("run")  # doctest: +SKIP
     """
     if way not in WAYS:
         raise ValueError(f"unknown way '{way}': expected one of {', '.join(WAYS)}")
@@ -176,13 +200,13 @@ def uncertainty(
         raise ValueError(f"{count} draws have no spread: expected at least 2")
     solution = calibration.result.solution
     problem, speeds = _problem(calibration)
-    judged = posterior(problem, solution.state, speeds)
+    distribution = posterior(problem, solution.state, speeds)
     converged = count
     if way == "laplace":
-        found = judged.laplace(count, seed)
+        variable_draws = distribution.laplace(count, seed)
     else:
-        found, statuses = randomized_refits(
-            judged,
+        variable_draws, statuses = randomized_refits(
+            distribution,
             calibration.result.solver,
             count,
             seed,
@@ -190,14 +214,25 @@ def uncertainty(
             advance=advance,
         )
         converged = sum(status.converged for status in statuses)
-    before = judged.sample_prior(_PRIOR_DRAWS, seed)
+    prior_draws = distribution.sample_prior(_PRIOR_DRAWS, seed)
     spreads = []
     for number, leg in enumerate(calibration.legs):
         own, place = leg_objectives(problem)[number]
         bands = _linear_band if way == "laplace" else _modelled_band
-        low, high = bands(leg, own, judged.solution[place], found[:, place])
+        low, high = bands(leg, own, distribution.solution[place], variable_draws[:, place])
         spreads.append(
-            _leg_spread(way, judged, number, own.variables, place, found, before, converged, low, high)
+            _leg_spread(
+                way,
+                distribution,
+                number,
+                own.variables,
+                place,
+                variable_draws,
+                prior_draws,
+                converged,
+                low,
+                high,
+            )
         )
     return Uncertainty(calibration, way, tuple(spreads))
 
@@ -205,7 +240,7 @@ def uncertainty(
 def _problem(
     calibration: Calibration,
 ) -> tuple[AbstractCalibration, list[Float[np.ndarray, " trial"]]]:
-    """Give what was minimised, and the speeds of each leg's cycles."""
+    """Return the objective of the calibration, and the walking speeds of each leg's cycles."""
     problems = [leg.result.solution.problem for leg in calibration.legs]
     objectives = [problem for problem in problems if isinstance(problem, Objective)]
     speeds = [leg.subject.trials.used_for("calibration").speeds for leg in calibration.legs]
@@ -216,12 +251,12 @@ def _problem(
 
 def _leg_spread(
     way: str,
-    judged: Posterior,
+    distribution: Posterior,
     number: int,
     variables: Variables,
     place: Int[np.ndarray, " own"],
-    found: Float[np.ndarray, "draw variable"],
-    before: Float[np.ndarray, "_ variable"],
+    variable_draws: Float[np.ndarray, "draw variable"],
+    prior_draws: Float[np.ndarray, "_ variable"],
     converged: int,
     low: Float[np.ndarray, "trial coordinate frame"],
     high: Float[np.ndarray, "trial coordinate frame"],
@@ -231,15 +266,15 @@ def _leg_spread(
     offset = np.array(
         [NOMINAL[WRAP_PARAMETERS.index(name)] if name in WRAP_PARAMETERS else 0.0 for name in names]
     )
-    draws, prior = (offset + scale * one[:, place] for one in (found, before))
-    noise = judged.noise[number]
+    draws, prior = (offset + scale * one[:, place] for one in (variable_draws, prior_draws))
+    noise = distribution.noise[number]
     return LegSpread(
         way=way,
         parameters=summarize_draws(
             draws,
             prior,
-            offset + scale * judged.solution[place],
-            judged.at_bound[place],
+            offset + scale * distribution.solution[place],
+            distribution.at_bound[place],
             variables.labels,
             tuple(map(_unit, names)),
         ),
@@ -249,12 +284,12 @@ def _leg_spread(
         high=high,
         noise=noise.deviation,
         independent_samples=noise.independent,
-        information=judged.information,
+        information=distribution.information,
     )
 
 
 def _unit(name: str) -> str:
-    """Of a muscle's parameter, a cylinder's, or a mode of a path."""
+    """Return the unit of a muscle parameter, wrap parameter or path mode."""
     if name in QUANTITIES:
         return QUANTITIES[name].unit
     return {"m": "m", "rad": "rad"}.get(name.rsplit("_", 1)[-1], "1")
@@ -266,12 +301,12 @@ def _linear_band(
     solution: Float[np.ndarray, " variable"],
     draws: Float[np.ndarray, "draw variable"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As far as moments are straight: what draws go along a flat valley, they go along its tangent."""
-    everything = _over_all_cycles(leg, problem)
-    _, slopes = moments_and_slopes(everything, jnp.asarray(solution))
-    rows = np.asarray(slopes) * (float(everything.moment_error) * np.sqrt(everything.measured.size))
-    moves = (draws - solution) @ rows.T
-    low, high = np.percentile(moves, [5.0, 95.0], axis=0).reshape(2, *everything.measured.shape)
+    """Compute the 90 % band of the moments of draws, linearised about the solution."""
+    all_cycles = _over_all_cycles(leg, problem)
+    _, slopes = moments_and_slopes(all_cycles, jnp.asarray(solution))
+    rows = np.asarray(slopes) * (float(all_cycles.moment_error) * np.sqrt(all_cycles.measured.size))
+    changes = (draws - solution) @ rows.T
+    low, high = np.percentile(changes, [5.0, 95.0], axis=0).reshape(2, *all_cycles.measured.shape)
     return leg.result.modelled + low, leg.result.modelled + high
 
 
@@ -281,8 +316,9 @@ def _modelled_band(
     solution: Float[np.ndarray, " variable"],
     draws: Float[np.ndarray, "draw variable"],
 ) -> tuple[np.ndarray, np.ndarray]:
-    everything = _over_all_cycles(leg, problem)
-    moments = np.stack([np.asarray(_moments_of(everything, jnp.asarray(draw))) for draw in draws])
+    """Compute the 90 % band of the moments of draws with the nonlinear model."""
+    all_cycles = _over_all_cycles(leg, problem)
+    moments = np.stack([np.asarray(_moments_of(all_cycles, jnp.asarray(draw))) for draw in draws])
     low, high = np.percentile(moments, [5.0, 95.0], axis=0)
     return low, high
 
@@ -297,7 +333,7 @@ def _moments_of(
 
 
 def _over_all_cycles(leg: Calibration, problem: Objective) -> Objective:
-    """Take validation cycles in, without what restrains parameters."""
+    """Return the objective over all cycles of the subject, without penalties and limits."""
     subject, trials = leg.subject, leg.subject.trials
     paths = leg.fit.paths(subject, trials, leg.result.freedom)
     return replace(
