@@ -25,7 +25,7 @@ import numpy as np
 import wrapjax
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.path_points import route_path
+from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import WRAP_PARAMETERS
 from wrapjax.osim.model import describe_model
 from wrapjax.report.path_views import path_view_figure

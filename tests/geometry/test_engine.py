@@ -11,8 +11,8 @@ from scipy.optimize import root
 
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
-from wrapjax.geometry.shortest_path import wrap_shortest
+from wrapjax.geometry.path_on_cylinders import PointsAndBodies
+from wrapjax.geometry.several_wraps import wrap_shortest
 from wrapjax.geometry.wrapping import FREE, NOMINAL, Surface
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
@@ -214,7 +214,7 @@ def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
     tilts = [np.eye(3), np.array([[1, 0, 0], [0, np.cos(0.3), -np.sin(0.3)], [0, np.sin(0.3), np.cos(0.3)]])]
     radii = np.array([0.03, 0.025])
     nothing = jnp.zeros((1, 2, 3))
-    path = PointsAndCarriers(
+    path = PointsAndBodies(
         position=jnp.asarray(ends),
         velocity=nothing,
         point_body=jnp.asarray([0, 1]),

@@ -114,7 +114,7 @@ def test_a_joint_of_unknown_kind_may_only_rest(odd_model):
 def test_slopes_of_functions_are_their_derivatives(function):
     at = np.linspace(-2.0, 5.0, 41)
     difference = (function.value(at + 1e-6) - function.value(at - 1e-6)) / 2e-6
-    np.testing.assert_allclose(function.slope(at), difference, atol=1e-8)
+    np.testing.assert_allclose(function.derivative(at), difference, atol=1e-8)
     np.testing.assert_allclose(function.scaled(-2.5).value(at), -2.5 * function.value(at), rtol=1e-14)
 
 

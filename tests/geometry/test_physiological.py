@@ -94,7 +94,7 @@ FAULTS = {
 def test_each_criterion_catches_its_fault(change):
     """One of three samples has it. The nominal path itself is inside in one pose, which is no fault."""
     measures = measure_paths(paths(3, change), paths(1), CYCLE)
-    caught = {name for name, failed in measures.faults().items() if failed[1]}
+    caught = {name for name, failed in measures.failed_criteria().items() if failed[1]}
     assert caught == FAULTS[change]
     np.testing.assert_array_equal(measures.physiological(), [True, False, True])
 

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from wrapjax.geometry.surrogate import fit_surrogate, monomial_exponents, monomial_gradients, monomials
-from wrapjax.geometry.training_samples import MINIMUM_BELT_WIDTH, random_poses, smooth_poses, walking_belt
+from wrapjax.geometry.training_samples import (
+    MINIMUM_ANGLE_RANGE,
+    angle_ranges,
+    fastest_cycle_poses,
+    random_poses,
+)
 
 COORDINATES = ("hip_flexion_r", "hip_adduction_r", "knee_angle_r")
 SPANNED = {"one": ("knee_angle_r",), "three": COORDINATES}
@@ -100,8 +105,8 @@ def test_velocity_is_the_rate_of_length(surrogate):
 def test_poses_stay_in_the_belt_of_their_frame():
     time = np.linspace(0, 2 * np.pi, 101)
     angles = np.stack([[np.sin(time), np.cos(time)], [np.sin(time) + 0.3, np.cos(time)]])
-    lower, upper = walking_belt(angles)
-    assert np.allclose(upper[1] - lower[1], MINIMUM_BELT_WIDTH), "a belt without width is widened"
+    lower, upper = angle_ranges(angles)
+    assert np.allclose(upper[1] - lower[1], MINIMUM_ANGLE_RANGE), "a belt without width is widened"
     poses = random_poses(angles, 400, np.random.default_rng(0))
     frame = np.repeat(np.arange(100), 4)
     assert (poses >= lower[:, frame].T).all() and (poses <= upper[:, frame].T).all()
@@ -110,4 +115,4 @@ def test_poses_stay_in_the_belt_of_their_frame():
 
 def test_smooth_poses_are_the_fastest_cycle():
     angles = np.arange(2 * 3 * 101, dtype=float).reshape(2, 3, 101)
-    np.testing.assert_array_equal(smooth_poses(angles, np.array([1.2, 1.0])), angles[1, :, :-1].T)
+    np.testing.assert_array_equal(fastest_cycle_poses(angles, np.array([1.2, 1.0])), angles[1, :, :-1].T)

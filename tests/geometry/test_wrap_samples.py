@@ -6,7 +6,7 @@ import pytest
 from wrapjax.geometry import wrap_bounds
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.training_samples import plan_samples
-from wrapjax.geometry.wrap_bounds import box
+from wrapjax.geometry.wrap_bounds import parameter_box
 from wrapjax.geometry.wrapping import NOMINAL
 
 WRAPS = {
@@ -26,7 +26,7 @@ def plans():
 def test_samples_fill_their_boxes(plans):
     for plan, count in zip(plans, (1000, 250), strict=True):
         for wrap, samples in plan.together.moved.items():
-            lower, upper = box(TRANSLATIONS[wrap])
+            lower, upper = parameter_box(TRANSLATIONS[wrap])
             scaled = (samples - lower) / (upper - lower)
             assert scaled.shape == (count, 6) and (scaled > -1e-12).all() and (scaled < 1.0 + 1e-12).all()
             # Evenly: every tenth of every axis has about a tenth of the samples.
@@ -51,12 +51,12 @@ def test_alone_means_alone(plans):
     for plan in plans:
         for muscle in ("gaslat", "gasmed"):
             for place, wrap in enumerate(WRAPS[muscle]):
-                samples = plan.set_for(muscle, wrap, WRAPS[muscle])
+                samples = plan.samples_for(muscle, wrap, WRAPS[muscle])
                 parameters = samples.parameters(WRAPS[muscle])
                 np.testing.assert_array_equal(parameters[:, place], plan.together.moved[wrap])
                 assert (parameters[:, 1 - place] == NOMINAL).all()
         assert len(plan.alone) == 2
-        assert plan.set_for("psoas", "brim", WRAPS["psoas"]) is plan.together
+        assert plan.samples_for("psoas", "brim", WRAPS["psoas"]) is plan.together
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,9 @@ def test_alone_means_alone(plans):
 def test_boxes_are_as_wide_as_most_of_them_is_usable(monkeypatch, reach, expected):
     """Usable is what moves along x by less than ``reach``: the share of a box follows from its width."""
     monkeypatch.setattr(
-        wrap_bounds, "usable_by_all", lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach
+        wrap_bounds,
+        "usable_for_all_muscles",
+        lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach,
     )
     nobody = object.__new__(ExactPaths)
     assert wrap_bounds.translation_bounds(nobody, {}, ["brim"]) == {"brim": expected}

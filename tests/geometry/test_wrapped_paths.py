@@ -78,13 +78,17 @@ def test_walls_stand_in_cycles_beside_too(s1_left, motion):
     angles, velocities = motion
     engine = ExactPaths(describe_model(s1_left / "model.osim"), ("psoas_l", "soleus_l"), COORDINATES)
     both = wrapped_paths(engine, angles, velocities, MOMENTS, FREE[:1])[0].nominal
-    kept = wrapped_paths(engine, angles[1:], velocities[1:], MOMENTS, FREE[:1], beside=angles[:1])[0].nominal
+    kept = wrapped_paths(engine, angles[1:], velocities[1:], MOMENTS, FREE[:1], barrier_angles=angles[:1])[
+        0
+    ].nominal
     np.testing.assert_allclose(kept.length, both.length[:, 1:], atol=1e-14)
     np.testing.assert_allclose(kept.moment_arm, both.moment_arm[:, 1:], atol=1e-14)
     squares = np.sum(np.asarray(both.proximity) ** 2, axis=1)
     assert (squares > 1.1 * np.asarray(both.proximity)[:, 1] ** 2).any()
     np.testing.assert_allclose(kept.proximity[:, 0] ** 2, squares, rtol=1e-12, atol=1e-20)
-    three = wrapped_paths(engine, angles[:1], velocities[:1], MOMENTS, FREE[:1], beside=angles[[1, 1]])[0]
+    three = wrapped_paths(
+        engine, angles[:1], velocities[:1], MOMENTS, FREE[:1], barrier_angles=angles[[1, 1]]
+    )[0]
     assert three.nominal.proximity.shape == kept.proximity.shape
 
 

@@ -8,7 +8,7 @@ from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
-from wrapjax.preprocessing.joint_angles import couplers_of, read_motion
+from wrapjax.preprocessing.joint_angles import find_coupled_coordinates, read_motion
 
 #: Hip, knee and ankle of both legs.
 JOINTS = tuple(
@@ -39,7 +39,7 @@ def test_given_moments_are_reproduced_once_patellae_are_in_radians(data_folder, 
     folder = data_folder / "healthy_overground"
     file = folder / "trials" / "walk" / "angles.sto"
     infos = read_model_file(folder / "model.osim").coordinates
-    couplers = couplers_of(describe_model(folder / "model.osim").coordinates)
+    couplers = find_coupled_coordinates(describe_model(folder / "model.osim").coordinates)
     notes = []
     motion = read_motion(file, infos, couplers, JOINTS, notes)
     assert sorted(couplers) == ["knee_angle_l_beta", "knee_angle_r_beta"]

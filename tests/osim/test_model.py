@@ -30,7 +30,7 @@ def test_importing_the_package_leaves_opensim_out():
 
 
 def test_opensim_says_nothing_and_leaves_no_log(tmp_path, odd_model):
-    code = f"from wrapjax.osim import describe_model; describe_model({str(odd_model)!r})"
+    code = f"from wrapjax.osim.model import describe_model; describe_model({str(odd_model)!r})"
     finished = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True)
     assert (finished.stdout, finished.stderr, list(tmp_path.iterdir())) == (b"", b"", [])
 
@@ -80,7 +80,7 @@ def test_coordinates_say_how_they_may_move(stroke):
     assert patella.coupled_to == ("knee_angle_l",)
     assert wrist.locked
     assert stroke.coordinate("pelvis_ty").motion == "translational"
-    assert stroke.unusual == ()
+    assert stroke.uncommon_parts == ()
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_what_is_not_a_fixed_point_or_a_cylinder_is_named(odd):
     assert [point.body for point in odd.muscle("moving").points] == ["ground", "thigh", "thigh"]
     assert odd.muscle("moving").points[1].moved_by == ("knee",)
     assert odd.spanned_by("moving") == ("hip", "knee")
-    assert odd.unusual == (
+    assert odd.uncommon_parts == (
         "wrap object 'brim' on thigh is a WrapEllipsoid",
         "muscle 'conditional': point 'conditional-via' is a ConditionalPathPoint",
         "muscle 'moving': point 'moving-via' is a MovingPathPoint",

@@ -266,14 +266,14 @@ def test_a_damaged_memory_is_recomputed(empty_cache, counted, odd_model, damage)
 
 def after_the_first_chunk(monkeypatch, strike):
     """Let something happen once the first chunk has been remembered."""
-    remember = muscle_analysis._remember
+    remember = muscle_analysis._write_cache
 
     def then(*arguments):
         remember(*arguments)
         strike()
 
-    monkeypatch.setattr(muscle_analysis, "_remember", then)
-    return lambda: monkeypatch.setattr(muscle_analysis, "_remember", remember)
+    monkeypatch.setattr(muscle_analysis, "_write_cache", then)
+    return lambda: monkeypatch.setattr(muscle_analysis, "_write_cache", remember)
 
 
 def test_interrupted_work_leaves_no_process_and_goes_on_where_it_stopped(
@@ -315,7 +315,8 @@ def test_a_worker_that_dies_is_reported_and_costs_only_what_it_was_doing(
 
 SCRIPT = """
 import numpy as np, os, signal
-from wrapjax.osim import analyse_muscles, muscle_analysis
+from wrapjax.osim import muscle_analysis
+from wrapjax.osim.muscle_analysis import analyse_muscles
 
 # Whoever runs the tests in the background may ignore interrupts, and so would this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -323,7 +324,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 def strike(*arguments):
     {strike}
 
-muscle_analysis._remember = strike
+muscle_analysis._write_cache = strike
 poses = np.linspace(0.0, 1.0, 50_000)[:, None]
 found = analyse_muscles({model!r}, ["flexor"], ["knee"], poses, processes=2, quiet=True)
 print(found.length.shape)
@@ -369,7 +370,7 @@ def test_a_cache_that_cannot_be_written_costs_nothing_else(empty_cache, monkeypa
     def full(path, write):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(muscle_analysis, "write_whole", full)
+    monkeypatch.setattr(muscle_analysis, "write_atomically", full)
     assert np.isfinite(ask(odd_model, [0.5]).length).all()
     assert list(empty_cache.iterdir()) == []
 
@@ -431,5 +432,5 @@ def test_a_constraint_that_cannot_be_followed_is_refused(tmp_path, odd_model):
     assert problem.place == "tie" and "is a PointConstraint" in problem.message
     tie.set_isEnforced(False)
     model.printToXML(str(tmp_path / "model.osim"))
-    assert describe_model(tmp_path / "model.osim").unusual[3:] == ()
+    assert describe_model(tmp_path / "model.osim").uncommon_parts[3:] == ()
     analyse_muscles(tmp_path / "model.osim", ["flexor"], ["knee"], np.zeros((1, 1)), quiet=True)

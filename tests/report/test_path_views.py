@@ -11,7 +11,7 @@ import pytest
 from tests.report.conftest import COORDINATES, MUSCLES
 from wrapjax.comparison.samples import ComparedLeg
 from wrapjax.datasets.virtual_person.leg import build_leg_model
-from wrapjax.geometry.path_points import route_path
+from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model.freedom import FreedWraps, with_wraps
 from wrapjax.osim.model import describe_model
@@ -108,14 +108,17 @@ class TestCamera:
         cylinder = move.before.cylinders[0]
         angles = np.linspace(0.0, 2.0 * np.pi, 9)
         ring = cylinder.radius * np.stack([np.cos(angles), np.sin(angles), 0.7 + 0.0 * angles], axis=1)
-        across = camera.seen(cylinder.outward(ring))[:, :2] - camera.seen(cylinder.center[None])[:, :2]
+        across = (
+            camera.project(cylinder.to_ground_frame(ring))[:, :2]
+            - camera.project(cylinder.center[None])[:, :2]
+        )
         np.testing.assert_allclose(np.linalg.norm(across, axis=1), 1e3 * cylinder.radius, rtol=1e-9)
 
     def test_from_the_side_the_muscle_is_on_the_near_side(self, move):
         camera = look_at(move, np.deg2rad(68.0))
         cylinder = move.before.cylinders[0]
         contacts = np.concatenate([move.before.contacts[cylinder.name], move.after.contacts[cylinder.name]])
-        depth = camera.seen(contacts)[:, 2].mean() - camera.seen(cylinder.center[None])[0, 2]
+        depth = camera.project(contacts)[:, 2].mean() - camera.project(cylinder.center[None])[0, 2]
         assert depth > 0.0
 
 
@@ -127,8 +130,8 @@ def test_figure(move):
         assert np.ptp(panel.get_xlim()) == np.ptp(panel.get_ylim())
         drawn = [line.get_xydata() for line in panel.get_lines()]
         for route in (move.before, move.after):
-            seen = look_at(move, tilt).seen(route.line)[:, :2]
-            assert any(one.shape == seen.shape and np.allclose(one, seen) for one in drawn)
+            projected = look_at(move, tilt).project(route.line)[:, :2]
+            assert any(one.shape == projected.shape and np.allclose(one, projected) for one in drawn)
 
 
 def test_the_report_of_a_run_shows_it(move, moved, walking, model, tmp_path):
@@ -166,7 +169,9 @@ def test_a_path_half_way_round_has_a_near_side_too(move):
     """Its two contacts are then opposite each other, and their middle is on the axis."""
     cylinder = replace(move.before.cylinders[0], name="half")
     angle = np.linspace(0.0, np.pi, 50)
-    arc = cylinder.outward(cylinder.radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
+    arc = cylinder.to_ground_frame(
+        cylinder.radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    )
     route = replace(
         move.before, line=arc, points=arc[[0, -1]], contacts={"half": arc[[0, -1]]}, cylinders=(cylinder,)
     )

@@ -1,4 +1,4 @@
-"""``load_run``: a finished calibration, read back from its folder."""
+"""Stored calibrations, read from the folders that ``wrapjax calibrate`` writes."""
 
 from __future__ import annotations
 
@@ -23,44 +23,50 @@ from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.synergies import Synergies, SynergyBasis
 
-_ANEW = "calibrate again with 'wrapjax calibrate'"
-#: Largest difference between the times of a stored curve and of the subject's frames, s.
+_HINT = "calibrate again with 'wrapjax calibrate'"
+#: Largest difference between times of stored curves and of the subject's frames, s.
 _TIME_TOLERANCE = 1e-6
 _FILES = ("summary.json", "settings.json", "parameters.csv")
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a calibration found, as its folder says.
+    """Calibration read from its folder.
 
     Parameters
     ----------
     folder
-        Where it was read from.
-    subject, method, curves, tendon
-        Whom it was calibrated to, what was adjusted, the Hill curves and the kind of tendon.
+        Folder of the run.
+    subject
+        Name of the calibrated subject.
+    method
+        Method of calibration.
+    curves
+        Hill curves.
+    tendon
+        Kind of tendon, ``rigid`` or ``compliant``.
     subject_folder
-        Where the subject was, from the run's folder.
+        Subject folder at the time of the calibration, relative to the run's folder.
     converged
-        Whether it ended well.
+        Whether the calibration converged.
     muscles, coordinates
-        Names, in the run's order.
+        Names, in the order of the run.
     values
-        Of every muscle, by quantity (`QUANTITIES`), SI units.
+        Values of all muscles by quantity (`QUANTITIES`), SI units.
     wraps
-        The six parameters (`WRAP_PARAMETERS`) of each cylinder that was moved.
+        Parameters (`WRAP_PARAMETERS`) of the cylinders that were changed, by wrap.
     paths
-        Calibrated paths as polynomials; None where they are exact.
+        Calibrated polynomial paths; None for exact paths.
     geometry
-        Where paths came from: ``opensim``, ``engine`` or ``engine-parity``.
+        Source of the muscle paths: ``opensim``, ``engine`` or ``engine-parity``.
     model_hash
-        Of the model's file; None where that is not known.
+        Hash of the model file; None if it is not stored.
     summary
-        The content of ``summary.json``.
+        Content of ``summary.json``.
     synergies
-        What drove muscles without an electrode; None where nothing did.
+        Synergies that drove muscles without an electrode; None if there were none.
     weights
-        By excitation, its weights of the synergies' commands.
+        Weights of the synergies by excitation.
     """
 
     folder: Path
@@ -82,14 +88,19 @@ class Run:
     weights: dict[str, Float[np.ndarray, " command"]] = field(default_factory=dict)
 
     def parameters(self, muscles: tuple[str, ...], path_modes: int = 0) -> ModelParameters:
-        """Arrange the parameters as the model takes them.
+        """Build the parameter tree of the model.
 
         Parameters
         ----------
         muscles
-            The run's, in the order wanted.
+            Muscles of the run, in the order of the result.
         path_modes
-            Width of ``path_changes``, which are zero.
+            Number of path modes of each muscle; their amplitudes ``path_changes`` are zero.
+
+        Returns
+        -------
+        ModelParameters
+            Parameters of all muscles.
         """
         rows = np.array([self.muscles.index(name) for name in muscles])
         leaves = {name: jnp.asarray(values[rows]) for name, values in self.values.items()}
@@ -109,17 +120,27 @@ class Run:
 
 
 def as_run(run: Run | str | Path) -> Run:
-    """Take a run as it is, or read it from its folder: see `load_run`."""
+    """Return a run as it is, or read it from its folder with `load_run`."""
     return run if isinstance(run, Run) else load_run(run)
 
 
 def load_run(folder: str | Path) -> Run:
-    """Read what `Calibration.save` (``wrapjax calibrate``) wrote.
+    """Read a calibration from the folder that `Calibration.save` or ``wrapjax calibrate`` wrote.
+
+    Parameters
+    ----------
+    folder
+        Folder of the run.
+
+    Returns
+    -------
+    Run
+        Calibrated parameters, paths and settings.
 
     Raises
     ------
     InputError
-        If it is no such folder, or a file in it is damaged or cut off.
+        If it is not the folder of a run, or a file in it is damaged or truncated.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -134,8 +155,8 @@ def load_run(folder: str | Path) -> Run:
         muscles, source = tuple(settings["muscles"]), settings.get("paths")
         if source is None:
             message = "does not say where the run's paths came from: it is from an earlier version"
-            raise InputError(Problem(str(folder / "settings.json"), message, hint=_ANEW))
-        synergies = _synergies(settings.get("synergies"))
+            raise InputError(Problem(str(folder / "settings.json"), message, hint=_HINT))
+        synergies = _read_synergies(settings.get("synergies"))
         values, wraps, weights = _read_parameters(folder / "parameters.csv", muscles, synergies)
         return Run(
             folder=folder,
@@ -159,21 +180,21 @@ def load_run(folder: str | Path) -> Run:
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_ANEW)) from error
+        raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_HINT)) from error
 
 
-def _synergies(found: dict[str, Any] | None) -> Synergies | None:
-    """Take what drove muscles without an electrode; runs of earlier versions say nothing of it."""
-    if found is None:
+def _read_synergies(stored: dict[str, Any] | None) -> Synergies | None:
+    """Read the synergies of a run; runs of earlier versions have no entry."""
+    if stored is None:
         return None
     basis = SynergyBasis(
-        channels=tuple(found["channels"]),
-        largest=np.array(found["largest"], dtype=float),
-        mean=np.array(found["mean"], dtype=float),
-        components=np.array(found["components"], dtype=float),
-        explained=np.array(found["explained"], dtype=float),
+        channels=tuple(stored["channels"]),
+        largest=np.array(stored["largest"], dtype=float),
+        mean=np.array(stored["mean"], dtype=float),
+        components=np.array(stored["components"], dtype=float),
+        explained=np.array(stored["explained"], dtype=float),
     )
-    groups = {name: tuple(members) for name, members in found["groups"].items()}
+    groups = {name: tuple(members) for name, members in stored["groups"].items()}
     return Synergies(basis, groups)
 
 
@@ -181,9 +202,9 @@ def _read_json(file: Path) -> dict[str, Any]:
     try:
         content = load_json(file)
     except ValueError as error:
-        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_HINT)) from error
     if not isinstance(content, dict):
-        raise InputError(Problem(str(file), "expected an object in JSON, found something else", hint=_ANEW))
+        raise InputError(Problem(str(file), "expected an object in JSON, found something else", hint=_HINT))
     return content
 
 
@@ -194,34 +215,34 @@ def _read_parameters(
     dict[str, Float[np.ndarray, " wrap_parameter"]],
     dict[str, Float[np.ndarray, " command"]],
 ]:
-    """Read values of muscles, cylinders and synergies; those of path terms are in ``paths.npz`` as well."""
+    """Read the values of muscles, cylinders and synergies; path coefficients are also in ``paths.npz``."""
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError(Problem(str(file), "is not text in UTF-8", hint=_ANEW)) from None
+        raise InputError(Problem(str(file), "is not text in UTF-8", hint=_HINT)) from None
     if not text.endswith("\n"):
-        raise InputError(Problem(str(file), "seems cut off: its last line has no end", hint=_ANEW))
-    found: dict[tuple[str, str, str], float] = {}
+        raise InputError(Problem(str(file), "seems cut off: its last line has no end", hint=_HINT))
+    stored: dict[tuple[str, str, str], float] = {}
     for number, row in enumerate(csv.DictReader(io.StringIO(text)), start=2):
         try:
             key = (row["owner"], row["kind"], row["parameter"])
             value = float(row["value"])
         except (KeyError, TypeError, ValueError):
             message = "expected owner, kind, parameter and a value"
-            raise InputError(Problem(str(file), message, f"line {number}", _ANEW)) from None
+            raise InputError(Problem(str(file), message, f"line {number}", _HINT)) from None
         if not math.isfinite(value):
             message = f"expected a finite number, found {value}"
-            raise InputError(Problem(str(file), message, f"line {number}", _ANEW))
-        found[key] = value
+            raise InputError(Problem(str(file), message, f"line {number}", _HINT))
+        stored[key] = value
 
     def value_of(owner: str, kind: str, name: str) -> float:
-        if (owner, kind, name) not in found:
+        if (owner, kind, name) not in stored:
             message = f"{name} of {owner} is missing: the file seems cut off or changed"
-            raise InputError(Problem(str(file), message, hint=_ANEW))
-        return found[owner, kind, name]
+            raise InputError(Problem(str(file), message, hint=_HINT))
+        return stored[owner, kind, name]
 
     values = {name: np.array([value_of(muscle, "muscle", name) for muscle in muscles]) for name in QUANTITIES}
-    cylinders = dict.fromkeys(owner for owner, kind, _ in found if kind == "wrap")
+    cylinders = dict.fromkeys(owner for owner, kind, _ in stored if kind == "wrap")
     wraps = {
         owner: np.array([value_of(owner, "wrap", name) for name in WRAP_PARAMETERS]) for owner in cylinders
     }
@@ -236,25 +257,25 @@ def _read_parameters(
 
 def _read_paths(file: Path, muscles: tuple[str, ...]) -> PathSurrogate:
     if not file.is_file():
-        raise InputError(Problem(str(file), "is missing: the run's muscle paths are in it", hint=_ANEW))
+        raise InputError(Problem(str(file), "is missing: the run's muscle paths are in it", hint=_HINT))
     try:
         return surrogate_from_arrays(load_arrays(file)).select_muscles(muscles)
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_ANEW)) from error
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_HINT)) from error
 
 
 @dataclass(frozen=True)
 class RunCurves:
-    """Forces and moments that a run's folder holds, beside the subject that they are of.
+    """Muscle forces and joint moments stored in a run's folder, with the subject.
 
     Parameters
     ----------
     run
-        From `load_run`.
+        Calibration.
     subject
-        Read again from its folder.
+        Subject of the calibration, read from its folder.
     force
-        Of driven muscles along the tendon, N.
+        Tendon forces of the driven muscles, N.
     measured, modelled
         Joint moments, N m.
     """
@@ -267,50 +288,54 @@ class RunCurves:
 
 
 def read_curves(run: Run | Path | str, subject: Subject | Path | str | None = None) -> RunCurves:
-    """Read a run's folder and the subject that it was made from.
+    """Read the stored curves of a run, and its subject.
 
     Parameters
     ----------
     run
-        From `load_run`, or its folder.
+        Run from `load_run`, or its folder.
     subject
-        The subject, or its folder, where that is no longer where it was.
+        Subject or subject folder, if it has been moved since the calibration.
+
+    Returns
+    -------
+    RunCurves
+        Forces and moments of all trials.
 
     Raises
     ------
     InputError
-        If it is no run's folder, lacks a file, its subject is not found, or that has other cycles.
+        If the folder is not that of a run or lacks a file, or the subject is not found or has other cycles.
     """
     run = as_run(run)
     folder, muscles = run.folder, run.muscles
-    remembered = folder / run.subject_folder
-    own = (
-        subject if isinstance(subject, Subject) else _subject(folder, subject or remembered, subject is None)
-    )
+    if not isinstance(subject, Subject):
+        subject = _load_subject_of(folder, subject or folder / run.subject_folder, stored=subject is None)
     stems = {trial: entry["file"] for trial, entry in run.summary["trials"].items()}
-    _check_same(folder, own, tuple(stems), run.coordinates)
+    _check_same_cycles(folder, subject, tuple(stems), run.coordinates)
     labels = [f"{name}_moment" for name in run.coordinates]
     force, measured, modelled = [], [], []
     for number, stem in enumerate(stems.values()):
-        force.append(_columns(folder / "muscle_forces" / f"{stem}.sto", muscles, own, number))
+        force.append(_columns(folder / "muscle_forces" / f"{stem}.sto", muscles, subject, number))
         file = folder / "moments" / f"{stem}.sto"
-        moments = _columns(file, (*labels, *(f"{label}_measured" for label in labels)), own, number)
+        moments = _columns(file, (*labels, *(f"{label}_measured" for label in labels)), subject, number)
         modelled.append(moments[: len(labels)])
         measured.append(moments[len(labels) :])
-    return RunCurves(run, own, np.stack(force, axis=1), np.stack(measured), np.stack(modelled))
+    return RunCurves(run, subject, np.stack(force, axis=1), np.stack(measured), np.stack(modelled))
 
 
-def _subject(folder: Path, place: Path | str, remembered: bool) -> Subject:
-    if remembered and not Path(place).is_dir():
+def _load_subject_of(folder: Path, place: Path | str, *, stored: bool) -> Subject:
+    """Load the subject of a run; ``stored`` if its folder is the one stored in the run."""
+    if stored and not Path(place).is_dir():
         message = f"was made from the subject folder {place}, which is not there"
         raise InputError(Problem(str(folder), message, hint="name it with --subject"))
     return load_subject(place)
 
 
-def _check_same(
+def _check_same_cycles(
     folder: Path, subject: Subject, trials: tuple[str, ...], coordinates: tuple[str, ...]
 ) -> None:
-    """Refuse a subject that this run was not made from."""
+    """Raise an error if the subject has other cycles or coordinates than the run."""
     pairs = (
         ("cycles", trials, subject.trials.names),
         ("coordinates", coordinates, subject.trials.moment_coordinates),
@@ -318,11 +343,11 @@ def _check_same(
     problems = [
         Problem(
             str(folder),
-            f"expected the subject {subject.folder} to have the {what} {', '.join(own)}, found "
+            f"expected the subject {subject.folder} to have the {what} {', '.join(expected)}, found "
             f"{', '.join(found)}",
         )
-        for what, own, found in pairs
-        if own != found
+        for what, expected, found in pairs
+        if expected != found
     ]
     if problems:
         raise InputError(problems)
@@ -331,7 +356,7 @@ def _check_same(
 def _columns(
     file: Path, names: tuple[str, ...], subject: Subject, trial: int
 ) -> Float[np.ndarray, "column frame"]:
-    """Read columns of one cycle's curves, which have its frames."""
+    """Read columns of the stored curves of a cycle, and check that they have its frames."""
     table: Storage = read_storage(file)
     missing = [name for name in names if name not in table.columns]
     if missing:

@@ -1,12 +1,13 @@
-"""One straight piece of path meeting one cylinder: whether it wraps, which way, and where it touches.
+"""Wrapping of one straight path segment round one cylinder: decision, direction and points of contact.
 
-All in the cylinder's own frame, its axis along z. Two ways to find the points of contact:
+All coordinates are in the cylinder's frame, whose z axis is the cylinder's axis. The points of contact are
+computed in one of two ways:
 
-- `spiral_contact` does what OpenSim 4.6 does, to round-off: it slides the tangent points along the
-  cylinder by an approximation, so that the path is close to, but not exactly, the shortest one.
-- `geodesic_contact` unrolls the cylinder: the path is a straight line on it, the shortest there is.
+- `spiral_contact` reproduces ``WrapCylinder`` of OpenSim 4.6 to round-off. OpenSim slides the tangent points
+  along the cylinder by an approximation, so that the path is close to the shortest path, but longer.
+- `geodesic_contact` gives the shortest path, which is a straight line on the unrolled cylinder.
 
-Whether a path wraps, and on which side, is decided in the same way for both.
+`decide_wrapping` is common to both.
 """
 
 from __future__ import annotations
@@ -20,19 +21,23 @@ from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, where
 
-#: Wraps that go more than half way round are long.
+#: Largest wrap angle (rad) of a regular wrap; above it OpenSim takes the long way round.
 HALF_TURN = jnp.pi
+# Negative wrap angles down to this size (rad) count as tangential contact, not as almost a full turn.
 _GRAZING = 0.1
+# Constants of OpenSim's iteration: largest kink (rad), length of a spiral's piece (m), most iterations.
 _TANGENCY = jnp.deg2rad(0.1)
 _STEP = 0.002
-_SLIDES = 100
+_MAX_SLIDES = 100
 
 
 class Cylinder(eqx.Module):
-    """A cylinder where it is: axes (columns), center (m), in the frame of the body that carries it.
+    """A wrap cylinder with its pose in the frame of the body that carries it.
 
-    ``side_axis`` and ``side`` restrict the surface to the half where that coordinate (0: x, 1: y) has
-    that sign; ``side`` zero stands for all of it.
+    ``x_axis``, ``y_axis`` and ``z_axis`` are unit vectors; ``center``, ``radius`` and ``half_length`` are in
+    m. ``side_axis`` and ``side`` are OpenSim's quadrant: paths pass on the side where the coordinate
+    ``side_axis`` (0: x, 1: y) of the cylinder's frame has the sign ``side``; ``side`` zero means
+    unrestricted.
     """
 
     x_axis: Vector
@@ -44,74 +49,76 @@ class Cylinder(eqx.Module):
     side_axis: Int[Array, "*cylinder"]
     side: Int[Array, "*cylinder"]
 
-    def inward(self, point: Vector) -> Vector:
-        """Bring a point from the body's frame into the cylinder's."""
+    def to_cylinder_frame(self, point: Vector) -> Vector:
+        """Transform a point from the body's frame to the cylinder's frame."""
         arm = point - self.center
         return Vector(self.x_axis.dot(arm), self.y_axis.dot(arm), self.z_axis.dot(arm))
 
-    def turn_outward(self, direction: Vector) -> Vector:
-        """Turn a direction from the cylinder's frame into the body's."""
+    def rotate_to_body_frame(self, direction: Vector) -> Vector:
+        """Rotate a direction from the cylinder's frame to the body's frame."""
         return self.x_axis * direction.x + self.y_axis * direction.y + self.z_axis * direction.z
 
-    def outward(self, point: Vector) -> Vector:
-        """Bring a point from the cylinder's frame into the body's."""
-        return self.center + self.turn_outward(point)
+    def to_body_frame(self, point: Vector) -> Vector:
+        """Transform a point from the cylinder's frame to the body's frame."""
+        return self.center + self.rotate_to_body_frame(point)
 
 
 class Decision(eqx.Module):
-    """What is to become of pieces of path.
+    """Whether straight path segments wrap round a cylinder, and on which side."""
 
-    ``mandatory`` pieces run through the cylinder; ``possible`` ones pass it on the wrong side.
-    """
-
-    inside: Bool[Array, "*piece"]
-    mandatory: Bool[Array, "*piece"]
-    possible: Bool[Array, "*piece"]
+    #: An end of the segment is inside the cylinder: OpenSim does not wrap then.
+    inside: Bool[Array, "*segment"]
+    #: The segment intersects the cylinder.
+    mandatory: Bool[Array, "*segment"]
+    #: The segment passes the cylinder on the side that its quadrant excludes.
+    possible: Bool[Array, "*segment"]
     #: Tangent points at the heights of the two ends.
     first: Vector
     last: Vector
-    #: Counterclockwise about z.
-    counterclockwise: Bool[Array, "*piece"]
-    long_way: Bool[Array, "*piece"]
+    #: Direction from ``first`` to ``last`` about z.
+    counterclockwise: Bool[Array, "*segment"]
+    #: The wrap angle exceeds half a turn.
+    long_way: Bool[Array, "*segment"]
     #: Distances of the two ends from the surface (m), negative inside.
-    start_clearance: Float[Array, "*piece"]
-    end_clearance: Float[Array, "*piece"]
+    start_clearance: Float[Array, "*segment"]
+    end_clearance: Float[Array, "*segment"]
 
     @property
-    def clearance(self) -> Float[Array, "*piece"]:
+    def clearance(self) -> Float[Array, "*segment"]:
         """Distance of the nearer end from the surface (m)."""
         return jnp.minimum(self.start_clearance, self.end_clearance)
 
 
 class Contact(eqx.Module):
-    """Where pieces of path touch, in the cylinder's frame.
+    """Contact of path segments with a cylinder, in the cylinder's frame."""
 
-    ``length`` is that on the surface, ``total`` that from end to end (m). A piece pulls its ends along
-    ``start_pull`` and against ``end_pull``, unit vectors along the path. ``off_end`` (m) is positive
-    while a point of contact is on the cylinder, ``turn`` is how far the path goes round (rad).
-    """
-
+    #: Points where the path comes to the surface and leaves it (m).
     first: Vector
     last: Vector
-    length: Float[Array, "*piece"]
-    total: Float[Array, "*piece"]
+    #: Length on the surface (m).
+    length: Float[Array, "*segment"]
+    #: Length from the segment's start to its end (m).
+    total: Float[Array, "*segment"]
+    #: Unit vectors along the path at the segment's start and end, both from start to end.
     start_pull: Vector
     end_pull: Vector
-    #: Whether such a contact is made at all.
-    made: Bool[Array, "*piece"]
-    turn: Float[Array, "*piece"]
-    off_end: Float[Array, "*piece"]
+    #: Whether the path wraps in this way.
+    valid: Bool[Array, "*segment"]
+    #: Wrap angle (rad).
+    turn: Float[Array, "*segment"]
+    #: Distance of the nearer point of contact from the cylinder's end (m), negative beyond the end.
+    off_end: Float[Array, "*segment"]
 
 
-def decide(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
-    """Decide as OpenSim's ``WrapCylinder`` does whether straight pieces wrap, and on which side.
+def decide_wrapping(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
+    """Decide as OpenSim's ``WrapCylinder`` does whether straight segments wrap, and on which side.
 
     Parameters
     ----------
     start, end
-        Ends of the pieces, in the cylinder's frame (m).
+        Ends of the segments in the cylinder's frame (m).
     cylinder
-        Only its radius and side matter here.
+        The cylinder, of which only the radius and the side are used.
     """
     radius = cylinder.radius
     first_distance, first_left, first_right = _tangent_points(start, radius)
@@ -121,7 +128,7 @@ def decide(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
 
     restricted = cylinder.side != 0
 
-    def on_side(point: Vector) -> Bool[Array, "*piece"]:
+    def on_side(point: Vector) -> Bool[Array, "*segment"]:
         value = jnp.where(cylinder.side_axis == 0, point.x, point.y)
         return jnp.where(value >= 0.0, 1, -1) == cylinder.side
 
@@ -136,14 +143,15 @@ def decide(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
     )
     leftward = jnp.where(left == right, end_decides, left)
 
-    # Unrestricted: the two tangent points closest to each other, be they on one side or not.
+    # Unrestricted cylinders: the pair of tangent points that are closest to each other.
     same_left, same_right = _flat_dot(first_left, last_left), _flat_dot(first_right, last_right)
     both_left = (same_left > left_way) & (same_left > right_way) & (same_left > same_right)
     left_right = ~both_left & (left_way > right_way) & (left_way > same_right)
     right_left = ~both_left & ~left_right & (right_way > same_right)
     first = where(jnp.where(restricted, leftward, both_left | left_right), first_left, first_right)
     last = where(jnp.where(restricted, ~leftward, both_left | right_left), last_left, last_right)
-    # The way from an end to its tangent point, against the tangent points' own directions.
+    # Compare the directions from the ends to their tangent points with those from the axis to the tangent
+    # points.
     outward = _flat_dot(first + last, (first - start) + (last - end))
     return Decision(
         inside=(first_distance < radius) | (last_distance < radius),
@@ -159,18 +167,29 @@ def decide(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
 
 
 def spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
-    """Find the contact as OpenSim 4.6 does for a path with a single wrap object."""
+    """Compute the contact as OpenSim 4.6 does for a path with a single wrap object.
+
+    Parameters
+    ----------
+    start, end
+        Ends of the segments in the cylinder's frame (m).
+    cylinder
+        The cylinder.
+    decision
+        Result of `decide_wrapping`.
+    """
     normal = _plane_normal(start, end)
-    first = _slid_into_plane(decision.first, start, end.z, end.z, start, normal)
-    last = _slid_into_plane(decision.last, start, start.z, end.z, end, normal)
+    first = _slide_into_plane(decision.first, start, end.z, end.z, start, normal)
+    last = _slide_into_plane(decision.last, start, start.z, end.z, end, normal)
     return _on_spiral(start, first, last, end, cylinder, decision)
 
 
-def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
-    """Find the contact as OpenSim 4.6 does for a path with several wrap objects.
+def iterated_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
+    """Compute the contact as OpenSim 4.6 does for a path with several wrap objects.
 
-    Both points are slid along the cylinder, up to a hundred times, until the straight pieces meet the
-    spiral at the same angle to within 0.1 degrees.
+    Starting from `spiral_contact`, both points of contact are moved along the cylinder's axis, up to a
+    hundred times, until the straight segments meet the spiral with a kink of less than 0.1 degrees.
+    Parameters are those of `spiral_contact`.
     """
     contact = spiral_contact(start, end, cylinder, decision)
     long_way, radius = decision.long_way, cylinder.radius
@@ -178,10 +197,10 @@ def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decis
     turn = contact.turn
     needed = ~decision.inside & (decision.mandatory | decision.possible) & (contact.off_end >= 0.0)
 
-    def heights_to_length(first_z: Array, last_z: Array) -> Array:
+    def spiral_length(first_z: Array, last_z: Array) -> Array:
         return jnp.sqrt((radius * turn) ** 2 + (last_z - first_z) ** 2)
 
-    def on_spiral(first_z: Array, rise: Array, share: Array) -> Vector:
+    def point_on_spiral(first_z: Array, rise: Array, share: Array) -> Vector:
         angle = jnp.where(long_way, -1.0, 1.0) * share * turn
         sine, cosine = jnp.sin(angle), jnp.cos(angle)
         return Vector(
@@ -193,14 +212,14 @@ def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decis
     def slide(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
         first_z, last_z, going, count = state
         rise = last_z - first_z
-        pieces = jnp.floor(heights_to_length(first_z, last_z) / _STEP)
+        pieces = jnp.floor(spiral_length(first_z, last_z) / _STEP)
         share = 1.0 / jnp.maximum(pieces, 1.0)
-        moved_first, did_first = _slid_to_tangency(
-            start, Vector(flat_first.x, flat_first.y, first_z), on_spiral(first_z, rise, share)
+        moved_first, did_first = _slide_to_tangency(
+            start, Vector(flat_first.x, flat_first.y, first_z), point_on_spiral(first_z, rise, share)
         )
-        # OpenSim takes the already moved first point for the spiral's last but one.
-        moved_last, did_last = _slid_to_tangency(
-            end, Vector(flat_last.x, flat_last.y, last_z), on_spiral(moved_first, rise, 1.0 - share)
+        # OpenSim computes the spiral's last but one point from the first point as moved in this iteration.
+        moved_last, did_last = _slide_to_tangency(
+            end, Vector(flat_last.x, flat_last.y, last_z), point_on_spiral(moved_first, rise, 1.0 - share)
         )
         go = going & (pieces >= 2.0)
         return (
@@ -211,14 +230,14 @@ def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decis
         )
 
     def unfinished(state: tuple[Array, Array, Array, Array]) -> Array:
-        return jnp.any(state[2]) & (state[3] < _SLIDES)
+        return jnp.any(state[2]) & (state[3] < _MAX_SLIDES)
 
     first_z, last_z, _, _ = jax.lax.while_loop(
         unfinished, slide, (contact.first.z, contact.last.z, needed, jnp.asarray(0))
     )
     first = Vector(flat_first.x, flat_first.y, first_z)
     last = Vector(flat_last.x, flat_last.y, last_z)
-    length = heights_to_length(first_z, last_z)
+    length = spiral_length(first_z, last_z)
     return replace(
         contact,
         first=first,
@@ -231,10 +250,10 @@ def settled_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decis
 
 
 def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
-    """Find the contact of the shortest path that goes round the chosen side.
+    """Compute the contact of the shortest path that passes the cylinder on the chosen side.
 
-    An end inside the cylinder, from where there is no such path, counts as on its surface: so length does
-    not jump as an end goes in.
+    From an end inside the cylinder there is no such path. The end then counts as on the surface, so that the
+    length is continuous as an end moves into the cylinder. Parameters are those of `spiral_contact`.
     """
     radius = cylinder.radius
     leftward = decision.counterclockwise
@@ -242,11 +261,11 @@ def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: D
     _, end_left, end_right = _tangent_points(end, radius)
     first, last = where(leftward, start_left, start_right), where(leftward, end_right, end_left)
     angle = jnp.where(leftward, 1.0, -1.0) * _angle_between(first, last)
-    # A path that only just touches must not go all the way round while its ends are being found.
+    # A path that only just touches must not become a full turn while a solver iterates over its ends.
     turn = jnp.where(angle < -_GRAZING, angle + 2.0 * jnp.pi, angle)
     to_first = safe_sqrt(start.x**2 + start.y**2 - radius**2)
     from_last = safe_sqrt(end.x**2 + end.y**2 - radius**2)
-    # Unrolled, the path is straight: it climbs evenly from end to end.
+    # The unrolled path is straight: z changes at a constant rate from end to end.
     slope = (end.z - start.z) * safe_inverse(to_first + radius * turn + from_last)
     first = Vector(first.x, first.y, start.z + slope * to_first)
     last = Vector(last.x, last.y, end.z - slope * from_last)
@@ -260,17 +279,19 @@ def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: D
         total=(to_first + radius * turn + from_last) * stretch,
         start_pull=Vector(-first.y * forward, first.x * forward, slope / stretch),
         end_pull=Vector(-last.y * forward, last.x * forward, slope / stretch),
-        made=off_end >= 0.0,
+        valid=off_end >= 0.0,
         turn=turn,
         off_end=off_end,
     )
 
 
-def _tangent_points(point: Vector, radius: Float[Array, ""]) -> tuple[Float[Array, "*piece"], Vector, Vector]:
-    """Distance from the axis, and the points of tangency to the left and right, at the point's height."""
+def _tangent_points(
+    point: Vector, radius: Float[Array, ""]
+) -> tuple[Float[Array, "*segment"], Vector, Vector]:
+    """Compute a point's distance from the axis, and its left and right tangent points at its height."""
     square = point.x**2 + point.y**2
     inverse = safe_inverse(square)
-    # From inside there are no tangents: the nearest point of the surface stands for both.
+    # A point inside has no tangents: the nearest point of the surface replaces both tangent points.
     toward = jnp.where(square < radius**2, radius * safe_sqrt(inverse), radius**2 * inverse)
     aside = radius * safe_sqrt(square - radius**2) * inverse
     x, y = toward * point.x, toward * point.y
@@ -279,26 +300,27 @@ def _tangent_points(point: Vector, radius: Float[Array, ""]) -> tuple[Float[Arra
     return safe_sqrt(square), left, right
 
 
-def _nearest_to_axis(start: Vector, end: Vector) -> tuple[Vector, Float[Array, "*piece"]]:
-    """The point of a straight line nearest to the axis, and where it is: 0 at the start, 1 at the end."""
+def _nearest_to_axis(start: Vector, end: Vector) -> tuple[Vector, Float[Array, "*segment"]]:
+    """Compute the point of a line nearest to the axis, and its position: 0 at the start, 1 at the end."""
     way = end - start
     along = -_flat_dot(start, way) * safe_inverse(_flat_dot(way, way))
     return start + way * along, along
 
 
-def _flat_dot(one: Vector, other: Vector) -> Float[Array, "*piece"]:
+def _flat_dot(one: Vector, other: Vector) -> Float[Array, "*segment"]:
+    """Scalar product of the components normal to the axis."""
     return one.x * other.x + one.y * other.y
 
 
-def _angle_between(one: Vector, other: Vector) -> Float[Array, "*piece"]:
-    """Signed angle about z."""
+def _angle_between(one: Vector, other: Vector) -> Float[Array, "*segment"]:
+    """Signed angle about z (rad)."""
     return jnp.arctan2(one.x * other.y - one.y * other.x, _flat_dot(one, other))
 
 
 def _plane_normal(start: Vector, end: Vector) -> Vector:
-    """Normal of the plane through both ends and the axis, at a height between them.
+    """Compute the normal of the plane through both ends and a point of the axis between their heights.
 
-    OpenSim goes on from here to an apex on the cylinder, but that lies in this plane, too.
+    OpenSim replaces the point of the axis by a point of the cylinder, which lies in the same plane.
     """
     first_distance = safe_sqrt(_flat_dot(start, start))
     last_distance = safe_sqrt(_flat_dot(end, end))
@@ -308,18 +330,18 @@ def _plane_normal(start: Vector, end: Vector) -> Vector:
     return (start - on_axis).unit().cross((end - on_axis).unit()).unit()
 
 
-def _slid_into_plane(
+def _slide_into_plane(
     tangent: Vector,
     start: Vector,
-    toward: Float[Array, "*piece"],
-    end_height: Float[Array, "*piece"],
+    toward: Float[Array, "*segment"],
+    end_height: Float[Array, "*segment"],
     own_end: Vector,
     normal: Vector,
 ) -> Vector:
-    """Slide a tangent point along the cylinder into the plane, if that brings it nearer to the other end.
+    """Move a tangent point along the cylinder into the plane, if that brings it nearer to the other end.
 
-    ``toward`` is the other end's height. OpenSim takes the second end's foot on the axis for the axis'
-    direction; where that is at height zero, it has none, and nothing is slid.
+    ``toward`` is the other end's height. OpenSim uses the second end's projection on the axis as the axis'
+    direction; where that projection is at height zero, the point is not moved.
     """
     steep = jnp.abs(20.0 * normal.z) >= 1e-5
     drop = normal.x * (tangent.x - start.x) + normal.y * (tangent.y - start.y)
@@ -333,8 +355,9 @@ def _slid_into_plane(
 def _on_spiral(
     start: Vector, first: Vector, last: Vector, end: Vector, cylinder: Cylinder, decision: Decision
 ) -> Contact:
+    """Compute the contact along the spiral between two given points of contact."""
     angle = _angle_between(first, last)
-    # OpenSim 4.6: where the angle is negative, a long wrap becomes more than a full turn.
+    # As OpenSim 4.6: with a negative angle, a long wrap becomes more than a full turn.
     turn = jnp.where(decision.long_way, 2.0 * jnp.pi - angle, angle)
     length = jnp.sqrt((cylinder.radius * turn) ** 2 + (last.z - first.z) ** 2)
     off_end = cylinder.half_length - jnp.minimum(jnp.abs(first.z), jnp.abs(last.z))
@@ -345,16 +368,16 @@ def _on_spiral(
         total=(first - start).norm() + length + (end - last).norm(),
         start_pull=(first - start).unit(),
         end_pull=(end - last).unit(),
-        made=~decision.inside & (off_end >= 0.0),
+        valid=~decision.inside & (off_end >= 0.0),
         turn=turn,
         off_end=off_end,
     )
 
 
-def _slid_to_tangency(
+def _slide_to_tangency(
     end: Vector, tangent: Vector, on_spiral: Vector
-) -> tuple[Float[Array, "*piece"], Bool[Array, "*piece"]]:
-    """Slide a tangent point one and a half times as far as would make the path straight there."""
+) -> tuple[Float[Array, "*segment"], Bool[Array, "*segment"]]:
+    """Move a tangent point along the axis to remove the kink there, with an over-relaxation of 1.5."""
     straight, spiral = (tangent - end).unit(), (on_spiral - tangent).unit()
     kink = jnp.abs(jnp.arccos(straight.z) - jnp.arccos(spiral.z))
     way = on_spiral - end

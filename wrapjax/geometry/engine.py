@@ -1,11 +1,11 @@
-"""The exact path engine: lengths and moment arms of wrapping paths, without OpenSim.
+"""Exact path engine: lengths and moment arms of muscle paths that wrap round cylinders, without OpenSim.
 
-Two ways of wrapping. `GEODESIC` lays paths the shortest way, so that moment arms are exactly -dL/dq;
-whatever moves cylinders uses it, directly or through surrogates. `PARITY` does what OpenSim 4.6 does, to
-round-off and with its defects: it says what a model will do in OpenSim, and is what the engine is tested
-by. Both can be differentiated by poses and cylinders in forward mode, and in reverse mode too, but for
-`PARITY` round several cylinders: OpenSim goes round them as often as it takes, and a loop of unknown
-length cannot be gone back.
+Paths are computed in one of two ways. `GEODESIC` gives shortest paths, whose moment arms are exactly -dL/dq.
+Calibrations that change wraps use it, directly or through surrogates. `PARITY` reproduces OpenSim 4.6 to
+round-off, defects included. It predicts the behavior of a model in OpenSim and validates the engine.
+
+Both can be differentiated by poses and wrap parameters in forward mode. Reverse mode works too, except for
+`PARITY` round several cylinders, which contains a loop of unknown length.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.cylinder import Cylinder, geodesic_contact, spiral_contact
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription, Muscle
-from wrapjax.geometry.path_on_cylinders import PointsAndCarriers
-from wrapjax.geometry.placement import points_and_carriers, straight_path, surfaces_of
-from wrapjax.geometry.shortest_path import wrap_in_parity, wrap_shortest
+from wrapjax.geometry.path_on_cylinders import PointsAndBodies
+from wrapjax.geometry.several_wraps import wrap_in_parity, wrap_shortest
 from wrapjax.geometry.wrapping import (
     NOMINAL,
     FindContact,
@@ -35,17 +34,18 @@ from wrapjax.geometry.wrapping import (
     unwrapped,
     wrap_once,
 )
+from wrapjax.geometry.wrapping_inputs import points_and_bodies, straight_path, surfaces_of
 
-#: Evaluations (samples times poses) that are run at once: more of them only fill memory.
-_AT_ONCE = 20_000
+#: Most evaluations (samples times poses) in one batch; larger batches use more memory and are no faster.
+_BATCH = 20_000
 
 
 class Wrapping(NamedTuple):
-    """A way of wrapping: round one cylinder, and round several."""
+    """Method by which paths are wrapped: functions for one cylinder and for several cylinders."""
 
     name: str
     find_contact: FindContact
-    wrap_several: Callable[[PointsAndCarriers, Cylinder], WrappedPath]
+    wrap_several: Callable[[PointsAndBodies, Cylinder], WrappedPath]
 
 
 GEODESIC = Wrapping("geodesic", geodesic_contact, wrap_shortest)
@@ -53,27 +53,31 @@ PARITY = Wrapping("parity", spiral_contact, wrap_in_parity)
 
 
 class PosedPath(eqx.Module):
-    """One muscle's path in many poses, ready to be wrapped round cylinders placed at will.
+    """Path points of one muscle in many poses, from which its path is computed for any wrap parameters."""
 
-    Leaves of ``path`` lead with ``pose``, those of ``surfaces`` with ``wrap``.
-    """
-
-    path: StraightPath | PointsAndCarriers
+    #: The first axis of all leaves is ``pose``.
+    path: StraightPath | PointsAndBodies
+    #: Nominal cylinders in the order of the path; the first axis of all leaves is ``wrap``.
     surfaces: Surface
 
     def wrapped(
         self, parameters: Float[Array, "wrap wrap_parameter"], wrapping: Wrapping = GEODESIC
     ) -> WrappedPath:
-        """Wrap the path in every pose; leaves of the result lead with ``pose``.
+        """Compute the path in every pose.
 
         Parameters
         ----------
         parameters
-            Of the muscle's cylinders, as in `WRAP_PARAMETERS`.
+            Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders, in the order of its path.
         wrapping
             `GEODESIC` or `PARITY`.
+
+        Returns
+        -------
+        WrappedPath
+            The first axis of all leaves is ``pose``.
         """
-        if isinstance(self.path, PointsAndCarriers):
+        if isinstance(self.path, PointsAndBodies):
             cylinders = jax.vmap(Surface.placed)(self.surfaces, parameters)
             return jax.vmap(wrapping.wrap_several, in_axes=(0, None))(self.path, cylinders)
         if not parameters.shape[0]:
@@ -84,41 +88,57 @@ class PosedPath(eqx.Module):
 
 
 class ExactPaths:
-    """The paths of a model's muscles.
+    """Muscle paths of a model, computed by the exact engine.
 
     Parameters
     ----------
     model
-        From `wrapjax.osim.describe_model`.
+        Description of the model, from `wrapjax.osim.model.describe_model`.
     muscles
-        Whose paths.
+        Names of the muscles.
     coordinates
-        What poses are given in, and moment arms are about. The model's other coordinates follow their
-        couplers or stay at their defaults.
+        Names of the coordinates of poses and moment arms. The model's other coordinates follow their couplers
+        or stay at their defaults.
 
     Raises
     ------
     InputError
-        Naming every part of these paths that the engine does not know: wrap objects other than
-        cylinders, cylinders restricted along their axis, paths that are not made of points.
+        If a path has a part that the engine does not support: a wrap object other than a cylinder, a cylinder
+        restricted along its axis, or a path that is not made of points. All such parts are named.
     """
 
     def __init__(self, model: ModelDescription, muscles: Sequence[str], coordinates: Sequence[str]):
         self.model = model
         self.muscles = tuple(muscles)
         self.coordinates = tuple(coordinates)
-        problems = [problem for name in muscles for problem in _unknown_parts(model, model.muscle(name))]
+        problems = [problem for name in muscles for problem in _unsupported_parts(model, model.muscle(name))]
         if problems:
             raise InputError(list(dict.fromkeys(problems)))
 
     def wraps_of(self, muscle: str) -> tuple[str, ...]:
-        """Name the cylinders that a muscle may wrap round, in the order of its path."""
+        """Names of the active wraps of a muscle, in the order of its path."""
         return tuple(
             entry.wrap for entry in self.model.muscle(muscle).wraps if self.model.wrap(entry.wrap).active
         )
 
     def posed(self, poses: Float[np.ndarray, "pose coordinate"]) -> dict[str, PosedPath]:
-        """Put the model into poses (rad or m); give each muscle's path."""
+        """Compute the path points of each muscle in poses.
+
+        Parameters
+        ----------
+        poses
+            Values of ``coordinates``, rad or m.
+
+        Returns
+        -------
+        dict
+            Posed path by muscle name. Those with one cylinder are padded to the same number of segments.
+
+        Raises
+        ------
+        InputError
+            If a coordinate, joint or point moves by a function of an unsupported kind.
+        """
         values = CoordinateValues(self.model, self.coordinates, poses)
         muscles = {name: self.model.muscle(name) for name in self.muscles}
         bodies = {point.body for muscle in muscles.values() for point in muscle.points}
@@ -130,26 +150,26 @@ class ExactPaths:
             wraps = [self.model.wrap(wrap) for wrap in self.wraps_of(name)]
             entries = [entry for entry in muscle.wraps if entry.wrap in self.wraps_of(name)]
             carriers = [(wrap.body, motion[wrap.body]) for wrap in wraps]
-            path: StraightPath | PointsAndCarriers
+            path: StraightPath | PointsAndBodies
             if len(wraps) > 1:
-                path = points_and_carriers(muscle, points, carriers, entries)
+                path = points_and_bodies(muscle, points, carriers, entries)
             elif wraps:
                 path = straight_path(muscle, points, carriers[0][1], entries[0])
             else:
                 path = straight_path(muscle, points, motion["ground"], None)
             posed[name] = PosedPath(path, surfaces_of(wraps))
-        return _filled_up(posed)
+        return _padded(posed)
 
 
-def _filled_up(posed: dict[str, PosedPath]) -> dict[str, PosedPath]:
-    """Give all paths by one cylinder as many pieces: then one program serves all of them."""
+def _padded(posed: dict[str, PosedPath]) -> dict[str, PosedPath]:
+    """Pad paths with one cylinder to the same number of segments, so that they share a compiled program."""
     single = {
         name: one.path
         for name, one in posed.items()
         if isinstance(one.path, StraightPath) and one.surfaces.radius.size
     }
     most = max((path.eligible.shape[1] for path in single.values()), default=0)
-    return posed | {name: PosedPath(path.filled(most), posed[name].surfaces) for name, path in single.items()}
+    return posed | {name: PosedPath(path.padded(most), posed[name].surfaces) for name, path in single.items()}
 
 
 def wrap_at_samples(
@@ -157,21 +177,30 @@ def wrap_at_samples(
     parameters: Float[np.ndarray, "sample wrap wrap_parameter"],
     wrapping: Wrapping = GEODESIC,
 ) -> WrappedPath:
-    """Wrap one path round its cylinders at every sample of their parameters, in every pose.
+    """Compute one muscle's path at every sample of its wrap parameters, in every pose.
+
+    Parameters
+    ----------
+    posed
+        Path points in the poses.
+    parameters
+        Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders.
+    wrapping
+        `GEODESIC` or `PARITY`.
 
     Returns
     -------
     WrappedPath
-        NumPy arrays that lead with ``sample pose``.
+        NumPy arrays, whose first axes are ``sample pose``.
     """
     poses = jax.tree.leaves(posed.path)[0].shape[0]
-    chunk = max(1, min(len(parameters), _AT_ONCE // poses))
+    chunk = max(1, min(len(parameters), _BATCH // poses))
     parts = []
     for first in range(0, len(parameters), chunk):
         part = parameters[first : first + chunk]
-        # The last chunk is filled up: another length would be another program to compile.
-        filled = np.concatenate([part, np.repeat(part[-1:], chunk - len(part), axis=0)])
-        parts.append(jax.tree.map(np.asarray, _at_samples(posed, jnp.asarray(filled), wrapping)))
+        # The last chunk is padded, because another length would need another compiled program.
+        padded = np.concatenate([part, np.repeat(part[-1:], chunk - len(part), axis=0)])
+        parts.append(jax.tree.map(np.asarray, _at_samples(posed, jnp.asarray(padded), wrapping)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(parameters)], *parts)
 
 
@@ -183,28 +212,28 @@ def _at_samples(
 
 
 def nominal_parameters(wraps: int) -> Float[np.ndarray, "wrap wrap_parameter"]:
-    """Leave cylinders as the model has them."""
+    """Wrap parameters (`WRAP_PARAMETERS`) of a number of cylinders as the model has them."""
     return np.tile(NOMINAL, (wraps, 1))
 
 
-def _unknown_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]:
+def _unsupported_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]:
     if muscle.path_kind != "GeometryPath":
-        return [_refusal(model, f"muscle '{muscle.name}' has a {muscle.path_kind}, no path of points")]
+        return [_unsupported(model, f"muscle '{muscle.name}' has a {muscle.path_kind}, no path of points")]
     problems = []
     for entry in muscle.wraps:
         wrap = model.wrap(entry.wrap)
         if not wrap.active:
             continue
         if wrap.kind != "WrapCylinder":
-            problems.append(_refusal(model, f"wrap object '{wrap.name}' is a {wrap.kind}, no cylinder"))
+            problems.append(_unsupported(model, f"wrap object '{wrap.name}' is a {wrap.kind}, no cylinder"))
         elif wrap.quadrant.endswith("z"):
-            problems.append(_refusal(model, f"cylinder '{wrap.name}' is restricted along its own axis"))
+            problems.append(_unsupported(model, f"cylinder '{wrap.name}' is restricted along its own axis"))
     return problems
 
 
-def _refusal(model: ModelDescription, what: str) -> Problem:
+def _unsupported(model: ModelDescription, what: str) -> Problem:
     return Problem(
         model.name,
-        f"{what}: the exact engine cannot wrap it",
-        hint="NGA, SGA and LSGA go along OpenSim's own paths: 'calibrate' without --fit and --geometry",
+        f"{what}: the exact engine does not support it",
+        hint="NGA, SGA and LSGA use OpenSim's own paths: run 'calibrate' without --fit and --geometry",
     )

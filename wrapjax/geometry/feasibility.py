@@ -1,10 +1,8 @@
-"""Where in the box of its wrap parameters a surface makes physiological paths.
+"""Feasibility of wrap parameters: a support vector machine that separates physiological samples from others.
 
-A support vector machine of cubic kernel tells physiological samples from others, and a sigmoid turns
-its score into a probability, as in Ao, Fregly et al. This is what a calibration evaluates and
-differentiates; how it is fitted is in `feasibility_fit`.
-
-Learn from labeled samples where a surface makes physiological paths.
+As in Ao, Fregly et al., the kernel is cubic, and a sigmoid (Platt 1999) converts the decision value to a
+probability. `fit_feasibility` fits both to labeled samples. Calibrations evaluate and differentiate
+`Feasibility.excess`.
 """
 
 from __future__ import annotations
@@ -22,31 +20,39 @@ import scipy.optimize
 from jaxtyping import Array, Bool, Float
 from scipy.special import expit
 
-#: A class with a smaller share of the samples than this is too rare to be learned, or judged by.
-RAREST_SHARE = 0.02
+#: Smallest share of the samples that a class must have for a fit, and for a balanced accuracy.
+MIN_CLASS_SHARE = 0.02
+#: Grid of the cross-validation: the penalty C of misclassified samples, and the kernel's gamma, for which the
+#: kernel's product of two points of the box is at most 0.5, 1 or 2. A C of 1000 or a gamma of 1 was no more
+#: accurate on 1000 samples, and took up to 30 s where classes overlap.
+PENALTIES = (0.1, 1.0, 10.0, 100.0)
+GAMMAS = (1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0)
+#: Folds of the cross-validation.
+FOLDS = 5
 
 
 class Feasibility(eqx.Module):
-    """The boundary between physiological and other wrap parameters of one surface.
+    """Fitted boundary between physiological and other wrap parameters of one wrap.
 
     The score is ``s = sum_i weight_i (1 + gamma x_i . x)^3 + offset``, positive where parameters are not
     physiological. Parameters and support vectors ``x`` are scaled so that the sampled box is [-1, 1].
     """
 
+    #: Support vectors ``x_i``, scaled.
     support: Float[Array, "support wrap_parameter"]
     #: Lagrange multipliers, positive for samples that are not physiological.
     weights: Float[Array, " support"]
     offset: Float[Array, ""]
     gamma: Float[Array, ""]
-    #: Middle and half width of the sampled box, in the parameters' units.
+    #: Center and half width of the sampled box, in the parameters' units.
     center: Float[Array, " wrap_parameter"]
     half_range: Float[Array, " wrap_parameter"]
-    #: The sigmoid's M and B.
+    #: Parameters M and B of the sigmoid.
     slope: Float[Array, ""]
     intercept: Float[Array, ""]
 
     def score(self, parameters: Float[Array, " wrap_parameter"]) -> Float[Array, ""]:
-        """Decision value of the support vector machine: positive where not physiological."""
+        """Decision value of the support vector machine, positive where parameters are not physiological."""
         scaled = (parameters - self.center) / self.half_range
         return self.weights @ (1.0 + self.gamma * (self.support @ scaled)) ** 3 + self.offset
 
@@ -55,26 +61,27 @@ class Feasibility(eqx.Module):
         return jax.nn.sigmoid(-(self.slope * self.score(parameters) + self.intercept))
 
     def excess(self, parameters: Float[Array, " wrap_parameter"]) -> Float[Array, ""]:
-        """How far parameters are beyond the limit; at most zero where they are allowed.
+        """Excess over the feasibility limit (dimensionless), at most zero where parameters are feasible.
 
-        The limit is ``P <= P(s = 0)``. As P rises with s (M is negative wherever the machine knows
-        better than chance), that is ``s <= 0``, whatever the sigmoid. The score is also the better
-        constraint: far outside its slope is steep, where that of P vanishes.
+        The limit is ``P <= P(s = 0)``. P increases with s, because M is negative for any machine that is
+        better than chance. The limit is therefore the same as ``s <= 0``, independent of the sigmoid. The
+        score is also the better constraint numerically: far outside the limit its gradient is large, while
+        that of P vanishes.
         """
         return self.score(parameters)
 
 
 @dataclass(frozen=True)
 class FeasibilityQuality:
-    """How well a surface's limit sorts samples that it was not fitted to.
+    """Accuracy of a wrap's feasibility limit on samples that it was not fitted to.
 
     Parameters
     ----------
     balanced_accuracy
-        Mean of the shares, of either class, that are sorted rightly; None where a class has less than
+        Mean of the shares of the two classes that are classified correctly; None if a class has less than
         2 % of the samples.
     false_physiological
-        Share of the samples that are not physiological but allowed; None if all are physiological.
+        Share of the non-physiological samples that are feasible; None if all samples are physiological.
     """
 
     balanced_accuracy: float | None
@@ -87,18 +94,18 @@ def feasibility_quality(
     physiological: Bool[np.ndarray, " sample"],
     usable: Bool[np.ndarray, " sample"] | None = None,
 ) -> FeasibilityQuality:
-    """Judge what limits a surface by labeled samples: its learned limit and the exact margins together.
+    """Compute the accuracy of a wrap's feasibility limit and exact margins on labeled samples.
 
     Parameters
     ----------
     feasibility
-        None for a surface without a limit, which allows everything.
+        Fitted feasibility; None for a wrap without a limit, for which all samples are feasible.
     samples
-        Wrap parameters, other ones than it was fitted to.
+        Wrap parameters that the feasibility was not fitted to.
     physiological
-        What they truly are.
+        Label of each sample.
     usable
-        What the exact engine's margins allow; everything if not given.
+        Samples that the exact engine's margins allow; by default all.
     """
     allowed = np.ones_like(physiological) if usable is None else usable
     if feasibility is not None:
@@ -112,24 +119,16 @@ def feasibility_quality(
 
 
 def has_rare_class(physiological: Bool[np.ndarray, " sample"]) -> bool:
-    """Say whether less than 2 % of the samples are physiological, or less than 2 % are not."""
+    """Whether a class, physiological or not, has less than 2 % of the samples."""
     share = float(np.mean(physiological))
-    return min(share, 1.0 - share) < RAREST_SHARE
+    return min(share, 1.0 - share) < MIN_CLASS_SHARE
 
 
 def balanced_accuracy(
     allowed: Bool[np.ndarray, " sample"], physiological: Bool[np.ndarray, " sample"]
 ) -> float:
-    """Mean of the share of physiological samples allowed and the share of others not allowed."""
+    """Mean of the share of physiological samples that are allowed and the share of others that are not."""
     return 0.5 * float(allowed[physiological].mean() + (~allowed[~physiological]).mean())
-
-
-#: What cross-validation chooses among: the penalty C of a sample on the wrong side, and the kernel's gamma,
-#: which brings the product of two points of the box within 0.5, 1 or 2. A C of 1000 or a gamma of 1 was no
-#: more accurate on 1000 samples, and took up to 30 s where classes overlap.
-PENALTIES = (0.1, 1.0, 10.0, 100.0)
-GAMMAS = (1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0)
-FOLDS = 5
 
 
 def fit_feasibility(
@@ -142,38 +141,42 @@ def fit_feasibility(
     seed: int = 0,
     threads: int | None = None,
 ) -> Feasibility | None:
-    """Fit a support vector machine of cubic kernel, and the sigmoid that makes its score a probability.
+    """Fit a support vector machine with a cubic kernel, and the sigmoid from its score to a probability.
 
-    Both classes count alike, however rare one is. C and gamma are those of `PENALTIES` and `GAMMAS` by which
-    machine and exact margins together have the highest balanced accuracy in stratified cross-validation; of
-    equals the smallest C, then the smallest gamma. The sigmoid is fitted to the scores that cross-validation
-    gave each sample while leaving it out: on samples that it was fitted to, a machine is surer than it
-    should be.
+    The two classes have equal total weight. C and gamma are those of `PENALTIES` and `GAMMAS` for which the
+    machine, combined with the exact margins, has the highest balanced accuracy in stratified
+    cross-validation; ties go to the smallest C, then the smallest gamma. The sigmoid is fitted to the
+    cross-validated scores, because scores of samples that a machine was fitted to are overconfident.
 
     Parameters
     ----------
     samples
         Wrap parameters.
     physiological
-        What each of them is.
+        Label of each sample.
     lower, upper
-        The box that was sampled, which is scaled to [-1, 1].
+        Bounds of the sampled box, which is scaled to [-1, 1].
     usable
-        What the exact engine's margins allow; everything if not given.
+        Samples that the exact engine's margins allow; by default all.
     seed
-        Decides which samples are left out together. The same seed gives the same bits.
+        Seed of the assignment of samples to folds. Results of one seed are identical to the last bit.
     threads
-        Of cross-validation; by default a few more than there are cores.
+        Number of threads of the cross-validation; by default a few more than there are cores.
 
     Returns
     -------
     Feasibility or None
-        None where a class has less than 2 % of the samples, or fewer samples than there are folds:
-        nothing can be learned there. Which class that is, the labels say.
+        None if a class has less than 2 % of the samples or fewer samples than there are folds, which is too
+        few for a fit.
+
+    Raises
+    ------
+    ValueError
+        If the box is empty.
 
     Notes
     -----
-    Takes about a second for 1000 samples, and some seconds where the classes overlap much.
+    A fit takes about a second for 1000 samples, and some seconds where the classes overlap much.
     """
     if not np.all(lower < upper):
         raise ValueError(f"the box is empty: lower {lower}, upper {upper}")
@@ -197,38 +200,37 @@ def fit_feasibility(
         "slope": slope,
         "intercept": intercept,
     }
-    # Through NumPy: JAX takes a plain number for one of no type of its own.
+    # Converted by NumPy first, because JAX gives plain Python numbers a weak type.
     return Feasibility(**{name: jnp.asarray(np.asarray(values)) for name, values in arrays.items()})
 
 
 def fit_sigmoid(
     scores: Float[np.ndarray, " sample"], positive: Bool[np.ndarray, " sample"]
 ) -> tuple[float, float]:
-    """Find M and B of ``P = 1 / (1 + exp(M s + B))`` by maximum likelihood.
+    """Fit M and B of ``P = 1 / (1 + exp(M s + B))`` by maximum likelihood.
 
-    After Platt (1999), a positive sample counts as one of probability ``(n + 1) / (n + 2)`` and a
-    negative one as ``1 / (m + 2)``, n and m being how many there are. So M is finite, too, where
-    scores separate the classes.
+    After Platt (1999), the target probability is ``(n + 1) / (n + 2)`` for the n positive samples and
+    ``1 / (m + 2)`` for the m negative samples. M is therefore finite also where scores separate the classes.
 
     Parameters
     ----------
     scores
         Decision values.
     positive
-        Whether each sample is of the class that P is the probability of.
+        Whether each sample is of the class whose probability is P.
 
     Returns
     -------
     slope, intercept
-        M and B; M is negative where higher scores mean positive.
+        M and B; M is negative if positive samples have the higher scores.
     """
     positives, negatives = int(positive.sum()), int((~positive).sum())
     target = np.where(positive, (positives + 1.0) / (positives + 2.0), 1.0 / (negatives + 2.0))
-    # Of the order of one, whatever the size of scores.
+    # Scores are scaled to the order of one.
     scale = float(np.abs(scores).max())
     design = np.stack([scores / scale, np.ones_like(scores)], axis=1)
 
-    def surprise(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+    def negative_log_likelihood(parameters: np.ndarray) -> tuple[float, np.ndarray]:
         exponent = design @ parameters
         # -log P and -log(1 - P), without overflow.
         each = target * np.logaddexp(0.0, exponent) + (1.0 - target) * np.logaddexp(0.0, -exponent)
@@ -240,7 +242,12 @@ def fit_sigmoid(
 
     start = np.array([0.0, np.log((negatives + 1.0) / (positives + 1.0))])
     found = scipy.optimize.minimize(
-        surprise, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-13}
+        negative_log_likelihood,
+        start,
+        jac=True,
+        hess=curvature,
+        method="trust-exact",
+        options={"gtol": 1e-13},
     )
     return float(found.x[0]) / scale, float(found.x[1])
 
@@ -252,13 +259,13 @@ def _cross_validated(
     seed: int,
     threads: int | None,
 ) -> tuple[float, float, Float[np.ndarray, " sample"]]:
-    """Choose C and gamma; return them and the score of each sample by the machine that left it out."""
+    """Choose C and gamma by cross-validation; return them and the cross-validated score of each sample."""
     from sklearn.model_selection import StratifiedKFold
 
     folds = list(StratifiedKFold(FOLDS, shuffle=True, random_state=seed).split(scaled, physiological))
     grid = list(product(PENALTIES, GAMMAS))
 
-    def of_others(choice: tuple[float, float]) -> Float[np.ndarray, " sample"]:
+    def held_out_scores(choice: tuple[float, float]) -> Float[np.ndarray, " sample"]:
         scores = np.zeros(len(scaled))
         for others, left_out in folds:
             machine = _machine(*choice).fit(scaled[others], ~physiological[others])
@@ -266,9 +273,9 @@ def _cross_validated(
         return scores
 
     best, chosen = -1.0, None
-    with ThreadPoolExecutor(threads) as pool:  # libsvm lets go of the interpreter
-        each = pool.map(of_others, grid)
-    for (penalty, gamma), scores in zip(grid, each, strict=True):
+    with ThreadPoolExecutor(threads) as pool:  # libsvm releases the interpreter's lock
+        scores_of_grid = pool.map(held_out_scores, grid)
+    for (penalty, gamma), scores in zip(grid, scores_of_grid, strict=True):
         accuracy = balanced_accuracy(usable & (scores <= 0.0), physiological)
         if accuracy > best:
             best, chosen = accuracy, (penalty, gamma, scores)

@@ -1,6 +1,6 @@
-"""The plain frozen data that describe a model, and which coordinates a muscle spans.
+"""Description of a musculoskeletal model as plain immutable data: joints, coordinates, muscle paths, wraps.
 
-Functions of one coordinate, as models use them: for joint axes, couplers and moving points.
+It holds all that determines muscle lengths and moment arms, and needs neither OpenSim nor JAX.
 """
 
 from __future__ import annotations
@@ -15,37 +15,39 @@ from scipy.interpolate import CubicHermiteSpline
 
 @dataclass(frozen=True)
 class Polynomial:
-    """A polynomial; a constant or a straight line, too.
+    """Polynomial of one variable, which includes constants and straight lines.
 
     Parameters
     ----------
     coefficients
-        Highest power first.
+        Coefficients, that of the highest power first.
     """
 
     coefficients: tuple[float, ...]
 
     def value(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate it."""
+        """Evaluate the function."""
         return np.polyval(self.coefficients, at)
 
-    def slope(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate its derivative."""
+    def derivative(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
+        """Evaluate the first derivative."""
         return np.polyval(np.polyder(np.asarray(self.coefficients)), at)
 
     def scaled(self, factor: float) -> Polynomial:
-        """Multiply it by a number."""
+        """Multiply the function by a number."""
         return Polynomial(tuple(factor * coefficient for coefficient in self.coefficients))
 
 
 @dataclass(frozen=True)
 class Spline:
-    """A piecewise cubic through knots, straight beyond the first and the last one.
+    """Piecewise cubic polynomial (OpenSim's ``SimmSpline``), extrapolated linearly.
 
     Parameters
     ----------
-    knots, values, slopes
-        A cubic between two knots is known from its values and slopes at both.
+    knots
+        Abscissae, ascending.
+    values, slopes
+        Values and first derivatives at the knots, which determine the cubics between them (Hermite).
     """
 
     knots: tuple[float, ...]
@@ -53,17 +55,17 @@ class Spline:
     slopes: tuple[float, ...]
 
     def value(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate it."""
+        """Evaluate the function."""
         inside = np.clip(at, self.knots[0], self.knots[-1])
         end_slope = np.where(at < self.knots[0], self.slopes[0], self.slopes[-1])
         return self._cubics()(inside) + end_slope * (at - inside)
 
-    def slope(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate its derivative."""
+    def derivative(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
+        """Evaluate the first derivative."""
         return self._cubics()(np.clip(at, self.knots[0], self.knots[-1]), 1)
 
     def scaled(self, factor: float) -> Spline:
-        """Multiply it by a number."""
+        """Multiply the function by a number."""
         values, slopes = (tuple(factor * value for value in row) for row in (self.values, self.slopes))
         return replace(self, values=values, slopes=slopes)
 
@@ -71,12 +73,11 @@ class Spline:
         return CubicHermiteSpline(self.knots, self.values, self.slopes)
 
 
-#: What an axis, a coupler or a moving point may follow.
+#: Function of one coordinate: of a joint's axis, a coupler or a moving path point.
 Function = Polynomial | Spline
 
 CONSTANT_ZERO = Polynomial((0.0,))
 IDENTITY = Polynomial((1.0, 0.0))
-
 
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
@@ -84,7 +85,7 @@ Matrix = tuple[Triple, Triple, Triple]
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a frame is in another: rotation matrix (columns are its axes) and origin (m)."""
+    """Pose of a frame in another frame: rotation matrix (columns are the frame's axes) and origin (m)."""
 
     rotation: Matrix
     translation: Triple
@@ -92,23 +93,26 @@ class Pose:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A point that a muscle runs through.
+    """Path point of a muscle.
 
     Parameters
     ----------
+    name
+        OpenSim's name.
     kind
         OpenSim's class: ``PathPoint``, ``ConditionalPathPoint`` or ``MovingPathPoint``.
-    body, location
-        The body that carries it and where it is there (m). A moving point is given where it is in
-        the model's default pose.
+    body
+        Name of the body that carries the point.
+    location
+        Location in that body's frame (m); for a moving point in the model's default pose.
     motion
-        What moves it along x, y and z of ``frame``: coordinates and functions (m) of them, None where
-        a function is of no known kind. None at all but for a ``MovingPathPoint``.
+        Of a ``MovingPathPoint``: a coordinate and its function (m) for each of x, y and z of ``frame``; the
+        function is None if its kind is unsupported. None for other points.
     frame
-        Where the frame that it was given in is in its body.
+        Pose, in the body, of the frame that ``motion`` refers to.
     active_range
-        The coordinate and its range (rad or m) in which it is part of the path. None but for a
-        ``ConditionalPathPoint``.
+        Of a ``ConditionalPathPoint``: the coordinate, and the range (rad or m) in which the point is part of
+        the path. None for other points.
     """
 
     name: str
@@ -121,22 +125,23 @@ class PathPoint:
 
     @property
     def moved_by(self) -> tuple[str, ...]:
-        """The coordinates that move it along its body."""
+        """Names of the coordinates that move the point relative to its body."""
         return tuple(dict.fromkeys(name for name, _ in self.motion or ()))
 
 
 @dataclass(frozen=True)
 class PathWrap:
-    """A wrap object in a muscle's path.
+    """Wrap object as listed in a muscle's path.
 
     Parameters
     ----------
     wrap
         Name of the wrap object.
     method
-        ``hybrid``, ``midpoint`` or ``axial``; matters for ellipsoids only.
+        ``hybrid``, ``midpoint`` or ``axial``; relevant to ellipsoids only.
     first_point, last_point
-        The stretch of path that may wrap, as 1-based point numbers; -1 stands for the path's end.
+        First and last point of the part of the path that may wrap, 1-based; -1 is the path's first or last
+        point.
     """
 
     wrap: str
@@ -147,7 +152,19 @@ class PathWrap:
 
 @dataclass(frozen=True)
 class Muscle:
-    """A muscle's path. ``path_kind`` other than ``GeometryPath`` has neither points nor wraps."""
+    """Path of a muscle.
+
+    Parameters
+    ----------
+    name
+        OpenSim's name.
+    path_kind
+        OpenSim's class of the path. Only a ``GeometryPath`` has points and wraps.
+    points
+        Path points from origin to insertion.
+    wraps
+        Wrap objects of the path, in its order.
+    """
 
     name: str
     path_kind: str
@@ -157,18 +174,24 @@ class Muscle:
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A generalized coordinate; values in rad, or m where it is translational.
+    """Generalized coordinate; values are in rad, or in m for a translational coordinate.
 
     Parameters
     ----------
+    name
+        OpenSim's name.
     motion
-        ``rotational``, ``translational`` or ``coupled`` (its joint both turns and slides with it).
+        ``rotational``, ``translational`` or ``coupled`` (the joint rotates and translates with it).
+    default_value, range
+        Default value; lowest and highest value.
+    locked, clamped
+        Whether the model holds the coordinate at its default, or within its range.
     prescribed
-        Driven by a function of time instead of being free.
+        Whether the coordinate is a function of time.
     coupled_to
-        Coordinates that an enforced coupler computes this one from; empty if it is independent.
+        Coordinates from which an enforced coupler computes this one; empty for an independent coordinate.
     coupler
-        How, if it follows a single other coordinate by a function that is known here.
+        Function of the single coordinate in ``coupled_to``; None if independent or of an unsupported kind.
     """
 
     name: str
@@ -184,19 +207,19 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Axis:
-    """One of the movements that a joint is made of.
+    """Rotation or translation axis of a joint.
 
     Parameters
     ----------
     kind
         ``rotation`` or ``translation``.
     direction
-        Unit vector. Rotations follow one another, each about an axis of the frame that those before
-        have turned; translations are along axes of the joint's frame in the parent.
+        Unit vector. Rotations are successive: each is about an axis of the frame rotated by those before.
+        Translations are along axes of the joint's frame in the parent body.
     coordinate
-        What it follows; None for one that stays at ``function`` of zero.
+        Name of the coordinate; None for a constant displacement, ``function`` of zero.
     function
-        From the coordinate to rad or m.
+        Function from the coordinate to the displacement, rad or m.
     """
 
     kind: str
@@ -207,18 +230,24 @@ class Axis:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of the body tree.
+    """Joint between a parent and a child body.
 
     Parameters
     ----------
+    name
+        OpenSim's name.
+    kind
+        OpenSim's class.
+    parent_body, child_body
+        Names of the bodies.
     coordinates
-        Those it owns; none if it is welded.
+        Names of the joint's coordinates; none for a weld.
     in_parent, in_child
-        The joint's two frames, each in its body.
+        Poses of the joint's frames in the parent and the child body.
     axes
-        What it does; None if this is no sequence of known movements.
+        Axes of the joint in order; None if the joint's class or a function is unsupported.
     default
-        Where the child's frame is in the parent's one in the model's default pose.
+        Pose of the joint's child frame in its parent frame, in the model's default pose.
     """
 
     name: str
@@ -234,20 +263,24 @@ class Joint:
 
 @dataclass(frozen=True)
 class WrapObject:
-    """A surface that muscles wrap over.
+    """Wrap object, a surface that muscle paths wrap round.
 
     Parameters
     ----------
+    name
+        OpenSim's name.
     kind
-        OpenSim's class, ``WrapCylinder`` for one.
-    body, translation, xyz_body_rotation
-        Pose in the body that carries it: m, and body-fixed x-y-z angles in rad.
+        OpenSim's class, such as ``WrapCylinder``.
+    body
+        Name of the body that carries the surface.
+    translation, xyz_body_rotation
+        Pose in that body: origin (m), and body-fixed x-y-z angles (rad).
     radius, length
-        Of a cylinder, in m; None for any other kind.
+        Radius and length of a cylinder, m; None for other surfaces.
     quadrant
-        The side that paths must pass: ``all``, ``x``, ``-x``, ``y`` ...
+        Side on which paths pass: ``all``, ``x``, ``-x``, ``y`` ...
     active
-        An inactive object is not wrapped.
+        Whether paths wrap round the surface at all.
     """
 
     name: str
@@ -263,12 +296,16 @@ class WrapObject:
 
 @dataclass(frozen=True)
 class ModelDescription:
-    """Everything that decides muscle lengths and moment arms, as names and numbers.
+    """Description of a model: all that determines muscle lengths and moment arms.
 
     Parameters
     ----------
+    name
+        OpenSim's name.
+    muscles, coordinates, joints, wraps
+        Parts of the model, in its order.
     constraints
-        Names and kinds of enforced constraints other than coordinate couplers.
+        Names and OpenSim's classes of enforced constraints other than coordinate couplers.
     """
 
     name: str
@@ -279,23 +316,23 @@ class ModelDescription:
     constraints: tuple[tuple[str, str], ...]
 
     def muscle(self, name: str) -> Muscle:
-        """Look a muscle up by name."""
+        """Muscle of a given name."""
         return next(muscle for muscle in self.muscles if muscle.name == name)
 
     def coordinate(self, name: str) -> Coordinate:
-        """Look a coordinate up by name."""
+        """Coordinate of a given name."""
         return next(coordinate for coordinate in self.coordinates if coordinate.name == name)
 
     def wrap(self, name: str) -> WrapObject:
-        """Look a wrap object up by name."""
+        """Wrap object of a given name."""
         return next(wrap for wrap in self.wraps if wrap.name == name)
 
     @property
-    def unusual(self) -> tuple[str, ...]:
-        """One sentence for each thing beyond fixed points, cylinders and coupled coordinates."""
-        return tuple(self._unusual())
+    def uncommon_parts(self) -> tuple[str, ...]:
+        """One sentence for each part other than fixed path points, cylinders and coordinate couplers."""
+        return tuple(self._uncommon_parts())
 
-    def _unusual(self) -> Iterator[str]:
+    def _uncommon_parts(self) -> Iterator[str]:
         for wrap in self.wraps:
             if wrap.kind != "WrapCylinder":
                 yield f"wrap object '{wrap.name}' on {wrap.body} is a {wrap.kind}"
@@ -309,16 +346,16 @@ class ModelDescription:
             yield f"constraint '{name}' is a {kind}"
 
     def spanned_by(self, muscle: str) -> tuple[str, ...]:
-        """Name the independent coordinates that a muscle's length depends on, in model order.
+        """Name the independent coordinates that a muscle's length depends on, in the model's order.
 
-        By structure alone: the joints between the bodies that its points and wrap objects are on,
-        coupled coordinates counted as those they follow, locked and prescribed ones left out.
+        These are the coordinates of the joints between the bodies that carry the muscle's points and wraps.
+        Coupled coordinates are replaced by those that they follow; locked and prescribed ones are left out.
         """
         path = self.muscle(muscle)
         carrier = {wrap.name: wrap.body for wrap in self.wraps}
         bodies = {point.body for point in path.points} | {carrier[wrap.wrap] for wrap in path.wraps}
         chains = [set(self._joints_to_ground(body)) for body in bodies]
-        # A joint below which all of the path lies, or none of it, moves the path as a whole.
+        # A joint below which all of the path lies, or none of it, does not deform the path.
         between = {
             joint for chain in chains for joint in chain if not all(joint in other for other in chains)
         }
@@ -345,9 +382,9 @@ class ModelDescription:
             body = above[body].parent_body
 
     def _independent(self, names: Iterable[str]) -> set[str]:
-        """Replace coupled coordinates by those they follow, through couplers of couplers."""
-        found: set[str] = set()
+        """Replace coupled coordinates by those that they follow, directly or through other couplers."""
+        independent: set[str] = set()
         for name in names:
             follows = self.coordinate(name).coupled_to
-            found |= self._independent(follows) if follows else {name}
-        return found
+            independent |= self._independent(follows) if follows else {name}
+        return independent

@@ -1,7 +1,7 @@
-"""Modes of a polynomial path: combinations of its coefficients that are penalised alike.
+"""Modes of a polynomial path: combinations of its coefficients with equal penalties.
 
-After Meyer et al. 2017 (doi:10.1371/journal.pone.0179698): lengths and moment arms stay near the nominal ones
-in mean and in shape, measured against their range over the recorded cycles.
+After Meyer et al. 2017 (doi:10.1371/journal.pone.0179698), changes of lengths and moment arms are penalized
+in their mean and in their shape, relative to the nominal range over the recorded cycles.
 """
 
 from __future__ import annotations
@@ -13,18 +13,19 @@ from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.paths import PathState
 
-# Allowable changes in parts of the nominal range.
+# Allowable changes as fractions of the nominal range.
 _LENGTH_MEAN, _LENGTH_SHAPE = 1.0, 0.25
 _ARM_MEAN, _ARM_SHAPE = 0.5, 0.25
-# Shapes of knee, ankle and subtalar moment arms are known better than those of the hip.
+# Shapes of knee, ankle and subtalar moment arms are better known than those of the hip.
 _DISTAL_ARM_SHAPE = 0.125
-# Ranges below this (m) count as this: what hardly varies could otherwise not move at all.
+# Smallest range (m). Without it, a quantity that is almost constant could not change at all.
 _LEAST_RANGE = 0.01
-# Allowable change of a single coefficient, m. Weak: it only holds what the recorded cycles do not see.
+# Allowable change of a single coefficient, m. It constrains only combinations that the recorded cycles do not
+# determine.
 _COEFFICIENT = 3e-3
-#: Allowable length of a path's vector of modes, root mean square over muscles. Meyer et al. weigh a
-#: length of one like a moment error of 1 N m, which holds paths where they are (errors fall by a seventh);
-#: here it only keeps changes from being larger than the moments ask for.
+#: Allowable norm of a path's vector of modes, root mean square over muscles. Meyer et al. weigh a norm of one
+#: like a moment error of 1 N m, which hardly lets paths change (errors fall by a seventh). This weaker weight
+#: only prevents changes that do not reduce moment errors.
 PATH_CHANGE = 15.0
 
 
@@ -34,28 +35,29 @@ def path_modes(
     used: Bool[np.ndarray, "muscle term"],
     coordinates: Sequence[str],
 ) -> Float[np.ndarray, "muscle term mode"]:
-    """Find the modes of each path: combinations of its coefficients that are restrained alike.
+    """Compute the modes of each path: principal axes of the penalty on changes of its coefficients.
 
-    The soft penalties on a change of path, squares of what is linear in the coefficients, are one
-    quadratic form a muscle. Its principal axes are the modes, each scaled to a penalty of one: then
-    the penalty of any change is the squared length of its vector of modes, and the problem is as well
-    scaled as can be.
+    The penalties on a change of a path are squares of functions that are linear in the coefficients, and thus
+    one quadratic form for each muscle. Modes are its principal axes, each scaled to a penalty of one. The
+    penalty of any change is then the squared norm of its vector of modes, and the problem is well
+    conditioned.
 
     Parameters
     ----------
     nominal
         Paths of all muscles over the calibration cycles.
     by_coefficient
-        What a unit (1 m) of each coefficient adds; leaves lead with ``muscle term``.
+        Change of the paths per unit (1 m) of each coefficient; the first axes of all leaves are ``muscle
+        term``.
     used
-        Which coefficients a muscle has.
+        Coefficients that a muscle has.
     coordinates
-        Names along the axis of the moment arms.
+        Names of the coordinates of the moment arms.
 
     Returns
     -------
     Array
-        Coefficients of each mode in m; zero for modes that a muscle does not have, which are its last.
+        Coefficients of each mode, m. Modes that a muscle does not have come last and are zero.
     """
     muscles, terms = used.shape
     length_range, arm_range = _range(nominal.length[:, :, None]), _range(nominal.moment_arm)
@@ -71,9 +73,9 @@ def path_modes(
     )
     modes = np.zeros((muscles, terms, terms))
     for muscle in range(muscles):
-        own = np.flatnonzero(used[muscle])
-        values, axes = np.linalg.eigh(form[muscle][np.ix_(own, own)])
-        modes[muscle, own, : len(own)] = axes / np.sqrt(values)
+        columns = np.flatnonzero(used[muscle])
+        values, axes = np.linalg.eigh(form[muscle][np.ix_(columns, columns)])
+        modes[muscle, columns, : len(columns)] = axes / np.sqrt(values)
     return modes
 
 
@@ -85,7 +87,7 @@ def _mean_square_of_mean(
     by: Float[np.ndarray, "muscle term trial coordinate frame"],
     allowable: Float[np.ndarray, "muscle coordinate"],
 ) -> Float[np.ndarray, "muscle term term"]:
-    """Quadratic form of the squared mean over frames, summed over coordinates."""
+    """Compute the quadratic form of the squared mean over frames, summed over coordinates."""
     mean = by.mean(axis=(2, 4)) / allowable[:, None]
     return np.einsum("mkc,mlc->mkl", mean, mean)
 
@@ -94,7 +96,7 @@ def _mean_square_of_shape(
     by: Float[np.ndarray, "muscle term trial coordinate frame"],
     allowable: Float[np.ndarray, "muscle coordinate"],
 ) -> Float[np.ndarray, "muscle term term"]:
-    """Quadratic form of the mean square about the mean, summed over coordinates."""
+    """Compute the quadratic form of the variance over frames, summed over coordinates."""
     frames = by.shape[2] * by.shape[4]
     shape = (by - by.mean(axis=(2, 4), keepdims=True)) / allowable[:, None, None, :, None]
     flat = shape.reshape(*by.shape[:2], -1)

@@ -1,4 +1,4 @@
-"""What the rest of the model needs to know of muscle paths, and how they may change."""
+"""Lengths, rates and moment arms of all muscle paths, and the interface of paths that can be adjusted."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from jaxtyping import Array, Float
 
 
 class PathState(eqx.Module):
-    """Muscle-tendon length, its rate and moment arms, all muscles at all frames.
+    """Muscle-tendon lengths, their rates and moment arms of all muscles at all frames.
 
-    ``moment_arm = -dL/dq`` (OpenSim's sign): positive where the muscle pulls its coordinate up.
+    ``moment_arm = -dL/dq`` (OpenSim's sign) is positive where tension in the muscle increases the coordinate.
     """
 
     #: m
@@ -22,39 +22,43 @@ class PathState(eqx.Module):
     velocity: Float[Array, "*muscle trial frame"]
     #: m (m/rad)
     moment_arm: Float[Array, "*muscle trial coordinate frame"]
-    #: How near to where the length would jump, for paths that can: see `wrapped_paths`.
+    #: Proximity to discontinuities of the length (dimensionless; see `Barriers.proximity`), for paths with
+    #: barriers.
     proximity: Float[Array, "*muscle trial frame"] | None = None
-    #: How far each of its cylinders is beyond where paths are physiological (`Feasibility.excess`; no
-    #: unit), for paths that have learned it.
+    #: Feasibility score of each wrap, positive where it is not feasible (dimensionless; see
+    #: `Feasibility.excess`), for paths with a fitted feasibility.
     infeasibility: Float[Array, "*muscle wrap"] | None = None
 
 
 class AbstractPath(eqx.Module):
-    """Paths of all muscles, of which some can be changed by numbers, *changes*.
+    """Paths of all muscles, adjustable by a vector of *changes* for each muscle.
 
-    All changes zero leave the paths as the model has them.
+    Zero changes give the nominal paths.
     """
 
-    #: As the model has them.
+    #: Paths as the model has them.
     nominal: eqx.AbstractVar[PathState]
 
     @property
     @abc.abstractmethod
     def modes_count(self) -> int:
-        """How many changes a muscle has at most."""
+        """Largest number of changes of a muscle."""
 
     @property
     def resolution(self) -> float:
-        """Relative change below which a function of the paths need not follow its expansion."""
+        """Relative difference below which a function of the paths may deviate from its linearization."""
         return 0.0
 
     @abc.abstractmethod
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Give all paths, changed by these amounts."""
+        """Compute all paths at given changes."""
 
     @abc.abstractmethod
     def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
-        """Give all paths, and how each moves with its own changes (leaves lead with ``muscle mode``)."""
+        """Compute all paths, and the derivatives of each path by its own changes.
+
+        The first axes of the derivatives are ``muscle mode``.
+        """
 
     @abc.abstractmethod
     def curvature(
@@ -63,37 +67,39 @@ class AbstractPath(eqx.Module):
         weights: PathState,
         expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
-        """Differentiate each path twice by its own changes, and sum with these weights.
+        """Compute the weighted sum of the second derivatives of each path by its own changes.
 
-        What costs more than it helps may be left out: a solver gets to the same end without.
+        Implementations may leave out terms that are expensive: solvers use the result to converge in fewer
+        iterations, and converge to the same solution without it.
 
         Parameters
         ----------
-        changes, weights
-            Where, and one number for each of the paths'.
+        changes
+            Changes at which to differentiate.
+        weights
+            Weight of each number of the paths.
         expansion
-            What `linearized` gives there.
+            Result of `linearized` at these changes.
         """
 
 
 class AdjustablePath(AbstractPath):
-    """Paths that change by any sum of modes.
+    """Paths that are linear in their changes, the amplitudes of modes.
 
-    A mode is a change of shape, consistent in length, rate and moment arms. Paths that must stay as
-    they are have no modes.
+    A mode changes length, rate and moment arms consistently. Fixed paths have no modes.
     """
 
     nominal: PathState
-    #: Change by one unit of each mode; leaves lead with ``muscle mode``.
+    #: Change of the paths per unit of each mode; the first axes of all leaves are ``muscle mode``.
     modes: PathState
 
     @property
     def modes_count(self) -> int:
-        """How many modes a muscle has at most."""
+        """Largest number of modes of a muscle."""
         return self.modes.length.shape[1]
 
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Add the modes, by these amounts, to the nominal paths."""
+        """Add the modes, multiplied by their amplitudes, to the nominal paths."""
         return jax.tree.map(
             lambda nominal, modes: (
                 nominal + jnp.einsum("mk,mk...->m...", changes[:, : modes.shape[1]], modes)
@@ -103,7 +109,7 @@ class AdjustablePath(AbstractPath):
         )
 
     def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
-        """Give all paths, and the modes."""
+        """Compute all paths, and return their derivatives, the modes."""
         return self.at(changes), self.modes
 
     def curvature(
@@ -112,11 +118,11 @@ class AdjustablePath(AbstractPath):
         weights: PathState,
         expansion: tuple[PathState, PathState],
     ) -> Float[Array, "muscle mode mode"]:
-        """Zero: paths are linear in their modes."""
+        """Return zeros, because the paths are linear in their modes."""
         return jnp.zeros((*changes.shape, changes.shape[1]))
 
 
 def fixed_path(path: PathState) -> AdjustablePath:
-    """Wrap paths, of all muscles, that do not change."""
+    """Convert paths of all muscles to an `AdjustablePath` without modes."""
     none = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], 0, *leaf.shape[1:])), path)
     return AdjustablePath(path, none)

@@ -1,8 +1,9 @@
-"""Which placements of its cylinders leave a muscle path physiological.
+"""Criteria by which wrap parameters give a physiological muscle path.
 
-The paper names three criteria, deviation, variability and smoothness; its definitions (its Table S6) are
-not public, and these are ours. Beside them stand what only an engine can tell: a path whose length
-jumps, and one that never touches a cylinder it lies on in the model.
+Ao, Fregly et al. name three criteria: deviation, variability and smoothness. Their definitions (Table S6) are
+not public; those used here are our own. Two criteria are added that need the exact engine: a path must have
+no discontinuity of length that the nominal path does not have, and must touch every wrap that the nominal
+path touches.
 """
 
 from __future__ import annotations
@@ -14,29 +15,29 @@ from jaxtyping import Bool, Float
 
 from wrapjax.geometry.wrapping import WrappedPath
 
-# Smaller deviations over poses (m) count as this: the ratio of two tiny ones says nothing.
-_LEAST_DEVIATION = 1e-3
+# Added (m) to both standard deviations of a ratio, because the ratio of two very small ones is meaningless.
+_DEVIATION_OFFSET = 1e-3
 
 
 @dataclass(frozen=True)
 class PhysiologicalThresholds:
-    """What a path may differ by from the nominal one before it counts as not physiological.
+    """Largest differences from the nominal path for a path to count as physiological.
 
-    The defaults lie beyond what paths of s1_left's model do that neither jump nor lose contact (their
-    99th percentile stays below, but for the arms of the iliacus), and below what those do that jump.
+    The defaults are above the 99th percentile of paths of the model s1_left that neither jump nor lose
+    contact (except for moment arms of the iliacus), and below the values of paths that jump.
 
     Parameters
     ----------
     length_deviation
-        In any pose, m.
+        Change of length in any pose, m.
     moment_arm_deviation
-        In any pose and about any coordinate, m.
+        Change of a moment arm in any pose and about any coordinate, m.
     variability
-        Ratio of standard deviations over poses, either way, of length or of any moment arm.
+        Ratio, or its inverse if larger, of the standard deviations over poses of length or any moment arm.
     length_step
-        Of the difference from the nominal length, from frame to frame of a recorded cycle, m.
+        Change of the difference from the nominal length between consecutive frames of a recorded cycle, m.
     moment_arm_step
-        Likewise of moment arms, m.
+        Change of the difference from any nominal moment arm between consecutive frames, m.
     """
 
     length_deviation: float = 0.025
@@ -51,11 +52,17 @@ DEFAULT_THRESHOLDS = PhysiologicalThresholds()
 
 @dataclass(frozen=True)
 class PathMeasures:
-    """How samples of a path differ from the nominal path; what `PhysiologicalThresholds` are held to.
+    """Differences of samples of a path from the nominal path, to compare with `PhysiologicalThresholds`.
 
-    ``jumps`` marks samples that in some pose come to lie where length jumps (a path point inside the
-    cylinder, the path off its end, more than half a turn) though the nominal path does not in that pose;
-    ``never_touches`` those that lie in no pose on a cylinder that the nominal path lies on.
+    Fields with the names of thresholds are the largest values over poses and coordinates.
+
+    Parameters
+    ----------
+    jumps
+        Whether the sample, but not the nominal path, is beyond a discontinuity of length in some pose: a path
+        point inside the cylinder, contact off its end, or more than half a turn.
+    never_touches
+        Whether the sample touches in no pose a wrap that the nominal path touches.
     """
 
     length_deviation: Float[np.ndarray, " sample"]
@@ -66,18 +73,18 @@ class PathMeasures:
     jumps: Bool[np.ndarray, " sample"]
     never_touches: Bool[np.ndarray, " sample"]
 
-    def faults(
+    def failed_criteria(
         self, thresholds: PhysiologicalThresholds = DEFAULT_THRESHOLDS
     ) -> dict[str, Bool[np.ndarray, " sample"]]:
-        """Say by criterion which samples fail it."""
+        """Identify the samples that fail each criterion, by the criterion's name."""
         limited = {name: getattr(self, name) > limit for name, limit in vars(thresholds).items()}
         return {"jumps": self.jumps, "never_touches": self.never_touches, **limited}
 
     def physiological(
         self, thresholds: PhysiologicalThresholds = DEFAULT_THRESHOLDS
     ) -> Bool[np.ndarray, " sample"]:
-        """Say which samples fail no criterion."""
-        return ~np.any(list(self.faults(thresholds).values()), axis=0)
+        """Identify the samples that fail no criterion."""
+        return ~np.any(list(self.failed_criteria(thresholds).values()), axis=0)
 
 
 def measure_paths(found: WrappedPath, nominal: WrappedPath, cycle: slice) -> PathMeasures:
@@ -86,39 +93,40 @@ def measure_paths(found: WrappedPath, nominal: WrappedPath, cycle: slice) -> Pat
     Parameters
     ----------
     found
-        NumPy arrays that lead with ``sample pose``, from `wrap_at_samples`.
+        Samples of the path from `wrap_at_samples`: NumPy arrays whose first axes are ``sample pose``.
     nominal
-        The same with one sample, in the same poses.
+        The nominal path as a single sample, in the same poses.
     cycle
-        The poses that are the frames of one recorded cycle, in order, its repeated last one left out.
+        Poses that are the frames of one recorded cycle in order, without its repeated last frame.
     """
-    length, usual_length = np.asarray(found.length), np.asarray(nominal.length)
-    arm, usual_arm = np.asarray(found.moment_arm), np.asarray(nominal.moment_arm)
-    touching, usually_touching = np.asarray(found.touching), np.asarray(nominal.touching)
-    change, arm_change = length - usual_length, arm - usual_arm
+    length, nominal_length = np.asarray(found.length), np.asarray(nominal.length)
+    arm, nominal_arm = np.asarray(found.moment_arm), np.asarray(nominal.moment_arm)
+    touching, nominal_touching = np.asarray(found.touching), np.asarray(nominal.touching)
+    change, arm_change = length - nominal_length, arm - nominal_arm
     jumps = np.zeros(len(change), dtype=bool)
     for name in ("inside", "off_end", "long_wrap"):
-        own, usual = getattr(found.margins, name), getattr(nominal.margins, name)
-        jumps |= np.asarray((own < 0.0) & (usual >= 0.0)).any(axis=1)
+        margin, nominal_margin = getattr(found.margins, name), getattr(nominal.margins, name)
+        jumps |= np.asarray((margin < 0.0) & (nominal_margin >= 0.0)).any(axis=1)
     return PathMeasures(
         length_deviation=np.abs(change).max(axis=1),
         moment_arm_deviation=np.abs(arm_change).max(axis=(1, 2), initial=0.0),
         variability=np.maximum(
-            _ratio(length.std(axis=1), usual_length.std(axis=1)),
-            _ratio(arm.std(axis=1), usual_arm.std(axis=1)).max(axis=1, initial=1.0),
+            _ratio(length.std(axis=1), nominal_length.std(axis=1)),
+            _ratio(arm.std(axis=1), nominal_arm.std(axis=1)).max(axis=1, initial=1.0),
         ),
         length_step=np.abs(_steps(change[:, cycle])).max(axis=1, initial=0.0),
         moment_arm_step=np.abs(_steps(arm_change[:, cycle])).max(axis=(1, 2), initial=0.0),
         jumps=jumps,
-        never_touches=np.any(np.any(usually_touching, axis=1) & ~np.any(touching, axis=1), axis=1),
+        never_touches=np.any(np.any(nominal_touching, axis=1) & ~np.any(touching, axis=1), axis=1),
     )
 
 
 def _steps(values: Float[np.ndarray, "sample frame *coordinate"]) -> Float[np.ndarray, "..."]:
-    """From each frame to the next, and from the last to the first."""
+    """Differences between consecutive frames, and from the last frame to the first."""
     return np.roll(values, -1, axis=1) - values
 
 
 def _ratio(one: Float[np.ndarray, "..."], other: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    ratio = (one + _LEAST_DEVIATION) / (other + _LEAST_DEVIATION)
+    """Ratio of two standard deviations, or its inverse if that is larger."""
+    ratio = (one + _DEVIATION_OFFSET) / (other + _DEVIATION_OFFSET)
     return np.maximum(ratio, 1.0 / ratio)

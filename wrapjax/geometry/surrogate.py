@@ -1,12 +1,11 @@
-"""Monomials of several variables, all muscles in one padded kernel.
+"""Polynomial surrogates of muscle paths over joint coordinates: the outer level of Ao, Fregly et al.
 
-Polynomials that stand in for muscle paths: the outer level of Ao, Fregly et al.
-
-Length, rate and moment arms of a muscle share one set of coefficients (the paper's equations 1 to 3):
+Length, rate and moment arms of a muscle share one set of coefficients (their equations 1 to 3):
 
     L = sum_k c_k x^p_k,    v = dL/dt,    r_j = -dL/dq_j,    x = (q - center) / half_range
 
-so that velocity and moment arms are consistent with length by construction.
+so that velocity and moment arms are consistent with length by construction. All muscles are evaluated by one
+padded program.
 """
 
 from __future__ import annotations
@@ -25,11 +24,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.paths import PathState
 
+#: Highest total degree of the outer level.
+DEGREE = 5
+# The number of terms is padded to a multiple of this, so that subjects whose polynomials differ by a few
+# terms share compiled programs.
+_TERMS = 16
+
 
 def monomial_exponents(variables: int, degree: int) -> Int[np.ndarray, "term variable"]:
-    """List every monomial of total degree up to ``degree``, the constant first.
+    """List the exponents of all monomials of total degree up to ``degree``, the constant first.
 
-    Four variables and degree five give 126 terms, three give 56, two 21, one 6.
+    For degree five there are 126 terms of four variables, 56 of three, 21 of two and 6 of one.
     """
     rows = [row for row in itertools.product(range(degree + 1), repeat=variables) if sum(row) <= degree]
     rows.sort(key=lambda row: (sum(row), tuple(-power for power in row)))
@@ -39,25 +44,25 @@ def monomial_exponents(variables: int, degree: int) -> Int[np.ndarray, "term var
 def monomials(
     exponents: Int[Array, "term variable"], points: Float[Array, "pose variable"]
 ) -> Float[Array, "pose term"]:
-    """Evaluate every monomial at every point."""
+    """Evaluate all monomials at all points."""
     return jnp.prod(_powers(exponents, points), axis=-1)
 
 
 def monomial_gradients(
     exponents: Int[Array, "term variable"], points: Float[Array, "pose variable"]
 ) -> Float[Array, "variable pose term"]:
-    """Differentiate every monomial by every variable at every point."""
+    """Compute derivatives of all monomials by all variables at all points."""
     variables = exponents.shape[-1]
     powers = _powers(exponents, points)
     lowered = _powers(jnp.maximum(exponents - 1, 0), points) * exponents.astype(points.dtype)[None]
-    own = jnp.eye(variables, dtype=bool)[:, None, None, :]
-    return jnp.prod(jnp.where(own, lowered[None], powers[None]), axis=-1)
+    differentiated = jnp.eye(variables, dtype=bool)[:, None, None, :]
+    return jnp.prod(jnp.where(differentiated, lowered[None], powers[None]), axis=-1)
 
 
 def _powers(
     exponents: Int[Array, "term variable"], points: Float[Array, "pose variable"]
 ) -> Float[Array, "pose term variable"]:
-    # Integer powers by repeated multiplication: exact derivatives at zero, where x**0 has none.
+    # Repeated multiplication gives exact derivatives at zero, where those of x**0 are not finite.
     highest = 5
     columns = [jnp.ones_like(points)]
     for _ in range(highest):
@@ -67,29 +72,28 @@ def _powers(
     return table[:, jnp.broadcast_to(variable, exponents.shape), exponents]
 
 
-#: Highest total degree of the outer level.
-DEGREE = 5
-#: Terms are padded to a multiple of this: people whose polynomials have a few terms more or less then share
-#: what is compiled.
-_TERMS = 16
-
-
 class PathSurrogate(eqx.Module):
-    """The paths of all muscles as polynomials, padded to one shape.
+    """Paths of all muscles as polynomials of joint coordinates, padded to one shape.
 
-    A muscle that spans fewer coordinates than the widest has unused slots, of exponent zero; one
-    with fewer terms has padding, outside ``used``, of coefficient zero.
+    Variables of a muscle's polynomial are in slots, one for each coordinate that it spans. Unused slots have
+    exponent zero, and terms that are padding have coefficient zero.
     """
 
+    #: Names of the muscles.
     muscles: tuple[str, ...] = eqx.field(static=True)
+    #: Names of the coordinates.
     coordinates: tuple[str, ...] = eqx.field(static=True)
-    #: Which coordinate stands in which slot.
+    #: Number of the coordinate in each slot.
     spans: Int[Array, "muscle slot"]
-    #: Whether a slot is in use.
+    #: Whether a slot is used.
     spanned: Bool[Array, "muscle slot"]
+    #: Exponent of each slot's variable in each term.
     exponents: Int[Array, "muscle term slot"]
+    #: Whether a term is used.
     used: Bool[Array, "muscle term"]
+    #: m
     coefficients: Float[Array, "muscle term"]
+    #: Center and half range of the fitted poses, rad, by which coordinates are scaled.
     center: Float[Array, " coordinate"]
     half_range: Float[Array, " coordinate"]
 
@@ -104,9 +108,9 @@ class PathSurrogate(eqx.Module):
         Parameters
         ----------
         angles, velocities
-            In rad and rad/s, axis ``coordinate`` as in ``coordinates``.
+            Values (rad) and rates (rad/s) of ``coordinates``.
         coefficients
-            Others than the fitted ones, in m.
+            Coefficients, m; by default the fitted ones.
         """
         if coefficients is None:
             coefficients = self.coefficients
@@ -127,7 +131,13 @@ class PathSurrogate(eqx.Module):
     def second_derivatives(
         self, angles: Float[Array, "trial coordinate frame"]
     ) -> Float[Array, "muscle trial coordinate coordinate frame"]:
-        """Differentiate lengths twice by the coordinates, at all frames (m/rad^2)."""
+        """Compute second derivatives of all lengths by the coordinates, at all frames (m/rad^2).
+
+        Parameters
+        ----------
+        angles
+            Values of ``coordinates``, rad.
+        """
         trials, _, frames = angles.shape
         poses = jnp.moveaxis(angles, 1, -1).reshape(trials * frames, -1)
 
@@ -140,12 +150,13 @@ class PathSurrogate(eqx.Module):
 
             return jax.lax.map(along, jnp.eye(poses.shape[1]))
 
-        # One muscle after the other: terms times frames of a single one fit into a processor's cache.
+        # Muscles are evaluated one after the other, because terms times frames of one fit into the CPU's
+        # cache.
         found = jax.lax.map(of_one, (self.spans, self.spanned, self.exponents, self.coefficients))
         return jnp.moveaxis(found.reshape(*found.shape[:2], trials, frames, -1), (2, 4), (1, 3))
 
-    def of_muscles(self, names: Sequence[str]) -> PathSurrogate:
-        """Pick muscles by name, in this order."""
+    def select_muscles(self, names: Sequence[str]) -> PathSurrogate:
+        """Select muscles by name, in the given order."""
         rows = np.array([self.muscles.index(name) for name in names])
         fields = ("spans", "spanned", "exponents", "used", "coefficients")
         picked: dict[str, Any] = {
@@ -156,10 +167,20 @@ class PathSurrogate(eqx.Module):
     def design(
         self, muscle: str, poses: Float[np.ndarray, "pose coordinate"]
     ) -> Float[np.ndarray, "row term"]:
-        """Give what a unit of each of a muscle's coefficients adds to its length and moment arms.
+        """Compute the design matrix of a muscle: its length and moment arms per unit of each coefficient.
 
-        Rows are the lengths in all poses (rad), then the moment arms about each coordinate it spans, in
-        the order of its slots; columns are the terms in use.
+        Parameters
+        ----------
+        muscle
+            Name of the muscle.
+        poses
+            Values of ``coordinates``, rad.
+
+        Returns
+        -------
+        Array
+            Rows are the lengths in all poses, then the moment arms about each coordinate that the muscle
+            spans, in the order of its slots. Columns are the terms in use.
         """
         row = self.muscles.index(muscle)
         slots, used = self.slots(muscle), np.asarray(self.used[row])
@@ -168,19 +189,19 @@ class PathSurrogate(eqx.Module):
         return _design(exponents, scaled[:, slots], np.asarray(self.half_range)[slots])
 
     def slots(self, muscle: str) -> list[int]:
-        """Number the coordinates that a muscle spans."""
+        """Find the numbers of the coordinates that a muscle spans, in the order of its slots."""
         row = self.muscles.index(muscle)
         return np.asarray(self.spans[row])[np.asarray(self.spanned[row])].tolist()
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Give all that it is as arrays by name, for `surrogate_from`."""
+        """Convert the surrogate to arrays by name, from which `surrogate_from_arrays` restores it."""
         stored = {name: np.asarray(value) for name, value in vars(self).items() if eqx.is_array(value)}
         return stored | {"muscles": np.array(self.muscles), "coordinates": np.array(self.coordinates)}
 
     def term_names(self) -> tuple[tuple[str, ...], ...]:
-        """Name the terms in use of each muscle: ``hip_flexion_l^2*knee_angle_l``, the constant ``1``.
+        """Name the terms in use of each muscle, such as ``hip_flexion_l^2*knee_angle_l`` or ``1``.
 
-        A coordinate stands for its scaled value, ``(q - center) / half_range``.
+        A coordinate's name stands for its scaled value, ``(q - center) / half_range``.
         """
 
         def factor(name: str, power: int) -> str:
@@ -196,20 +217,25 @@ class PathSurrogate(eqx.Module):
             names.append(tuple("*".join(product) or "1" for product in products))
         return tuple(names)
 
-    def along_modes(
+    def mode_derivatives(
         self,
         angles: Float[Array, "trial coordinate frame"],
         velocities: Float[Array, "trial coordinate frame"],
         modes: Float[Array, "muscle term mode"],
     ) -> PathState:
-        """Evaluate what a unit of each mode adds to the paths; leaves lead with ``muscle mode``.
+        """Compute the change of all paths per unit of each mode.
 
         Parameters
         ----------
         angles, velocities
-            As for the paths themselves.
+            Values (rad) and rates (rad/s) of ``coordinates``.
         modes
             Coefficients of each mode, m.
+
+        Returns
+        -------
+        PathState
+            The first axes of all leaves are ``muscle mode``.
         """
         return jax.vmap(self, in_axes=(None, None, -1), out_axes=1)(angles, velocities, modes)
 
@@ -221,7 +247,7 @@ class PathSurrogate(eqx.Module):
         coefficients: Float[Array, " term"],
         poses: Float[Array, "pose coordinate"],
     ) -> tuple[Float[Array, " pose"], Float[Array, "pose coordinate"]]:
-        """Length of one muscle, and its derivative by every coordinate."""
+        """Compute the length of one muscle, and its derivative by every coordinate."""
         scaled = ((poses - self.center[None]) / self.half_range[None])[:, spans]
         length = monomials(exponents, scaled) @ coefficients
         by_slot = (monomial_gradients(exponents, scaled) @ coefficients).T / self.half_range[None, spans]
@@ -229,13 +255,13 @@ class PathSurrogate(eqx.Module):
         return length, slope
 
 
-def surrogate_from(arrays: Mapping[str, np.ndarray]) -> PathSurrogate:
-    """Put together what `PathSurrogate.arrays` took apart.
+def surrogate_from_arrays(arrays: Mapping[str, np.ndarray]) -> PathSurrogate:
+    """Restore a surrogate from the arrays of `PathSurrogate.arrays`.
 
     Raises
     ------
     KeyError, TypeError
-        If one is missing.
+        If an array is missing.
     """
     muscles, coordinates = (tuple(arrays[name].tolist()) for name in ("muscles", "coordinates"))
     rest = {
@@ -255,27 +281,27 @@ def fit_surrogate(
     degree: int = DEGREE,
     tolerance: float = 0.05,
 ) -> PathSurrogate:
-    """Fit length and every moment arm of each muscle at once, with shared coefficients.
+    """Fit length and all moment arms of each muscle by polynomials with shared coefficients.
 
-    All terms up to ``degree`` are candidates. Terms are then dropped one at a time, always the one
-    whose loss raises the squared error least, while the training error stays within ``tolerance`` of
-    what all terms reach (backward elimination; the paper does not give its own rule, only that 41 of
-    the iliacus' 56 terms were kept). The constant is never dropped.
+    All terms up to ``degree`` are candidates of a linear least-squares fit. Terms are then removed by
+    backward elimination: the term whose removal increases the squared error least goes first, while the
+    training error stays within ``tolerance`` of that of all terms. The constant is never removed. Ao, Fregly
+    et al. do not publish their rule; they report that 41 of the 56 terms of the iliacus were kept.
 
     Parameters
     ----------
     muscles, coordinates
-        Names of the axes.
+        Names along the axes of the data.
     spanned
-        The coordinates that each muscle depends on.
+        Names of the coordinates that each muscle depends on.
     poses
-        In rad.
+        Values of the coordinates, rad.
     length, moment_arm
-        In m; rows of both count alike in the least squares.
+        Muscle-tendon lengths and moment arms, m, with equal weights in the least squares.
     degree
         Highest total degree.
     tolerance
-        Allowed relative rise of the root mean square error by pruning.
+        Allowed relative increase of the root mean square error by elimination.
     """
     center = 0.5 * (poses.max(axis=0) + poses.min(axis=0))
     half_range = np.maximum(0.5 * (poses.max(axis=0) - poses.min(axis=0)), 1e-3)
@@ -320,27 +346,27 @@ def _design(
     scaled: Float[np.ndarray, "pose slot"],
     half_range: Float[np.ndarray, " slot"],
 ) -> Float[np.ndarray, "row term"]:
-    """Lengths, then moment arms about each slot, of a unit of each term."""
-    # Operation by operation, each would be compiled for itself.
+    """Compute lengths, then moment arms about each slot, per unit of each term."""
+    # Jitted, because without it each operation is compiled separately.
     values = np.asarray(jax.jit(monomials)(exponents, scaled))
-    slopes = np.asarray(jax.jit(monomial_gradients)(exponents, scaled))
-    return np.concatenate([values, *(-slopes / half_range[:, None, None])])
+    gradients = np.asarray(jax.jit(monomial_gradients)(exponents, scaled))
+    return np.concatenate([values, *(-gradients / half_range[:, None, None])])
 
 
 def _fit_pruned(
     design: Float[np.ndarray, "row term"], target: Float[np.ndarray, " row"], tolerance: float
 ) -> tuple[Int[np.ndarray, " kept"], Float[np.ndarray, " kept"]]:
-    """Least squares with backward elimination; the first column is never dropped.
+    """Solve least squares with backward elimination; the first column is never removed.
 
-    Dropping column k raises the squared error by ``c_k**2 / S_kk`` with ``S = (A'A)^-1``, and the
-    remaining coefficients and S follow by one rank-one update.
+    Removal of column k increases the squared error by ``c_k**2 / S_kk`` with ``S = (A'A)^-1``. The remaining
+    coefficients and S follow by a rank-one update.
     """
     q, r = np.linalg.qr(design)
     coefficients = np.linalg.solve(r, q.T @ target)
     inverse = np.linalg.inv(r)
     inverse = inverse @ inverse.T
     full_error = float(np.sum((target - design @ coefficients) ** 2))
-    # A path that is itself a polynomial leaves only round-off, which must not keep all terms.
+    # For a path that is itself a polynomial the error is round-off, which must not prevent elimination.
     floor = len(target) * (1e-7) ** 2
     budget = (1.0 + tolerance) ** 2 * max(full_error, floor) - full_error
     keep = np.arange(design.shape[1])
@@ -356,5 +382,5 @@ def _fit_pruned(
         inverse = inverse - np.outer(column, column) / column[drop]
         inverse = np.delete(np.delete(inverse, drop, axis=0), drop, axis=1)
         keep = np.delete(keep, drop)
-    # The updates lose digits term by term: solve once more with what is left.
+    # The updates accumulate round-off, therefore the remaining terms are fitted once more.
     return keep, np.linalg.lstsq(design[:, keep], target, rcond=None)[0]

@@ -1,10 +1,8 @@
-"""Which poses a surrogate is trained and judged on.
+"""Samples of poses and wrap parameters on which path surrogates are trained and validated.
 
-Which placements of the cylinders a two-level surrogate is trained and judged on.
-
-All cylinders move at once: a sample is one model, analysed in many poses, as in the paper. A muscle with
-two cylinders then shows how their sum is best fitted. But which of the two made its path non-physiological
-such samples cannot tell. So the cylinders of those muscles are also moved one at a time.
+As in Ao, Fregly et al., a sample of wrap parameters changes all wraps at once and is analyzed in many poses.
+Such samples show the combined effect of two wraps on a muscle, but not which of the two makes its path
+non-physiological. The wraps of muscles with several are therefore also changed one at a time.
 """
 
 from __future__ import annotations
@@ -16,85 +14,91 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.engine import nominal_parameters
-from wrapjax.geometry.wrap_bounds import box, hammersley
+from wrapjax.geometry.wrap_bounds import hammersley, parameter_box
 
-#: Narrower belts are widened to this (rad): with a single recorded cycle a belt has no width at all,
-#: and a polynomial fitted along one curve says nothing beside it.
-MINIMUM_BELT_WIDTH = np.radians(5.0)
+#: Smallest range of a coordinate at a frame (rad). With a single recorded cycle the range would be zero, and
+#: a polynomial fitted to one curve is undetermined elsewhere.
+MINIMUM_ANGLE_RANGE = np.radians(5.0)
+
+#: Numbers of samples of wrap parameters for training and for validation, after Ao, Fregly et al.
+TRAINING_SAMPLES, VALIDATION_SAMPLES = 1000, 250
+
+Samples = Float[np.ndarray, "sample wrap_parameter"]
 
 
-def walking_belt(
+def angle_ranges(
     angles: Float[np.ndarray, "trial coordinate frame"],
 ) -> tuple[Float[np.ndarray, "coordinate frame"], Float[np.ndarray, "coordinate frame"]]:
-    """Find the lowest and highest angle of every coordinate at every frame, over all cycles.
+    """Compute the lowest and highest angle of every coordinate at every frame over all cycles.
 
     Parameters
     ----------
     angles
-        In rad.
+        Recorded angles, rad.
 
     Returns
     -------
-    tuple of arrays
-        Lower and upper edge in rad, at least `MINIMUM_BELT_WIDTH` apart.
+    lower, upper
+        Ends of the ranges, rad, at least `MINIMUM_ANGLE_RANGE` apart.
     """
     lower, upper = angles.min(axis=0), angles.max(axis=0)
-    missing = np.maximum(MINIMUM_BELT_WIDTH - (upper - lower), 0.0)
+    missing = np.maximum(MINIMUM_ANGLE_RANGE - (upper - lower), 0.0)
     return lower - 0.5 * missing, upper + 0.5 * missing
 
 
 def random_poses(
     angles: Float[np.ndarray, "trial coordinate frame"], count: int, generator: np.random.Generator
 ) -> Float[np.ndarray, "pose coordinate"]:
-    """Draw poses uniformly from the walking belt, the same number at every frame.
+    """Draw poses uniformly from the recorded angle ranges, the same number at every frame.
 
-    The last frame repeats the first (heel strike to heel strike) and gets none.
+    The last frame of a cycle repeats the first (heel strike to heel strike) and is left out.
 
     Parameters
     ----------
     angles
-        In rad.
+        Recorded angles, rad.
     count
-        Number of poses; spread evenly over the frames.
+        Number of poses, distributed evenly over the frames.
+    generator
+        Source of random numbers.
+
+    Returns
+    -------
+    Array
+        Poses in the order of their frames, rad.
     """
-    lower, upper = walking_belt(angles)
+    lower, upper = angle_ranges(angles)
     frames = angles.shape[-1] - 1
     frame = np.arange(count) * frames // count
     low, high = lower[:, frame].T, upper[:, frame].T
     return low + (high - low) * generator.random(low.shape)
 
 
-def smooth_poses(
+def fastest_cycle_poses(
     angles: Float[np.ndarray, "trial coordinate frame"], duration: Float[np.ndarray, " trial"]
 ) -> Float[np.ndarray, "pose coordinate"]:
-    """Take the recorded poses of the shortest (fastest) cycle, its repeated last frame left out.
+    """Select the recorded poses of the shortest cycle, without its repeated last frame.
 
     Parameters
     ----------
     angles
-        In rad.
+        Recorded angles, rad.
     duration
-        Of each cycle, in s.
+        Duration of each cycle, s.
     """
     return angles[int(np.argmin(duration)), :, :-1].T
 
 
-#: Samples of each cylinder's box, for training and for validation: the paper's.
-TRAINING_SAMPLES, VALIDATION_SAMPLES = 1000, 250
-
-Samples = Float[np.ndarray, "sample wrap_parameter"]
-
-
 @dataclass(frozen=True)
 class SampleSet:
-    """Placements of some cylinders; the others stay where the model has them.
+    """Samples of the parameters of some wraps; other wraps stay nominal.
 
     Parameters
     ----------
     muscles
-        Whose paths are wanted.
+        Names of the muscles whose paths are to be computed.
     moved
-        Wrap parameters by cylinder, all of as many samples.
+        Wrap parameters by wrap, the same number of samples for each.
     """
 
     muscles: tuple[str, ...]
@@ -106,52 +110,72 @@ class SampleSet:
         return len(next(iter(self.moved.values())))
 
     def parameters(self, wraps: tuple[str, ...]) -> Float[np.ndarray, "sample wrap wrap_parameter"]:
-        """Give the parameters of a muscle's cylinders at every sample."""
-        nominal = np.tile(nominal_parameters(len(wraps)), (self.count, 1, 1))
+        """Parameters of a muscle's wraps at every sample.
+
+        Parameters
+        ----------
+        wraps
+            Names of the muscle's wraps, in the order of its path.
+        """
+        parameters = np.tile(nominal_parameters(len(wraps)), (self.count, 1, 1))
         for place, wrap in enumerate(wraps):
             if wrap in self.moved:
-                nominal[:, place] = self.moved[wrap]
-        return nominal
+                parameters[:, place] = self.moved[wrap]
+        return parameters
 
 
 @dataclass(frozen=True)
 class SamplePlan:
-    """All that is sampled, for training or for validation.
+    """All samples of wrap parameters for training or for validation.
 
     Parameters
     ----------
     together
-        All cylinders at once.
+        Samples that change all wraps at once.
     alone
-        The cylinders of muscles with several, in as few sets as move no two cylinders of one muscle.
+        Samples of the wraps of muscles with several, in the smallest number of sets of which none changes two
+        wraps of one muscle.
     boxes
-        Lower and upper ends of each cylinder's parameters.
+        Lower and upper bounds of each wrap's parameters.
     """
 
     together: SampleSet
     alone: tuple[SampleSet, ...]
     boxes: dict[str, tuple[Float[np.ndarray, " wrap_parameter"], Float[np.ndarray, " wrap_parameter"]]]
 
-    def set_for(self, muscle: str, wrap: str, wraps: tuple[str, ...]) -> SampleSet:
-        """Find the samples that show what a cylinder alone does to a muscle."""
+    def samples_for(self, muscle: str, wrap: str, wraps: tuple[str, ...]) -> SampleSet:
+        """Select the samples that change one wrap of a muscle, but none of its other wraps.
+
+        Parameters
+        ----------
+        muscle, wrap
+            Names of the muscle and of the wrap.
+        wraps
+            Names of all wraps of the muscle.
+        """
         if len(wraps) == 1:
             return self.together
-        return next(one for one in self.alone if wrap in one.moved and muscle in one.muscles)
+        return next(samples for samples in self.alone if wrap in samples.moved and muscle in samples.muscles)
 
 
 def plan_samples(
     wraps_of: Mapping[str, tuple[str, ...]], translations: Mapping[str, float], seed: int = 0
 ) -> tuple[SamplePlan, SamplePlan]:
-    """Plan the samples for training, and other ones for validation.
+    """Draw samples of wrap parameters for training, and different ones for validation.
 
     Parameters
     ----------
     wraps_of
-        The cylinders of every muscle that has any.
+        Names of the wraps of every muscle that has any.
     translations
-        Half width of each cylinder's box along its axes, m.
+        Largest translation of each wrap along each axis, m.
     seed
-        Decides which samples of one cylinder meet which of another.
+        Seed of the random order in which samples of different wraps are combined.
+
+    Returns
+    -------
+    training, validation
+        Samples of both sets.
     """
     generator = np.random.default_rng(seed)
     return (
@@ -166,9 +190,9 @@ def _plan(
     unit: Samples,
     generator: np.random.Generator,
 ) -> SamplePlan:
-    moved, boxes = {}, {wrap: box(translation) for wrap, translation in translations.items()}
+    moved, boxes = {}, {wrap: parameter_box(translation) for wrap, translation in translations.items()}
     for wrap, (lower, upper) in boxes.items():
-        # In an order of its own: two cylinders of one muscle must not move in step.
+        # In a random order for each wrap, so that the parameters of two wraps of one muscle are uncorrelated.
         moved[wrap] = (lower + (upper - lower) * unit)[generator.permutation(len(unit))]
     several = {muscle: wraps for muscle, wraps in wraps_of.items() if len(wraps) > 1}
     groups: list[set[str]] = []

@@ -1,4 +1,4 @@
-"""Vectors of three as three separate arrays: the compiler then fuses whole formulas into one loop."""
+"""Three-dimensional vectors as three separate arrays, which lets XLA fuse whole formulas into one loop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 
 class Vector(eqx.Module):
-    """Any number of vectors, component by component."""
+    """Array of three-dimensional vectors, stored by component."""
 
     x: Float[Array, "*vectors"]
     y: Float[Array, "*vectors"]
@@ -37,26 +37,26 @@ class Vector(eqx.Module):
         )
 
     def norm(self) -> Float[Array, "*vectors"]:
-        """Length; its derivative at zero is zero."""
+        """Euclidean norm, with a derivative of zero at zero."""
         return safe_sqrt(self.dot(self))
 
     def unit(self) -> Vector:
-        """The vector scaled to length one; zero stays zero."""
+        """Scale the vectors to length one; zero vectors stay zero."""
         return self * safe_inverse(self.norm())
 
     def at(self, place: object) -> Vector:
-        """Index all three components alike."""
+        """Index all three components."""
         return Vector(self.x[place], self.y[place], self.z[place])
 
 
 def vector(values: Float[Array, "*vectors 3"] | Float[np.ndarray, "*vectors 3"]) -> Vector:
-    """Take an array apart whose last axis holds x, y and z."""
-    # NumPy's are cut before they become JAX's: for many small arrays that is far quicker.
+    """Convert an array whose last axis holds x, y and z."""
+    # NumPy arrays are sliced before their conversion to JAX, which is much faster for many small arrays.
     return Vector(*(jnp.asarray(values[..., axis]) for axis in range(3)))
 
 
 def where(condition: Bool[Array, "*vectors"], one: Vector, other: Vector) -> Vector:
-    """Choose between two vectors."""
+    """Select from two vectors by a condition, as ``jnp.where``."""
     return Vector(
         jnp.where(condition, one.x, other.x),
         jnp.where(condition, one.y, other.y),
@@ -65,13 +65,13 @@ def where(condition: Bool[Array, "*vectors"], one: Vector, other: Vector) -> Vec
 
 
 def safe_sqrt(value: Float[Array, "*values"]) -> Float[Array, "*values"]:
-    """Square root of what is positive, else zero, with a derivative of zero there."""
+    """Square root of positive values; zero, with a derivative of zero, for others."""
     positive = value > 0.0
-    # Guarded twice: a derivative of what was not chosen must be finite, too.
+    # The inner ``where`` keeps the derivative of the branch that is not selected finite.
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)
 
 
 def safe_inverse(value: Float[Array, "*values"]) -> Float[Array, "*values"]:
-    """One over a value, and zero for zero."""
+    """Reciprocal of a value; zero for zero."""
     nonzero = value != 0.0
     return jnp.where(nonzero, 1.0 / jnp.where(nonzero, value, 1.0), 0.0)

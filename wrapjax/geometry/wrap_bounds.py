@@ -1,10 +1,11 @@
-"""How far a cylinder may be moved, turned and scaled.
+"""Bounds of wrap parameters, and the exact criterion for parameters to be usable.
 
-The paper's own bounds of translation (its Table S8) are not public. Here a surface may move by 1 cm along
-each axis, less where that leaves under half of all placements in the box usable, and more where over nine
-tenths are: a placement is usable if no path jumps, in any of the poses, that does not jump in the nominal
-model, and none loses a cylinder. Where even the narrowest box is not half usable it is taken all the same:
-narrower ones help little, as it is turns and radii that put path points inside.
+The bounds of translation of Ao, Fregly et al. (Table S8) are not public. Here a wrap may be translated by 1
+cm along each axis; by less if under half of the samples in this box are usable, and by more if over nine
+tenths are. Samples are usable if in no pose a path is beyond a discontinuity of length where the nominal path
+is not, and if every path still touches the wrap in some pose. The narrowest box is used even if under half of
+its samples are usable: narrower boxes help little, because path points get inside by rotations and larger
+radii.
 """
 
 from __future__ import annotations
@@ -17,23 +18,32 @@ from scipy.stats import qmc
 
 from wrapjax.geometry.engine import ExactPaths, PosedPath, nominal_parameters, wrap_at_samples
 
-#: Turns about x and y (rad), to either side: the paper's.
-LARGEST_TURN = np.radians(20.0)
-#: Smallest and largest radius in nominal ones: the paper's.
+#: Largest rotation about x and y (rad) in either direction, after Ao, Fregly et al.
+MAX_ROTATION = np.radians(20.0)
+#: Smallest and largest radius as multiples of the nominal radius, after Ao, Fregly et al.
 RADIUS_FACTORS = (0.8, 1.2)
-#: Half widths of translation that are tried, m: narrower ones, from the usual one on, and wider ones.
+#: Largest translation along each axis (m) that is tried first.
 USUAL_TRANSLATION = 0.01
-NARROWER, WIDER = (USUAL_TRANSLATION, 0.0075, 0.005), (0.015, 0.02)
-#: Shares of usable placements between which a box is kept.
-LEAST_USABLE, MOST_USABLE = 0.5, 0.9
+#: Smaller bounds, from the usual one on, and larger bounds that are tried next (m).
+NARROWER_TRANSLATIONS, WIDER_TRANSLATIONS = (USUAL_TRANSLATION, 0.0075, 0.005), (0.015, 0.02)
+#: Shares of usable samples below and above which another bound is tried.
+MIN_USABLE_SHARE, MAX_USABLE_SHARE = 0.5, 0.9
+# Samples by which the share is estimated.
 _SAMPLES = 96
 
 
 def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_parameter"]:
-    """Spread points evenly over the unit box of six wrap parameters (Hammersley's set).
+    """Compute evenly distributed points of the unit cube of six wrap parameters (Hammersley set).
 
-    The first coordinate counts, the others are van der Corput's in the first prime bases. With as many
-    of those skipped as another set has, the points are other ones.
+    The first coordinate of point i is ``(i + 1/2) / count``; the others are van der Corput sequences in the
+    first five prime bases.
+
+    Parameters
+    ----------
+    count
+        Number of points.
+    skipped
+        Number of elements of the van der Corput sequences to skip, by which sets become different.
     """
     sequence = qmc.Halton(d=5, scramble=False)
     if skipped:
@@ -42,57 +52,80 @@ def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_p
     return np.column_stack([(np.arange(count) + 0.5) / count, halton])
 
 
-def box(
+def parameter_box(
     translation: float,
 ) -> tuple[Float[np.ndarray, " wrap_parameter"], Float[np.ndarray, " wrap_parameter"]]:
-    """Give the lower and upper ends of a box of wrap parameters, by half its width along each axis (m)."""
-    lower = np.array([*[-translation] * 3, -LARGEST_TURN, -LARGEST_TURN, RADIUS_FACTORS[0]])
-    upper = np.array([*[translation] * 3, LARGEST_TURN, LARGEST_TURN, RADIUS_FACTORS[1]])
+    """Compute lower and upper bounds of wrap parameters.
+
+    Parameters
+    ----------
+    translation
+        Largest translation along each axis, m.
+    """
+    lower = np.array([*[-translation] * 3, -MAX_ROTATION, -MAX_ROTATION, RADIUS_FACTORS[0]])
+    upper = np.array([*[translation] * 3, MAX_ROTATION, MAX_ROTATION, RADIUS_FACTORS[1]])
     return lower, upper
 
 
 def translation_bounds(
     engine: ExactPaths, posed: dict[str, PosedPath], wraps: Sequence[str]
 ) -> dict[str, float]:
-    """Find how far each cylinder may be moved along each of its axes, to either side (m).
+    """Find the largest translation of each wrap along each of its axes (m).
 
     Parameters
     ----------
+    engine
+        Engine of the muscles.
     posed
-        The engine's paths in the poses that matter.
+        The engine's paths in the poses to consider.
     wraps
-        Names of cylinders.
+        Names of the wraps.
     """
     return {name: _translation_bound(engine, posed, name) for name in wraps}
 
 
 def _translation_bound(engine: ExactPaths, posed: dict[str, PosedPath], wrap: str) -> float:
-    def share(translation: float) -> float:
-        lower, upper = box(translation)
+    def usable_share(translation: float) -> float:
+        lower, upper = parameter_box(translation)
         samples = lower + (upper - lower) * hammersley(_SAMPLES)
-        return float(usable_by_all(engine, posed, wrap, samples).mean())
+        return float(usable_for_all_muscles(engine, posed, wrap, samples).mean())
 
-    if share(NARROWER[0]) > MOST_USABLE:
-        # The first that is no longer too easy, as long as it is usable.
-        last = NARROWER[0]
-        for translation in WIDER:
-            found = share(translation)
-            if found < LEAST_USABLE:
+    if usable_share(NARROWER_TRANSLATIONS[0]) > MAX_USABLE_SHARE:
+        # Widen until the share is no longer too high, unless it becomes too low.
+        last = NARROWER_TRANSLATIONS[0]
+        for translation in WIDER_TRANSLATIONS:
+            share = usable_share(translation)
+            if share < MIN_USABLE_SHARE:
                 break
             last = translation
-            if found <= MOST_USABLE:
+            if share <= MAX_USABLE_SHARE:
                 break
         return last
-    return next((one for one in NARROWER[:-1] if share(one) >= LEAST_USABLE), NARROWER[-1])
+    return next(
+        (one for one in NARROWER_TRANSLATIONS[:-1] if usable_share(one) >= MIN_USABLE_SHARE),
+        NARROWER_TRANSLATIONS[-1],
+    )
 
 
-def usable_by_all(
+def usable_for_all_muscles(
     engine: ExactPaths,
     posed: dict[str, PosedPath],
     wrap: str,
     samples: Float[np.ndarray, "sample wrap_parameter"],
 ) -> Bool[np.ndarray, " sample"]:
-    """Tell placements of a cylinder that are usable for every muscle that wraps round it."""
+    """Identify parameters of a wrap that are usable for every muscle that wraps round it.
+
+    Parameters
+    ----------
+    engine
+        Engine of the muscles.
+    posed
+        The engine's paths in the poses to consider.
+    wrap
+        Name of the wrap.
+    samples
+        Parameters of the wrap.
+    """
     usable = np.ones(len(samples), dtype=bool)
     for muscle in engine.muscles:
         wraps = engine.wraps_of(muscle)
@@ -104,23 +137,27 @@ def usable_by_all(
 def usable_samples(
     posed: PosedPath, place: int, samples: Float[np.ndarray, "sample wrap_parameter"]
 ) -> Bool[np.ndarray, " sample"]:
-    """Tell placements of one cylinder for which a path behaves as with the nominal one.
+    """Identify parameters of one wrap for which a path is as regular as the nominal path.
 
-    In no pose does it come to lie where its length jumps, unless it does in that pose anyway; and it
-    touches the cylinder in some pose, if it does so anyway.
+    In no pose is the path beyond a discontinuity of its length, unless the nominal path is in that pose. It
+    touches the wrap in some pose, if the nominal path does.
 
     Parameters
     ----------
+    posed
+        Path in the poses to consider.
     place
-        Which of the path's cylinders is moved; the others stay where they are.
+        Number of the wrap in the order of the path; the other wraps stay nominal.
+    samples
+        Parameters of the wrap.
     """
     nominal = nominal_parameters(posed.surfaces.radius.shape[0])
     moved = np.tile(nominal, (len(samples), 1, 1))
     moved[:, place] = samples
-    found, before = wrap_at_samples(posed, moved), wrap_at_samples(posed, nominal[None])
+    found, unchanged = wrap_at_samples(posed, moved), wrap_at_samples(posed, nominal[None])
     jumps = np.zeros(len(samples), dtype=bool)
     for name in ("inside", "off_end", "long_wrap"):
-        own, usual = getattr(found.margins, name), getattr(before.margins, name)
-        jumps |= ((own < 0.0) & (usual >= 0.0)).any(axis=1)
-    touched = before.touching[0, :, place].any()
+        margin, nominal_margin = getattr(found.margins, name), getattr(unchanged.margins, name)
+        jumps |= ((margin < 0.0) & (nominal_margin >= 0.0)).any(axis=1)
+    touched = unchanged.touching[0, :, place].any()
     return ~jumps & (found.touching[:, :, place].any(axis=1) | ~touched)

@@ -1,8 +1,8 @@
-"""Wrap surfaces and the six parameters that move, turn and scale them.
+"""Wrap parameters of cylinders, and length and moment arms of a path that may wrap round one cylinder.
 
-A path that may wrap round one cylinder: its length, moment arms and margins, in one pose.
-
-Everything is in the frame of the body that carries the cylinder, so that only the path's points move.
+The six wrap parameters, after Ao, Fregly et al., translate, rotate and scale a cylinder relative to its
+nominal pose. Paths round a single cylinder are computed in the frame of the body that carries the cylinder,
+where only the path's points move. Paths round several cylinders are in `several_wraps`.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.cylinder import HALF_TURN, Contact, Cylinder, Decision, decide
+from wrapjax.geometry.cylinder import HALF_TURN, Contact, Cylinder, Decision, decide_wrapping
 from wrapjax.geometry.vectors import Vector, vector
 
-#: A surface's parameters, in their order: translation along the nominal frame's axes, turns about its
-#: x and then its own y axis, and the radius as a multiple of the nominal one.
+#: Wrap parameters in their order: translation along the nominal frame's axes, rotation about its x axis and
+#: then about the rotated y axis, and the radius as a multiple of the nominal radius.
 WRAP_PARAMETERS = (
     "translation_x_m",
     "translation_y_m",
@@ -29,24 +29,27 @@ WRAP_PARAMETERS = (
     "radius_factor",
 )
 
-#: Leaves a surface as the model has it.
+#: Wrap parameters of a cylinder as the model has it.
 NOMINAL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class Surface(eqx.Module):
-    """A cylinder as the model has it, in the frame of the body that carries it."""
+    """A wrap cylinder with its nominal pose in the frame of the body that carries it."""
 
     #: Columns are the cylinder's axes.
     rotation: Float[Array, "*surface 3 3"]
     #: m
     center: Float[Array, "*surface 3"]
+    #: m
     radius: Float[Array, "*surface"]
+    #: m
     length: Float[Array, "*surface"]
+    #: Restriction to one side: see `Cylinder`.
     side_axis: Array
     side: Array
 
     def placed(self, parameters: Float[Array, " wrap_parameter"]) -> Cylinder:
-        """Move, turn and scale the cylinder: ``R_nominal Rx Ry``, the paper's six wrap parameters."""
+        """Apply wrap parameters (`WRAP_PARAMETERS`): the rotation becomes ``R_nominal Rx Ry``."""
         x_axis, y_axis, z_axis = (vector(self.rotation[:, column]) for column in range(3))
         shift = x_axis * parameters[0] + y_axis * parameters[1] + z_axis * parameters[2]
         sine_x, cosine_x = jnp.sin(parameters[3]), jnp.cos(parameters[3])
@@ -65,62 +68,66 @@ class Surface(eqx.Module):
         )
 
 
-#: How a contact is found: `geodesic_contact` or `spiral_contact`.
+#: Function that computes a contact: `geodesic_contact` or `spiral_contact`.
 FindContact = Callable[[Vector, Vector, Cylinder, Decision], Contact]
 
-#: What a margin is where nothing is near enough to matter.
+#: Value of a margin or clearance to which no discontinuity applies.
 FREE = 1.0
 
 
 class Margins(eqx.Module):
-    """How far a path is from where its length would jump; negative where that has happened.
+    """Margins of a path from discontinuities of its length, negative beyond a discontinuity.
 
-    Smooth in pose and wrap parameters, but for the change from one piece of path to another.
+    They are smooth in pose and wrap parameters, except where the wrapping segment changes.
     """
 
-    #: Distance of the nearest path point from the surface (m): inside, OpenSim does not wrap.
+    #: Distance of the nearest path point from the surface (m). OpenSim does not wrap if a point is inside.
     inside: Float[Array, "*pose"]
-    #: Distance of the path on the surface from the cylinder's end (m): beyond it does not wrap.
+    #: Distance of the contact from the cylinder's end (m). Paths do not wrap beyond the end.
     off_end: Float[Array, "*pose"]
-    #: What is left of half a turn (rad).
+    #: Half a turn less the wrap angle (rad). OpenSim takes the long way round above half a turn.
     long_wrap: Float[Array, "*pose"]
 
 
 class WrappedPath(eqx.Module):
-    """What one muscle's path is in a pose."""
+    """Length, moment arms, contact lengths and margins of one muscle's path."""
 
     #: m
     length: Float[Array, "*pose"]
-    #: By coordinate, m/rad: -dL/dq.
+    #: -dL/dq about each coordinate, m (m/rad).
     moment_arm: Float[Array, "*pose coordinate"]
-    #: How far it runs on each of its cylinders (m): zero where it does not lie on one.
+    #: Length of the contact with each cylinder (m), zero without contact.
     on_surface: Float[Array, "*pose wrap"]
+    #: Smallest margins over all cylinders and segments.
     margins: Margins
-    #: Distances (m) from everything that would make the length jump, one by one: each is smooth by itself.
-    clearances: Float[Array, "*pose wall"]
+    #: Distances from each discontinuity of the length (m), each of them smooth.
+    clearances: Float[Array, "*pose barrier"]
 
     @property
     def touching(self) -> Bool[Array | np.ndarray, "*pose wrap"]:
-        """Which of its cylinders it lies on."""
+        """Whether the path touches each of its cylinders."""
         return self.on_surface > 0.0
 
 
 class StraightPath(eqx.Module):
-    """A path as it would be without its cylinder, and the pieces of it that may wrap."""
+    """A path without its cylinder, and the segments of it that may wrap round the cylinder."""
 
+    #: Length without wrapping (m).
     length: Float[Array, "*pose"]
+    #: Moment arms without wrapping, m (m/rad).
     moment_arm: Float[Array, "*pose coordinate"]
-    #: Ends of the pieces (m) and their velocities by coordinate; velocities lead with it.
+    #: Ends of the segments (m), and their velocities per unit speed of each coordinate (m/rad), of which the
+    #: first axis after ``pose`` is ``coordinate``.
     start: Vector
     end: Vector
     start_velocity: Vector
     end_velocity: Vector
-    #: False for a piece that is there only to fill up.
-    eligible: Bool[Array, "*pose piece"]
+    #: Whether a segment may wrap; False for padding and for segments between inactive points.
+    eligible: Bool[Array, "*pose segment"]
 
-    def filled(self, pieces: int) -> StraightPath:
-        """Fill up to a number of pieces: copies of the last one that do not count."""
-        missing = pieces - self.eligible.shape[-1]
+    def padded(self, segments: int) -> StraightPath:
+        """Pad to a number of segments with ineligible copies of the last segment."""
+        missing = segments - self.eligible.shape[-1]
 
         def repeated(leaf: Array) -> Array:
             known = np.asarray(leaf)
@@ -134,37 +141,42 @@ class StraightPath(eqx.Module):
 
 
 def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact) -> WrappedPath:
-    """Wrap a path round a cylinder, in one pose.
+    """Compute a path round one cylinder, in one pose.
 
-    Of several pieces that might wrap the first that runs through the cylinder does; if none does, the
-    one that gets longer by least.
+    As in OpenSim, at most one segment wraps: the first one that intersects the cylinder or, if none does, the
+    one that becomes longer by the least.
 
     Parameters
     ----------
     path
-        Pieces in the frame of the body that carries the cylinder.
+        Path in the frame of the body that carries the cylinder.
     cylinder
-        Where it is in that frame.
+        Cylinder in that frame.
     find_contact
-        `geodesic_contact` for the shortest path, `spiral_contact` for OpenSim's.
+        `geodesic_contact` for the shortest path, `spiral_contact` for OpenSim's path.
+
+    Returns
+    -------
+    WrappedPath
+        ``moment_arm`` is that of unit tension along the path. It is exactly -dL/dq for the shortest path.
     """
-    start, end = cylinder.inward(path.start), cylinder.inward(path.end)
-    decision = decide(start, end, cylinder)
+    start, end = cylinder.to_cylinder_frame(path.start), cylinder.to_cylinder_frame(path.end)
+    decision = decide_wrapping(start, end, cylinder)
     contact = find_contact(start, end, cylinder, decision)
     crossing = path.eligible & (decision.mandatory | decision.possible)
-    wraps = crossing & contact.made
+    wraps = crossing & contact.valid
     straight = end - start
     longer = contact.total - straight.norm()
-    # Mandatory ones come first, in their order; the others by how much longer they make the path.
+    # Segments that intersect the cylinder rank first, in their order; the others by the increase of length.
     order = jnp.arange(path.eligible.shape[-1])
     rank = jnp.where(decision.mandatory, order - 1e6, longer)
     rank = jnp.where(wraps, rank, jnp.inf)
     chosen = wraps & (order == jnp.argmin(rank, axis=-1))
 
-    first_pull = cylinder.turn_outward(contact.start_pull)
-    last_pull = cylinder.turn_outward(contact.end_pull)
-    straight_pull = cylinder.turn_outward(straight.unit())
-    # The surface stands still: what moves are the ends, towards it or away.
+    first_pull = cylinder.rotate_to_body_frame(contact.start_pull)
+    last_pull = cylinder.rotate_to_body_frame(contact.end_pull)
+    straight_pull = cylinder.rotate_to_body_frame(straight.unit())
+    # In the frame of the cylinder's body only the ends of the segments move.
     at_start, at_end = (first_pull - straight_pull).at(None), (last_pull - straight_pull).at(None)
     change = at_start.dot(path.start_velocity) - at_end.dot(path.end_velocity)
     margins = Margins(
@@ -185,7 +197,7 @@ def wrap_once(path: StraightPath, cylinder: Cylinder, find_contact: FindContact)
 
 
 def unwrapped(path: StraightPath) -> WrappedPath:
-    """Leave a path straight."""
+    """Convert a path without cylinders to a `WrappedPath`."""
     free = jnp.full(path.length.shape, FREE)
     return WrappedPath(
         length=path.length,

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.io.files import cache_folder, content_hash, write_whole
+from wrapjax.io.files import cache_folder, content_hash, write_atomically
 from wrapjax.io.json_and_arrays import load_arrays
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.model import describe_model, unknown_names
@@ -117,10 +117,10 @@ def analyse_muscles(
     missing = {}
     for start, chunk in chunks.items():
         here = slice(start, start + CHUNK)
-        if not _recall(files[start], length[here], moment_arm[here]):
+        if not _read_cache(files[start], length[here], moment_arm[here]):
             missing[start] = chunk
     if missing or not chunks:
-        spans = check_question(path, muscles, coordinates, poses)
+        spans = check_names_and_poses(path, muscles, coordinates, poses)
         done = len(poses) - sum(len(chunk) for chunk in missing.values())
         with (
             progress_bar("OpenSim muscle analysis, poses", len(poses), quiet=quiet) as advance,
@@ -130,7 +130,7 @@ def analyse_muscles(
                 here = slice(start, start + CHUNK)
                 length[here], moment_arm[here] = found
                 _check_finite(path, muscles, poses[here], length[here], moment_arm[here])
-                _remember(files[start], length[here], moment_arm[here])
+                _write_cache(files[start], length[here], moment_arm[here])
                 done += len(chunks[start])
                 advance(done)
     return PathGeometry(muscles, coordinates, length, moment_arm)
@@ -154,7 +154,7 @@ def touching_muscles(
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
-    spans = check_question(path, muscles, coordinates, poses)
+    spans = check_names_and_poses(path, muscles, coordinates, poses)
     found = PathEngine(path, coordinates, spans).touching(poses)
     return tuple(name for number, name in enumerate(muscles) if number in found)
 
@@ -173,7 +173,7 @@ def check_poses(
         )
 
 
-def check_question(
+def check_names_and_poses(
     path: Path,
     muscles: tuple[str, ...],
     coordinates: tuple[str, ...],
@@ -234,7 +234,7 @@ def _cache_file(question: str, poses: Float[np.ndarray, "pose coordinate"]) -> P
     return cache_folder("muscle_analysis") / f"{content_hash(question, poses)}.npz"
 
 
-def _recall(
+def _read_cache(
     file: Path,
     length: Float[np.ndarray, "pose muscle"],
     moment_arm: Float[np.ndarray, "pose coordinate muscle"],
@@ -248,11 +248,11 @@ def _recall(
     return True
 
 
-def _remember(
+def _write_cache(
     file: Path,
     length: Float[np.ndarray, "pose muscle"],
     moment_arm: Float[np.ndarray, "pose coordinate muscle"],
 ) -> None:
     # A full disk costs the memory, not the result.
     with suppress(OSError):
-        write_whole(file, lambda whole: np.savez(whole, length=length, moment_arm=moment_arm))
+        write_atomically(file, lambda whole: np.savez(whole, length=length, moment_arm=moment_arm))

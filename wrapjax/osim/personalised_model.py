@@ -14,7 +14,7 @@ from xml.dom import minidom
 import numpy as np
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import write_whole
+from wrapjax.io.files import write_atomically
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.path_engine import NOMINAL, NominalCylinder, WrapParameters, nominal_cylinders
@@ -107,7 +107,7 @@ def write_personalised_model(
     def write(temporary: Path) -> None:
         temporary.write_bytes(content)
 
-    write_whole(Path(out_file), write)
+    write_atomically(Path(out_file), write)
 
 
 def _impossible_values(

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.io.files import cache_folder, content_hash, write_whole
+from wrapjax.io.files import cache_folder, content_hash, write_atomically
 from wrapjax.osim.loading import check_is_file
-from wrapjax.osim.muscle_analysis import check_poses, check_question
+from wrapjax.osim.muscle_analysis import check_names_and_poses, check_poses
 from wrapjax.osim.path_engine import WrapParameters
 from wrapjax.osim.workers import Placed, analyse_chunks
 from wrapjax.progress import progress_bar
@@ -89,7 +89,7 @@ def analyse_placements(
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
-    spans = check_question(path, muscles, coordinates, poses)
+    spans = check_names_and_poses(path, muscles, coordinates, poses)
     question = content_hash(path, repr(muscles), repr(coordinates), poses, version("opensim"), _FORMAT)
     starts = range(0, len(placements), CHUNK)
     chunks = {start: Placed(tuple(placements[start : start + CHUNK]), poses) for start in starts}
@@ -137,7 +137,7 @@ def _table(
 
 
 def _keep(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
-    write_whole(file, lambda whole: np.save(whole, table, allow_pickle=False))
+    write_atomically(file, lambda whole: np.save(whole, table, allow_pickle=False))
 
 
 def _parts(placements: Sequence[Mapping[str, WrapParameters]]) -> list[str | np.ndarray]:

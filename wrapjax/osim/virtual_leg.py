@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.io.files import write_whole
+from wrapjax.io.files import write_atomically
 from wrapjax.osim.loading import import_opensim
 
 Point = tuple[float, float, float]
@@ -184,7 +184,7 @@ def write_leg_model(leg: LegModel, path: Path) -> None:
     for muscle in leg.muscles:
         model.addForce(_muscle(opensim, muscle, bodies, surfaces))
     model.finalizeConnections()
-    write_whole(path, lambda temporary: model.printToXML(str(temporary)) and None)
+    write_atomically(path, lambda temporary: model.printToXML(str(temporary)) and None)
 
 
 def _vector(opensim: Any, values: Point) -> Any:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.paths import AbstractPath, fixed_path
-from wrapjax.geometry.wrap_bounds import box, translation_bounds
+from wrapjax.geometry.wrap_bounds import parameter_box, translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.io.files import content_hash
@@ -53,7 +53,7 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         for place, wrap in enumerate(wraps):
             if wrap in names:
                 places[row, place] = names.index(wrap)
-    boxes = np.reshape([box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
+    boxes = np.reshape([parameter_box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
     lower, upper = boxes[:, 0] - NOMINAL, boxes[:, 1] - NOMINAL
     half = 0.5 * (upper - lower)
     return FreedWraps(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.feasibility import RAREST_SHARE, Feasibility
+from wrapjax.geometry.feasibility import MIN_CLASS_SHARE, Feasibility
 from wrapjax.geometry.path_modes import PATH_CHANGE, path_modes
 from wrapjax.geometry.paths import AbstractPath, AdjustablePath, PathState
 from wrapjax.geometry.physiological import PhysiologicalThresholds
@@ -87,7 +87,7 @@ class WrapFit:
     def movable(self, surfaces: str) -> tuple[str, ...]:
         """Name cylinders (of `SURFACES`), but for those whose box is not physiological almost anywhere."""
         among = self.touched if surfaces == "touched" else tuple(self.quality)
-        return tuple(name for name in among if self.quality[name].physiological_share >= RAREST_SHARE)
+        return tuple(name for name in among if self.quality[name].physiological_share >= MIN_CLASS_SHARE)
 
     def freed(self, muscles: Sequence[str], surfaces: str = "touched") -> FreedWraps:
         """Free the movable cylinders of these muscles."""
@@ -338,7 +338,7 @@ def wrapped_polynomial_paths(
         velocities[:, :, ::_GUARDED_EVERY],
         trials.moment_coordinates,
         freed.names,
-        beside=angles_of_other_trials(subject, trials, engine.coordinates)[:, :, ::_GUARDED_EVERY],
+        barrier_angles=angles_of_other_trials(subject, trials, engine.coordinates)[:, :, ::_GUARDED_EVERY],
     )
     return with_exact_proximity(_two_level(subject, trials, surrogate, wraps, freed), exact, _GUARDED_EVERY)
 

@@ -24,8 +24,8 @@ from wrapjax.model.parameters import ModelParameters, initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES, AbstractCurves
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import recorded_motion
-from wrapjax.subject.muscle_groups import group_by_excitation
-from wrapjax.subject.muscle_parameters import activation_groups, check_muscle_parameters, fiber_length_groups
+from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups, group_by_excitation
+from wrapjax.subject.muscle_parameters import check_muscle_parameters
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES, Synergies, SynergyBasis, fit_synergies

@@ -1,8 +1,6 @@
-"""Muscle paths and their cylinders in space, before and after calibration.
+"""Report section on changed muscle paths: moment arms, and paths with their cylinders in space.
 
-Parallel projection, drawn back to front: distances across the line of sight are true.
-
-How calibration changed the muscle paths: figure, table and words.
+Paths in space are shown in parallel projection, so distances perpendicular to the line of sight are to scale.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.geometry.path_points import PlacedCylinder, RoutedPath
+from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath
 from wrapjax.report import markup
 from wrapjax.report.moment_curves import draw_spread, mark_gait_cycle
 from wrapjax.report.paths import MovedPath, describe_move
@@ -36,46 +34,63 @@ from wrapjax.report.style import (
 _FACETS = 36
 _PANEL = PAGE_WIDTH / 4
 _TITLE = 0.75
-# From the cylinder's axis to the line of sight.
+# Views, with the angle from the cylinder's axis to the line of sight (rad).
 _VIEWS = (("along the cylinder", 0.0), ("from the side", np.deg2rad(68.0)))
-# OpenSim's axes of ground: x to the front, y up, z to the right.
+# OpenSim's ground frame: x points to the front, y up, z to the right.
 _DIRECTIONS = (("up", (0.0, 1.0, 0.0)), ("front", (1.0, 0.0, 0.0)), ("right", (0.0, 0.0, 1.0)))
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Looks at a point: rows of ``axes`` are to the right, up, and towards who looks, in ground's frame."""
+    """Parallel projection about a target point.
+
+    Parameters
+    ----------
+    axes
+        Unit vectors to the right, up and towards the viewer, in the ground frame.
+    target
+        Center of the picture in the ground frame, m.
+    """
 
     axes: Float[np.ndarray, "3 3"]
     target: Float[np.ndarray, " 3"]
 
-    def seen(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
-        """Turn points (m) into mm to the right, up and towards who looks."""
+    def project(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points 3"]:
+        """Convert points in the ground frame (m) to mm to the right, up and towards the viewer."""
         return 1e3 * (points - self.target) @ self.axes.T
 
 
 def path_views(moves: Sequence[MovedPath], *, of: str = "") -> str:
-    """Write the pictures of moved paths for a page; empty if there are none."""
+    """Write the picture of moved paths with its caption; empty if there are none.
+
+    Parameters
+    ----------
+    moves
+        Paths to draw.
+    of
+        Leg and method for the caption, where a page shows several.
+    """
     if not moves:
         return ""
-    told = "; ".join(
+    changes = "; ".join(
         f"{move.muscle} round {', '.join(describe_move(*pair) for pair in move.touched)}" for move in moves
     )
-    whose = f" of {of}" if of else ""
+    owner = f" of {of}" if of else ""
     return markup.picture(
         path_view_figure(moves),
-        alternative=f"Paths and cylinders{whose} in space before and after calibration: {told}.",
-        caption=f"The muscles{whose} whose moment arms changed most as their cylinders moved: path and "
-        "cylinder before (gray) and after calibration (blue), each seen along the cylinder and from the "
-        "side, in the recorded frame where the moment arm changed most. Dots: the model's path points "
-        "(black), and where the path meets and leaves the cylinder (white). Only the part near the cylinder "
-        "is shown; cylinders are cut off where the path is far, a thick edge is a real end. Scales differ.",
+        alternative=f"Paths and cylinders{owner} in space before and after calibration: {changes}.",
+        caption=f"Muscles{owner} whose moment arms changed most as their cylinders moved: path and cylinder "
+        "before (gray) and after calibration (blue), each seen along the cylinder and from the side, in the "
+        "recorded frame where the moment arm changed most. Dots: the model's path points (black), and the "
+        "points where the path meets and leaves the cylinder (white). Only the region near the cylinder is "
+        "shown; cylinders are cut off far from the path, and a thick edge is an actual end of the cylinder. "
+        "Scales differ.",
     )
 
 
 @in_style
 def path_view_figure(moves: Sequence[MovedPath]) -> Figure:
-    """Draw each moved path in two views, two muscles a row."""
+    """Draw each moved path in two views, two muscles in a row."""
     rows = -(-len(moves) // 2)
     columns = 2 * min(2, len(moves))
     figure = new_figure(_PANEL * columns, rows * (_PANEL + _TITLE))
@@ -88,10 +103,10 @@ def path_view_figure(moves: Sequence[MovedPath]) -> Figure:
             *(describe_move(*pair) for pair in move.touched),
         ]
         part.suptitle("\n".join(lines), x=0.02, ha="left", fontsize=8.0, parse_math=False)
-        for panel, (words, tilt) in zip(part.subplots(1, 2), _VIEWS, strict=True):
+        for panel, (view, tilt) in zip(part.subplots(1, 2), _VIEWS, strict=True):
             _draw_view(panel, move, tilt)
             panel.text(
-                *(0.98, 0.02, words),
+                *(0.98, 0.02, view),
                 transform=panel.transAxes,
                 ha="right",
                 fontsize=7.0,
@@ -107,13 +122,13 @@ def look_at(move: MovedPath, tilt: float) -> Camera:
     before, after = max(move.touched, key=_most_moved)
     target = np.concatenate([_near(before, move.before), _near(after, move.after)]).mean(axis=0)
     axis = before.axes[:, 2]
-    outward = target - before.center
-    outward = outward - (outward @ axis) * axis
-    distance = np.linalg.norm(outward)
-    # A path through the axis is on no side: any will do.
-    outward = outward / distance if distance > 1e-6 else before.axes[:, 0]
-    toward = np.cos(tilt) * axis + np.sin(tilt) * outward
-    # The way up is up in the picture, unless one looks straight along it.
+    to_ground_frame = target - before.center
+    to_ground_frame = to_ground_frame - (to_ground_frame @ axis) * axis
+    distance = np.linalg.norm(to_ground_frame)
+    # A path through the axis lies on neither side, so any side can be used.
+    to_ground_frame = to_ground_frame / distance if distance > 1e-6 else before.axes[:, 0]
+    toward = np.cos(tilt) * axis + np.sin(tilt) * to_ground_frame
+    # The vertical is upward in the picture, unless the line of sight is nearly vertical.
     up = np.array([0.0, 1.0, 0.0]) if abs(toward[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(up, toward)
     right = right / np.linalg.norm(right)
@@ -122,14 +137,14 @@ def look_at(move: MovedPath, tilt: float) -> Camera:
 
 
 def _near(cylinder: PlacedCylinder, route: RoutedPath) -> Float[np.ndarray, "vertex 3"]:
-    """Take the part of a path that lies on the cylinder, or what comes nearest to it."""
-    distance = np.linalg.norm(cylinder.inward(route.line)[:, :2], axis=1)
+    """Select the vertices of a path that lie on the cylinder, or the nearest one if none does."""
+    distance = np.linalg.norm(cylinder.to_cylinder_frame(route.line)[:, :2], axis=1)
     on_surface = distance < cylinder.radius + 1e-6
     return route.line[on_surface if on_surface.any() else [int(distance.argmin())]]
 
 
 def _most_moved(pair: tuple[PlacedCylinder, PlacedCylinder]) -> float:
-    """How far the surface of a cylinder moved, about (m)."""
+    """Estimate how far the surface of a cylinder moved, m."""
     before, after = pair
     turn = np.linalg.norm(before.axes[:, 2] - after.axes[:, 2])
     shift = np.linalg.norm(after.center - before.center)
@@ -138,30 +153,31 @@ def _most_moved(pair: tuple[PlacedCylinder, PlacedCylinder]) -> float:
 
 def _draw_view(panel: Axes, move: MovedPath, tilt: float) -> None:
     camera = look_at(move, tilt)
-    reach = 0.0
+    extent = 0.0
     for place, color in enumerate((GRAY, BLUE)):
         for pair in move.touched:
-            stretch = _shown_stretch(pair[place], move)
-            reach = max(reach, _draw_cylinder(panel, camera, pair[place], *stretch, color))
+            shown = _shown_heights(pair[place], move)
+            extent = max(extent, _draw_cylinder(panel, camera, pair[place], *shown, color))
     _draw_path(panel, camera, move.before, GRAY)
     _draw_path(panel, camera, move.after, BLUE)
-    reach = 1.12 * max(reach, *(np.abs(camera.seen(ends)[:, :2]).max() for ends in _all_contacts(move)))
-    panel.set_xlim(-reach, reach)
-    panel.set_ylim(-reach, reach)
+    extent = 1.12 * max(extent, *(np.abs(camera.project(ends)[:, :2]).max() for ends in _all_contacts(move)))
+    panel.set_xlim(-extent, extent)
+    panel.set_ylim(-extent, extent)
     panel.set_aspect("equal")
     panel.set_axis_off()
-    _draw_scale(panel, reach)
+    _draw_scale(panel, extent)
     _draw_directions(panel, camera)
 
 
 def _all_contacts(move: MovedPath) -> list[Float[np.ndarray, "2 3"]]:
-    found = [ends for route in (move.before, move.after) for ends in route.contacts.values()]
-    return found or [np.zeros((2, 3)) + pair[0].center for pair in move.touched]
+    """Collect the points where paths meet and leave cylinders; centers of the cylinders if there are none."""
+    contacts = [ends for route in (move.before, move.after) for ends in route.contacts.values()]
+    return contacts or [np.zeros((2, 3)) + pair[0].center for pair in move.touched]
 
 
-def _shown_stretch(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, float]:
-    """Which stretch of its axis to draw (m): that near the contacts."""
-    heights = cylinder.inward(np.concatenate(_all_contacts(move)))[:, 2]
+def _shown_heights(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, float]:
+    """Choose the part of a cylinder's axis to draw (m along the axis): that near the contacts."""
+    heights = cylinder.to_cylinder_frame(np.concatenate(_all_contacts(move)))[:, 2]
     margin = 0.9 * cylinder.radius
     low = np.clip(heights.min() - margin, -cylinder.half_length, cylinder.half_length)
     high = np.clip(heights.max() + margin, -cylinder.half_length, cylinder.half_length)
@@ -171,23 +187,26 @@ def _shown_stretch(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, fl
 def _draw_cylinder(
     panel: Axes, camera: Camera, cylinder: PlacedCylinder, low: float, high: float, color: str
 ) -> float:
-    """Draw a translucent surface, its axis and both edges; say how far it reaches from the middle (mm)."""
+    """Draw a translucent surface, its axis and both edges; return its largest distance from the center (mm)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _FACETS + 1)
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     rings = [
-        camera.seen(cylinder.outward(cylinder.radius * circle + [0.0, 0.0, height])) for height in (low, high)
+        camera.project(cylinder.to_ground_frame(cylinder.radius * circle + [0.0, 0.0, height]))
+        for height in (low, high)
     ]
     both = np.concatenate(rings)[:, :2]
     panel.fill(*both[ConvexHull(both).vertices].T, color=color, alpha=0.2, linewidth=0)
-    # Lines along the near side make it look round.
+    # Lines along the near side show the curvature.
     near = (circle @ cylinder.axes.T @ camera.axes.T)[:, 2] > 0.0
     for place in np.flatnonzero(near[:-1])[::2]:
         ends = np.stack([ring[place, :2] for ring in rings])
         panel.plot(*ends.T, color=color, linewidth=0.5, alpha=0.35)
     for ring, height in zip(rings, (low, high), strict=True):
-        real = abs(abs(height) - cylinder.half_length) < 1e-9
-        panel.plot(*ring[:, :2].T, color=color, linewidth=1.6 if real else 0.6, alpha=0.9 if real else 0.5)
-    axis = camera.seen(cylinder.outward(np.array([[0.0, 0.0, low], [0.0, 0.0, high]])))
+        is_end = abs(abs(height) - cylinder.half_length) < 1e-9
+        panel.plot(
+            *ring[:, :2].T, color=color, linewidth=1.6 if is_end else 0.6, alpha=0.9 if is_end else 0.5
+        )
+    axis = camera.project(cylinder.to_ground_frame(np.array([[0.0, 0.0, low], [0.0, 0.0, high]])))
     panel.plot(*axis[:, :2].T, color=color, linewidth=0.7, linestyle=(0, (6, 3)))
     panel.plot(*axis[-1:, :2].T, "+", color=color, markersize=6.0)
     return float(np.abs(np.concatenate(rings)[:, :2]).max())
@@ -195,30 +214,30 @@ def _draw_cylinder(
 
 def _draw_path(panel: Axes, camera: Camera, route: RoutedPath, color: str) -> None:
     panel.plot(
-        *camera.seen(route.line)[:, :2].T, color=color, linewidth=2.0, solid_capstyle="round", zorder=3
+        *camera.project(route.line)[:, :2].T, color=color, linewidth=2.0, solid_capstyle="round", zorder=3
     )
-    panel.plot(*camera.seen(route.points)[:, :2].T, "o", color=BLACK, markersize=3.5, zorder=5)
+    panel.plot(*camera.project(route.points)[:, :2].T, "o", color=BLACK, markersize=3.5, zorder=5)
     for ends in route.contacts.values():
-        places = camera.seen(ends)[:, :2].T
+        places = camera.project(ends)[:, :2].T
         panel.plot(*places, "o", markerfacecolor="white", markeredgecolor=color, markersize=4.0, zorder=4)
 
 
-def _draw_scale(panel: Axes, reach: float) -> None:
-    length = max(step for step in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if step < 0.6 * reach or step == 2.0)
-    left, height = 0.96 * reach - length, 0.95 * reach
+def _draw_scale(panel: Axes, extent: float) -> None:
+    length = max(step for step in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if step < 0.6 * extent or step == 2.0)
+    left, height = 0.96 * extent - length, 0.95 * extent
     panel.plot([left, left + length], [height, height], color=BLACK, linewidth=1.4, solid_capstyle="butt")
-    place = (left + 0.5 * length, height - 0.03 * reach)
+    place = (left + 0.5 * length, height - 0.03 * extent)
     panel.text(*place, f"{length:g} mm", ha="center", va="top", fontsize=7.0)
 
 
 def _draw_directions(panel: Axes, camera: Camera) -> None:
-    """Draw which way is up, to the front and to the right, as far as they lie in the picture."""
+    """Draw arrows for up, front and right, unless they are nearly along the line of sight."""
     middle, size = np.array([0.13, 0.13]), 0.09
     drawn: list[Float[np.ndarray, " 2"]] = []
     for name, direction in _DIRECTIONS:
         across = camera.axes[:2] @ np.array(direction)
         length = np.linalg.norm(across)
-        # One on top of another could not be read.
+        # Arrows that overlap could not be read.
         if length < 0.5 or any(across @ other > 0.9 * length for other in drawn):
             continue
         drawn.append(across / length)
@@ -237,21 +256,21 @@ def _draw_directions(panel: Axes, camera: Camera) -> None:
         )
 
 
-#: As many moment arms are drawn, those that changed most.
+#: Number of moment arms that are drawn, those that changed most.
 MOST_PANELS = 12
 
 Arms = Float[np.ndarray, "muscle trial coordinate frame"]
 
 
 def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> str:
-    """Write the part of the report on paths; empty where they were held.
+    """Write the report section on muscle paths; empty if paths were held fixed.
 
     Parameters
     ----------
     result
-        What came of the calibration.
+        Result of the calibration.
     moves
-        From `moved_paths`: what is shown in space.
+        Paths to show in space, from `moved_paths`.
     """
     moving = result.freedom.moving_paths
     if moving is None:
@@ -270,39 +289,39 @@ def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> 
         markup.paragraph(
             f"The paths of {len(free)} of {counted(len(result.muscles), 'muscle')} were free to change. "
             f"Their lengths changed by {length[free].mean():.1f} mm on average, their moment arms by "
-            f"{arm[free].mean(axis=(1, 3))[spanned[free]].mean():.1f} mm. {_origin(result)}"
+            f"{arm[free].mean(axis=(1, 3))[spanned[free]].mean():.1f} mm. {_source_of_changes(result)}"
         ),
         markup.picture(
             moment_arm_figure(result),
             alternative="Moment arms over the gait cycle before and after calibration; that of "
             f"{result.muscles[muscle]} about {result.coordinates[coordinate]} changed most.",
             caption="Moment arms in mm over the gait cycle, all cycles: nominal (gray) and calibrated "
-            "(blue), mean and one standard deviation to either side. Those that changed most on average, in "
-            "this order. Scales differ.",
+            "(blue), mean ± one standard deviation. Shown are those that changed most on average, largest "
+            "change first. Scales differ.",
         ),
         path_views(moves),
         markup.table(
             ("muscle", "length: mean", "length: largest", "arms: mean", "arms: largest", "largest about"),
-            [_row(result, muscle) for muscle in order.tolist()],
-            caption="Changes in mm over all frames of all cycles (absolute values), moment arms about the "
-            "coordinates that the muscle spans.",
+            [_change_row(result, muscle) for muscle in order.tolist()],
+            caption="Absolute changes in mm over all frames of all cycles, for length and for moment arms about "
+            "the coordinates that the muscle spans.",
         ),
     )
 
 
-def _origin(result: CalibrationResult) -> str:
+def _source_of_changes(result: CalibrationResult) -> str:
     if result.freedom.wraps is not None:
         return (
-            "They follow the cylinders that the muscles wrap round, each of which may move, turn and grow "
-            "within its bounds (kind 'wrap' in parameters.csv)."
+            "They result from the cylinders that the muscles wrap round, each of which may be translated, rotated "
+            "and scaled within its bounds (kind 'wrap' in parameters.csv)."
         )
     return (
-        "These are polynomials, not anatomy: no bone and no surface bounds them, only penalties on the "
-        "change and the hard limits (see Solver)."
+        "These paths are polynomials without anatomical constraints: neither bones nor surfaces restrict them, "
+        "only penalties on the change and the hard limits (see Solver)."
     )
 
 
-def _row(result: CalibrationResult, muscle: int) -> tuple[str, ...]:
+def _change_row(result: CalibrationResult, muscle: int) -> tuple[str, ...]:
     length, arm, spanned = (change[muscle] for change in _changes(result))
     return (
         result.muscles[muscle],
@@ -320,23 +339,19 @@ def moment_arm_figure(result: CalibrationResult) -> Figure:
     before, after = _arms(result)
     pairs = largest_changes(result)
     figure, panels = panel_grid(len(pairs), 4, width=PAGE_WIDTH, panel_height=1.6, sharex=True)
-    for number, (panel, (muscle, coordinate)) in enumerate(zip(panels, pairs, strict=True)):
-        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+    for panel, (muscle, coordinate) in zip(panels, pairs, strict=True):
+        draw_zero_line(panel)
         draw_spread(panel, 1e3 * before[muscle, :, coordinate], GRAY, "nominal")
         draw_spread(panel, 1e3 * after[muscle, :, coordinate], BLUE, "calibrated")
         title = f"{result.muscles[muscle]}\n{result.coordinates[coordinate]}"
         panel.set_title(title, loc="left", parse_math=False)
-        if number % 4 == 0:
-            panel.set_ylabel("moment arm (mm)")
-        if number >= len(pairs) - 4:
-            panel.set_xlabel("gait cycle (%)")
-        mark_gait_cycle(panel, step=50)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    label_gait_cycles(panels, 4, y="moment arm (mm)", step=50)
+    legend_above(figure, panels[0])
     return figure
 
 
 def largest_changes(result: CalibrationResult) -> list[tuple[int, int]]:
-    """Find muscle and coordinate of the moment arms that changed most on average, largest first."""
+    """List indices of muscle and coordinate of the moment arms that changed most on average, largest first."""
     mean = _changes(result)[1].mean(axis=(1, 3))
     order = np.argsort(-mean, axis=None)[:MOST_PANELS]
     places = [divmod(int(place), mean.shape[1]) for place in order]
@@ -350,7 +365,7 @@ def _arms(result: CalibrationResult) -> tuple[Arms, Arms]:
 def _changes(
     result: CalibrationResult,
 ) -> tuple[Float[np.ndarray, "muscle trial frame"], Arms, Bool[np.ndarray, "muscle coordinate"]]:
-    """Changes of lengths and moment arms in mm, and which coordinates a muscle spans."""
+    """Compute absolute changes of lengths and moment arms in mm, and which coordinates each muscle spans."""
     before, after = _arms(result)
     length = np.asarray(result.states.path.length - result.initial_states.path.length)
     return 1e3 * np.abs(length), 1e3 * np.abs(after - before), (before != 0.0).any(axis=(1, 3))

@@ -1,4 +1,4 @@
-"""The muscles whose cylinders' move changed them most, before and after, ready to be drawn."""
+"""Muscle paths before and after calibration, for the muscles whose moment arms changed most with their cylinders."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.result import CalibrationResult
-from wrapjax.geometry.path_points import PlacedCylinder, RoutedPath, route_path
+from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath, route_path
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
     from wrapjax.geometry.model_description import ModelDescription
 
-#: As many muscles are drawn.
+#: Number of muscles that are drawn.
 MOST_MUSCLES = 4
-# A moment arm that changed by less (m) cannot be seen.
+# Smallest mean change of a moment arm (m) that is visible in a figure.
 _LEAST = 1e-4
 
 
 @dataclass(frozen=True)
 class MovedPath:
-    """A muscle's path before and after calibration, in the recorded frame where it changed most.
+    """A muscle's path before and after calibration, in the recorded frame where its moment arm changed most.
 
     Parameters
     ----------
     muscle, coordinate
-        The moment arm that changed most.
+        Muscle and coordinate of the moment arm.
     trial, percent
-        Where: cycle, and part of it.
+        Cycle and phase of the frame, % of the gait cycle.
     arm_before, arm_after
-        That moment arm, m.
+        Moment arm in that frame, m.
     before, after
-        Round nominal cylinders and round moved ones, in ground's frame.
+        Paths round the nominal and round the calibrated cylinders, in the ground frame.
     """
 
     muscle: str
@@ -49,7 +49,7 @@ class MovedPath:
 
     @property
     def touched(self) -> list[tuple[PlacedCylinder, PlacedCylinder]]:
-        """The cylinders that the path lies on before or after, before and after; all if on none."""
+        """Cylinders (before, after) that the path touches before or after; all cylinders if it touches none."""
         pairs = list(zip(self.before.cylinders, self.after.cylinders, strict=True))
         names = self.before.contacts.keys() | self.after.contacts.keys()
         return [pair for pair in pairs if pair[0].name in names] or pairs
@@ -58,16 +58,16 @@ class MovedPath:
 def moved_paths(
     subject: Subject, result: CalibrationResult, model: ModelDescription, most: int = MOST_MUSCLES
 ) -> list[MovedPath]:
-    """Trace the muscles whose moment arms changed most on average, largest change first.
+    """Compute the paths of the muscles whose moment arms changed most on average, largest change first.
 
     Parameters
     ----------
     subject, result
-        What was calibrated, and what came of it; nothing is traced if no cylinder was free.
+        Calibrated subject and result of the calibration; the list is empty if no cylinder was free.
     model
-        The subject's, as it was before.
+        Subject's model before calibration.
     most
-        How many muscles.
+        Largest number of muscles.
     """
     wraps = result.freedom.wraps
     if wraps is None:
@@ -80,7 +80,7 @@ def moved_paths(
 
 
 def describe_move(before: PlacedCylinder, after: PlacedCylinder) -> str:
-    """Say by how much a cylinder moved: its center, its axis, its radius."""
+    """Write how far a cylinder's center moved, its axis turned and its radius changed."""
     shift = 1e3 * float(np.linalg.norm(after.center - before.center))
     turn = np.degrees(np.arccos(np.clip(before.axes[:, 2] @ after.axes[:, 2], -1.0, 1.0)))
     return (
@@ -97,17 +97,17 @@ def _moved(
     muscle: int,
     changes: Float[np.ndarray, "trial coordinate frame"],
 ) -> MovedPath:
-    name = result.muscles[muscle]
+    muscle_name = result.muscles[muscle]
     trial, coordinate, frame = np.unravel_index(int(changes.argmax()), changes.shape)
     trials = subject.trials
-    spanned = [own for own in model.spanned_by(name) if own in trials.coordinates]
-    pose = trials.angles[trial, [trials.coordinates.index(own) for own in spanned], frame]
-    before = route_path(model, name, spanned, pose)
+    spanned = [name for name in model.spanned_by(muscle_name) if name in trials.coordinates]
+    pose = trials.angles[trial, [trials.coordinates.index(name) for name in spanned], frame]
+    before = route_path(model, muscle_name, spanned, pose)
     names = [cylinder.name for cylinder in before.cylinders]
-    after = route_path(model, name, spanned, pose, _parameters(result, names))
-    arms = [float(_arms(result, after=own)[muscle, trial, coordinate, frame]) for own in (False, True)]
+    after = route_path(model, muscle_name, spanned, pose, _wrap_parameters(result, names))
+    arms = [float(_arms(result, after=after)[muscle, trial, coordinate, frame]) for after in (False, True)]
     return MovedPath(
-        muscle=name,
+        muscle=muscle_name,
         coordinate=result.coordinates[coordinate],
         trial=result.trials[trial],
         percent=round(100.0 * frame / (changes.shape[2] - 1)),
@@ -118,8 +118,8 @@ def _moved(
     )
 
 
-def _parameters(result: CalibrationResult, names: list[str]) -> Float[np.ndarray, "wrap wrap_parameter"]:
-    """Parameters of these cylinders after calibration; those that were held stay nominal."""
+def _wrap_parameters(result: CalibrationResult, names: list[str]) -> Float[np.ndarray, "wrap wrap_parameter"]:
+    """Look up parameters of the named cylinders after calibration; nominal for those that were held."""
     wraps = result.freedom.wraps
     assert wraps is not None
     changes = dict(

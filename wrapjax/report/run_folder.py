@@ -1,4 +1,4 @@
-"""The folder of a finished calibration, written whole or not at all."""
+"""Folder of a finished calibration, which is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wrapjax.report.provenance import describe_settings, path_from
 from wrapjax.report.run_page import render_report
 from wrapjax.report.run_summary import file_stems, summarize
 from wrapjax.report.run_tables import band_table, curve_tables, osimx_of, parameters_csv
-from wrapjax.report.spread import describe_spread, spread_content
+from wrapjax.report.spread import describe_spread, describe_uncertainty
 from wrapjax.report.starts import starts_csv
 from wrapjax.subject.subject import Subject
 
@@ -32,13 +32,13 @@ DescribeModel = Callable[[Path], "ModelDescription"]
 #: `wrapjax.calibration.calibration.write_calibrated_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
-#: Of a leg whose cylinders were moved: opens in OpenSim.
+#: OpenSim model of a leg with calibrated cylinders.
 PERSONALISED_MODEL = "model_personalized.osim"
 
-#: Paths as calibrated, where they are polynomials: `PathSurrogate.arrays`.
+#: Calibrated polynomials of muscle paths: `PathSurrogate.arrays`.
 PATHS = "paths.npz"
 
-#: In the folder of a leg, that of the leg that was calibrated with it.
+#: Folder, within that of a leg, of the leg that was calibrated together with it.
 OTHER_LEG = "other_leg"
 
 
@@ -56,18 +56,17 @@ def write_run(
     Parameters
     ----------
     legs
-        What was calibrated, and what came of it: one leg, or two, the second in a folder of its own
-        within that of the first.
+        Subject and result of one leg or of two; the second is written to a folder within that of the first.
     folder
-        Where to; it appears when complete.
+        Folder to write; it appears when it is complete.
     force
-        Replace a folder that exists.
+        Whether to replace an existing folder.
     describe_model
-        What moved cylinders are shown by; without it they are not.
+        Function that reads a model file, to show calibrated cylinders; without it they are not shown.
     write_model
-        What writes the model with moved cylinders; without it none is written.
+        Function that writes the model with calibrated cylinders; without it no model is written.
     spreads
-        Of each leg's parameters and moments, where they were asked for.
+        Uncertainty of each leg's parameters and moments, if it was requested.
 
     Raises
     ------
@@ -93,12 +92,12 @@ def _write_leg(
     summary = summarize(subject, result)
     if spread is not None:
         summary["uncertainty"] = describe_spread(spread)
-        write_json(run / "uncertainty.json", spread_content(result, spread))
+        write_json(run / "uncertainty.json", describe_uncertainty(result, spread))
     settings = describe_settings(subject, result, run)
     write_json(run / "summary.json", summary)
     write_json(run / "settings.json", settings)
     write_text(run / "parameters.csv", parameters_csv(result, spread))
-    # A nominal model stays where it is: as from settings.json, it is found while both move together.
+    # A nominal model is not copied. The relative path remains valid if run and subject are moved together.
     model = path_from(run, subject.model_file) if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))

@@ -1,4 +1,4 @@
-"""True parameters of the virtual person's muscles and wrapping cylinders, which a calibration should recover."""
+"""True parameters of the virtual person's muscles and wrapping cylinders, to be recovered by calibration."""
 
 from __future__ import annotations
 

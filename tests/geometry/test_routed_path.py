@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, wrap_at_samples
-from wrapjax.geometry.path_points import route_path
+from wrapjax.geometry.routed_path import route_path
 from wrapjax.osim.model import describe_model
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
@@ -47,11 +47,13 @@ def test_line_is_the_engines_path(model, poses, muscle):
             assert route.length == pytest.approx(float(wrapped.length[0, number]), abs=1e-6)
             for cylinder in route.cylinders:
                 for line in (route.line, route.points):
-                    distance = np.linalg.norm(cylinder.inward(line)[:, :2], axis=1)
+                    distance = np.linalg.norm(cylinder.to_cylinder_frame(line)[:, :2], axis=1)
                     if cylinder.name in route.contacts:
                         assert distance.min() > cylinder.radius - 1e-9
                 if cylinder.name in route.contacts:
-                    ends = np.linalg.norm(cylinder.inward(route.contacts[cylinder.name])[:, :2], axis=1)
+                    ends = np.linalg.norm(
+                        cylinder.to_cylinder_frame(route.contacts[cylinder.name])[:, :2], axis=1
+                    )
                     np.testing.assert_allclose(ends, cylinder.radius, atol=1e-12)
     assert touched, "no pose in which it wraps: nothing was tested"
 
@@ -90,7 +92,7 @@ def test_cylinders_are_where_parameters_put_them(model, poses):
         for own in (None, np.array([[0.003, -0.004, 0.012, 0.3, 0.0, 1.1]]))
     )
     (old,), (new,) = before.cylinders, after.cylinders
-    np.testing.assert_allclose(old.inward(new.center[None])[0], [0.003, -0.004, 0.012], atol=1e-12)
+    np.testing.assert_allclose(old.to_cylinder_frame(new.center[None])[0], [0.003, -0.004, 0.012], atol=1e-12)
     assert new.radius == pytest.approx(1.1 * old.radius)
     assert old.axes[:, 2] @ new.axes[:, 2] == pytest.approx(np.cos(0.3))
-    np.testing.assert_allclose(new.outward(new.inward(after.line)), after.line, atol=1e-12)
+    np.testing.assert_allclose(new.to_ground_frame(new.to_cylinder_frame(after.line)), after.line, atol=1e-12)

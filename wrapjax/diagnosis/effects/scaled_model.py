@@ -1,0 +1,385 @@
+"""Effects of errors of the scaled model in inverse dynamics: joints, segments, soft tissue, knee laxity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.diagnosis.effects.definition import EffectDefinition
+from wrapjax.diagnosis.effects.effect import EffectParameter
+from wrapjax.diagnosis.effects.experiments import KNOWN_MASS_AT_SHANK, STAR_ARC_MOVEMENTS
+from wrapjax.diagnosis.inverse_dynamics.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths, engine_motion
+from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
+from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.path_derivatives import derivatives_by_model_changes
+from wrapjax.geometry.paths import PathState
+
+#: Variants of a joint in a wrong place: whether the foot stays where it is, held by markers, or is displaced with
+#: the joint, since the laboratory's angles are kept.
+FOOT_HELD, FOOT_DISPLACED = "foot in place", "foot displaced"
+
+#: Change of a joint: model, coordinate of the joint, axis of the body that carries it, and size (m or rad).
+_JointChange = Callable[[ModelDescription, str, int, float], ModelDescription]
+
+
+def _paths_by_joints(
+    recorded: RecordedPaths, changes: list[tuple[_JointChange, str, int, float]]
+) -> Mapping[str, PathState]:
+    """Compute the paths of a person whose joints differ from the model's.
+
+    Where the model's joint is too far forward, the person's is behind it.
+
+    Parameters
+    ----------
+    recorded
+        Recorded paths.
+    changes
+        For each parameter: the change of a joint, the start of its coordinate's name, the axis, and the sign of
+        the change for a positive effect size.
+    """
+    engine, names = recorded.engine, recorded.subject.trials.moment_coordinates
+    if engine is None:
+        return {}
+
+    def person(
+        change: _JointChange, stem: str, axis: int, sign: float
+    ) -> Callable[[float], ModelDescription]:
+        coordinate = next((name for name in names if name.startswith(stem)), None)
+        if coordinate is None:
+            return lambda step: engine.model
+        return lambda step: change(engine.model, coordinate, axis, -sign * step)
+
+    derivatives = derivatives_by_model_changes(
+        engine, [person(*change) for change in changes], *engine_motion(engine, recorded.subject)
+    )
+    return dict.fromkeys((FOOT_HELD, FOOT_DISPLACED), derivatives)
+
+
+# ---- Hip center
+
+
+def _moments_by_hip_center(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the hip's moment about a center too far forward, up or outward in the pelvis.
+
+    Where markers hold the foot, only the hip's moment changes. Where angles are kept, the model's leg is
+    displaced with its hip, and the ground reaction force acts elsewhere on the whole leg.
+    """
+    outward = np.diag([1.0, 1.0, gait.outward])
+    axes = np.einsum("ijp,nj->nip", gait.mechanics.rotation[gait.pelvis], outward)
+    force, rows = gait.transmitted_wrenches()[:, 3:], gait.rows_of("hip_")
+    held, displaced = gait.no_change(3), gait.no_change(3)
+    for number, direction in enumerate(axes):
+        for row in rows:
+            lever = np.cross(direction, force[row], axis=0)
+            held[number, row] = -(gait.mechanics.screw[row, :3] * lever).sum(axis=0)
+        if rows:
+            name = gait.mechanics.coordinates[rows[0]]
+            displaced[number] = gait.derivative_by_joint(name, outward[number], np.zeros(3))
+    return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
+
+
+def _paths_by_hip_center(recorded: RecordedPaths) -> Mapping[str, PathState]:
+    signs = (1.0, 1.0, recorded.gait.outward)
+    return _paths_by_joints(
+        recorded, [(with_moved_joint, "hip_", axis, sign) for axis, sign in enumerate(signs)]
+    )
+
+
+_HIP_SOURCE = "Stagni et al. 2000, doi:10.1016/S0021-9290(00)00093-2"
+
+HIP_CENTER_OFFSET = EffectDefinition(
+    id="hip_center_offset",
+    meaning="the hip's center lies elsewhere than in the model",
+    family="measurement",
+    parameters=(
+        EffectParameter(
+            name="anterior_m",
+            unit="m",
+            prior_sd=0.015,
+            sign=0,
+            meaning="hip center placed too far forward",
+            source=_HIP_SOURCE,
+            limit=0.06,
+            part="anterior",
+        ),
+        EffectParameter(
+            name="superior_m",
+            unit="m",
+            prior_sd=0.015,
+            sign=0,
+            meaning="hip center placed too far up",
+            source=_HIP_SOURCE,
+            limit=0.06,
+            part="superior",
+        ),
+        EffectParameter(
+            name="lateral_m",
+            unit="m",
+            prior_sd=0.015,
+            sign=0,
+            meaning="hip center placed too far outward",
+            source=_HIP_SOURCE,
+            limit=0.06,
+            part="lateral",
+        ),
+    ),
+    moment_derivatives=_moments_by_hip_center,
+    path_derivatives=_paths_by_hip_center,
+    experiment=STAR_ARC_MOVEMENTS,
+)
+
+
+# ---- Joint axes
+
+#: For each parameter of `JOINT_AXIS_ROTATION`: start of the coordinate's name, and the axis of the body that
+#: carries the joint (forward, up, to the right) about which the joint's axis is rotated.
+_AXIS_ROTATIONS = (
+    ("knee_angle", 1),
+    ("knee_angle", 0),
+    ("ankle_angle", 1),
+    ("ankle_angle", 0),
+    ("subtalar_angle", 1),
+    ("subtalar_angle", 2),
+)
+
+
+def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the joint's moment about an axis that is rotated by either of the two angles that place it.
+
+    One rotation is that of toes that turn out. The other is about the direction across: forward for knee and
+    ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward. Where
+    markers do not hold the foot, a bent joint also displaces it.
+    """
+    mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
+    held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
+    for number, (stem, column) in enumerate(_AXIS_ROTATIONS):
+        sign = _rotation_sign(column, gait.outward)
+        for row in gait.rows_of(stem):
+            moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
+            about = sign * mechanics.rotation[_carrier(gait, row), :, column]
+            rotated = np.cross(about, mechanics.screw[row, :3], axis=0)
+            held[number, row] = (rotated * moment).sum(axis=0)
+            name = mechanics.coordinates[row]
+            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[column])
+    return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
+
+
+def _rotation_sign(column: int, outward: float) -> float:
+    """Sign of a rotation about an axis of the carrying body for a positive effect size.
+
+    Parameters
+    ----------
+    column
+        Axis of the body that carries the joint: forward, up, to the right.
+    outward
+        1 for the right leg, -1 for the left.
+    """
+    # On a right leg, outward is clockwise seen from above, and the outer end of an axis goes up
+    # counterclockwise seen from behind; a front end always goes up about the direction to the right.
+    return 1.0 if column == 2 else -outward
+
+
+def _carrier(gait: RecordedGait, coordinate: int) -> int:
+    """Find the body that carries a coordinate's joint; the joint's child body where that is ground."""
+    mechanics = gait.mechanics
+    moved = np.flatnonzero(mechanics.moves[coordinate])
+    names = [mechanics.bodies[body] for body in moved]
+    child = next(body for body in moved if mechanics.parents[body] not in names)
+    parent = mechanics.parents[child]
+    return mechanics.bodies.index(parent) if parent in mechanics.bodies else int(child)
+
+
+def _paths_by_joint_axes(recorded: RecordedPaths) -> Mapping[str, PathState]:
+    outward = recorded.gait.outward
+    return _paths_by_joints(
+        recorded,
+        [
+            (with_rotated_joint_axes, stem, axis, _rotation_sign(axis, outward))
+            for stem, axis in _AXIS_ROTATIONS
+        ],
+    )
+
+
+def _axis_parameter(name: str, meaning: str) -> EffectParameter:
+    part = name.split("_")[0]
+    return EffectParameter(name, "rad", 0.12, 0, meaning, "5 to 15 degrees", limit=0.5, part=part)
+
+
+JOINT_AXIS_ROTATION = EffectDefinition(
+    id="joint_axis_rotation",
+    meaning="axes of knee, ankle or foot point elsewhere than in the model",
+    family="measurement",
+    parameters=(
+        _axis_parameter("knee_rad", "knee axis turned outward in the horizontal plane"),
+        _axis_parameter("knee_tilt_rad", "knee axis with its outer end too high"),
+        _axis_parameter("ankle_rad", "ankle axis turned outward in the horizontal plane"),
+        _axis_parameter("ankle_tilt_rad", "ankle axis with its outer end too high"),
+        _axis_parameter("subtalar_rad", "subtalar axis turned outward in the horizontal plane"),
+        _axis_parameter("subtalar_pitch_rad", "subtalar axis with its front end too high"),
+    ),
+    moment_derivatives=_moments_by_joint_axes,
+    path_derivatives=_paths_by_joint_axes,
+    experiment=STAR_ARC_MOVEMENTS,
+)
+
+
+# ---- Segment inertia
+
+_SEGMENTS = ("thigh", "shank", "foot")
+
+
+def _moments_by_inertia(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the moments of a segment's mass, and of its inertia about the center of mass.
+
+    A positive effect size is a person whose segment has more than the model's: the measured moments lack it.
+    """
+    derivatives = [
+        gait.mechanics.moments(np.einsum("kb,bwp->kwp", gait.mechanics.moves[:, segment], wrench[segment]))
+        for segment in _bodies_of_segments(gait)
+        for wrench in (gait.mechanics.of_mass, gait.mechanics.of_inertia)
+    ]
+    return {"": -np.stack(derivatives)}
+
+
+def _bodies_of_segments(gait: RecordedGait) -> tuple[list[int], list[int], list[int]]:
+    """Find the bodies of `_SEGMENTS` by the joints that move them; a patella is in none."""
+    mechanics = gait.mechanics
+
+    def first_moved(stem: str) -> list[int]:
+        """Find the bodies at the near end of what a coordinate moves."""
+        rows = gait.rows_of(stem)
+        moved: list[int] = np.flatnonzero(mechanics.moves[rows[0]]).tolist() if rows else []
+        names = [mechanics.bodies[body] for body in moved]
+        return [body for body in moved if mechanics.parents[body] not in names]
+
+    thigh, shank = first_moved("hip_"), first_moved("knee_")
+    ankle = gait.rows_of("ankle_")
+    foot = np.flatnonzero(mechanics.moves[ankle[0]]).tolist() if ankle else []
+    return thigh, shank, foot
+
+
+SEGMENT_INERTIA = EffectDefinition(
+    id="segment_inertia",
+    meaning="thigh, shank or foot are heavier or lighter than in the model",
+    family="measurement",
+    parameters=tuple(
+        EffectParameter(
+            name=f"{quantity}_fraction_{segment}",
+            unit="1",
+            prior_sd=0.15,
+            sign=0,
+            meaning=f"{quantity} of the {segment}: the person's less the model's, as a fraction of the model's",
+            source="10 to 20 % of anthropometric tables",
+            limit=0.6,
+            part=quantity,
+        )
+        for segment in _SEGMENTS
+        for quantity in ("mass", "inertia")
+    ),
+    moment_derivatives=_moments_by_inertia,
+    experiment=KNOWN_MASS_AT_SHANK,
+)
+
+
+# ---- Wobbling mass
+
+#: Share of the gait cycle in which soft tissue comes to rest after impact.
+_IMPACT = 0.1
+_WOBBLING_SOURCE = "0 to 10 % of the cycle"
+
+
+def _moments_by_wobbling_mass(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute moments of soft tissue about hip flexion and about the knee.
+
+    At impact, or at every change of the vertical force; 1 N m s in total while the foot is being loaded.
+    """
+    in_contact = gait.in_contact.reshape(gait.time.shape)
+    strikes = in_contact & ~np.roll(in_contact, 1, axis=1)
+    # Without a strike, the cycle starts with one.
+    start = np.where(strikes.any(axis=1), strikes.argmax(axis=1), 0)
+    duration = gait.time[:, -1] - gait.time[:, 0]
+    since = np.mod(gait.time - gait.time[np.arange(start.size), start][:, None], duration[:, None])
+    length = _IMPACT * duration[:, None]
+    pulse = np.where(since < length, 2.0 / length * np.sin(np.pi * since / length) ** 2, 0.0)
+    vertical = gait.force[1].reshape(gait.time.shape)
+    rate = np.gradient(vertical, axis=-1) / (gait.time[:, 1] - gait.time[:, 0])[:, None]
+    shapes = {"impact": pulse, "every change of load": rate / vertical.max(axis=1, keepdims=True)}
+    return {label: _about_hip_and_knee(gait, shape) for label, shape in shapes.items()}
+
+
+def _about_hip_and_knee(gait: RecordedGait, moment: Float[np.ndarray, "trial frame"]) -> MomentDerivatives:
+    derivatives = gait.no_change(2)
+    for number, stem in enumerate(("hip_flexion", "knee_angle")):
+        derivatives[number, gait.rows_of(stem)] = moment.ravel()
+    return derivatives
+
+
+WOBBLING_MASS = EffectDefinition(
+    id="wobbling_mass",
+    meaning="soft tissue swings after the foot's impact",
+    family="measurement",
+    parameters=(
+        EffectParameter(
+            name="hip_impulse",
+            unit="N m s",
+            prior_sd=0.5,
+            sign=0,
+            meaning="impulse of soft tissue at impact, about hip flexion",
+            source=_WOBBLING_SOURCE,
+            limit=5.0,
+            part="hip",
+        ),
+        EffectParameter(
+            name="knee_impulse",
+            unit="N m s",
+            prior_sd=0.5,
+            sign=0,
+            meaning="impulse of soft tissue at impact, about the knee",
+            source=_WOBBLING_SOURCE,
+            limit=5.0,
+            part="knee",
+        ),
+    ),
+    moment_derivatives=_moments_by_wobbling_mass,
+    experiment=KNOWN_MASS_AT_SHANK,
+)
+
+
+# ---- Knee laxity
+
+
+def _moments_by_knee_laxity(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the moments of hip and knee adduction of a vertical force that acts further outward."""
+    vertical = np.zeros_like(gait.wrenches)
+    vertical[:, 4] = gait.wrenches[:, 4]
+    change = np.zeros_like(gait.wrenches)
+    outward = gait.outward * gait.rightward
+    change[:, :3] = np.cross(outward[None], vertical[:, 3:], axis=1)
+    derivatives = gait.no_change(1)
+    rows = gait.rows_of("hip_adduction") + gait.rows_of("knee_adduction")
+    derivatives[0, rows] = gait.derivative_by_wrenches(change)[rows]
+    return {"": derivatives}
+
+
+KNEE_LAXITY = EffectDefinition(
+    id="knee_laxity",
+    meaning="the knee gives way sideways",
+    family="measurement",
+    parameters=(
+        EffectParameter(
+            name="lever_m",
+            unit="m",
+            prior_sd=0.01,
+            sign=0,
+            meaning="change of the vertical force's lever about the hip and knee",
+            source="varus and valgus under load",
+            limit=0.05,
+            part="lever",
+        ),
+    ),
+    moment_derivatives=_moments_by_knee_laxity,
+    experiment=STAR_ARC_MOVEMENTS,
+)

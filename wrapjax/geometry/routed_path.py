@@ -1,0 +1,208 @@
+"""Course of a muscle's shortest path in one pose, as a line through space for drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
+from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.path_on_cylinders import PointsAndBodies
+from wrapjax.geometry.several_wraps import Route, shortest_route
+from wrapjax.geometry.wrapping import NOMINAL, Surface
+from wrapjax.geometry.wrapping_inputs import points_and_bodies, surfaces_of
+
+# Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
+_STEP = np.deg2rad(0.5)
+# Paths are padded to this number of points, so that all with as many cylinders share a compiled program.
+_POINTS = 8
+
+Points = Float[np.ndarray, "vertex 3"]
+
+
+@dataclass(frozen=True)
+class PlacedCylinder:
+    """A wrap cylinder in ground's frame.
+
+    Parameters
+    ----------
+    name
+        Name of the wrap.
+    axes
+        Columns are the axes of the cylinder's frame; the third is the cylinder's axis.
+    center
+        Center of the cylinder, m.
+    radius, half_length
+        m.
+    """
+
+    name: str
+    axes: Float[np.ndarray, "3 3"]
+    center: Float[np.ndarray, " 3"]
+    radius: float
+    half_length: float
+
+    def to_cylinder_frame(self, points: Points) -> Points:
+        """Transform points from ground's frame to the cylinder's frame (m)."""
+        return (points - self.center) @ self.axes
+
+    def to_ground_frame(self, points: Points) -> Points:
+        """Transform points from the cylinder's frame to ground's frame (m)."""
+        return self.center + points @ self.axes.T
+
+
+@dataclass(frozen=True)
+class RoutedPath:
+    """A muscle's path in one pose, in ground's frame (m).
+
+    Parameters
+    ----------
+    line
+        Vertices from origin to insertion; arcs on cylinders are sampled every 0.5 degrees.
+    points
+        Active path points of the model.
+    contacts
+        First and last point of the contact with each cylinder that the path touches, by the wrap's name.
+    cylinders
+        All cylinders that the path may wrap round, in its order, touched or not.
+    """
+
+    line: Points
+    points: Float[np.ndarray, "point 3"]
+    contacts: dict[str, Float[np.ndarray, "2 3"]]
+    cylinders: tuple[PlacedCylinder, ...]
+
+    @property
+    def length(self) -> float:
+        """Length of the line, m."""
+        return float(np.linalg.norm(np.diff(self.line, axis=0), axis=1).sum())
+
+
+def route_path(
+    model: ModelDescription,
+    muscle: str,
+    coordinates: Sequence[str],
+    pose: Float[np.ndarray, " coordinate"],
+    parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+) -> RoutedPath:
+    """Compute the course of a muscle's shortest path in one pose.
+
+    Parameters
+    ----------
+    model
+        Description of the model, from `wrapjax.osim.model.describe_model`.
+    muscle
+        Name of the muscle.
+    coordinates, pose
+        Names and values (rad or m) of coordinates. The model's other coordinates follow their couplers or
+        stay at their defaults.
+    parameters
+        Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders in the order of its path; by default
+        nominal.
+
+    Raises
+    ------
+    InputError
+        If the path has a part that the exact engine does not support.
+
+    Notes
+    -----
+    From a path point inside a cylinder there is no shortest path. The engine then treats the point as on the
+    surface, and the line has a gap there.
+    """
+    wraps = ExactPaths(model, (muscle,), coordinates).wraps_of(muscle)
+    path = model.muscle(muscle)
+    objects = [model.wrap(name) for name in wraps]
+    values = CoordinateValues(model, coordinates, np.asarray(pose)[None])
+    motion = body_motion(values, {point.body for point in path.points} | {wrap.body for wrap in objects})
+    points = path_points(path.points, motion, values)
+    active = points.active[0]
+    if not wraps:
+        line = points.position[0][active]
+        return RoutedPath(line, line, {}, ())
+    carriers = [(wrap.body, motion[wrap.body]) for wrap in objects]
+    entries = [entry for entry in path.wraps if entry.wrap in wraps]
+    surfaces = surfaces_of(objects)
+    if parameters is None:
+        parameters = np.tile(NOMINAL, (len(wraps), 1))
+    route = jax.tree.map(
+        np.asarray,
+        _route(
+            _first_pose(points_and_bodies(path, points, carriers, entries)), surfaces, jnp.asarray(parameters)
+        ),
+    )
+    cylinders = tuple(_placed_cylinder(route, number, name) for number, name in enumerate(wraps))
+    return _routed(route, active, cylinders)
+
+
+@eqx.filter_jit
+def _route(
+    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
+) -> Route:
+    return shortest_route(path, jax.vmap(Surface.placed)(surfaces, parameters))
+
+
+def _first_pose(path: PointsAndBodies) -> PointsAndBodies:
+    """Select the only pose, and pad the points to `_POINTS` by copies of the last point."""
+    one = jax.tree.map(lambda leaf: leaf[0], path)
+    missing = max(0, _POINTS - one.position.shape[0])
+
+    def padded(leaf: Array, axis: int) -> Array:
+        last = jnp.take(leaf, jnp.array([-1]), axis=axis)
+        return jnp.concatenate([leaf, jnp.repeat(last, missing, axis=axis)], axis=axis)
+
+    return eqx.tree_at(
+        lambda own: (own.position, own.velocity, own.point_body),
+        one,
+        (padded(one.position, 0), padded(one.velocity, 1), padded(one.point_body, 0)),
+    )
+
+
+def _placed_cylinder(route: Route, number: int, name: str) -> PlacedCylinder:
+    one = jax.tree.map(lambda leaf: leaf[number], route.cylinders)
+    axes = [np.array([axis.x, axis.y, axis.z]) for axis in (one.x_axis, one.y_axis, one.z_axis)]
+    center = np.array([one.center.x, one.center.y, one.center.z])
+    return PlacedCylinder(name, np.stack(axes, axis=1), center, float(one.radius), float(one.half_length))
+
+
+def _routed(
+    route: Route, active: Bool[np.ndarray, " point"], cylinders: tuple[PlacedCylinder, ...]
+) -> RoutedPath:
+    """Join the knots to a line, with an arc between the two knots of one contact."""
+    position = np.asarray(route.position)
+    first_contact = len(position) - 2 * len(cylinders)
+    pieces, contacts = [], {}
+    for knot in route.knots[route.knots >= 0].tolist():
+        wrap, leaving = divmod(knot - first_contact, 2)
+        if knot < first_contact:
+            if knot < active.size and active[knot]:
+                pieces.append(position[knot : knot + 1])
+        elif not leaving:
+            cylinder = cylinders[wrap]
+            ends = position[knot : knot + 2]
+            contacts[cylinder.name] = ends
+            pieces.append(_arc(cylinder, ends, float(route.on_surface[wrap])))
+    points = position[: active.size][active]
+    return RoutedPath(np.concatenate(pieces), points, contacts, cylinders)
+
+
+def _arc(cylinder: PlacedCylinder, ends: Float[np.ndarray, "2 3"], length: float) -> Points:
+    """Sample the helix of given length (m) between the first and the last point of a contact."""
+    first, last = cylinder.to_cylinder_frame(ends)
+    rise = last[2] - first[2]
+    turn = np.sqrt(max(length**2 - rise**2, 0.0)) / cylinder.radius
+    begin, end = (np.arctan2(point[1], point[0]) for point in (first, last))
+    # Of the two directions round the cylinder, take the one that ends at the contact's last point.
+    misses = [np.abs(np.exp(1j * (begin + sign * turn - end)) - 1.0) for sign in (1.0, -1.0)]
+    turn = turn if misses[0] <= misses[1] else -turn
+    share = np.linspace(0.0, 1.0, max(2, int(np.ceil(np.abs(turn) / _STEP)) + 1))
+    angle = begin + share * turn
+    on_surface = [cylinder.radius * np.cos(angle), cylinder.radius * np.sin(angle), first[2] + share * rise]
+    return cylinder.to_ground_frame(np.stack(on_surface, axis=1))

@@ -1,0 +1,314 @@
+"""Paths round several cylinders in one pose: the shortest path with exact derivatives, and OpenSim's path.
+
+Both recompute the contact with each cylinder from its neighbors in the path, one cylinder after the other.
+`wrap_shortest` repeats this until the contacts no longer move, `wrap_in_parity` as often as OpenSim does. The
+cylinders may be on one body or on several.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from wrapjax.geometry.cylinder import (
+    HALF_TURN,
+    Cylinder,
+    decide_wrapping,
+    geodesic_contact,
+    iterated_spiral_contact,
+)
+from wrapjax.geometry.path_on_cylinders import (
+    INSIDE,
+    NO_WRAP,
+    PathOnCylinders,
+    PointsAndBodies,
+    cylinders_in_ground,
+    initial_path,
+    knot_owners,
+    path_length,
+    path_segments,
+    refit_wrap,
+    stack_components,
+)
+from wrapjax.geometry.vectors import safe_inverse, safe_sqrt, vector
+from wrapjax.geometry.wrapping import FREE, WrappedPath
+
+# The shortest path: most sweeps over all cylinders that determine the order of contacts, movement (m) below
+# which the order counts as final, most accelerated steps that then move the contacts, and their tolerance
+# (m).
+_MAX_SWEEPS = 20
+_ORDER_TOLERANCE = 1e-3
+_MAX_STEPS = 30
+_GEODESIC_TOLERANCE = 1e-13
+# OpenSim's constants: most sweeps, and change of length (m) at which it stops.
+_OPENSIM_SWEEPS = 8
+_OPENSIM_TOLERANCE = 0.0005
+
+
+class Route(NamedTuple):
+    """Course of a path in ground's frame.
+
+    Knots are numbered: path points first, then the two ends of each cylinder's contact.
+    """
+
+    #: Numbers of the path's knots in order, padded with -1.
+    knots: Int[Array, " place"]
+    #: Position of each knot (m).
+    position: Float[Array, "knot 3"]
+    #: Length of the contact with each cylinder (m), zero without contact.
+    on_surface: Float[Array, " wrap"]
+    #: Cylinders in ground's frame.
+    cylinders: Cylinder
+
+
+def wrap_shortest(path: PointsAndBodies, cylinders: Cylinder) -> WrappedPath:
+    """Compute the shortest path round several cylinders, whose moment arms are exactly -dL/dq.
+
+    Parameters
+    ----------
+    path
+        Path points and bodies in one pose.
+    cylinders
+        Each cylinder in the frame of the body that carries it.
+    """
+    route, contacts = _shortest_path(path, cylinders)
+    return _wrapped_path(
+        route, path, cylinders_in_ground(path, cylinders), contacts.off_end, contacts.long_wrap
+    )
+
+
+def shortest_route(path: PointsAndBodies, cylinders: Cylinder) -> Route:
+    """Compute the course of the shortest path round any number of cylinders, in one pose.
+
+    Parameters are those of `wrap_shortest`.
+    """
+    route, _ = _shortest_path(path, cylinders)
+    return Route(route.knots, route.position, route.on_surface, cylinders_in_ground(path, cylinders))
+
+
+def wrap_in_parity(path: PointsAndBodies, cylinders: Cylinder) -> WrappedPath:
+    """Compute a path round several cylinders as OpenSim 4.6 does, defects included.
+
+    Parameters
+    ----------
+    path
+        Path points and bodies in one pose.
+    cylinders
+        Each cylinder in the frame of the body that carries it.
+
+    Notes
+    -----
+    ``PathWrapPoint::setLocation`` does not invalidate the cached position in ground. Lengths and directions
+    of straight segments therefore use the wrap points of the first sweep in which a cylinder was touched,
+    while forces act at the current wrap points.
+    """
+    placed = cylinders_in_ground(path, cylinders)
+    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
+
+    def sweep(state):
+        route, cached, order, last_length, count, _ = state
+        codes = []
+        for turn in range(wraps):
+            route, code = refit_wrap(path, placed, order[turn], route, iterated_spiral_contact)
+            codes.append(code)
+            # The position in ground of a knot that was used before is no longer updated.
+            straight_ends = jnp.where(cached[:, None], route.straight_ends, route.position)
+            route = route._replace(straight_ends=straight_ends)
+        cached = cached | jnp.any(route.knots[None] == jnp.arange(points + 2 * wraps)[:, None], axis=1)
+        length = path_length(route, points)
+        done = jnp.abs(length - last_length) < _OPENSIM_TOLERANCE
+        swap = (count == 0) & ~done & (codes[0] == NO_WRAP) & (codes[1] == INSIDE)
+        order = jnp.where(swap, order.at[:2].set(order[:2][::-1]), order)
+        return route, cached, order, length, count + 1, done
+
+    def unfinished(state):
+        return ~state[5] & (state[4] < _OPENSIM_SWEEPS)
+
+    none_cached = jnp.zeros(points + 2 * wraps, dtype=bool)
+    start = (
+        *(initial_path(path, wraps), none_cached, jnp.arange(wraps)),
+        *(jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(False)),
+    )
+    route, *_ = jax.lax.while_loop(unfinished, sweep, start)
+    return _wrapped_path(route, path, placed, route.margins.off_end, route.margins.long_wrap)
+
+
+class _Contacts(NamedTuple):
+    """Lengths (m) and margins (m, rad; see `Margins`) of a path's contacts with its cylinders."""
+
+    length: Float[Array, " wrap"]
+    off_end: Float[Array, " wrap"]
+    long_wrap: Float[Array, " wrap"]
+
+
+def _shortest_path(path: PointsAndBodies, cylinders: Cylinder) -> tuple[PathOnCylinders, _Contacts]:
+    """Compute the shortest path, differentiable by points and cylinders."""
+    points = path.position.shape[0]
+    route = _converged(*jax.lax.stop_gradient((path, cylinders)))
+    knots = _with_derivatives(route.position[points:], route.knots, path, cylinders)
+    knots, contacts = _refit_all(knots, route.knots, path, cylinders_in_ground(path, cylinders))
+    position = jnp.concatenate([path.position, knots])
+    return route._replace(position=position, straight_ends=position, on_surface=contacts.length), contacts
+
+
+def _converged(path: PointsAndBodies, cylinders: Cylinder) -> PathOnCylinders:
+    """Determine which cylinders the path touches and in which order, then iterate to convergence."""
+    placed = cylinders_in_ground(path, cylinders)
+    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
+
+    def sweep(state):
+        route, _, count = state
+        before = route
+
+        def refit(wrap, route):
+            route, _ = refit_wrap(path, placed, wrap, route, geodesic_contact)
+            return route._replace(straight_ends=route.position)
+
+        route = jax.lax.fori_loop(0, wraps, refit, route)
+        moved = jnp.max(jnp.abs(route.position - before.position))
+        same = jnp.all(route.knots == before.knots)
+        return route, same & (moved < _ORDER_TOLERANCE), count + 1
+
+    def order_unknown(state):
+        return ~state[1] & (state[2] < _MAX_SWEEPS)
+
+    start = (initial_path(path, wraps), jnp.asarray(False), jnp.asarray(0))
+    route, *_ = jax.lax.while_loop(order_unknown, sweep, start)
+
+    def step(state):
+        # Contacts converge linearly: their limit is extrapolated from two sweeps (Aitken).
+        contacts, _, count = state
+        once, _ = _refit_all(contacts, route.knots, path, placed)
+        twice, _ = _refit_all(once, route.knots, path, placed)
+        first, second = once - contacts, twice - once
+        factor = jnp.clip(jnp.sum(first * second) * safe_inverse(jnp.sum(first**2)), -0.9, 0.9)
+        # After the last extrapolation points would be off the surface by its size.
+        arrived = jnp.max(jnp.abs(second)) < _GEODESIC_TOLERANCE
+        ahead = jnp.where(arrived, 0.0, factor / (1.0 - factor))
+        return twice + ahead * second, arrived, count + 1
+
+    def unconverged(state):
+        return ~state[1] & (state[2] < _MAX_STEPS)
+
+    ordered = (route.position[points:], jnp.asarray(False), jnp.asarray(0))
+    contacts, *_ = jax.lax.while_loop(unconverged, step, ordered)
+    return route._replace(position=jnp.concatenate([path.position, contacts]))
+
+
+@eqx.filter_custom_jvp
+def _with_derivatives(
+    contacts: Float[Array, "contact 3"],
+    knots: Int[Array, " place"],
+    path: PointsAndBodies,
+    cylinders: Cylinder,
+) -> Float[Array, "contact 3"]:
+    """Give converged points of contact their derivatives by points and cylinders.
+
+    Converged points x solve x = T(x, p), where T recomputes all contacts once. By the implicit function
+    theorem dx = (1 - dT/dx)^-1 dT/dp dp, so that no iteration is differentiated.
+    """
+    return contacts
+
+
+@_with_derivatives.def_jvp
+def _with_derivatives_jvp(primals, tangents):
+    _, knots, path, cylinders = primals
+    _, _, path_tangent, cylinders_tangent = tangents
+    # Not the bare points: second derivatives differentiate this rule, and need the points' own derivatives.
+    contacts = _with_derivatives(*primals)
+
+    def refit(x, path, cylinders):
+        placed = cylinders_in_ground(path, cylinders)
+        return _refit_all(x.reshape(contacts.shape), knots, path, placed)[0].ravel()
+
+    flat = contacts.ravel()
+    _, moved = eqx.filter_jvp(
+        lambda path, cylinders: refit(flat, path, cylinders),
+        (path, cylinders),
+        (path_tangent, cylinders_tangent),
+    )
+    by_contacts = jax.jacfwd(refit)(flat, path, cylinders)
+    tangent = jnp.linalg.solve(jnp.eye(flat.size) - by_contacts, moved)
+    return contacts, tangent.reshape(contacts.shape)
+
+
+def _refit_all(
+    contacts: Float[Array, "contact 3"],
+    knots: Int[Array, " place"],
+    path: PointsAndBodies,
+    placed: Cylinder,
+) -> tuple[Float[Array, "contact 3"], _Contacts]:
+    """Recompute the contact with every touched cylinder once, each between its neighbors in the path."""
+    points = path.position.shape[0]
+
+    def refit(position, entry):
+        wrap, cylinder = entry
+        rows = points + 2 * wrap + jnp.arange(2)
+        touched = jnp.any(knots == rows[0])
+        place = jnp.argmax(knots == rows[0])
+        before = jnp.maximum(knots[place - 1], 0)
+        after = jnp.maximum(knots[jnp.minimum(place + 2, knots.size - 1)], 0)
+        start = cylinder.to_cylinder_frame(vector(position[before]))
+        end = cylinder.to_cylinder_frame(vector(position[after]))
+        contact = geodesic_contact(start, end, cylinder, decide_wrapping(start, end, cylinder))
+        ends = (cylinder.to_body_frame(contact.first), cylinder.to_body_frame(contact.last))
+        found = jnp.stack([stack_components(end) for end in ends])
+        unchanged = jax.lax.stop_gradient(position[rows])
+        moved = position.at[rows].set(jnp.where(touched, found, unchanged))
+        return moved, _Contacts(
+            length=jnp.where(touched, contact.length, 0.0),
+            off_end=jnp.where(touched, contact.off_end, FREE),
+            long_wrap=jnp.where(touched, HALF_TURN - contact.turn, FREE),
+        )
+
+    start = jnp.concatenate([path.position, contacts])
+    position, found = jax.lax.scan(refit, start, (jnp.arange(placed.radius.shape[0]), placed))
+    return position[points:], found
+
+
+def _wrapped_path(
+    route: PathOnCylinders,
+    path: PointsAndBodies,
+    placed: Cylinder,
+    off_end: Float[Array, " wrap"],
+    long_wrap: Float[Array, " wrap"],
+) -> WrappedPath:
+    """Compute length, moment arms (of unit tension along the path) and clearances of a path."""
+    points, wraps = path.position.shape[0], placed.radius.size
+    before, after, present, _ = path_segments(route, points)
+    body = knot_owners(path, wraps).body
+    # A segment with both ends on one body exerts no moment about any joint.
+    pulls = present & (body[before] != body[after])
+    along = route.straight_ends[after] - route.straight_ends[before]
+    along = along * safe_inverse(safe_sqrt(jnp.sum(along**2, axis=-1)))[:, None]
+    # Velocities of the points of contact are those of the body's material there.
+    arm = (route.position[points:] - jnp.repeat(path.origin, 2, axis=0))[None]
+    turning = jnp.repeat(path.angular, 2, axis=1)
+    contact_velocity = jnp.repeat(path.linear, 2, axis=1) + jnp.cross(turning, arm)
+    velocity = jnp.concatenate([path.velocity, contact_velocity], axis=1)
+    rate = jnp.sum((velocity[:, after] - velocity[:, before]) * along[None], axis=-1)
+    return WrappedPath(
+        length=path_length(route, points),
+        moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
+        on_surface=route.on_surface,
+        margins=jax.tree.map(jnp.min, route.margins),
+        clearances=jnp.concatenate(
+            [_point_clearances(path, placed).ravel(), off_end, placed.radius * long_wrap]
+        ),
+    )
+
+
+def _point_clearances(path: PointsAndBodies, placed: Cylinder) -> Float[Array, "wrap point"]:
+    """Distance of each path point from each surface that it may wrap round (m), negative inside."""
+
+    def of_wrap(cylinder: Cylinder) -> Float[Array, " point"]:
+        local = cylinder.to_cylinder_frame(vector(path.position))
+        return safe_sqrt(local.x**2 + local.y**2) - cylinder.radius
+
+    place = jnp.arange(path.position.shape[0])[None]
+    in_range = (place >= path.first_point[:, None]) & (place <= path.last_point[:, None])
+    return jnp.where(in_range, jax.vmap(of_wrap)(placed), FREE)
