@@ -56,7 +56,7 @@ ANSWERERS := wrapjax modification_index raw_correlation held_out_drop score_alon
 blind blind-quick: setup
 	$(RUN)/python -m validation.blind make --out $(word 1,$(BANK)) --bank $(word 2,$(BANK)) \
 		--cases $(word 3,$(BANK)) --workers $(JOBS)
-	$(RUN)/python -m validation.diagnosed --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
+	$(RUN)/python -m validation.diagnosis.diagnose_bank --bank $(word 1,$(BANK)) --out $(word 1,$(BANK))/answers/wrapjax \
 		--baselines $(word 1,$(BANK))/answers --ablations $(word 1,$(BANK))/answers \
 		--withheld $(word 1,$(BANK))/answers/withheld \
 		--starts $(word 4,$(BANK)) --workers $(JOBS)

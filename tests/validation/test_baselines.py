@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from validation.ablations import ABLATIONS, ablated
-from validation.answering import write_others
-from validation.baselines import BASELINES, modification_index, write_answer, write_silence
 from validation.blind.score.records import read_answer
+from validation.diagnosis.ablations import ABLATIONS, ablated
+from validation.diagnosis.baselines import BASELINES, modification_index, write_answer, write_silence
+from validation.diagnosis.case_answers import write_others
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import MuscleErrors
 from wrapjax.diagnosis.projection import Candidate

@@ -5,7 +5,7 @@ import pytest
 
 from tests.contact_forces.made_up_run import write_run
 from tests.subject.synthetic_forces import with_forces
-from validation.contact_forces import peak_table
+from validation.calibration.contact_forces import peak_table
 from wrapjax.contact_forces.contact_force import contact
 
 

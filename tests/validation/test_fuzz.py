@@ -5,8 +5,8 @@ import signal
 
 import pytest
 
-from validation.fuzz import judgement
-from validation.fuzz.judgement import ACCEPTED, REFUSED, judge, judge_apart
+from validation.file_fuzzing import judgement
+from validation.file_fuzzing.judgement import ACCEPTED, REFUSED, judge, judge_apart
 from wrapjax.errors import InputError, Problem
 
 # JAX warns of every fork; nothing of it runs in these.

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation import hidden_wraps
 from validation.blind import gait, person
 from validation.blind.anatomy import COORDINATES, Cylinder, reference_leg
 from validation.blind.hidden_wraps import (
@@ -21,7 +20,8 @@ from validation.blind.hidden_wraps import (
 )
 from validation.blind.hidden_wraps import hidden_wraps as somebody
 from validation.blind.opensim_leg import muscle_paths
-from validation.hidden_wraps import (
+from validation.calibration import hidden_wraps
+from validation.calibration.hidden_wraps import (
     Asked,
     answer_all,
     arm_errors,
@@ -31,7 +31,7 @@ from validation.hidden_wraps import (
     summary,
     with_prior,
 )
-from wrapjax.path_sources.exact import freed_wraps
+from wrapjax.path_sources.wrap_freedom import freed_wraps
 from wrapjax.subject.subject import load_subject
 
 WRAPPED = ("iliacus_r", "psoas_r", "recfem_r", "vasmed_r", "vaslat_r", "gasmed_r", "gaslat_r")

@@ -4,9 +4,9 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGE = ROOT / "benchmarks" / "blind"
+PACKAGE = ROOT / "validation" / "blind"
 #: What the generator and the scorer may import besides Python's own.
-ALLOWED = {"numpy", "scipy", "opensim", "matplotlib", "benchmarks"}
+ALLOWED = {"numpy", "scipy", "opensim", "matplotlib", "validation"}
 
 
 def _imports(file: Path) -> set[str]:
@@ -27,7 +27,7 @@ def test_nothing_of_ours_is_imported_and_nothing_by_name():
         for name in _imports(file):
             top = name.split(".")[0]
             assert top in ALLOWED or top in sys.stdlib_module_names, f"{file.name} imports {name}"
-            assert top != "benchmarks" or name.startswith("validation.blind"), f"{file.name} imports {name}"
+            assert top != "validation" or name.startswith("validation.blind"), f"{file.name} imports {name}"
             assert name != "importlib", f"{file.name} could import anything"
         assert "__import__" not in file.read_text(encoding="utf-8")
 
@@ -52,6 +52,6 @@ def test_banks_share_no_seed():
 
 
 def test_table_of_forms_is_up_to_date():
-    from validation.blind.forms import forms_text
+    from validation.blind.effect_table import forms_text
 
     assert (PACKAGE / "EFFECTS.md").read_text(encoding="utf-8") == forms_text()

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_linearizations import SHAPE, lines
-from validation.linearizations import Lines, development_lines, load, save
+from tests.validation.synthetic_linearizations import SHAPE, lines
+from validation.diagnosis.linearizations import Lines, development_lines, load, save
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
 from wrapjax.diagnosis.projection import Candidate

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from validation.blind.__main__ import main
+from validation.blind.case_selection import ALL_CASES
 from validation.blind.effects import EFFECTS
-from validation.blind.lot import ALL_CASES
 from validation.blind.make import make
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.plan import Bank
 from validation.blind.score.records import read_truth
 from validation.blind.seal import broken_seals, digest
@@ -57,7 +57,7 @@ import sys
 from pathlib import Path
 from validation.blind import make, plan
 from validation.blind.effects import EFFECTS
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 for known, kept in ((EFFECTS, {"joint_damping", "ankle_foot_orthosis"}), (OUTSIDE, {"joint_friction"})):
     for name in set(known) - kept:
         del known[name]

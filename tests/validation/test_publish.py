@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from tests.validation.banks import answer, confident, guessing, perfect, tying, write_bank
+from tests.validation.synthetic_bank import answer, confident, guessing, perfect, tying, write_bank
 from validation.blind.__main__ import main
 from validation.blind.score.report import as_json, score
 

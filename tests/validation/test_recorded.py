@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation import recorded
-from validation.injected import (
+from validation.recorded import __main__ as recorded
+from validation.recorded.injected_errors import (
     Cycle,
     Variant,
     injections,
@@ -150,7 +150,7 @@ def test_what_is_not_known_is_told_in_a_sentence(s1_left, monkeypatch, tmp_path,
 
 def test_drives_are_compared_with_emg_before_them():
     """Activation comes later than EMG, never before it; what is not driven is like nothing."""
-    from validation.recorded_case import PHASES, likeness
+    from validation.recorded.variant_results import PHASES, likeness
 
     emg = np.exp(-(((np.linspace(0.0, 1.0, PHASES) - 0.4) / 0.05) ** 2))
     later, earlier = (np.append(np.roll(emg[:-1], shift), emg[0]) for shift in (5, -5))

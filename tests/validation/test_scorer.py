@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.validation.banks import ANSWERERS, NAMES, SPEEDS, answer, perfect, write_bank, write_table
+from tests.validation.synthetic_bank import ANSWERERS, NAMES, SPEEDS, answer, perfect, write_bank, write_table
 from validation.blind.anatomy import COORDINATES
-from validation.blind.lot import Lot
+from validation.blind.case_selection import Lot
 from validation.blind.score.intervals import FAILED, MET, UNCLEAR, Figure, Target, share, verdict
 from validation.blind.score.report import NotReady, as_json, as_markdown, score
 

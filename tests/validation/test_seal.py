@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.validation.banks import write_bank
+from tests.validation.synthetic_bank import write_bank
 from validation.blind.__main__ import main
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation import temperature_scaling
-from validation.banks import SEALED
-from validation.known_cases import Scored, ranking
-from validation.temperature_scaling import read_constants, main, surprise, tempered
+from validation.diagnosis import temperature_scaling
+from validation.diagnosis.bank_cases import SEALED
+from validation.diagnosis.scored_cases import Scored, ranking
+from validation.diagnosis.temperature_scaling import main, read_constants, surprise, tempered
 from wrapjax.diagnosis.verdict import DecisionConstants, probabilities
 
 EFFECTS = tuple(f"effect_{number}" for number in range(6))

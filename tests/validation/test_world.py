@@ -13,7 +13,7 @@ from validation.blind.families import FAMILIES, activate
 from validation.blind.library import Library, imitations, ties
 from validation.blind.noise import EMG_LEVELS, moment_noise
 from validation.blind.oracle import cycles, difference, flat, oracles
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import bursts, person
 from validation.blind.plan import Bank, Planned, bank_of, draft, with_targets
 from validation.blind.seal import digest

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from validation.blind.lot import add_lot, lot_of
+from validation.blind.case_selection import add_lot, lot_of
 from validation.blind.plan import BANK_SIZES, bank_of
 
 
@@ -109,14 +109,14 @@ def _publish(chosen: argparse.Namespace) -> int:
 
 
 def _sheet(chosen: argparse.Namespace) -> int:
-    from validation.blind.sheet import draw_sheet
+    from validation.blind.case_plots import draw_sheet
 
     draw_sheet(chosen.bank, chosen.out, chosen.count)
     return 0
 
 
 def _forms(chosen: argparse.Namespace) -> int:
-    from validation.blind.forms import forms_text
+    from validation.blind.effect_table import forms_text
 
     print(forms_text(), end="")
     return 0

@@ -17,7 +17,7 @@ from validation.blind.folder import EVERY, write_folder
 from validation.blind.library import SHARE, Library, imitations, likeness, ties
 from validation.blind.noise import EMG_LEVELS, moment_noise, noisy_envelopes
 from validation.blind.oracle import CALIBRATION, Oracle, cycles, difference, flat, signal
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person
 from validation.blind.plan import Bank, Planned, stratum_of
 from validation.blind.world import World, joint_moments, record

@@ -28,7 +28,8 @@ class Curves:
 @dataclass(frozen=True)
 class Family:
     """``rate`` gives the two stages' speeds (1/s) from excitation, activation and rise time; ``shape``
-    bends what comes out, its argument 0 for a straight line and 1 for the strongest bend."""
+    bends what comes out, its argument 0 for a straight line and 1 for the strongest bend.
+    """
 
     name: str
     curves: Callable[[], Curves]

@@ -75,7 +75,8 @@ def imitations(
 ) -> dict[str, tuple[float, float]]:
     """For each catalogued effect but ``own``: what it cannot imitate of a signal, and what ``own`` (its
     library entries and the signal itself) cannot imitate of its best imitation; in squared standard
-    deviations."""
+    deviations.
+    """
     whitened = oracle.whiten(library.signals)
     gram = library.signals.T @ whitened
     cross = whitened.T @ seen

@@ -10,12 +10,12 @@ from pathlib import Path
 from time import perf_counter
 
 from validation.blind.case import make_case
+from validation.blind.case_selection import ALL_CASES, Lot
 from validation.blind.effects import EFFECTS
 from validation.blind.library import Library, build_library, library_file
-from validation.blind.lot import ALL_CASES, Lot
 from validation.blind.noise import EMG_LEVELS
 from validation.blind.oracle import oracles
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person, person
 from validation.blind.plan import Bank, Planned, draft, family_of, paretic, with_targets
 from validation.blind.seal import seal

@@ -44,7 +44,8 @@ TIE = 9.0
 
 def cycles(world: World) -> list[list[tuple[float, float]]]:
     """The cycles of each recording that are used: calibration first, then validation; the last recording's
-    are all validation."""
+    are all validation.
+    """
     walk = world.walk
     found = []
     for recording in range(len(walk.speeds)):

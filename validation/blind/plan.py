@@ -12,7 +12,7 @@ from validation.blind.effects.effect import Variant
 from validation.blind.families import BANKS
 from validation.blind.library import Library
 from validation.blind.noise import EMG_LEVELS
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 
 #: d* of the strata, and the share of single effects in each. Below 3 every effect is tied with every other,
 #: and any name is right: the middle stratum begins above, where names count.

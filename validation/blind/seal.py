@@ -6,7 +6,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from validation.blind.lot import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, Lot
 
 
 def digest(path: Path) -> str:

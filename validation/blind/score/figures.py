@@ -68,7 +68,8 @@ def top_is_right(case: Case) -> bool:
 
 def calibration_error(values: np.ndarray) -> float:
     """Expected calibration error over equal-count bins, less what perfect calibration would show; values
-    are (case, 2): probability, right or not."""
+    are (case, 2): probability, right or not.
+    """
     p, right = values[np.argsort(values[:, 0], kind="stable")].T
     bins = np.array_split(np.arange(p.size), min(BINS, p.size))
     means = np.array([p[b].mean() for b in bins])

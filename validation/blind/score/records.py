@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.lot import Lot
+from validation.blind.case_selection import Lot
 
 SILENT = ("none", "unknown")
 STOPPED = ("insufficient_data", "not_converged")

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from validation.blind.lot import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, Lot
 from validation.blind.score import breakdown
 from validation.blind.score.figures import CLEAR, Row, all_rows, rightly_named
 from validation.blind.score.intervals import Figure

@@ -1,6 +1,6 @@
 """Feeds rubbish to everything of wrapjax that reads a file.
 
-``python -m validation.fuzz`` changes valid files, byte by byte and by what they are made of, keeps those that
+``python -m validation.file_fuzzing`` changes valid files, byte by byte and by what they are made of, keeps those that
 reach new lines of the readers (atheris), and gives 100,000 of them to wrapjax. Each is read, or refused in
 sentences that can be printed. Whatever else happens is a finding: any other error, more than 5 s of the
 processor, more than 512 MiB beside what was there, a process that dies. Findings are kept under ``--out``
@@ -20,9 +20,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from validation.fuzz.judgement import judge, judge_apart
-from validation.fuzz.readers import READERS
-from validation.fuzz.seeds import finished_results
+from validation.file_fuzzing.judgement import judge, judge_apart
+from validation.file_fuzzing.readers import READERS
+from validation.file_fuzzing.seeds import finished_results
 
 #: Time that a reader may take for all its inputs, in s an input; findings of lost time cost 5 s each.
 _PATIENCE_S = 1.0
@@ -61,7 +61,7 @@ def _fed(name: str, count: int, finished: Path, options: argparse.Namespace, pla
     result = place / "result.json"
     result.unlink(missing_ok=True)
     findings = options.out / "".join(letter if letter.isalnum() else "_" for letter in name)
-    words = [sys.executable, "-m", "validation.fuzz.child", name, "--inputs", str(count)]
+    words = [sys.executable, "-m", "validation.file_fuzzing.child", name, "--inputs", str(count)]
     words += ["--seed", str(options.seed), "--finished", str(finished), "--findings", str(findings)]
     words += ["--result", str(result)]
     environment = os.environ | {"PYTHONHASHSEED": "0"}
@@ -105,7 +105,7 @@ def _line(name: str, row: dict[str, Any]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.file_fuzzing", description=__doc__)
     parser.add_argument("--inputs", type=int, default=100_000, help="of all readers together")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", metavar="WORD", help="readers whose names hold one of these")

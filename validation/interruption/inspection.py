@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.errors import InputError
-from wrapjax.io.files import UNFINISHED
+from wrapjax.io.files import PART_SUFFIX
 from wrapjax.io.json_and_arrays import load_arrays
 from wrapjax.io.storage import read_storage
 
@@ -62,7 +62,7 @@ def _visible(place: Path) -> Iterator[Path]:
     """Give files that are not temporary; compiled programs are JAX's."""
     for path in sorted(place.rglob("*")):
         parts = path.relative_to(place).parts
-        temporary = any(part.startswith(".") and UNFINISHED in part for part in parts)
+        temporary = any(part.startswith(".") and PART_SUFFIX in part for part in parts)
         if path.is_file() and not temporary and "compiled" not in parts and not path.name.endswith(".lock"):
             yield path
 

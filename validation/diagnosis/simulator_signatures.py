@@ -1,7 +1,7 @@
 """Who would lead if every effect's shape were known: the score, with the simulator's signatures for ours.
 
-``python -m validation.borrowed --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.linearizations`) and scores every case twice: with the catalogue's signatures, and with those that the
+``python -m validation.diagnosis.simulator_signatures --bank BANK --lines LINES`` takes a development bank and its straight lines
+(see `validation.diagnosis.linearizations`) and scores every case twice: with the catalogue's signatures, and with those that the
 simulator itself has of this person, at its true parameters. The null hypothesis stays. What the second ranks
 no better does not hang on the shapes of the catalogue; evidence where nothing is amiss shows along which
 directions the plain model differs from the simulated people as a whole.
@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from validation.blind.library import Library, library_of
-from validation.known_cases import Scored, ranking
-from validation.linearizations import Lines, development_lines
-from validation.losses import in_rows
+from validation.diagnosis.linearizations import Lines, development_lines
+from validation.diagnosis.scored_cases import Scored, ranking
+from validation.diagnosis.signal_losses import in_rows
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import Candidate
@@ -84,7 +84,9 @@ def usual(cases: Sequence[Scored]) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.borrowed", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.diagnosis.simulator_signatures", description=__doc__
+    )
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--lines", type=Path, required=True)
     return parser

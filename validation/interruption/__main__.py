@@ -1,6 +1,6 @@
 """Kills commands at random moments, goes on with ``--resume``, and compares what comes of it.
 
-``python -m validation.kills`` makes up a small subject and does each of fit, calibrate, diagnose and cohort
+``python -m validation.interruption`` makes up a small subject and does each of fit, calibrate, diagnose and cohort
 once undisturbed. Then, again and again, it starts the command, kills it with all its processes by SIGKILL at
 a moment drawn from the time that it takes, looks whether any file that can be seen is half written, and goes
 on; half of the runs may be killed up to three times. In the end every number has to be that of the
@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.machine import pin_threads
-from validation.kills.inspection import half_written, largest_difference, left_over
-from validation.kills.walker import write_walker
+from validation.interruption.inspection import half_written, largest_difference, left_over
+from validation.interruption.walker import write_walker
 
 COMMANDS = ("fit", "calibrate", "diagnose", "cohort")
 #: Kills before this share of an undisturbed run hit what every Python program does when it starts.
@@ -194,7 +194,7 @@ def _run(case: Case, place: Path, after: float) -> tuple[int, str] | None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.kills", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.interruption", description=__doc__)
     parser.add_argument("--times", type=int, default=200, help="kills of all commands together")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--command", nargs="+", choices=COMMANDS, help="only these")

@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from validation.blind.lot import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, Lot
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.json_and_arrays import load_json
 
 #: Manifests of test banks.
-SEALED = Path(__file__).parent / "blind" / "sealed"
+SEALED = Path(__file__).parents[1] / "blind" / "sealed"
 #: d* from which on a cause can be found at all.
 CLEAR = 2.0
 

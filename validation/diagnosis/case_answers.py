@@ -84,8 +84,8 @@ def calibration_fingerprint(case: Path) -> dict[str, object]:
 
 def _others(job: Job) -> dict[str, Path]:
     """Who else answers, by name, and where."""
-    from validation.ablations import ABLATIONS
-    from validation.baselines import BASELINES
+    from validation.diagnosis.ablations import ABLATIONS
+    from validation.diagnosis.baselines import BASELINES
 
     asked = ((job.baselines, BASELINES), (job.ablations, ABLATIONS))
     return {name: place / name / job.case.name for place, known in asked if place for name in known}
@@ -93,8 +93,8 @@ def _others(job: Job) -> dict[str, Path]:
 
 def write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
     """Let those who rank effects on the lines of a finished diagnosis answer, each into its folder."""
-    from validation.ablations import ABLATIONS, ablated
-    from validation.baselines import BASELINES, write_answer, write_silence
+    from validation.diagnosis.ablations import ABLATIONS, ablated
+    from validation.diagnosis.baselines import BASELINES, write_answer, write_silence
 
     lines = done.result.lines
     for name, folder in folders.items():

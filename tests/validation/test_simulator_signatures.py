@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
+from tests.validation.synthetic_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.blind.library import Library
-from validation.borrowed import both, main, usual
-from validation.known_cases import Scored
-from validation.linearizations import save
+from validation.diagnosis.linearizations import save
+from validation.diagnosis.scored_cases import Scored
+from validation.diagnosis.simulator_signatures import both, main, usual
 
 
 def shape(seed):

@@ -1,7 +1,7 @@
 """How bold evidence is: constants that turn nats into probabilities, from cases whose truth is known.
 
-``python -m validation.temperature_scaling --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.linearizations`), scores its cases, says how often the cause is first, and chooses the constants of
+``python -m validation.diagnosis.temperature_scaling --bank BANK --lines LINES`` takes a development bank and its straight lines
+(see `validation.diagnosis.linearizations`), scores its cases, says how often the cause is first, and chooses the constants of
 probabilities. The search begins at the shipped ones, or at those of ``--constants``; ``--out`` writes what
 it finds.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from validation.known_cases import Scored, ranking, read
+from validation.diagnosis.scored_cases import Scored, ranking, read
 from wrapjax.diagnosis.verdict import DecisionConstants, probabilities
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_json
@@ -94,7 +94,6 @@ def tempered(cases: Sequence[Scored], constants: DecisionConstants) -> DecisionC
     tuning
         Where the search begins, and all other constants.
     """
-
     nothing = [one for one in cases if one.truth["tier"] == "none"]
     worlds = {one.truth.get("world", "") for one in nothing}
 
@@ -133,7 +132,9 @@ def tempered(cases: Sequence[Scored], constants: DecisionConstants) -> DecisionC
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.temperature_scaling", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.diagnosis.temperature_scaling", description=__doc__
+    )
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--lines", type=Path, required=True)
     parser.add_argument("--constants", type=Path, metavar="FILE.json", help="other ones than the shipped")

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
-from validation.added import added, main, told
+from tests.validation.synthetic_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.blind.library import Library
-from validation.linearizations import save
+from validation.diagnosis.added_signals import added, main, told
+from validation.diagnosis.linearizations import save
 
 
 def shape(seed):

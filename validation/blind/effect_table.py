@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from validation.blind.effects import EFFECTS, LEFT_OUT
-from validation.blind.outside import OUTSIDE
+from validation.blind.outside_catalogue import OUTSIDE
 
 _HEAD = """# What the generator does, and what the catalogue says
 

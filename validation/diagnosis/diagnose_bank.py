@@ -1,11 +1,11 @@
 """Diagnose every case of a blind bank, each for itself, and keep the answers for its scorer.
 
-``python -m validation.diagnosed --bank BANK --out ANSWERS`` looks at a case's folder and at nothing else.
+``python -m validation.diagnosis.diagnose_bank --bank BANK --out ANSWERS`` looks at a case's folder and at nothing else.
 Cases that are answered already are not asked again, unless the case or the package is another than then: so
 it goes on where it was stopped. ``--withheld FOLDER`` asks again of every case with a single cause, with that
 effect left out of the catalogue: the cause is read from the bank's truth once the case's own answer is
-written. ``--baselines FOLDER`` also answers as textbooks would (see `validation.baselines`), ``--ablations
-FOLDER`` as the score test alone would, whole and with one term left out (see `validation.ablations`), a
+written. ``--baselines FOLDER`` also answers as textbooks would (see `validation.diagnosis.baselines`), ``--ablations
+FOLDER`` as the score test alone would, whole and with one term left out (see `validation.diagnosis.ablations`), a
 folder each.
 
 Cases run as subjects of a cohort do: one here (``--workers 1``), in processes of one thread each, or with
@@ -20,9 +20,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from benchmarks.machine import pin_threads
-from validation.answering import Job, answer
-from validation.banks import cases_of
-from validation.blind.lot import add_lot, lot_of
+from validation.blind.case_selection import add_lot, lot_of
+from validation.diagnosis.bank_cases import cases_of
+from validation.diagnosis.case_answers import Job, answer
 from wrapjax.cohorts.scheduling import Finished, run_jobs
 from wrapjax.errors import InputError
 
@@ -71,7 +71,7 @@ def _run_elsewhere(jobs: Mapping[str, Job], options: argparse.Namespace) -> Iter
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.diagnosed", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.diagnosis.diagnose_bank", description=__doc__)
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=1)

@@ -1,6 +1,6 @@
 """Say what a walker's joints bear by NGA and by PGA, as the README reports it.
 
-``python -m validation.contact_forces SUBJECT`` calibrates by both methods along exact paths, asks for the
+``python -m validation.calibration.contact_forces SUBJECT`` calibrates by both methods along exact paths, asks for the
 contact forces of both runs side by side, and prints every peak in bodyweights and where in the gait cycle it
 is: of hip, knee and ankle, and of either side of the knee. Without SUBJECT it takes ``healthy_overground``:
 that of ``$WRAPJAX_DATA``, or downloaded.
@@ -84,7 +84,9 @@ def _walker(given: Path | None) -> Iterator[Path]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.contact_forces", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.calibration.contact_forces", description=__doc__
+    )
     parser.add_argument("subject", type=Path, nargs="?", metavar="SUBJECT", help="subject folder")
     parser.add_argument("--starts", type=int, default=4, help="of each calibration (default: 4)")
     parser.add_argument(

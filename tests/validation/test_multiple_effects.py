@@ -6,9 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
-from validation.linearizations import save
-from validation.several import main
+from tests.validation.synthetic_linearizations import COORDINATES, CYCLES, PHASES, lines
+from validation.diagnosis.linearizations import save
+from validation.diagnosis.multiple_effects import main
 
 
 @pytest.fixture

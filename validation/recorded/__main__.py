@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import pin_threads
-from validation.answering import calibration_fingerprint
-from validation.injected import Variant, injections, knock_outs, write_variant
+from validation.diagnosis.case_answers import calibration_fingerprint
+from validation.recorded.injected_errors import Variant, injections, knock_outs, write_variant
 from wrapjax.errors import InputError, Problem
 
 UNTOUCHED = Variant("untouched", "as it was recorded", list, None)
@@ -49,7 +49,7 @@ def _run(options: argparse.Namespace) -> None:
     injected, knocked = injections(load_subject(options.subject).side), knock_outs()
     wanted = _wanted(options.only, [*injected, *knocked])
     # JAX last: what is asked for may be nonsense.
-    from validation.recorded_case import diagnosed, scored
+    from validation.recorded.variant_results import diagnosed, scored
     from wrapjax.io.files import write_json
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 

@@ -10,11 +10,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from wrapjax.diagnosis.effects.drive import drive_over_cycle
 
 import wrapjax
 from wrapjax.calibration.calibration import Calibration, cached_calibration
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
-from wrapjax.diagnosis.effects.drive import drive_over_cycle
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
@@ -78,7 +78,7 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
         "probabilities": {one.id: one.probability for one in found.effects[:5]},
         "drive": None,
     }
-    others = done.case.context.others
+    others = done.case.context.undriven_muscles
     if hidden and found.lines is not None and others is not None:
         sizes = done.case.measured_sizes
         out["drive"] = _drive(found.lines, sizes, others.groups, wrapjax.load_subject(whole), hidden)

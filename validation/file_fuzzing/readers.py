@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from validation.fuzz import seeds
+from validation.file_fuzzing import seeds
 from wrapjax.errors import InputError, Problem
 
 #: Modules whose coverage guides the search.

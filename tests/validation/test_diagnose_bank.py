@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import wrapjax
-from validation import answering, diagnosed
+from validation.diagnosis import case_answers, diagnose_bank
 from wrapjax.cohorts.scheduling import Finished
 from wrapjax.errors import InputError, Problem
 
@@ -39,7 +39,7 @@ def asked(monkeypatch):
     monkeypatch.setattr(wrapjax, "load_subject", lambda case: case)
     monkeypatch.setattr(wrapjax, "fit", lambda subject, geometry, processes: None)
     monkeypatch.setattr(wrapjax, "diagnose", diagnose)
-    monkeypatch.setattr(answering, "set_up_jax", lambda: None)
+    monkeypatch.setattr(case_answers, "set_up_jax", lambda: None)
     return seen
 
 
@@ -53,7 +53,7 @@ def bank(folder, *names):
 def answer(monkeypatch, folder, *more):
     arguments = ["diagnosed", "--bank", str(folder), "--out", str(folder / "answers"), *more]
     monkeypatch.setattr("sys.argv", arguments)
-    return diagnosed.main()
+    return diagnose_bank.main()
 
 
 def test_a_case_is_asked_again_only_if_it_or_the_question_is_another(asked, monkeypatch, tmp_path, capsys):
@@ -128,7 +128,7 @@ def test_ablations_answer_beside_it(asked, monkeypatch, tmp_path):
 
 def test_a_process_makes_room_after_every_case_also_one_that_fails(asked, monkeypatch, tmp_path):
     looked = []
-    monkeypatch.setattr(answering, "clear_caches_near_map_limit", lambda: looked.append(True))
+    monkeypatch.setattr(case_answers, "clear_caches_near_map_limit", lambda: looked.append(True))
     assert answer(monkeypatch, bank(tmp_path, "bad", "one"), "--workers", "1") == 1
     assert len(looked) == 2
 
@@ -147,7 +147,7 @@ def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys
                 else Finished(name, work(job))
             )
 
-    monkeypatch.setattr(diagnosed, "run_jobs", run_jobs)
+    monkeypatch.setattr(diagnose_bank, "run_jobs", run_jobs)
     monkeypatch.chdir(bank(tmp_path, "bad", "one"))
     assert answer(monkeypatch, Path("."), *more) == 1
     assert called == [(more[1] if more[0] == "--scheduler" else None, 3 if more[0] == "--workers" else 1)]
@@ -160,6 +160,6 @@ def test_a_scheduler_that_is_not_there_is_told_in_a_sentence(asked, monkeypatch,
         raise InputError(Problem("tcp://host:8786", "no dask scheduler answers there"))
         yield
 
-    monkeypatch.setattr(diagnosed, "run_jobs", nobody)
+    monkeypatch.setattr(diagnose_bank, "run_jobs", nobody)
     assert answer(monkeypatch, bank(tmp_path, "one"), "--scheduler", "tcp://host:8786") == 2
     assert "no dask scheduler answers there" in capsys.readouterr().err

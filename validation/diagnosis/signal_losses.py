@@ -1,7 +1,7 @@
 """Where evidence for a known cause is lost, from the simulator's signal to a diagnosis's signatures.
 
-``python -m validation.losses --bank BANK --lines LINES`` takes a development bank and its straight lines (see
-`validation.linearizations`) and follows the true signal of each single cause, which the bank's library holds, all in
+``python -m validation.diagnosis.signal_losses --bank BANK --lines LINES`` takes a development bank and its straight lines (see
+`validation.diagnosis.linearizations`) and follows the true signal of each single cause, which the bank's library holds, all in
 standard deviations:
 
 - ``d*``, what the simulator could see of it, knowing its own curves and parameters;
@@ -25,10 +25,10 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from validation.banks import CLEAR
 from validation.blind.effects import EFFECTS
 from validation.blind.library import SHARE, library_of
-from validation.linearizations import Lines, development_lines
+from validation.diagnosis.bank_cases import CLEAR
+from validation.diagnosis.linearizations import Lines, development_lines
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.null_covariance import Matrix
@@ -128,7 +128,7 @@ def _row(label: str, cases: int, values: list[Any]) -> str:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.losses", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.diagnosis.signal_losses", description=__doc__)
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--lines", type=Path, required=True)
     return parser

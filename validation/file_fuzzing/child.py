@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from validation.fuzz.judgement import ACCEPTED, REFUSED, Judgement, judge, judge_apart, limit_memory
-from validation.fuzz.mutation import mutated, mutated_archive
-from validation.fuzz.readers import READERS, READING, Prepared, Reader
+from validation.file_fuzzing.judgement import ACCEPTED, REFUSED, Judgement, judge, judge_apart, limit_memory
+from validation.file_fuzzing.mutation import mutated, mutated_archive
+from validation.file_fuzzing.readers import READERS, READING, Prepared, Reader
 
 #: Inputs that are kept of each kind of finding.
 KEPT = 3

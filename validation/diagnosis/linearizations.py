@@ -1,6 +1,6 @@
 """Straight lines of a bank's cases, kept so that constants of the score can be tried in seconds.
 
-``python -m validation.linearizations --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
+``python -m validation.diagnosis.linearizations --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
 `wrapjax.diagnosis.linearization`) and keeps them, one file a case. Nothing is scored or refitted here, and
 the truth is not looked at. `development_lines` gives lines with it, of development banks alone.
 """
@@ -19,8 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.machine import pin_threads
-from validation.banks import cases_of, development_truth
-from validation.blind.lot import add_lot, lot_of
+from validation.blind.case_selection import add_lot, lot_of
+from validation.diagnosis.bank_cases import cases_of, development_truth
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
@@ -148,7 +148,9 @@ def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any],
     files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
     if not files:
         raise InputError(
-            Problem(str(lines), "no lines", hint="draw them with python -m validation.linearizations")
+            Problem(
+                str(lines), "no lines", hint="draw them with python -m validation.diagnosis.linearizations"
+            )
         )
     truths = [development_truth(bank, file.stem) for file in files]
     for file, truth in zip(files, truths, strict=True):
@@ -163,7 +165,9 @@ def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any],
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.linearizations", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.diagnosis.linearizations", description=__doc__
+    )
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)

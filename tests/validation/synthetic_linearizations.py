@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from validation.linearizations import Lines
+from validation.diagnosis.linearizations import Lines
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import MuscleErrors
 from wrapjax.diagnosis.projection import Candidate

@@ -1,7 +1,7 @@
 """Who leads when a known signal is added to people with nothing amiss, along straight lines.
 
-``python -m validation.added --bank BANK --lines LINES`` takes the people of a development bank that have no
-effect, each once, and their straight lines (see `validation.linearizations`). To each one's residual it adds every
+``python -m validation.diagnosis.added_signals --bank BANK --lines LINES`` takes the people of a development bank that have no
+effect, each once, and their straight lines (see `validation.diagnosis.linearizations`). To each one's residual it adds every
 signal that the simulator knows of this person, in turn and as large as the null hypothesis leaves so many
 standard deviations of it (``--sizes``), and scores all effects: how often the right one comes first, or among
 three, what share of the signal (of its square) its signatures can form, its evidence, and who leads in its
@@ -22,8 +22,8 @@ import numpy as np
 import scipy.linalg
 
 from validation.blind.library import Library, library_of
-from validation.linearizations import Lines, development_lines
-from validation.losses import captured_share, in_rows, white
+from validation.diagnosis.linearizations import Lines, development_lines
+from validation.diagnosis.signal_losses import captured_share, in_rows, white
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import project
 from wrapjax.diagnosis.score import score_each
@@ -139,7 +139,7 @@ def _share(which: Iterable[bool]) -> float:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.added", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.diagnosis.added_signals", description=__doc__)
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--lines", type=Path, required=True)
     parser.add_argument("--sizes", type=float, nargs="+", default=[5.0, 8.0], help="standard deviations")

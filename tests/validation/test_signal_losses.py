@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.validation.made_up_linearizations import COORDINATES, CYCLES, PHASES, lines
-from validation.losses import loss
+from tests.validation.synthetic_linearizations import COORDINATES, CYCLES, PHASES, lines
+from validation.diagnosis.signal_losses import loss
 
 
 @pytest.fixture(scope="module")

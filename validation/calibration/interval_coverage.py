@@ -1,4 +1,4 @@
-"""How often 90 % intervals hold the truth: ``python -m validation.coverage``.
+"""How often 90 % intervals hold the truth: ``python -m validation.calibration.interval_coverage``.
 
 A virtual person's true parameters are known. Their moments get other noise each time (smooth over a cycle,
 new in each), and the person is calibrated from the true parameters: what is measured is the spread about
@@ -24,7 +24,9 @@ _WIDTH = 3.8
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m validation.coverage", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.calibration.interval_coverage", description=__doc__
+    )
     parser.add_argument("--repeats", type=int, default=40, metavar="N", help="noise draws (default: 40)")
     parser.add_argument(
         "--bootstraps", type=int, default=0, metavar="N", help="of how many of them (default: 0)"

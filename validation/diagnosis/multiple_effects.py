@@ -1,7 +1,7 @@
 """How often several effects stand out together, where one, two or none are true.
 
-``python -m validation.several --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.linearizations`), and looks for effects that each stand out beside the others, as a diagnosis does
+``python -m validation.diagnosis.multiple_effects --bank BANK --lines LINES`` takes a development bank and its straight lines
+(see `validation.diagnosis.linearizations`), and looks for effects that each stand out beside the others, as a diagnosis does
 before it asks whether each helps with cycles kept back. The alarm is the shipped one; a diagnosis' own people
 with nothing amiss may raise it.
 """
@@ -14,7 +14,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from validation.linearizations import Lines, development_lines
+from validation.diagnosis.linearizations import Lines, development_lines
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.projection import project
 from wrapjax.diagnosis.score import score_projected
@@ -64,7 +64,9 @@ def together(lines: Lines, constants: DecisionConstants) -> tuple[str, ...]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m validation.several", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m validation.diagnosis.multiple_effects", description=__doc__
+    )
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--lines", type=Path, required=True)
     return parser

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from validation.banks import CLEAR
-from validation.linearizations import development_lines
+from validation.diagnosis.bank_cases import CLEAR
+from validation.diagnosis.linearizations import development_lines
 from wrapjax.diagnosis.null import nulls
 from wrapjax.diagnosis.score import score_each
 from wrapjax.diagnosis.verdict import Probabilities

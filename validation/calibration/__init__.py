@@ -1,0 +1,1 @@
+"""Accuracy of calibrated moment arms, parameter intervals, written models and contact forces."""

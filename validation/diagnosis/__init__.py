@@ -1,0 +1,1 @@
+"""Accuracy of diagnoses of a blind bank, and statistics of the score on a development bank."""

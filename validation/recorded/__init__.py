@@ -1,0 +1,1 @@
+"""Diagnoses of recorded walking with known errors added to its files."""
