@@ -55,7 +55,7 @@ def test_the_folder_is_a_subject(run, prepared):
 def test_what_was_asked_for_is_kept_word_for_word(laboratory, prepared):
     folder = prepared[1]
     assert (folder / "prepared_from.toml").read_text() == laboratory.read_text()
-    assert "by prepared_from.toml" in (folder / "subject.toml").read_text().splitlines()[0]
+    assert "from prepared_from.toml" in (folder / "subject.toml").read_text().splitlines()[0]
 
 
 def test_cycles_begin_when_the_left_foot_bears_weight(prepared):
@@ -263,8 +263,8 @@ def _heavier(settings):
 PLANTED = {
     "mass in lb": (_pounds, ["[subject] mass_kg", "154.3, 2.2 times the 70 kg", "is it in lb?"]),
     "another person's model": (_heavier, ["[subject] mass_kg", "78, 1.11 times the 70 kg", "scale the"]),
-    "forces 50 ms late": (_late, ["forces.mot", "timing of forces", "best 50 ms late", "within 20 ms"]),
-    "forces 50 ms early": (_early, ["timing of forces", "best 50 ms early"]),
+    "forces 50 ms late": (_late, ["forces.mot", "timing of forces", "as 50 ms late", "at most 20 ms"]),
+    "forces 50 ms early": (_early, ["timing of forces", "as 50 ms early"]),
     "legs swapped": (_swapped, ["place of the left force", "the legs are swapped", "from the right one"]),
     "forces in kN": (_kilonewtons, ["weight", "0.001 times", "not kN"]),
     "points in mm": (_millimeters, ["place of the left force", "check the unit of the point"]),
@@ -275,10 +275,10 @@ PLANTED = {
     "EMG of the other leg": (_other_leg, ["emg.sto", "timing of EMG channel Sol", "on the other leg"]),
     "angles in degrees": (_degrees, ["angles.sto", "more than a full turn", "in degrees?"]),
     "misspelt channel": (_misspelt, ["column Soll", "did you mean 'Sol'?"]),
-    "plates of a file without": (_plates, ["[forces.r]", "expected force, by which"]),
+    "plates of a file without": (_plates, ["[forces.r]", "expected force, needed to read"]),
     "the other foot's forces alone": (
         _right_alone,
-        ["[forces]: expected [forces.l]", "own foot, found none"],
+        ["[forces]: expected [forces.l]", "the leg's foot, found none"],
     ),
     "unknown body": (_elsewhere, ["[forces.r] body", "did you mean 'calcn_r'?"]),
 }
@@ -342,14 +342,14 @@ def test_one_step_on_each_plate_is_enough(run, solved, right):
     _stepped(solved, left=(1.5, 2.3), right=right)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
-    assert "forces fit motion best" in outcome.output
+    assert "forces agree best with motion" in outcome.output
 
 
 def test_one_measured_foot_is_enough(run, solved):
     _left_alone(solved)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
-    assert "while one foot bears them alone" in outcome.output
+    assert "during single support" in outcome.output
 
 
 @pytest.mark.parametrize(("plant", "said"), [(_late, "ms late"), (_early, "ms early")])

@@ -89,7 +89,7 @@ def test_recorded_walking_is_accepted_as_it_is(run, overground):
     outcome = run("prepare", overground, "--out", overground.parent / "out")
     assert outcome.status == 0, outcome.progress
     assert outcome.output.count("is in degrees") == 2  # the patellae
-    assert "forces fit motion best as they were recorded" in outcome.output
+    assert "forces agree best with motion as recorded" in outcome.output
 
 
 def test_a_minute_on_a_treadmill_gives_its_53_cycles(run, data_folder, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 import wrapjax.cohorts.cohort
 from tests.calibration.test_two_legs import scale_moments
 from tests.cli.conftest import run
-from tests.cli.folders import content, stored
+from tests.cli.folders import content, read_json
 from tests.subject.synthetic import write_subject
 from wrapjax.cli.report import redraw
 from wrapjax.cohorts.cohort import cohort
@@ -64,11 +64,11 @@ def test_one_that_cannot_be_read_stops_no_other(done, subjects):
 def test_each_folder_holds_what_the_commands_write(done):
     for name in ("anna", "ben"):
         own = done.content["subjects"][name]
-        summary = stored(done.folder / name / "calibration" / "summary.json")
+        summary = read_json(done.folder / name / "calibration" / "summary.json")
         assert own["mae_Nm"] == summary["mae_Nm"] and own["converged"] is summary["converged"] is True
         # Two cycles are too few to tell what repeats from what does not.
         assert own["diagnosis"]["outcome"] == "insufficient_data"
-        assert stored(done.folder / name / "diagnosis" / "gap.json")["outcome"] == "insufficient_data"
+        assert read_json(done.folder / name / "diagnosis" / "gap.json")["outcome"] == "insufficient_data"
         for report in (own["report"], own["diagnosis_report"]):
             assert (done.folder / report).is_file()
     assert sorted(path.name for path in done.folder.iterdir()) == [
@@ -80,7 +80,7 @@ def test_each_folder_holds_what_the_commands_write(done):
 
 
 def test_population_is_the_textbooks(done):
-    assert stored(done.folder / "cohort.json") == json.loads(json.dumps(done.content))
+    assert read_json(done.folder / "cohort.json") == json.loads(json.dumps(done.content))
     population = done.content["population"]
     assert (population["n"], population["converged"], population["failed"]) == (2, 2, 1)
     assert population["outcomes"] == {"insufficient_data": 2} and population["named"] == {}
@@ -175,7 +175,7 @@ def test_a_process_of_its_own_says_what_is_wrong(subjects, tmp_path):
     assert outcome.status == 1
     assert "broken" in outcome.output and "model.osim" in outcome.output
     assert "Traceback" not in outcome.progress
-    assert stored(tmp_path / "out" / "cohort.json")["subjects"]["broken"]["state"] == "failed"
+    assert read_json(tmp_path / "out" / "cohort.json")["subjects"]["broken"]["state"] == "failed"
 
 
 def test_a_full_disk_says_where_and_keeps_what_is_done(here, subjects, tmp_path, monkeypatch):
@@ -193,9 +193,9 @@ def test_a_full_disk_says_where_and_keeps_what_is_done(here, subjects, tmp_path,
     place = tmp_path / "out"
     outcome = run("cohort", subjects[0], subjects[2], "--out", place, "--starts", "1")
     assert outcome.status == 2
-    assert f"{place / 'cohort.json'}: No space left on device; go on where it stopped" in outcome.progress
+    assert f"{place / 'cohort.json'}: No space left on device; continue with --resume" in outcome.progress
     assert "nothing was written" not in outcome.progress
-    assert stored(place / "cohort.json")["subjects"]["anna"]["state"] == "done"
+    assert read_json(place / "cohort.json")["subjects"]["anna"]["state"] == "done"
 
 
 @pytest.mark.slow
@@ -203,5 +203,5 @@ def test_command_with_processes_of_its_own(subjects, tmp_path):
     outcome = run("cohort", *subjects, "--out", tmp_path / "out", "--starts", "1", "--workers", "2")
     assert outcome.status == 1
     assert "anna" in outcome.output and "failed: " in outcome.output and "Traceback" not in outcome.progress
-    found = stored(tmp_path / "out" / "cohort.json")["subjects"]
+    found = read_json(tmp_path / "out" / "cohort.json")["subjects"]
     assert [own["state"] for own in found.values()] == ["done", "failed", "done"]

@@ -7,7 +7,7 @@ import wrapjax
 from wrapjax.contact_forces.contact_force import _joints, _reactions, contact
 from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
 from wrapjax.contact_forces.result import JOINT_REACTION, peak_windows, peaks
-from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
+from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
 from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.geometry.engine import PARITY
 from wrapjax.osim.model import describe_model
@@ -61,7 +61,7 @@ def test_muscles_press_in_opensim_as_the_engine_says(run):
     read = read_curves(run)
     subject, model = read.subject, describe_model(read.subject.model_file)
     joints = tuple(_joints(subject.model_file, subject.trials.moment_coordinates).values())
-    walk, _ = recorded_walk(subject)
+    walk, _ = read_recorded_gait(subject)
     question = (walk, subject.model_file, joints, read.run.muscles)
     (with_muscles, _), (without, _) = (
         _reactions(*question, force) for force in (read.force, 0.0 * read.force)

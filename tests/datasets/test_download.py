@@ -112,7 +112,7 @@ def test_external_loads_of_our_own_give_the_published_moments(server, data_folde
     infos = read_model_file(model).coordinates
     read = read_motion(trial.angles, infos, couplers, ("knee_angle_l",), [])
     # Filtered as whoever solved the published moments did; their first and last frames have not settled.
-    smooth = Motion(read.coordinates, read.time, low_pass(read.time, read.values, 6.0)).coupled(couplers)
+    smooth = Motion(read.coordinates, read.time, low_pass(read.time, read.values, 6.0)).with_coupled(couplers)
     part = (read.time > 2.0) & (read.time < 5.0)
     solved = solve_inverse_dynamics(
         model, smooth.coordinates, read.time[part], smooth.values[:, part], trial.external_loads

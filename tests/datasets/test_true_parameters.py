@@ -1,4 +1,4 @@
-"""The hidden truth lies where a person's could, and survives being written."""
+"""True parameters are physiological, and are read back as they were written."""
 
 import numpy as np
 import pytest

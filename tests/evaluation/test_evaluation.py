@@ -76,7 +76,7 @@ def test_angles_that_the_run_never_saw_are_told_of(folder, tmp_path):
         bent = ["\t".join([time, hip, str(float(knee) + 0.8)]) for time, hip, knee in cells]
         file.write_text(head + "endheader\n" + "\n".join([labels, *bent]) + "\n")
     (note,) = evaluate(load_run(folder), load_subject(other)).notes
-    assert "knee_angle_l is beyond what the run's paths were fitted on" in note
+    assert "knee_angle_l is outside the range that the run's paths were fitted on" in note
 
 
 def test_another_model_file_is_told_of(folder, person, tmp_path):

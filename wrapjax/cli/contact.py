@@ -20,11 +20,11 @@ def contact_table(contact: Contact) -> str:
     """Tabulate the peak contact forces of each joint by each run, with the tests between runs."""
     from wrapjax.comparison.statistics import spread
     from wrapjax.contact_forces.result import peak_windows, peaks
-    from wrapjax.report.contact_page import sentences, undriven_sentences
+    from wrapjax.report.contact_page import contact_findings, undriven_findings
     from wrapjax.report.contact_summary import compared_peaks, tests_reason
 
     result = contact.result
-    lines = [textwrap.fill(sentences(result)[0], 100), ""]
+    lines = [textwrap.fill(contact_findings(result)[0], 100), ""]
     lines.append(f"{'peak':24s}{'run':16s}{'bodyweights':>18s}{'N':>18s}{'% of cycle':>14s}")
     for part in result.parts:
         for measure, window in peak_windows(part).items():
@@ -48,8 +48,8 @@ def contact_table(contact: Contact) -> str:
                 f"{test.difference:+.3f} bodyweights (95 % {test.low:.3f} to {test.high:.3f}), paired t-test "
                 f"over {test.n} cycles: p = {test.p:.2g}"
             )
-    lines += [textwrap.fill(sentence, 100) for sentence in undriven_sentences(result)]
-    return "\n".join([*lines, *sentences(result)[1 + len(result.runs) :]])
+    lines += [textwrap.fill(sentence, 100) for sentence in undriven_findings(result)]
+    return "\n".join([*lines, *contact_findings(result)[1 + len(result.runs) :]])
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:

@@ -1,1 +1,1 @@
-"""Many subjects calibrated side by side."""
+"""Calibration and diagnosis of many subjects in parallel."""

@@ -1,4 +1,7 @@
-"""Work spread over processes, here or elsewhere, by dask.distributed. One piece that fails stops no other."""
+"""Parallel jobs in processes on this machine, by a dask scheduler, or on a SLURM cluster.
+
+A job that fails does not stop the others.
+"""
 
 from __future__ import annotations
 
@@ -12,25 +15,25 @@ from uuid import uuid4
 from wrapjax.errors import InputError, Problem
 from wrapjax.jax_setup import THREAD_VARIABLES
 
-#: In place of an address: jobs of a SLURM cluster, as dask-jobqueue's own settings describe them.
+#: Value of ``scheduler`` for jobs of a SLURM cluster, as configured for dask-jobqueue.
 SLURM = "slurm"
-#: How often a piece of work is tried again that failed, or whose worker died.
+#: Number of further attempts of a job that failed or whose worker process died.
 RETRIES = 1
-_CONNECTING_S = 20
+_CONNECTION_TIMEOUT_S = 20
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A piece of work that came to an end.
+    """Finished job.
 
     Parameters
     ----------
     name
-        Of the piece.
+        Name of the job.
     value
-        What it gave; None if it failed.
+        Result; None if the job failed.
     failure
-        What went wrong, as a sentence; empty if nothing did.
+        Error message; empty if the job succeeded.
     """
 
     name: str
@@ -41,43 +44,43 @@ class Finished:
 def run_jobs(
     work: Callable[[Any], Any], jobs: Mapping[str, Any], *, scheduler: str | None = None, workers: int = 2
 ) -> Iterator[Finished]:
-    """Do pieces of work in processes of one thread each, and yield them as they finish.
+    """Run jobs in processes of one thread each, and yield them as they finish.
 
     Parameters
     ----------
     work
-        What to do with a job; a function of a module, so that other processes find it.
+        Function that takes a job and returns its result; a function of a module, so that it can be pickled.
     jobs
-        By name; whatever can be pickled.
+        Jobs by name; they must be picklable.
     scheduler
         Address of a dask scheduler (``tcp://host:8786``), or ``slurm``; by default processes on this machine.
     workers
-        How many processes; with an address, as many as that scheduler has.
+        Number of processes; with an address, those of that scheduler are used instead.
 
     Yields
     ------
     Finished
-        One a job. What raises an error is tried again once, and so is what its worker died of.
+        One for each job. A job that raises an error or whose worker dies is tried once more.
 
     Raises
     ------
     InputError
-        If there is no such scheduler.
+        If no scheduler answers at the address, or jobs of SLURM are not configured.
     """
     import dask
     from distributed import as_completed
 
     settings = {
         "distributed.scheduler.allowed-failures": RETRIES,
-        # A process holds the piece that it works at and no other, which would wait for it, and be blamed if
-        # it died. Dask heeds that for groups of tasks only: see the keys.
+        # A worker holds no job but the running one: others would wait for it, and count as failed if it died.
+        # Dask applies this only to groups of tasks, hence the tuples as keys.
         "distributed.scheduler.worker-saturation": 1.0,
     }
     with (
         dask.config.set(settings),
         _client(scheduler, min(workers, len(jobs))) as client,
     ):
-        run = f"run-{uuid4().hex}"  # no answer of an earlier call may be taken for this one's
+        run = f"run-{uuid4().hex}"  # Unique, so that results of an earlier call are never used.
         keys = [(run, name) for name in jobs]
         futures = dict(
             zip(
@@ -91,10 +94,10 @@ def run_jobs(
             if future.status == "finished":
                 yield Finished(name, future.result())
             else:
-                yield Finished(name, None, _sentence(future))
+                yield Finished(name, None, _error_message(future))
 
 
-def _sentence(future: Any) -> str:
+def _error_message(future: Any) -> str:
     from distributed import KilledWorker
 
     error = future.exception() if future.status == "error" else None
@@ -117,7 +120,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
             yield client
     else:
         try:
-            client = Client(scheduler, timeout=_CONNECTING_S)
+            client = Client(scheduler, timeout=_CONNECTION_TIMEOUT_S)
         except (OSError, ValueError) as error:
             message = f"no dask scheduler answers there ({error})"
             raise InputError(Problem(scheduler, message, hint="start one with 'dask scheduler'")) from error
@@ -132,8 +135,8 @@ def _local(workers: int) -> Any:
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
-        dashboard_address="127.0.0.1:0",  # any free port: others may have a cluster here, too
-        # What is too much for this machine is said by it; a worker that is stopped for it loses its work.
+        dashboard_address="127.0.0.1:0",  # Any free port: other clusters may run on this machine.
+        # No limit: a worker that dask restarts for its memory use would lose its job.
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         env=dict.fromkeys(THREAD_VARIABLES, "1"),

@@ -1,1 +1,1 @@
-"""Several calibration methods compared on the same subjects, with statistics."""
+"""Statistical comparison of calibration methods on the same subjects."""

@@ -1,4 +1,4 @@
-"""``compare``: calibrate persons by several methods, and test whether the methods differ."""
+"""Calibration of subjects by several methods, and tests of whether the methods differ."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ if TYPE_CHECKING:
     from wrapjax.comparison.samples import ComparedLeg
     from wrapjax.report.comparison_summary import Row
 
-#: Where NGA and PGA may take paths from.
+#: Sources of the muscle paths of NGA and PGA.
 GEOMETRIES = ("surrogate", "engine")
-#: The methods that need no polynomials.
-BY_ENGINE = ("NGA", "PGA")
+#: Methods that can use the exact engine instead of polynomials.
+ENGINE_METHODS = ("NGA", "PGA")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Legs calibrated by several methods.
+    """Subjects calibrated by several methods.
 
     Parameters
     ----------
     methods
-        The first is the one that others are compared with.
+        Names of the methods; the first is the reference of the tests.
     calibrations
-        One row a subject, one column a method.
+        Calibrations, one row for each subject and one column for each method.
     labels
-        Names of the subjects, no two alike: also of their folders.
-    journal
-        Where unfinished work was kept.
+        Unique names of the subjects, also of their folders.
+    checkpoints
+        Folder of the checkpoints; None if there is none.
     """
 
     methods: tuple[str, ...]
@@ -58,62 +58,68 @@ class Comparison:
 
     @property
     def converged(self) -> bool:
-        """Whether every calibration did."""
-        return all(one.status.converged for row in self.calibrations for one in row)
+        """Whether all calibrations converged."""
+        return all(calibration.status.converged for row in self.calibrations for calibration in row)
 
     @cached_property
     def legs(self) -> tuple[ComparedLeg, ...]:
-        """Every calibrated leg, both of a person whose legs were calibrated together."""
+        """All calibrated legs; both legs of a person where they were calibrated together."""
         from wrapjax.comparison.samples import ComparedLeg
         from wrapjax.report.run_folder import OTHER_LEG
 
-        found: list[ComparedLeg] = []
-        taken = set(self.labels)
+        legs: list[ComparedLeg] = []
+        names = set(self.labels)
         for label, row in zip(self.labels, self.calibrations, strict=True):
-            moves = any(one.result.freedom.wraps is not None for one in row)
+            frees_wraps = any(calibration.result.freedom.wraps is not None for calibration in row)
             for number, leg in enumerate(row[0].legs):
                 within = f"/{OTHER_LEG}" if number else ""
-                own = file_name(leg.subject.name)
-                name = label if not number else own if own not in taken else f"{label} (other leg)"
-                taken.add(name)
-                found.append(
+                other_name = file_name(leg.subject.name)
+                if number == 0:
+                    name = label
+                else:
+                    name = other_name if other_name not in names else f"{label} (other leg)"
+                names.add(name)
+                legs.append(
                     ComparedLeg(
                         name,
                         leg.subject,
                         {
-                            method: one.legs[number].result
-                            for method, one in zip(self.methods, row, strict=True)
+                            method: calibration.legs[number].result
+                            for method, calibration in zip(self.methods, row, strict=True)
                         },
                         {method: f"{label}/{method}{within}" for method in self.methods},
-                        describe_model(leg.subject.model_file) if moves else None,
-                        {method: _source(one) for method, one in zip(self.methods, row, strict=True)},
+                        describe_model(leg.subject.model_file) if frees_wraps else None,
+                        {
+                            method: _path_source(calibration)
+                            for method, calibration in zip(self.methods, row, strict=True)
+                        },
                     )
                 )
-        return tuple(found)
+        return tuple(legs)
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
-        """Means, spreads and tests of everything that is compared."""
+        """Means, standard deviations and tests of all compared quantities."""
         from wrapjax.report.comparison_summary import comparison_rows
 
         return comparison_rows(self.legs, self.methods)
 
     @property
     def dataset(self) -> Dataset:
-        """Moments, their errors and parameters by method, as an `xarray.Dataset` with units."""
+        """Moments, moment errors and parameters by method, as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import comparison_dataset
 
         return comparison_dataset(self.legs, self.methods)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write ``<subject>/<METHOD>/`` for every calibration, ``comparison.json``, tables and report."""
+        """Write ``<subject>/<METHOD>/`` for each calibration, ``comparison.json``, tables and report."""
         from wrapjax.report.comparison_page import write_comparison
 
         with new_folder(Path(folder), force=force) as place:
             for label, row in zip(self.labels, self.calibrations, strict=True):
-                for method, one in zip(self.methods, row, strict=True):
-                    # Journals are kept until all is written.
-                    replace(one, checkpoints=None).save(place / label / method)
+                for method, calibration in zip(self.methods, row, strict=True):
+                    # Checkpoints are kept until everything is written.
+                    replace(calibration, checkpoints=None).save(place / label / method)
             write_comparison(self.legs, self.methods, self.rows, place)
         if self.checkpoints is not None:
             shutil.rmtree(self.checkpoints, ignore_errors=True)
@@ -134,67 +140,68 @@ def compare(
     checkpoints: Path | None = None,
     resume: bool = False,
 ) -> Comparison:
-    """Calibrate every subject by every method, and test whether the methods differ.
+    """Calibrate all subjects by several methods, and test whether the methods differ.
 
-    What feeds what: SGA and LSGA change polynomials, so that they always take those of `fit`. NGA and PGA
-    take them too (``geometry="surrogate"``), or the exact engine's paths (``geometry="engine"``). All four
-    start from one geometry: polynomials are fitted to OpenSim's paths, but to the exact engine's as soon as
-    a method takes those or PGA is among the methods. NGA held by the engine and SGA started from
-    polynomials then differ by the error of the polynomials alone, as `fit` reports it.
+    SGA and LSGA change polynomials and always use those of `fit`. NGA and PGA use them too
+    (``geometry="surrogate"``), or the exact engine's paths (``geometry="engine"``). All methods start from
+    the same geometry: polynomials are fitted to OpenSim's paths, or to the exact engine's if a method uses
+    those or PGA is among the methods. The initial moments of NGA by the engine and of SGA then differ only by
+    the error of the polynomials, as reported by `fit`.
 
-    Where a subject names its ``other_leg``, both legs are calibrated together and both are compared; the
-    other leg is not calibrated again if it is among the subjects, too.
+    If a subject names its ``other_leg``, both legs are calibrated together and both are compared. The other
+    leg is not calibrated again if it is among the subjects.
 
     Parameters
     ----------
     subjects
-        From `load_subject`.
+        Subjects from `load_subject`.
     methods
-        The first is the one that others are compared with.
+        Names of two or more methods; the others are tested against the first.
     geometry
-        Where NGA and PGA take paths from: ``surrogate`` or ``engine``; see above.
+        Source of the muscle paths of NGA and PGA: ``surrogate`` or ``engine``, see above.
     solver, starts, seed, callback, curves
-        As in `calibrate`, for every calibration; paths are fitted by the same seed.
+        As in `calibrate`, for all calibrations; ``seed`` is also that of `fit`.
     processes
-        As in `fit`.
+        Number of processes, as in `fit`.
     quiet
         Print no progress.
-    journal
-        Folder in which to keep where the work stands, so that it can be resumed; removed when the
-        result is saved.
+    checkpoints
+        Folder for checkpoints, from which interrupted calibrations can be resumed; it is deleted when the
+        result is saved. None for no checkpoints.
     resume
-        Go on with the journal's work instead of beginning anew.
+        Continue from the checkpoints instead of starting again.
 
     Returns
     -------
     Comparison
-        Whether all converged is in ``converged``.
+        Calibrations and tests; ``converged`` tells whether all calibrations converged.
 
     Raises
     ------
     InputError
-        Before the long work, if a method is not known or frees nothing of a subject, or if subjects
-        cannot be told apart.
+        Before the calibrations, if a method is unknown or frees nothing of a subject, if subjects have the
+        same name and side, or if there are no checkpoints to resume.
     KeyboardInterrupt
-        If interrupted; the journal then holds what was done.
+        If interrupted; the checkpoints then hold the finished part.
     """
-    methods = _checked(methods)
+    methods = _check_methods(methods)
     if geometry not in GEOMETRIES:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
     persons = subjects_to_calibrate(subjects)
     labels = unique_labels(persons)
     sources = [
-        _sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet) for person in persons
+        _path_sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet)
+        for person in persons
     ]
     if checkpoints is not None:
-        _open(checkpoints, resume=resume)
-    done = []
+        _open_checkpoints(checkpoints, resume=resume)
+    calibrations = []
     for label, person, source in zip(labels, persons, sources, strict=True):
         row = []
         for method in methods:
             print_progress(f"calibrating {label} by {method}", quiet=quiet)
             place = None if checkpoints is None else checkpoints / label / method
-            one = calibrate(
+            calibration = calibrate(
                 person,
                 method,
                 source[method],
@@ -206,18 +213,18 @@ def compare(
                 checkpoints=place,
                 resume=place is not None and (place / "question.json").exists(),
             )
-            if one.status is Status.interrupted:
+            if calibration.status is Status.interrupted:
                 raise KeyboardInterrupt
-            row.append(one)
-        done.append(tuple(row))
-    return Comparison(methods, tuple(done), labels, checkpoints)
+            row.append(calibration)
+        calibrations.append(tuple(row))
+    return Comparison(methods, tuple(calibrations), labels, checkpoints)
 
 
-def _source(calibration: Calibration) -> str:
+def _path_source(calibration: Calibration) -> str:
     return "engine" if isinstance(calibration.fit, ExactGeometry) else "surrogate"
 
 
-def _checked(methods: Sequence[str]) -> tuple[str, ...]:
+def _check_methods(methods: Sequence[str]) -> tuple[str, ...]:
     problems = [
         Problem("methods", f"'{method}' is not known", hint=nearest_name(method, METHODS))
         for method in dict.fromkeys(methods)
@@ -232,7 +239,7 @@ def _checked(methods: Sequence[str]) -> tuple[str, ...]:
     return tuple(methods)
 
 
-def _sources(
+def _path_sources(
     methods: Sequence[str],
     person: Subject,
     geometry: str,
@@ -241,15 +248,15 @@ def _sources(
     processes: int | None,
     quiet: bool,
 ) -> dict[str, Fit | ExactGeometry]:
-    """Say where each method takes a subject's paths from.
+    """Make the muscle paths of a subject for each method.
 
     Raises
     ------
     InputError
-        Before the long work, if a method frees nothing.
+        If a method frees nothing, or both legs of a person would be calibrated with the exact engine.
     """
     legs = read_legs(person)
-    by_engine = set(methods) & set(BY_ENGINE) if geometry == "engine" else set()
+    by_engine = set(methods) & set(ENGINE_METHODS) if geometry == "engine" else set()
     if by_engine and len(legs) > 1:
         raise InputError(
             Problem(
@@ -258,27 +265,29 @@ def _sources(
                 hint="use --geometry surrogate, or take other_leg out of subject.toml",
             )
         )
-    found: dict[str, Fit | ExactGeometry] = {}
+    paths: dict[str, Fit | ExactGeometry] = {}
     if by_engine:
-        print_progress(f"laying the paths of {person.name} by the exact engine", quiet=quiet)
-        found |= dict.fromkeys(by_engine, exact_geometry(person))
+        print_progress(f"computing the muscle paths of {person.name} by the exact engine", quiet=quiet)
+        paths |= dict.fromkeys(by_engine, exact_geometry(person))
     by_polynomials = [method for method in methods if method not in by_engine]
     if by_polynomials:
-        source = "engine" if by_engine else "opensim"
-        fitted = fit_for_methods(by_polynomials, person, source, seed=seed, processes=processes, quiet=quiet)
-        found |= dict.fromkeys(by_polynomials, fitted)
+        fitted_to = "engine" if by_engine else "opensim"
+        fitted = fit_for_methods(
+            by_polynomials, person, fitted_to, seed=seed, processes=processes, quiet=quiet
+        )
+        paths |= dict.fromkeys(by_polynomials, fitted)
     for leg in legs:
-        own = (
-            found
+        leg_paths = (
+            paths
             if leg is person
-            else {method: matching_path_source(fit, leg) for method, fit in found.items()}
+            else {method: matching_path_source(source, leg) for method, source in paths.items()}
         )
         for method in methods:
-            method_freedom(method, leg, own[method])
-    return found
+            method_freedom(method, leg, leg_paths[method])
+    return paths
 
 
-def _open(checkpoints: Path, *, resume: bool) -> None:
+def _open_checkpoints(checkpoints: Path, *, resume: bool) -> None:
     if resume and not checkpoints.is_dir():
         raise InputError(
             Problem(str(checkpoints), "holds no interrupted work to resume", hint="leave out --resume")

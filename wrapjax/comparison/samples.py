@@ -1,6 +1,6 @@
-"""Whom a comparison calibrates, each once, and by which name.
+"""Subjects and samples of a comparison: which legs are calibrated, and which quantities are compared.
 
-What is compared, as numbers of legs, cycles or muscles, the same ones by every method.
+A sample has one value for each leg, gait cycle or muscle, the same ones for every method.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ _SIDES = {"l": "left", "r": "right"}
 
 
 def subjects_to_calibrate(subjects: Sequence[Subject]) -> list[Subject]:
-    """Leave out the legs that are calibrated with another's.
+    """Select the subjects to calibrate: each leg once, without those calibrated as another's other leg.
 
     Raises
     ------
     InputError
-        If there is nobody.
+        If there are no subjects.
     """
     if not subjects:
         raise InputError(Problem("subjects", "expected at least one, found none"))
     by_folder = {subject.folder.resolve(): subject for subject in subjects}
-    taken: set[Path] = set()
+    calibrated: set[Path] = set()
     chosen = set()
-    # Those first that name another leg: it may not name them.
+    # Subjects that name another leg come first, because that leg need not name them.
     for folder, subject in sorted(by_folder.items(), key=lambda entry: entry[1].other_leg is None):
-        if folder not in taken:
+        if folder not in calibrated:
             chosen.add(folder)
-            taken |= {leg.folder.resolve() for leg in read_legs(subject)}
+            calibrated |= {leg.folder.resolve() for leg in read_legs(subject)}
     return [subject for folder, subject in by_folder.items() if folder in chosen]
 
 
 def unique_labels(persons: Sequence[Subject]) -> tuple[str, ...]:
-    """Name subjects so that they can be told apart, also as folders: by side where names are the same.
+    """Make unique labels of subjects, valid as folder names; the side is added where names are the same.
 
     Raises
     ------
     InputError
-        If two have the same name and side.
+        If two subjects have the same name and side.
     """
     names = [file_name(person.name) for person in persons]
     lowered = [name.lower() for name in names]
@@ -74,33 +74,35 @@ def unique_labels(persons: Sequence[Subject]) -> tuple[str, ...]:
 
 
 def file_name(name: str) -> str:
-    """Turn a name into one that a folder can have anywhere."""
+    """Make a folder name that is valid on all systems."""
     return re.sub(r"[^\w.+-]+", "_", name).strip(".") or "subject"
 
 
-#: Speeds that are told apart; where there are more, cycles of all speeds stand together.
+#: Largest number of speeds that are compared separately; with more, cycles of all speeds are pooled.
 MAX_SPEEDS = 4
 ALL_SPEEDS = "all speeds"
-#: The item that stands for the average over all others.
+#: Item of the average over all other items.
 MEAN = "mean"
 
 
 @dataclass(frozen=True)
 class ComparedLeg:
-    """A leg, calibrated by every method.
+    """Leg that was calibrated by all methods.
 
     Parameters
     ----------
     label
-        Names it among the others.
+        Unique name of the leg.
     subject
-        The leg.
-    results, folders
-        By method: what came of it, and the run's folder within that of the comparison.
+        Subject folder of the leg.
+    results
+        Results by method.
+    folders
+        Folders of the runs by method, relative to that of the comparison.
     model
-        What decides its muscle paths, where a method moved cylinders.
+        Model of the leg, where a method changed wrapping cylinders; else None.
     geometry
-        By method: where its paths are from, ``surrogate`` or ``engine``.
+        Source of the muscle paths by method, ``surrogate`` or ``engine``.
     """
 
     label: str
@@ -112,13 +114,21 @@ class ComparedLeg:
 
     @property
     def recorded(self) -> CalibrationResult:
-        """Any of the results, for what is the same by every method."""
+        """One of the results, for data that are the same for all methods."""
         return next(iter(self.results.values()))
 
 
 @dataclass(frozen=True)
 class CycleGroup:
-    """Cycles that are compared together: a label, and which ones they are of each leg."""
+    """Gait cycles that are compared together.
+
+    Parameters
+    ----------
+    label
+        Name of the group.
+    keep
+        Mask of the group's cycles among all cycles, by leg.
+    """
 
     label: str
     keep: tuple[Bool[np.ndarray, " trial"], ...]
@@ -126,17 +136,18 @@ class CycleGroup:
     @property
     def count(self) -> int:
         """Number of cycles."""
-        return sum(int(own.sum()) for own in self.keep)
+        return sum(int(mask.sum()) for mask in self.keep)
 
 
-#: Reads numbers by item (coordinate, muscle or parameter) off one leg's result, one a cycle or muscle.
-QuantityReader = Callable[[CalibrationResult], dict[str, Float[np.ndarray, " own"]]]
-#: By item, the same units in the same order by every method.
+#: Function that reads a quantity from a leg's result: values by item (coordinate, muscle or parameter), one
+#: for each cycle or muscle.
+QuantityReader = Callable[[CalibrationResult], dict[str, Float[np.ndarray, " unit"]]]
+#: Samples by item; units are the same and in the same order for all methods.
 Samples = dict[str, Float[np.ndarray, "method unit"]]
 
 
 def unit_of_analysis(legs: Sequence[ComparedLeg], within: str) -> str:
-    """Say what counts as one observation: a leg where there are enough, else what is ``within`` legs."""
+    """Return the unit of analysis: ``leg`` if there are enough legs, else the unit ``within`` legs."""
     return "leg" if len(legs) >= MINIMUM_UNITS else within
 
 
@@ -145,87 +156,91 @@ def collect_samples(
     methods: Sequence[str],
     read: QuantityReader,
     unit: str,
-    kind: CycleGroup | None = None,
+    group: CycleGroup | None = None,
 ) -> Samples:
-    """Read samples off all legs.
+    """Collect the samples of a quantity from all legs.
 
     Parameters
     ----------
     legs, methods
-        What is compared.
+        Legs and methods to compare.
     read
-        What of a result.
+        Function that reads the quantity from a result.
     unit
-        ``leg``: the average within each leg; otherwise what is read, legs one after the other.
-    kind
-        Which cycles, where cycles are read.
+        Unit of analysis: ``leg`` for averages within legs; otherwise values are concatenated over legs.
+    group
+        Group of cycles, for quantities with one value per cycle; None for all values.
 
     Returns
     -------
     dict
-        Items without a number are left out.
+        Samples by item; items without values are left out.
     """
-    found: dict[str, list[np.ndarray]] = {}
+    blocks: dict[str, list[np.ndarray]] = {}
     for number, leg in enumerate(legs):
         by_method = [read(leg.results[method]) for method in methods]
         for item in by_method[0]:
-            block = np.stack([own[item] for own in by_method])
-            if kind is not None:
-                block = block[:, kind.keep[number]]
+            block = np.stack([values[item] for values in by_method])
+            if group is not None:
+                block = block[:, group.keep[number]]
             if block.shape[1]:
                 block = block.mean(axis=1, keepdims=True) if unit == "leg" else block
-                found.setdefault(item, []).append(block)
-    # Where legs differ in their items, the average still comes last.
-    order = sorted(found, key=lambda item: item == MEAN)
-    return {item: np.concatenate(found[item], axis=1) for item in order}
+                blocks.setdefault(item, []).append(block)
+    # The average comes last, even where legs differ in their items.
+    order = sorted(blocks, key=lambda item: item == MEAN)
+    return {item: np.concatenate(blocks[item], axis=1) for item in order}
 
 
 def all_cycles(legs: Sequence[ComparedLeg]) -> CycleGroup:
-    """All cycles of all legs."""
+    """Return the group of all cycles of all legs."""
     return CycleGroup(ALL_SPEEDS, tuple(np.ones(len(leg.recorded.trials), dtype=bool) for leg in legs))
 
 
 def group_by_speed(legs: Sequence[ComparedLeg], use: str) -> list[CycleGroup]:
-    """Sort cycles of one use by walking speed, and give all together last; kinds without cycles are left out.
+    """Group the cycles of one use by walking speed; the last group contains all of them.
 
-    Where legs walked at different speeds, but at equally many, they are ranked within each leg, as
-    "self-selected" and "fastest" are.
+    If legs walked at different speeds, but at equally many, the speeds are ranked within each leg, such as
+    "self-selected" and "fastest". Groups without cycles are left out.
     """
-    speeds = [np.unique(leg.recorded.speeds) for leg in legs]  # NaNs count as one, the last
+    speeds = [np.unique(leg.recorded.speeds) for leg in legs]  # NaNs are one value, the last.
     count = len(speeds[0])
     everything = CycleGroup(ALL_SPEEDS, tuple(np.array(leg.recorded.uses) == use for leg in legs))
-    if any(len(own) != count for own in speeds) or not 2 <= count <= MAX_SPEEDS:
+    if any(len(leg_speeds) != count for leg_speeds in speeds) or not 2 <= count <= MAX_SPEEDS:
         return [everything]
-    if all(np.array_equal(own, speeds[0], equal_nan=True) for own in speeds):
+    if all(np.array_equal(leg_speeds, speeds[0], equal_nan=True) for leg_speeds in speeds):
         labels = ["speed not given" if np.isnan(speed) else f"{speed:g} m/s" for speed in speeds[0]]
     elif np.isnan(speeds).any():
         return [everything]
     else:
         labels = [f"speed {rank} of {count}" for rank in range(1, count + 1)]
-    kinds = []
+    groups = []
     for rank, label in enumerate(labels):
         keep = [
-            np.isnan(leg.recorded.speeds) if np.isnan(own[rank]) else leg.recorded.speeds == own[rank]
-            for leg, own in zip(legs, speeds, strict=True)
+            np.isnan(leg.recorded.speeds)
+            if np.isnan(leg_speeds[rank])
+            else leg.recorded.speeds == leg_speeds[rank]
+            for leg, leg_speeds in zip(legs, speeds, strict=True)
         ]
-        kinds.append(
-            CycleGroup(label, tuple(own & of_use for own, of_use in zip(keep, everything.keep, strict=True)))
+        groups.append(
+            CycleGroup(
+                label, tuple(mask & of_use for mask, of_use in zip(keep, everything.keep, strict=True))
+            )
         )
-    walked = [kind for kind in kinds if kind.count]
-    return [*(walked if len(walked) > 1 else []), everything]
+    groups = [group for group in groups if group.count]
+    return [*(groups if len(groups) > 1 else []), everything]
 
 
-# ---- What is read
+# ---- Quantities
 
 
 def moment_errors(result: CalibrationResult) -> dict[str, Float[np.ndarray, " trial"]]:
-    """Mean absolute moment error of each cycle in N m, by coordinate."""
+    """Compute the mean absolute moment error of each cycle (N m), by coordinate."""
     errors = np.abs(result.modelled - result.measured).mean(axis=-1)
     return _with_mean(result.coordinates, errors.T)
 
 
 def length_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray, " trial"]]:
-    """Mean absolute change of muscle-tendon lengths in m, by coordinate over the muscles that span it."""
+    """Compute the mean absolute change of muscle-tendon lengths (m), over the muscles of each coordinate."""
     before, after = result.initial_states.path.length, result.states.path.length
     changes = np.abs(np.asarray(after) - np.asarray(before)).mean(axis=-1)
     found = {
@@ -237,7 +252,7 @@ def length_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray, " t
 
 
 def moment_arm_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray, " trial"]]:
-    """Mean absolute change of moment arms in m, by coordinate over the muscles that span it."""
+    """Compute the mean absolute change of moment arms (m), over the muscles of each coordinate."""
     before, after = result.initial_states.path.moment_arm, result.states.path.moment_arm
     changes = np.abs(np.asarray(after) - np.asarray(before)).mean(axis=-1)
     spanning = _spanning(result)
@@ -250,17 +265,17 @@ def moment_arm_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray,
 
 
 def muscle_forces(result: CalibrationResult) -> dict[str, Float[np.ndarray, " trial"]]:
-    """Mean tendon force of each cycle in N, by muscle."""
+    """Compute the mean tendon force of each cycle (N), by muscle."""
     return _with_mean(result.muscles, np.asarray(result.states.fiber.tendon_force).mean(axis=-1))
 
 
 def activations(result: CalibrationResult) -> dict[str, Float[np.ndarray, " trial"]]:
-    """Mean activation of each cycle, by muscle."""
+    """Compute the mean activation of each cycle, by muscle."""
     return _with_mean(result.muscles, np.asarray(result.states.activation).mean(axis=-1))
 
 
 def parameter(name: str) -> QuantityReader:
-    """Values of one parameter of all muscles."""
+    """Return a function that reads the values of a parameter of all muscles."""
 
     def read(result: CalibrationResult) -> dict[str, Float[np.ndarray, " muscle"]]:
         return {name: np.asarray(getattr(result.parameters, name))}
@@ -269,8 +284,10 @@ def parameter(name: str) -> QuantityReader:
 
 
 def freed_parameters(legs: Sequence[ComparedLeg]) -> list[str]:
-    """Name the parameters that any method freed."""
-    names = [own.name for leg in legs for result in leg.results.values() for own in result.freedom.parameters]
+    """List the parameters that any method freed."""
+    names = [
+        entry.name for leg in legs for result in leg.results.values() for entry in result.freedom.parameters
+    ]
     return list(dict.fromkeys(names))
 
 
@@ -282,4 +299,5 @@ def _with_mean(
 
 
 def _spanning(result: CalibrationResult) -> Bool[np.ndarray, "muscle coordinate"]:
+    """Mask of the coordinates that each muscle spans: those with a moment arm."""
     return (np.asarray(result.initial_states.path.moment_arm) != 0.0).any(axis=(1, 3))

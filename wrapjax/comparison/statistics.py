@@ -1,7 +1,7 @@
-"""Tests of whether methods differ, on samples of the same units: legs, or cycles, or muscles.
+"""Statistical tests of differences between methods, on samples of the same units: legs, cycles or muscles.
 
-Differences are those of a method less the one it is compared with. A test of fewer than three units is
-None; one that is not defined (nothing varies) has NaN where a statistic would be.
+Differences are those of a method less the reference method. The result of a test is None with fewer than
+three units; its statistics are NaN where they are undefined because nothing varies.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-#: Fewer units than these are not tested.
+#: Smallest number of units of a test.
 MINIMUM_UNITS = 3
-#: Coverage of every interval.
+#: Coverage of confidence intervals.
 COVERAGE = 0.95
-# A standard deviation this small beside the values is rounding.
+# Largest ratio of a standard deviation to the values that counts as rounding error.
 _ROUNDING = 1e-12
 
 Samples = Float[np.ndarray, " unit"]
-# Groups that may differ in size.
+# Groups of possibly different sizes.
 Groups = Sequence[Float[np.ndarray, " _"]]
 Key = TypeVar("Key")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation (n - 1) of a sample; NaN where there are too few."""
+    """Mean and standard deviation (n - 1) of a sample; NaN where there are too few values."""
 
     mean: float
     sd: float
@@ -40,7 +40,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Anova:
-    """One-way analysis of variance of independent groups."""
+    """One-way analysis of variance of independent groups: F statistic, degrees of freedom and p value."""
 
     f: float
     between_df: int
@@ -50,10 +50,11 @@ class Anova:
 
 @dataclass(frozen=True)
 class RepeatedAnova:
-    """One-way analysis of variance of repeated measures, every unit by every method.
+    """One-way analysis of variance with repeated measures: every unit by every method.
 
-    ``p_corrected`` is Greenhouse and Geisser's: both degrees of freedom are multiplied by ``epsilon``, which
-    is 1 where differences between all pairs of methods vary alike and less where they do not.
+    ``p_corrected`` has the correction of Greenhouse and Geisser (1959, doi:10.1007/BF02289823): both degrees
+    of freedom are multiplied by ``epsilon``, which is 1 if the differences between all pairs of methods have
+    the same variance (sphericity), and smaller otherwise.
     """
 
     f: float
@@ -66,7 +67,7 @@ class RepeatedAnova:
 
 @dataclass(frozen=True)
 class TukeyKramer:
-    """One pair of groups of an `Anova`, with all pairs taken into account."""
+    """Comparison of a pair of groups: difference, confidence limits and p value, corrected for all pairs."""
 
     difference: float
     low: float
@@ -76,9 +77,9 @@ class TukeyKramer:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Student's t-test of paired differences, two-sided.
+    """Two-sided Student's t-test of paired differences, with confidence limits ``low`` and ``high``.
 
-    ``d_z`` is the mean difference over the standard deviation of the differences (Cohen 1988).
+    ``d_z`` is the mean difference divided by the standard deviation of the differences (Cohen 1988).
     """
 
     n: int
@@ -92,15 +93,15 @@ class PairedTest:
 
 
 def spread(values: Samples) -> Spread:
-    """Summarize a sample."""
+    """Compute mean and standard deviation of a sample."""
     mean = float(values.mean()) if len(values) else math.nan
     return Spread(mean, float(values.std(ddof=1)) if len(values) > 1 else math.nan)
 
 
 def anova(groups: Groups) -> Anova | None:
-    """Compare the means of independent groups; None where one has fewer than three units.
+    """Compare the means of independent groups; None if a group has fewer than three units.
 
-    Values of one unit by several methods are not independent: `repeated_anova` knows that.
+    Values of one unit by several methods are not independent; use `repeated_anova` for these.
     """
     if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
@@ -113,31 +114,34 @@ def anova(groups: Groups) -> Anova | None:
 
 
 def tukey_kramer(groups: Groups) -> dict[tuple[int, int], TukeyKramer] | None:
-    """Compare all pairs of independent groups, which may differ in size, at one error rate.
+    """Compare all pairs of independent groups, possibly of different sizes, at one family-wise error rate.
 
     Returns
     -------
     dict
-        By pair ``(first, second)``, first before second: second less first. None as in `anova`.
+        Comparisons by pair of indices ``(first, second)``, first < second; differences are second less first.
+        None if a group has fewer than three units.
     """
     if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
     df = sum(map(len, groups)) - len(groups)
     within = _mean_square_within(groups)
     defined = _varies(math.sqrt(within), np.concatenate(groups))
-    found = {}
+    comparisons = {}
     for first, second in combinations(range(len(groups)), 2):
-        ours, theirs = groups[second], groups[first]
-        difference = float(ours.mean() - theirs.mean())
-        error = math.sqrt(within / 2.0 * (1.0 / len(ours) + 1.0 / len(theirs))) if defined else math.nan
-        reach = _tukey_quantile(len(groups), df) * error
+        values, others = groups[second], groups[first]
+        difference = float(values.mean() - others.mean())
+        error = math.sqrt(within / 2.0 * (1.0 / len(values) + 1.0 / len(others))) if defined else math.nan
+        half_width = _tukey_quantile(len(groups), df) * error
         p = float(stats.studentized_range.sf(abs(difference) / error, len(groups), df)) if defined else error
-        found[first, second] = TukeyKramer(difference, difference - reach, difference + reach, p)
-    return found
+        comparisons[first, second] = TukeyKramer(
+            difference, difference - half_width, difference + half_width, p
+        )
+    return comparisons
 
 
 def repeated_anova(groups: Sequence[Samples]) -> RepeatedAnova | None:
-    """Compare the means of groups that hold the same units in the same order; None below three units."""
+    """Compare the means of groups with the same units in the same order; None with fewer than three units."""
     if len(groups) < 2 or min(map(len, groups)) < MINIMUM_UNITS:
         return None
     table = np.stack(groups, axis=1)
@@ -149,7 +153,7 @@ def repeated_anova(groups: Sequence[Samples]) -> RepeatedAnova | None:
     if not _varies(math.sqrt(error), table):
         return RepeatedAnova(math.nan, effect_df, error_df, math.nan, math.nan, math.nan)
     f = float(effect / error)
-    # Box's measure of sphericity, of the doubly centered covariance between methods.
+    # Box's measure of sphericity, from the doubly centered covariance between methods.
     covariance = residual.T @ residual
     epsilon = float(np.trace(covariance) ** 2 / (effect_df * (covariance**2).sum()))
     return RepeatedAnova(
@@ -163,7 +167,7 @@ def repeated_anova(groups: Sequence[Samples]) -> RepeatedAnova | None:
 
 
 def paired_test(values: Samples, others: Samples) -> PairedTest | None:
-    """Test whether values differ from others of the same units in the same order; None below three units."""
+    """Test paired differences, values less others, of the same units; None with fewer than three units."""
     n = len(values)
     if n < MINIMUM_UNITS:
         return None
@@ -173,12 +177,12 @@ def paired_test(values: Samples, others: Samples) -> PairedTest | None:
         return PairedTest(n, mean, math.nan, math.nan, math.nan, n - 1, math.nan, math.nan)
     error = deviation / math.sqrt(n)
     t = mean / error
-    reach = float(stats.t.ppf(0.5 + COVERAGE / 2.0, n - 1)) * error
+    half_width = float(stats.t.ppf(0.5 + COVERAGE / 2.0, n - 1)) * error
     return PairedTest(
         n,
         mean,
-        mean - reach,
-        mean + reach,
+        mean - half_width,
+        mean + half_width,
         t,
         n - 1,
         float(2.0 * stats.t.sf(abs(t), n - 1)),
@@ -187,7 +191,7 @@ def paired_test(values: Samples, others: Samples) -> PairedTest | None:
 
 
 def holm(p: Mapping[Key, float]) -> dict[Key, float]:
-    """Adjust p values of one family of tests for their number (Holm 1979); NaNs do not count."""
+    """Adjust the p values of a family of tests for multiple testing (Holm 1979); NaNs are not counted."""
     counted = sorted((key for key in p if not math.isnan(p[key])), key=lambda key: p[key])
     adjusted, highest = dict(p), 0.0
     for rank, key in enumerate(counted):
@@ -202,7 +206,7 @@ def _mean_square_within(groups: Groups) -> float:
 
 
 def _varies(deviation: float, values: np.ndarray) -> bool:
-    """Tell a standard deviation from rounding; what is not finite does not count as varying."""
+    """Whether a standard deviation is finite and above rounding error."""
     return bool(deviation > _ROUNDING * np.abs(values).max()) and math.isfinite(deviation)
 
 

@@ -1,4 +1,4 @@
-"""``contact``: what joints bear, by OpenSim's joint reaction or by the muscles' lines of action."""
+"""Joint contact forces of calibrated models, by OpenSim's joint reaction or by lines of action of muscles."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from wrapjax.contact_forces.result import (
     knee_compartments,
 )
 from wrapjax.contact_forces.static_optimization import share_moments
-from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
-from wrapjax.diagnosis.inverse_dynamics.recorded_walk import Walk
+from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
+from wrapjax.diagnosis.inverse_dynamics.recorded_gait import RecordedGait
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
 from wrapjax.geometry.paths import PathState
@@ -44,33 +44,41 @@ from wrapjax.subject.subject import Subject
 if TYPE_CHECKING:
     from xarray import Dataset
 
-#: The joint whose force may be divided, as `_joints` calls it.
+#: Short name of the joint whose force may be divided between compartments.
 KNEE = "knee"
-#: What may be made of muscles without an electrode.
+#: Treatments of muscles without an electrode.
 UNDRIVEN_TREATMENTS = ("static-optimization", "left")
 
 
 @dataclass(frozen=True)
 class Contact:
-    """Contact forces of one leg's joints, by one or two runs."""
+    """Joint contact forces of one leg by one or two calibrations.
+
+    Parameters
+    ----------
+    subject
+        Subject of the calibrations.
+    result
+        Contact forces by run, with muscles without an electrode.
+    """
 
     subject: Subject
     result: ContactResult
 
     @property
     def converged(self) -> bool:
-        """Whether the calibrations had, so that forces are final."""
+        """Whether all calibrations converged."""
         return all(run.converged for run in self.result.runs)
 
     @property
     def dataset(self) -> Dataset:
-        """All curves as an `xarray.Dataset`, every variable with its unit."""
+        """All curves as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import contact_dataset
 
         return contact_dataset(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
-        """Write ``contact.json``, curves and ``report.html``."""
+        """Write ``contact.json``, curves and ``report.html`` into a new folder."""
         from wrapjax.report.contact_page import write_contact
 
         write_contact(self.result, Path(folder), force=force)
@@ -85,38 +93,46 @@ def contact(
     condyle_distance: float | None = None,
     log: Callable[[str], None] = lambda line: None,
 ) -> Contact:
-    """Say what the joints of a leg bear with the muscle forces of a finished calibration.
+    """Compute the joint contact forces of a leg with the muscle forces of one or two calibrations.
 
-    Where ground forces, external loads and the motion of all bodies below the joints were recorded, that is
-    OpenSim's joint reaction: on the nominal model for NGA, on the personalised one for PGA. Elsewhere it is
-    the muscles' share alone, by their lines of action, which is not the whole force and is labelled so.
+    If ground forces, external loads and the motion of all bodies distal to the joints were recorded, the
+    contact forces are OpenSim's joint reactions: on the nominal model for NGA, on the personalised model for
+    PGA. Otherwise they are the contribution of muscles alone, from their lines of action, and are labelled as
+    such.
 
     Parameters
     ----------
-    run, other
-        From `load_run`, or folders that `Calibration.save` wrote, of the same subject: NGA and PGA as a rule.
-        Two are tested against each other, cycle by cycle.
+    run
+        Run from `load_run`, or its folder; method NGA or PGA.
+    other
+        Second run of the same subject, tested against the first cycle by cycle.
     subject
-        The subject, or its folder, where that is no longer where it was.
+        Subject or subject folder, if it has been moved since the calibration.
     undriven
-        What is made of muscles without an electrode: ``static-optimization``, they close the joint moments
-        with least effort (`wrapjax.contact_forces.static_optimization.share_moments`), or ``left``, no force.
+        Treatment of muscles without an electrode: ``static-optimization``, they balance the remaining joint
+        moments with least squared activations (`wrapjax.contact_forces.static_optimization.share_moments`);
+        ``left``, they have no force.
     condyle_distance
-        Between the points where the medial and the lateral condyle touch the tibia, m: divides the knee's
-        force between the two (`knee_compartments`), which no model with one knee joint does by itself.
-    tell
-        Called with a line at each step.
+        Distance between the medial and lateral contact points of the knee, m, by which the knee's force is
+        divided (`knee_compartments`); None to leave it undivided.
+    log
+        Function that takes a line of progress.
 
     Returns
     -------
     Contact
-        In N, per cycle.
+        Contact forces of each cycle, N.
 
     Raises
     ------
     InputError
-        If a folder is no run's, lacks a file, its subject is not found, or its method says nothing of
-        where muscles run (SGA and LSGA adjust polynomials); if no knee has condyles so far apart.
+        If a folder is not that of a run or lacks a file, its subject is not found, the runs are of different
+        subjects, the method is SGA or LSGA (whose polynomials do not define where muscles run), or the
+        condyle distance is implausible.
+    ValueError
+        If the treatment is unknown.
+    RuntimeError
+        If JAX is not in 64-bit mode.
     """
     require_float64()
     if undriven not in UNDRIVEN_TREATMENTS:
@@ -125,44 +141,59 @@ def contact(
     runs = [read_curves(run, subject)]
     if other is not None:
         runs.append(read_curves(other, subject))
-        _check_alike(*runs)
-    models = [_model_of(own) for own in runs]
-    own = runs[0].subject
-    joints = _joints(models[0], own.trials.moment_coordinates)
-    walk, reason = recorded_walk(own)
-    undivided_reason = _undivided(joints, whole=walk is not None, asked=condyle_distance is not None)
-    found = []
+        _check_same_subject(*runs)
+    models = [_model_file(entry) for entry in runs]
+    leg = runs[0].subject
+    joints = _joints(models[0], leg.trials.moment_coordinates)
+    gait, reason = read_recorded_gait(leg)
+    undivided_reason = _undivided_reason(
+        joints, whole_force=gait is not None, requested=condyle_distance is not None
+    )
+    contacts = []
     for entry, model_file, label in zip(runs, models, _labels(runs), strict=True):
         log(f"{label}: muscles without an electrode")
         others = _undriven(entry, model_file, undriven)
-        log(f"{label}: {'joint reactions by OpenSim' if walk else 'lines of action of the muscles'}")
+        log(f"{label}: {'joint reactions by OpenSim' if gait else 'lines of action of the muscles'}")
         muscles = (*entry.run.muscles, *others.muscles)
         force = np.concatenate([entry.force, others.force])
         compartments = None
-        if walk is None:
-            pressed = _share(own, model_file, tuple(joints.values()), muscles, force)
+        if gait is None:
+            contact_force = _muscle_contribution(leg, model_file, tuple(joints.values()), muscles, force)
         else:
-            pressed, on_child = _reactions(walk, model_file, tuple(joints.values()), muscles, force)
+            contact_force, on_child = _joint_reactions(
+                gait, model_file, tuple(joints.values()), muscles, force
+            )
             if condyle_distance is not None and not undivided_reason:
                 on_tibia = on_child[:, list(joints).index(KNEE)]
-                compartments = knee_compartments(on_tibia, condyle_distance, own.side)
-        found.append(_run_contact(label, entry.run, others, pressed, compartments))
-    trials = own.trials
+                compartments = knee_compartments(on_tibia, condyle_distance, leg.side)
+        run_folder = entry.run.folder.name
+        contacts.append(
+            RunContact(
+                label,
+                entry.run.method,
+                run_folder,
+                entry.run.converged,
+                others,
+                contact_force,
+                compartments,
+            )
+        )
+    trials = leg.trials
     return Contact(
-        own,
+        leg,
         ContactResult(
-            subject=own.name,
-            side=own.side,
-            mass_kg=own.mass_kg,
-            kind=MUSCLE_SHARE if walk is None else JOINT_REACTION,
+            subject=leg.name,
+            side=leg.side,
+            mass_kg=leg.mass_kg,
+            kind=MUSCLE_SHARE if gait is None else JOINT_REACTION,
             reason=reason,
             joints=joints,
             coordinates=trials.moment_coordinates,
             trials=trials.names,
             uses=trials.uses,
             time=trials.time,
-            phase=_phase(own, () if walk is None else walk.loaded),
-            runs=tuple(found),
+            phase=_phase(leg, () if gait is None else gait.loaded_bodies),
+            runs=tuple(contacts),
             condyle_distance=None if undivided_reason else condyle_distance,
             undivided_reason=undivided_reason,
         ),
@@ -170,28 +201,29 @@ def contact(
 
 
 def _check_distance(distance: float | None) -> None:
+    """Raise an error if the distance between the contact points is implausible."""
     if distance is not None and not MIN_CONDYLE_DISTANCE <= distance <= MAX_CONDYLE_DISTANCE:
-        message = f"{distance:g} m apart, where {MIN_CONDYLE_DISTANCE:g} to {MAX_CONDYLE_DISTANCE:g} m were expected"
+        expected = f"{MIN_CONDYLE_DISTANCE:g} to {MAX_CONDYLE_DISTANCE:g} m"
+        message = f"{distance:g} m apart, where {expected} were expected"
         raise InputError(Problem("the condyles of a knee", message))
 
 
-def _undivided(joints: Collection[str], *, whole: bool, asked: bool) -> str:
-    """Say why the knee's force is not divided; empty where it is."""
+def _undivided_reason(joints: Collection[str], *, whole_force: bool, requested: bool) -> str:
+    """Return the reason why the knee's force is not divided; empty if it is."""
     if KNEE not in joints:
         return "the moments of no knee were measured"
-    if not whole:
-        return "only the muscles' share of the knee's force is known, not what turns it in the frontal plane"
-    if not asked:
+    if not whole_force:
+        return "only the muscles' share of the knee's force is known, not its moment in the frontal plane"
+    if not requested:
         return (
-            "the model's knee is one joint, and does not say how its force divides between the medial and "
-            "the lateral side; give the distance between the points where its condyles touch "
-            "(--condyle-distance)"
+            "the model's knee is one joint, and does not define how its force divides between the medial and "
+            "the lateral side; give the distance between its contact points (--condyle-distance)"
         )
     return ""
 
 
 def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial frame"]:
-    """Count frames from strikes of this leg's foot, %."""
+    """Compute the phase of all frames (%) from the strikes of the leg's foot."""
     trials = subject.trials
     strikes = {trial.name: np.zeros(0) for trial in subject.recordings}
     for trial in subject.recordings if loaded else ():
@@ -201,14 +233,14 @@ def _phase(subject: Subject, loaded: Sequence[str]) -> Float[np.ndarray, "trial 
     return gait_phases(trials.time, [strikes[name] for name in trials.recordings])
 
 
-def _check_alike(one: RunCurves, other: RunCurves) -> None:
+def _check_same_subject(one: RunCurves, other: RunCurves) -> None:
     if one.subject.folder.resolve() != other.subject.folder.resolve():
         message = f"was made from {other.subject.folder}, where {one.subject.folder} was expected"
         raise InputError(Problem(str(other.run.folder), message, hint="compare runs of one subject"))
 
 
 def _labels(runs: Sequence[RunCurves]) -> list[str]:
-    """Call runs by their methods, and by their folders too where those are the same."""
+    """Label runs by method, with number and folder name where the methods are the same."""
     methods = [entry.run.method for entry in runs]
     if len(set(methods)) == len(methods):
         return methods
@@ -217,67 +249,58 @@ def _labels(runs: Sequence[RunCurves]) -> list[str]:
     ]
 
 
-def _run_contact(
-    label: str,
-    run: Run,
-    undriven: Undriven,
-    force: Float[np.ndarray, "trial joint 3 frame"],
-    compartments: Float[np.ndarray, "trial 2 frame"] | None,
-) -> RunContact:
-    return RunContact(label, run.method, run.folder.name, run.converged, undriven, force, compartments)
-
-
-def _model_of(entry: RunCurves) -> Path:
-    """Find the model in which a run's muscles run."""
+def _model_file(entry: RunCurves) -> Path:
+    """Return the model file with the muscle paths of a run."""
     from wrapjax.report.run_folder import PERSONALISED_MODEL
 
     run = entry.run
     if run.method == "PGA":
         file = run.folder / PERSONALISED_MODEL
         if not file.is_file():
-            message = "is not there; where muscles run after PGA is said by the model that it wrote"
+            message = "is missing; the muscle paths of PGA are in the model that it wrote"
             raise InputError(Problem(str(file), message))
         return file
     if run.method in ("SGA", "LSGA"):
         message = (
-            f"was made by {run.method}, which adjusts polynomials: they say how long muscles are, not where"
+            f"was made by {run.method}, which adjusts polynomials: they define the lengths of muscles, not "
+            f"where"
         )
-        raise InputError(Problem(str(run.folder), f"{message} they pull", hint="use NGA or PGA"))
+        raise InputError(Problem(str(run.folder), f"{message} they run", hint="use NGA or PGA"))
     return entry.subject.model_file
 
 
 def _joints(model_file: Path, coordinates: Sequence[str]) -> dict[str, str]:
-    """Name the joints that moments were measured about, plainly (``hip``), proximal ones first as a rule."""
+    """Return the joints with measured moments by short name (``hip``), in the order of the coordinates."""
     owners = {name: joint.name for joint in describe_model(model_file).joints for name in joint.coordinates}
-    found: dict[str, str] = {}
+    joints: dict[str, str] = {}
     for coordinate in coordinates:
-        joint, plain = owners[coordinate], coordinate.split("_")[0]
-        if joint not in found.values():
-            found[plain if plain not in found else joint] = joint
-    return found
+        joint, short_name = owners[coordinate], coordinate.split("_")[0]
+        if joint not in joints.values():
+            joints[short_name if short_name not in joints else joint] = joint
+    return joints
 
 
 def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
-    """Give muscles without an electrode the forces that close the moments best, or none."""
+    """Compute forces of muscles without an electrode by static optimization, or leave them without force."""
     missing = entry.measured - entry.modelled
     trials, coordinates, frames = missing.shape
-    # Muscles that synergies drove have their calibrated forces.
-    all_of_them = tuple(name for name in entry.subject.undriven_muscles if name not in entry.run.muscles)
+    # Muscles driven by synergies have calibrated forces.
+    undriven_muscles = tuple(name for name in entry.subject.undriven_muscles if name not in entry.run.muscles)
     parameters = entry.subject.undriven_parameters
     subject = replace(
         entry.subject,
-        undriven_muscles=all_of_them,
-        undriven_parameters=None if parameters is None else parameters.select(all_of_them),
+        undriven_muscles=undriven_muscles,
+        undriven_parameters=None if parameters is None else parameters.select(undriven_muscles),
     )
-    nothing = np.zeros((0, trials, frames))
-    left = Undriven("left", (), all_of_them, nothing, nothing, missing, missing)
+    empty = np.zeros((0, trials, frames))
+    left = Undriven("left", (), undriven_muscles, empty, empty, missing, missing)
     others = build_undriven_muscles(subject, entry.run.curves, model_file)[0] if treatment != "left" else None
     if others is None:
         return left
-    active = _strengths(others)
+    active = _active_forces(others)
     arm = np.asarray(others.path.moment_arm)
     count = len(others.names)
-    # One row of frames: every frame is a question of its own.
+    # Trials are concatenated, because every frame is optimized separately.
     shared = share_moments(
         np.moveaxis(missing, 1, 0).reshape(coordinates, -1),
         np.moveaxis(arm, 2, 1).reshape(count, coordinates, -1),
@@ -288,18 +311,18 @@ def _undriven(entry: RunCurves, model_file: Path, treatment: str) -> Undriven:
         left,
         treatment=treatment,
         muscles=others.names,
-        without_force=tuple(name for name in all_of_them if name not in others.names),
+        without_force=tuple(name for name in undriven_muscles if name not in others.names),
         activation=activation,
         force=activation * active,
         residual=np.moveaxis(shared.residual.reshape(coordinates, trials, frames), 0, 1),
     )
 
 
-def _strengths(others: UndrivenMuscles) -> Float[np.ndarray, "muscle trial frame"]:
-    """Forces along the tendon at full activation, N, by parameters that nobody calibrated.
+def _active_forces(others: UndrivenMuscles) -> Float[np.ndarray, "muscle trial frame"]:
+    """Compute active tendon forces at full activation (N) with parameters that were not calibrated.
 
-    Passive forces are left out: nobody fitted these muscles' slack lengths, and with tendons that do not
-    stretch a few millimetres too little make hundreds of newtons.
+    Passive forces are omitted: slack lengths of these muscles are not calibrated, and with rigid tendons an
+    error of a few millimetres causes hundreds of newtons.
     """
 
     def of_one(path: PathState, parameters: ModelParameters) -> Array:
@@ -315,31 +338,38 @@ def _strengths(others: UndrivenMuscles) -> Float[np.ndarray, "muscle trial frame
     return np.maximum(np.asarray(jax.vmap(of_one)(others.path, others.parameters)), 0.0)
 
 
-def _reactions(
-    walk: Walk,
+def _joint_reactions(
+    gait: RecordedGait,
     model_file: Path,
     joints: Sequence[str],
     muscles: Sequence[str],
     force: Float[np.ndarray, "muscle trial frame"],
 ) -> tuple[Float[np.ndarray, "trial joint 3 frame"], Float[np.ndarray, "trial joint 6 frame"]]:
-    """Force on the proximal bodies, and moment and force on the distal ones."""
-    found = analyse_joint_reactions(
-        model_file, joints, walk.motion, walk.loaded, walk.wrench, muscles, force.reshape(len(muscles), -1)
+    """Compute OpenSim's joint reactions: forces on the proximal, moments and forces on the distal bodies."""
+    reactions = analyse_joint_reactions(
+        model_file,
+        joints,
+        gait.motion,
+        gait.loaded_bodies,
+        gait.wrenches,
+        muscles,
+        force.reshape(len(muscles), -1),
     )
 
-    def by_trial(reactions: Float[np.ndarray, "joint _ pose"]) -> Float[np.ndarray, "trial joint _ frame"]:
-        return np.moveaxis(reactions.reshape(*reactions.shape[:2], *walk.time.shape), 2, 0)
+    def by_trial(values: Float[np.ndarray, "joint _ pose"]) -> Float[np.ndarray, "trial joint _ frame"]:
+        return np.moveaxis(values.reshape(*values.shape[:2], *gait.time.shape), 2, 0)
 
-    return by_trial(found.on_parent), by_trial(found.on_child)
+    return by_trial(reactions.on_parent), by_trial(reactions.on_child)
 
 
-def _share(
+def _muscle_contribution(
     subject: Subject,
     model_file: Path,
     joints: Sequence[str],
     muscles: Sequence[str],
     force: Float[np.ndarray, "muscle trial frame"],
 ) -> Float[np.ndarray, "trial joint 3 frame"]:
+    """Compute the contribution of muscles to the joint contact forces from their lines of action."""
     model, trials = describe_model(model_file), subject.trials
     spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
     coordinates = [name for name in trials.coordinates if name in spanned]

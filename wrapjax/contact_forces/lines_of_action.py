@@ -1,7 +1,7 @@
-"""Along what lines muscles press a joint together: no OpenSim, no ground forces.
+"""Lines of action of muscles across joints, computed by the exact engine without OpenSim or ground forces.
 
-A joint is let slide, and the exact engine says what each muscle's length loses by that: its line of action
-across the joint, whatever it runs through or wraps round, as its moment arm is what it loses by turning.
+Each joint gets translational coordinates. The derivative of a muscle's length with respect to these is its
+line of action across the joint, just as its moment arm is the derivative with respect to a rotation.
 """
 
 from __future__ import annotations
@@ -25,46 +25,60 @@ def lines_of_action(
     angles: Float[np.ndarray, "trial coordinate frame"],
     wrapping: Wrapping = GEODESIC,
 ) -> Float[np.ndarray, "muscle joint 3 trial frame"]:
-    """Find the direction in which unit force of each muscle presses on each joint.
+    """Compute the force on each joint per unit force of each muscle.
 
     Parameters
     ----------
     model
-        From `wrapjax.osim.model.describe_model`.
+        Model from `wrapjax.osim.model.describe_model`.
     muscles, joints
-        Names.
-    coordinates, angles
-        Of the recorded cycles, rad (m for translations).
+        Names of muscles and joints.
+    coordinates
+        Names of the recorded coordinates.
+    angles
+        Recorded angles, rad (m for translations).
     wrapping
-        How paths are laid.
+        Wrapping of the exact engine: shortest paths, or parity with OpenSim.
 
     Returns
     -------
     array
-        What the distal body presses on the proximal one with, by unit force of the muscle (N/N), along x, y
-        and z of the proximal body. Zero for a muscle that does not cross the joint;
-        otherwise the sum of unit vectors, one for each time that it crosses.
+        Force of the distal on the proximal body per unit muscle force (N/N), along x, y and z of the proximal
+        body. Zero for a muscle that does not cross the joint; otherwise the sum of one unit vector for each
+        crossing.
 
     Raises
     ------
     InputError
-        If a path or a joint has something that the exact engine does not know.
+        If a path or a joint has a feature that the exact engine does not support.
     """
     slides = tuple(name for joint in joints for name in sliding_coordinates(joint))
     engine = ExactPaths(with_sliding_joints(model, joints), muscles, (*coordinates, *slides))
     trials, _, frames = angles.shape
-    still = np.zeros((trials, len(slides), frames))
-    poses = np.concatenate([angles, still], axis=1)
+    zeros = np.zeros((trials, len(slides), frames))
+    poses = np.concatenate([angles, zeros], axis=1)
     path = wrapped_paths(engine, poses, np.zeros_like(poses), slides, (), wrapping)[0].nominal
-    lost = np.asarray(path.moment_arm).reshape(len(muscles), trials, len(joints), 3, frames)
-    return np.moveaxis(lost, 1, 3)
+    lines = np.asarray(path.moment_arm).reshape(len(muscles), trials, len(joints), 3, frames)
+    return np.moveaxis(lines, 1, 3)
 
 
 def sum_muscle_forces(
     lines: Float[np.ndarray, "muscle joint 3 trial frame"], force: Float[np.ndarray, "muscle trial frame"]
 ) -> Float[np.ndarray, "trial joint 3 frame"]:
-    """Sum up what muscles press each joint together with, N.
+    """Sum the forces of all muscles on each joint.
 
-    This is the joint's contact force if bodies had no mass and nothing touched them from outside.
+    This would be the joint's contact force if bodies had no mass and no external forces.
+
+    Parameters
+    ----------
+    lines
+        Lines of action from `lines_of_action`, N/N.
+    force
+        Tendon forces, N.
+
+    Returns
+    -------
+    array
+        Force of the distal on the proximal body by muscles, N, along x, y and z of the proximal body.
     """
     return np.einsum("mjxtf,mtf->tjxf", lines, force)

@@ -1,7 +1,4 @@
-"""How a knee's force divides between its medial and its lateral side.
-
-Contact forces of a leg's joints over recorded cycles, and their peaks.
-"""
+"""Joint contact forces of a leg over recorded cycles: results, peaks, and division of the knee's force."""
 
 from __future__ import annotations
 
@@ -10,66 +7,68 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-#: In this order wherever both are given.
+#: Compartments of the knee, in the order of arrays.
 COMPARTMENTS = ("medial", "lateral")
-#: Distances (m) between the contact points of a knee that make sense.
+#: Range of plausible distances between the contact points of a knee, m.
 MIN_CONDYLE_DISTANCE, MAX_CONDYLE_DISTANCE = 0.01, 0.12
 
 
 def knee_compartments(
     on_tibia: Float[np.ndarray, "*batch 6 frame"], distance: float, side: str
 ) -> Float[np.ndarray, "*batch 2 frame"]:
-    """Divide what presses a knee together between two points of contact.
+    """Divide the contact force of a knee between its medial and its lateral compartment.
 
-    Both lie to either side of the joint's center, equally far, and bear force along the tibia alone; together
-    they balance the joint's reaction in the frontal plane, as EMG-driven models of the knee do (Manal et al.
-    2015, doi:10.1016/j.joca.2015.02.779). Ligaments bear nothing.
+    The two contact points lie at equal distances on either side of the joint center, and transmit force along
+    the tibia only. Together they balance the joint reaction in the frontal plane, as in EMG-driven models of
+    the knee (Manal et al. 2015, doi:10.1016/j.joca.2015.02.779). Ligament forces are neglected.
 
     Parameters
     ----------
     on_tibia
-        Moment (N m) about the joint's center, then force (N), that the femur puts on the tibia, along the
-        tibia's axes: forward, up, to the right.
+        Moment about the joint center (N m, rows 0 to 2) and force (N, rows 3 to 5) of the femur on the tibia,
+        along the axes of the tibia: forward, up, to the right.
     distance
-        Between the two points, m.
+        Distance between the two contact points, m.
     side
-        ``l`` or ``r``.
+        Side of the leg, ``l`` or ``r``.
 
     Returns
     -------
     array
-        Medial, then lateral, N; positive where it presses. Negative says that this side would be pulled
-        apart: there, ligaments have to bear what these points cannot.
+        Medial and lateral force, N, positive in compression. A negative value means that the compartment
+        would open, and that ligaments carry load that this model neglects.
     """
-    pressed, moment = -on_tibia[..., 4, :], on_tibia[..., 0, :]
+    compression, moment = -on_tibia[..., 4, :], on_tibia[..., 0, :]
     outward = {"r": 1.0, "l": -1.0}[side]
-    # What presses down to the right of the center turns the tibia about what points forward.
-    more_lateral = outward * moment / distance
-    return np.stack([0.5 * pressed - more_lateral, 0.5 * pressed + more_lateral], axis=-2)
+    # A downward force to the right of the center causes a positive moment about the forward axis.
+    lateral_excess = outward * moment / distance
+    return np.stack([0.5 * compression - lateral_excess, 0.5 * compression + lateral_excess], axis=-2)
 
 
-#: m/s^2; OpenSim's.
+#: Gravitational acceleration of OpenSim, m/s^2.
 GRAVITY = 9.80665
-#: What a force is: OpenSim's joint reaction, or what muscles alone press with.
+#: Kinds of contact force: OpenSim's joint reaction, or the contribution of muscles only.
 JOINT_REACTION, MUSCLE_SHARE = "joint_reaction", "muscle_share"
 
 
 @dataclass(frozen=True)
 class Undriven:
-    """Muscles without an electrode, and what was made of them.
+    """Muscles without an electrode, and the forces that they were given.
 
     Parameters
     ----------
     treatment
-        ``left``: without force; ``static-optimization``.
+        ``left``, they have no force; ``static-optimization``, they balance the remaining moments.
     muscles
-        That were given a force.
-    left_out
-        Those that were not.
-    activation, force
-        From 0 to 1; along the tendon, N.
+        Muscles with a force.
+    without_force
+        Muscles without a force.
+    activation
+        Activations, 0 to 1.
+    force
+        Tendon forces, N.
     residual_before, residual
-        Measured joint moments less those of driven muscles alone, and less those of all, N m.
+        Measured joint moments less those of the driven muscles, and less those of all muscles, N m.
     """
 
     treatment: str
@@ -83,22 +82,21 @@ class Undriven:
 
 @dataclass(frozen=True)
 class RunContact:
-    """What one calibrated run presses its joints with.
+    """Contact forces of a leg's joints by one calibration.
 
     Parameters
     ----------
     label
-        Method, and the folder's name where two have the same.
+        Method, with a number and the folder's name where two runs have the same method.
     method, folder, converged
-        Of the run.
+        Method of the run, name of its folder, and whether it converged.
     undriven
         Muscles without an electrode.
     force
-        What the distal body puts on the proximal one, N, along x (forward), y (up) and z (to the right) of
-        that bone.
+        Force of the distal on the proximal body, N, along x (forward), y (up) and z (to the right) of the
+        proximal body.
     compartments
-        What presses the medial and the lateral side of the knee together, N; None where that was not asked
-        for or cannot be told.
+        Medial and lateral force of the knee, N; None if the force was not divided.
     """
 
     label: str
@@ -111,35 +109,40 @@ class RunContact:
 
     @property
     def magnitude(self) -> Float[np.ndarray, "trial joint frame"]:
-        """Size of the force, N."""
+        """Magnitude of the force, N."""
         return np.linalg.norm(self.force, axis=2)
 
 
 @dataclass(frozen=True)
 class ContactResult:
-    """Contact forces of one leg by one or two runs.
+    """Contact forces of one leg by one or two calibrations.
 
     Parameters
     ----------
     subject, side, mass_kg
-        Whose.
-    kind, reason
-        `JOINT_REACTION` or `MUSCLE_SHARE`, and why it is the latter (else empty).
+        Name of the subject, side of the leg, and body mass in kg.
+    kind
+        `JOINT_REACTION` or `MUSCLE_SHARE`.
+    reason
+        Reason for `MUSCLE_SHARE`; otherwise empty.
     joints
-        By a plain name (``hip``), the joint in the model.
+        Joints of the model by a short name (``hip``).
     coordinates
-        Whose moments were measured.
-    trials, uses, time
-        Cycles; s.
+        Coordinates with measured moments.
+    trials, uses
+        Names and uses of the trials.
+    time
+        Time of each frame, s.
     phase
-        Of every frame in the gait cycle, %, as `gait_phases` counts it: from the foot's
-        strike, beyond 100 after the next one.
+        Phase of each frame in the gait cycle, %, from `gait_phases`: 0 at the foot strike, above 100 after
+        the next one.
     runs
-        In the order given.
+        Contact forces by run.
     condyle_distance
-        Between the points of contact that the knee's force was divided by, m; None where it was not.
-    undivided
-        Why the knee's force was not divided (else empty).
+        Distance between the contact points by which the knee's force was divided, m; None if it was not
+        divided.
+    undivided_reason
+        Reason why the knee's force was not divided; otherwise empty.
     """
 
     subject: str
@@ -159,17 +162,17 @@ class ContactResult:
 
     @property
     def bodyweight(self) -> float:
-        """N."""
+        """Body weight, N."""
         return self.mass_kg * GRAVITY
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What bears a force: the joints, and the compartments of a knee whose force was divided."""
+        """Names of the joints, and of the compartments of the knee if its force was divided."""
         sides = [] if self.condyle_distance is None else [compartment_name(side) for side in COMPARTMENTS]
         return (*self.joints, *sides)
 
     def curves(self, run: RunContact, part: str) -> Float[np.ndarray, "trial frame"]:
-        """Give how large the force on one of the `parts` is, N; negative where a compartment would open."""
+        """Return the force on one of the `parts`, N; negative where a compartment would open."""
         if part in self.joints:
             return run.magnitude[:, list(self.joints).index(part)]
         assert run.compartments is not None
@@ -177,30 +180,30 @@ class ContactResult:
 
 
 def compartment_name(side: str) -> str:
-    """Name a side of the knee as a part."""
+    """Return the name of a compartment of the knee among the `parts`."""
     return f"{side} knee"
 
 
 def peak_windows(joint: str) -> dict[str, tuple[float, float]]:
-    """Name the peaks that are read off a joint, and where in the gait cycle (%) each is looked for.
+    """Return the phase window (%) of each reported peak of a joint, by the name of the peak.
 
-    The hip's first one is what studies of walking report, near 20 % of the cycle.
+    Studies of walking report the hip's first peak, near 20 % of the gait cycle.
     """
     return {"peak": (0.0, 100.0)} | ({"first_peak": (10.0, 30.0)} if joint == "hip" else {})
 
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest force of every cycle within a stretch of it.
+    """Peak force of each cycle within a phase window.
 
     Parameters
     ----------
     force
-        N, or the unit of the curves; NaN where a cycle has no frame in that stretch.
+        Peak force, in the unit of the curves; NaN where a cycle has no frame in the window.
     phase
-        Where in the gait cycle it is, %.
+        Phase of the peak in the gait cycle, %.
     frame
-        Number of its frame.
+        Index of its frame.
     """
 
     force: Float[np.ndarray, " trial"]
@@ -213,21 +216,26 @@ def peaks(
     phase: Float[np.ndarray, "trial frame"],
     window: tuple[float, float],
 ) -> Peaks:
-    """Find the largest force of every cycle.
+    """Find the peak force of each cycle.
 
     Parameters
     ----------
     magnitude
-        Of every frame.
+        Force in each frame.
     phase
-        As of `ContactResult`.
-    stretch
-        From and to where in the gait cycle to look, %, both ends included.
+        Phase of each frame, %, as in `ContactResult`.
+    window
+        First and last phase of the window, %, both included.
+
+    Returns
+    -------
+    Peaks
+        Peak force of each cycle, its phase and its frame.
     """
-    # The last frame of a whole cycle is at 100 %, and not the next one's first.
+    # The last frame of a complete cycle stays at 100 % instead of 0 %.
     within = np.where(phase > 100.0, phase % 100.0, phase)
     inside = (within >= window[0] - 1e-9) & (within <= window[1] + 1e-9)
     frame = np.where(inside, magnitude, -np.inf).argmax(axis=1)
-    rows, known = np.arange(len(magnitude)), inside.any(axis=1)
-    force, place = (np.where(known, values[rows, frame], np.nan) for values in (magnitude, within))
-    return Peaks(force, place, frame)
+    rows, has_frame = np.arange(len(magnitude)), inside.any(axis=1)
+    force, peak_phase = (np.where(has_frame, values[rows, frame], np.nan) for values in (magnitude, within))
+    return Peaks(force, peak_phase, frame)

@@ -1,4 +1,4 @@
-"""Muscles without an electrode: how active the least effort that closes the joint moments makes them."""
+"""Static optimization of the activations of muscles without an electrode."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
-#: Moment (N m) that is left unexplained as readily as one muscle is fully active. EMG-driven models miss
-#: measured moments by 5 to 10 N m: to leave less would have other muscles undo what driven ones do wrong.
-#: A judgement, not a measurement, and contact forces depend on it: README.md says by how much.
+#: Residual moment (N m) that costs as much as one fully active muscle. EMG-driven models have moment errors
+#: of 5 to 10 N m: with a smaller value, undriven muscles would compensate the errors of the driven ones. A
+#: judgement, not a measurement; README.md states how much contact forces depend on it.
 RESIDUAL_SCALE = 10.0
 
 
 @dataclass(frozen=True)
 class SharedMoments:
-    """What static optimization found, frame by frame.
+    """Result of static optimization.
 
     Parameters
     ----------
     activation
-        Of each muscle, from 0 to 1.
+        Activation of each muscle, 0 to 1.
     residual
-        What no muscle explains of each moment, N m: what was asked for less what the muscles give.
+        Requested moments less those of the muscles, N m.
     """
 
     activation: Float[np.ndarray, "muscle frame"]
@@ -37,34 +37,34 @@ def share_moments(
     *,
     residual_scale: float = RESIDUAL_SCALE,
 ) -> SharedMoments:
-    """Share moments among muscles so that the sum of squared activations is least.
+    """Distribute joint moments among muscles with the least sum of squared activations.
 
-    At every frame by itself, without dynamics of activation, it minimizes
+    Each frame is optimized separately, without activation dynamics, by minimizing
 
         sum over muscles of a^2  +  sum over coordinates of (residual / residual_scale)^2
 
-    over activations ``a`` from 0 to 1, where ``residual = missing - sum of arm a active``. The
-    criterion is of the kind that Crowninshield & Brand 1981 (doi:10.1016/0021-9290(81)90035-X) proposed, with
-    activations in place of stresses and the exponent two. Reserve moments take the place of
-    equality constraints, as in OpenSim's static optimization, so that there is always one solution. It is a
-    bounded linear least-squares problem, which SciPy solves exactly.
+    over activations ``a`` from 0 to 1, where ``residual = missing - sum of moment_arm a active_force``. The
+    criterion is that of Crowninshield & Brand 1981 (doi:10.1016/0021-9290(81)90035-X) with activations
+    instead of stresses and exponent two. Residual moments replace equality constraints, like the reserve
+    actuators of OpenSim's static optimization, so that there is always a unique solution. The bounded linear
+    least-squares problem is solved exactly by SciPy.
 
     Parameters
     ----------
     missing
-        Moments that the muscles are to give, N m: measured ones less those of muscles that are driven.
+        Moments to distribute, N m: measured moments less those of the driven muscles.
     moment_arm
-        ``-dL/dq``, m.
+        Moment arms ``-dL/dq``, m.
     active_force
-        Force along the tendon at full activation, N; never negative.
+        Active tendon force at full activation, N; not negative.
     residual_scale
-        Moment (N m) that weighs as much as one fully active muscle. Small enough, muscles give all that
-        they can before anything is left.
+        Residual moment that costs as much as one fully active muscle, N m. With a very small value, residuals
+        remain only where muscles are too weak.
 
     Returns
     -------
     SharedMoments
-        Where there is no muscle, all is residual.
+        Activations and residual moments; without muscles, all moments are residual.
 
     Examples
     --------
@@ -72,17 +72,17 @@ def share_moments(
 
     >>> import numpy as np
     >>> arm, force = np.full((2, 1, 1), 0.1), np.full((2, 1), 100.0)
-    >>> found = share_moments(np.full((1, 1), 10.0), arm, force, residual_scale=1e-3)
-    >>> found.activation.round(3).tolist()
+    >>> shared = share_moments(np.full((1, 1), 10.0), arm, force, residual_scale=1e-3)
+    >>> shared.activation.round(3).tolist()
     [[0.5], [0.5]]
     """
     muscles, frames = active_force.shape
     activation = np.zeros((muscles, frames))
     strength = moment_arm * active_force[:, None]
     for frame in range(frames if muscles else 0):
-        # Above, what moments miss; below, the activations themselves.
+        # Upper rows: scaled residual moments; lower rows: activations.
         rows = np.concatenate([strength[:, :, frame].T / residual_scale, np.eye(muscles)])
-        aims = np.concatenate([missing[:, frame] / residual_scale, np.zeros(muscles)])
-        found = lsq_linear(rows, aims, bounds=(0.0, 1.0), method="bvls", tol=1e-12)
-        activation[:, frame] = np.clip(found.x, 0.0, 1.0)
+        targets = np.concatenate([missing[:, frame] / residual_scale, np.zeros(muscles)])
+        solution = lsq_linear(rows, targets, bounds=(0.0, 1.0), method="bvls", tol=1e-12)
+        activation[:, frame] = np.clip(solution.x, 0.0, 1.0)
     return SharedMoments(activation, missing - np.einsum("mcf,mf->cf", strength, activation))

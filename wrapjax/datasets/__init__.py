@@ -1,1 +1,1 @@
-"""Public recordings to download, and the virtual person."""
+"""Public recordings for download, and the virtual person."""

@@ -1,7 +1,4 @@
-"""Downloads, checked against their checksums and kept for the next time.
-
-``fetch``: recordings that others made public, as subject folders.
-"""
+"""Download of public recordings as subject folders, verified by checksums and cached."""
 
 from __future__ import annotations
 
@@ -12,9 +9,9 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import cache_folder, new_folder, write_text
 from wrapjax.progress import progress_bar
 
-#: Where repositories are read from, file by file.
+#: Server of the repositories' files.
 SERVER = "https://raw.githubusercontent.com"
-#: How often a download that failed, or came damaged, is tried again.
+#: Number of further attempts after a failed or damaged download.
 RETRIES = 3
 
 
@@ -28,43 +25,44 @@ def write_public_subject(
 ) -> None:
     """Download a recording and write it as a subject folder.
 
-    Files are kept in the user's cache: what is there, and has the right checksum, is not asked for again.
+    Files are kept in the user's cache; a cached file with the right checksum is not downloaded again.
 
     Parameters
     ----------
     recording
         One of `PUBLIC_RECORDINGS`.
     folder
-        Where to; it appears when complete.
+        Subject folder to write; it appears when it is complete.
     server
-        Where repositories are read from.
+        Server of the files: the public one or a mirror.
     force
-        Replace a folder that exists.
+        Replace an existing folder.
     quiet
         Print no progress.
 
     Raises
     ------
     InputError
-        If a file cannot be had, or is another than was published; nothing is then written.
+        If the folder exists and ``force`` is not set, or a file cannot be downloaded or differs from the
+        published one. Nothing is then written.
     """
     with new_folder(folder, force=force) as place:
         with progress_bar(f"fetching {recording.name}", len(recording.files), quiet=quiet) as advance:
             for number, file in enumerate(recording.files, start=1):
                 content = _download(recording, file, server).read_bytes()
-                for published, ours in file.renamed:
-                    content = content.replace(published.encode(), ours.encode())
+                for published, local in file.renamed:
+                    content = content.replace(published.encode(), local.encode())
                 target = place / file.target
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(content)
                 advance(number)
         write_text(place / "ORIGIN.txt", recording.origin)
-        for own, text in recording.own_files.items():
-            write_text(place / own, text)
+        for name, text in recording.added_files.items():
+            write_text(place / name, text)
 
 
 def _download(recording: PublicRecording, file: PublicFile, server: str) -> Path:
-    """Give a file out of the cache, downloaded if it is not there."""
+    """Return the cached copy of a file, and download it if there is none."""
     import pooch
     from requests.exceptions import HTTPError, RequestException
 
@@ -86,7 +84,7 @@ def _download(recording: PublicRecording, file: PublicFile, server: str) -> Path
         message = f"cannot be downloaded: no answer ({type(error).__name__})"
         problem = Problem(url, message, hint="is this machine online? What was downloaded before is kept")
     except ValueError:
-        message = "is damaged on its way, or is another file than was published: its checksum is wrong"
+        message = "is damaged or differs from the published file: its checksum is wrong"
         problem = Problem(url, message, hint="try again later; nothing of it was used")
     raise InputError(problem)
 
@@ -104,25 +102,26 @@ def fetch(
     Parameters
     ----------
     name
-        One of `public_recordings`.
+        Name of the recording, one of `public_recordings`.
     folder
-        Where to; by default a folder of that name here.
+        Subject folder to write; by default a folder of that name in the current folder.
     server
-        Where repositories are read from: the public one, or a mirror.
+        Server of the files: the public one or a mirror.
     force
-        Replace a folder that exists.
+        Replace an existing folder.
     quiet
         Print no progress.
 
     Returns
     -------
     Path
-        The folder, for `load_subject`.
+        The subject folder, for `load_subject`.
 
     Raises
     ------
     InputError
-        If there is no such recording, or a file cannot be had or is another than was published.
+        If there is no such recording, the folder exists and ``force`` is not set, or a file cannot be
+        downloaded or differs from the published one.
     """
     if name not in PUBLIC_RECORDINGS:
         hint = nearest_name(name, tuple(PUBLIC_RECORDINGS))
@@ -133,5 +132,8 @@ def fetch(
 
 
 def public_recordings() -> dict[str, str]:
-    """Say what each recording that can be fetched is, by name."""
-    return {name: f"{one.about}. Licence {one.licence}" for name, one in PUBLIC_RECORDINGS.items()}
+    """Return the description of each public recording, by name."""
+    return {
+        name: f"{recording.about}. Licence {recording.licence}"
+        for name, recording in PUBLIC_RECORDINGS.items()
+    }

@@ -1,4 +1,4 @@
-"""What there is to fetch: each file by its commit and its checksum, so that it can never be another."""
+"""Public recordings that can be downloaded, with the commit and the checksum of every file."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ class PublicFile:
     Parameters
     ----------
     source
-        Its name where it is published.
+        Name of the published file.
     target
-        Its place in the subject folder.
+        Path in the subject folder.
     sha256
-        Of the published file.
+        Checksum of the published file.
     renamed
-        Names of other files that it mentions, and what they are called in the subject folder.
+        Pairs of the published and the local names of other files that this one mentions.
     """
 
     source: str
@@ -30,23 +30,23 @@ class PublicFile:
 
 @dataclass(frozen=True)
 class PublicRecording:
-    """Somebody's published recording of walking, which makes a subject folder.
+    """Published recording of walking from which a subject folder can be made.
 
     Parameters
     ----------
     name
-        Of the subject.
+        Name of the recording and of the subject.
     about
-        Who walked, and what was recorded, in a phrase.
+        Description of the subject and of the recorded signals.
     place
-        Repository, commit and folder, with slashes between.
+        Repository (owner/name), commit and folder, separated by slashes.
     licence
-        What it may be used under.
+        Licence of the published files.
     files
-        All that is needed of it.
+        Files to download.
     added
-        Files of the project's own beside this one, and their places in the subject folder: what was known
-        of the recording, but not published with it.
+        Pairs of a file of this package and its path in the subject folder, for data that the recording needs
+        and that were not published with it.
     """
 
     name: str
@@ -57,22 +57,23 @@ class PublicRecording:
     added: tuple[tuple[str, str], ...] = ()
 
     @property
-    def own_files(self) -> dict[str, str]:
-        """The project's own reading of the recording, by place in the folder: ``subject.toml`` first."""
-        own = files("wrapjax.datasets")
+    def added_files(self) -> dict[str, str]:
+        """Text of the files that the package adds, by path in the subject folder; ``subject.toml`` first."""
+        package = files("wrapjax.datasets")
         sources = ((f"{self.name}.toml", "subject.toml"), *self.added)
-        return {target: own.joinpath(source).read_text(encoding="utf-8") for source, target in sources}
+        return {target: package.joinpath(source).read_text(encoding="utf-8") for source, target in sources}
 
     @property
     def origin(self) -> str:
-        """Say where the files are from."""
+        """Content of ``ORIGIN.txt``: source and licence of the files, and changes to them."""
         repository = "/".join(self.place.split("/")[:2])
         commit = self.place.split("/")[2]
         return (
             f"{self.about}.\n\n"
             f"Downloaded from github.com/{repository}, commit {commit},\n"
             f"folder {'/'.join(self.place.split('/')[3:])}; licence {self.licence}.\n"
-            f"wrapjax's own: {', '.join(self.own_files)}. Files were renamed, also where one names another;\n"
+            f"Added by wrapjax: {', '.join(self.added_files)}. Files were renamed, also in files that name "
+            f"them;\n"
             "nothing else was changed.\n"
         )
 
@@ -151,9 +152,10 @@ _TREADMILL = PublicRecording(
             "1c7541c3b9565f0ebf9e2db9cc0221935c23b0715512c8baf323c08a3d44614c",
         ),
     ),
-    # Whose columns are whose: inverse dynamics by it give the published moments.
+    # Assigns the columns of the ground forces to the feet: inverse dynamics with it give the published
+    # moments.
     added=(("healthy_treadmill_external_loads.xml", "trials/walk/external_loads.xml"),),
 )
 
-#: By name.
+#: Public recordings by name.
 PUBLIC_RECORDINGS = {recording.name: recording for recording in (_OVERGROUND, _TREADMILL)}

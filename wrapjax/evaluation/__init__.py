@@ -1,1 +1,1 @@
-"""Finished calibrations read back and tested on other trials."""
+"""Stored calibrations, and their predictions on other recordings."""

@@ -1,4 +1,4 @@
-"""``evaluate``: a calibrated model on other cycles."""
+"""Prediction of joint moments of other recordings with a calibrated model."""
 
 from __future__ import annotations
 
@@ -32,22 +32,24 @@ from wrapjax.subject.trials import Trials
 if TYPE_CHECKING:
     from xarray import Dataset
 
-#: Angles so far beyond those that polynomials were fitted on, in half ranges, are told of.
-_BEYOND = 0.1
+#: Distance beyond the fitted range of a coordinate, in half ranges, from which a note is made.
+_RANGE_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a calibrated model predicts on a subject's cycles.
+    """Joint moments of a subject's cycles, predicted by a calibrated model.
 
     Parameters
     ----------
-    run, subject
-        The model, and whose cycles.
+    run
+        Calibration.
+    subject
+        Subject whose cycles are predicted.
     modelled
-        Joint moments in N m.
+        Predicted joint moments, N m.
     notes
-        What is to be known of the comparison, in sentences.
+        Restrictions on the comparison with measured moments, as sentences.
     """
 
     run: Run
@@ -57,12 +59,12 @@ class Evaluation:
 
     @property
     def trials(self) -> Trials:
-        """The cycles."""
+        """Trials of the subject."""
         return self.subject.trials
 
     @property
     def dataset(self) -> Dataset:
-        """Moments measured and predicted, and their errors, as an `xarray.Dataset` with units."""
+        """Measured and predicted moments and their errors, as an `xarray.Dataset` with units."""
         attributes = {
             "subject": self.subject.name,
             "run_subject": self.run.subject,
@@ -76,7 +78,7 @@ class Evaluation:
         return evaluation_dataset(self.trials, self.modelled, attributes)
 
     def content(self) -> dict[str, Any]:
-        """Describe it in plain values: what ``evaluation.json`` holds, errors as in ``summary.json``."""
+        """Return the content of ``evaluation.json``; errors are structured as in ``summary.json``."""
         from wrapjax.report.evaluation_page import describe_evaluation
 
         return describe_evaluation(self.run.summary, self.subject, self.modelled, self.notes)
@@ -90,27 +92,35 @@ class Evaluation:
 
 
 def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation:
-    """Predict a subject's joint moments by a finished calibration; nothing is fitted.
+    """Predict a subject's joint moments with a calibrated model, without fitting.
 
     Parameters
     ----------
     run
-        From `load_run`, or its folder. Its parameters and its paths are taken as they are: polynomials, which
-        know nothing of the subject's model file, or the cylinders of that file, moved as the run moved its
-        own.
+        Run from `load_run`, or its folder. Muscle parameters and paths are those of the run. Polynomial paths
+        do not depend on the subject's model file; exact paths use its wrapping cylinders, changed as in the
+        run.
     subject
-        From `load_subject`, or its folder: the same person on other days as a rule. EMG has to be normalised
-        as it was for the run; ``raw`` EMG is by the largest of each channel in this folder.
+        Subject from `load_subject`, or its folder; usually the same person on another day. EMG must be
+        normalised as for the run; ``raw`` EMG is normalised by the maximum of each channel in this folder.
+
+    Returns
+    -------
+    Evaluation
+        Predicted moments of all trials.
 
     Raises
     ------
     InputError
-        If the subject has other muscles or coordinates than the run.
+        If a folder cannot be read, or the subject has other muscles, coordinates or EMG channels than the
+        run.
+    RuntimeError
+        If JAX is not in 64-bit mode.
     """
     require_float64()
     run = as_run(run)
-    subject = _driven_alike(run, subject if isinstance(subject, Subject) else load_subject(subject))
-    _refuse_others(run, subject)
+    subject = _drive_by_synergies(run, subject if isinstance(subject, Subject) else load_subject(subject))
+    _check_same_model(run, subject)
     trials, notes = subject.trials, []
     if run.model_hash != content_hash(subject.model_file):
         paths_of = "this subject's model" if run.paths is None else "the run"
@@ -119,9 +129,9 @@ def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation
             f"{paths_of}."
         )
     if run.paths is None:
-        paths, parameters = _exact(run, subject)
+        paths, parameters = _exact_paths(run, subject)
     else:
-        notes += _beyond(run.paths, trials)
+        notes += _range_notes(run.paths, trials)
         paths = surrogate_paths(run.paths, subject, trials)
         parameters = run.parameters(subject.muscles.names, paths.modes_count)
     states = eqx.filter_jit(muscle_states)(
@@ -133,14 +143,14 @@ def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation
     return Evaluation(run, subject, np.asarray(states.moment.sum(axis=0)), tuple(notes))
 
 
-def _driven_alike(run: Run, subject: Subject) -> Subject:
-    """Drive the muscles that have no channel by the run's synergies, whose weights are of its commands."""
+def _drive_by_synergies(run: Run, subject: Subject) -> Subject:
+    """Drive muscles without a channel by the synergies of the run, to which its weights belong."""
     if run.synergies is None:
         return subject
     problems = [
         Problem(
             str(subject.folder),
-            f"lacks EMG channel '{name}', which synergies of run {run.folder} are of",
+            f"lacks EMG channel '{name}', which the synergies of run {run.folder} use",
             hint=nearest_name(name, subject.trials.channels),
         )
         for name in run.synergies.basis.channels
@@ -156,13 +166,13 @@ def _driven_alike(run: Run, subject: Subject) -> Subject:
     return drive_by_synergies(subject, run.synergies.basis, run.synergies.groups)
 
 
-def _exact(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParameters]:
-    """Lay exact paths round the cylinders where the run put them."""
+def _exact_paths(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParameters]:
+    """Compute exact paths round the subject's wrapping cylinders, changed as in the run."""
     engine = build_engine(subject)
-    unknown = set(run.wraps) - {wrap for name in engine.muscles for wrap in engine.wraps_of(name)}
-    if unknown:
-        name = sorted(unknown)[0]
-        message = f"has no cylinder '{name}' that its driven muscles wrap round, which the run moved"
+    missing = set(run.wraps) - {wrap for name in engine.muscles for wrap in engine.wraps_of(name)}
+    if missing:
+        name = sorted(missing)[0]
+        message = f"has no cylinder '{name}' that its driven muscles wrap round, which the run changed"
         raise InputError(Problem(str(subject.model_file), message))
     angles, velocities = recorded_motion(subject.trials, engine.coordinates)
     paths, _ = wrapped_paths(
@@ -183,19 +193,19 @@ def _exact(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParameters]:
     return paths, eqx.tree_at(lambda tree: tree.path_changes, parameters, flat)
 
 
-def _refuse_others(run: Run, subject: Subject) -> None:
+def _check_same_model(run: Run, subject: Subject) -> None:
     """Raise an error if the subject has other muscles or coordinates than the run."""
     problems = []
-    for kind, own, theirs in (
+    for kind, subject_names, run_names in (
         ("muscle", subject.muscles.names, run.muscles),
         ("coordinate", subject.trials.moment_coordinates, run.coordinates),
     ):
-        for name in (one for one in theirs if one not in own):
+        for name in (name for name in run_names if name not in subject_names):
             message = f"lacks {kind} '{name}', which run {run.folder} was calibrated with"
-            problems.append(Problem(str(subject.folder), message, hint=nearest_name(name, own)))
-        for name in (one for one in own if one not in theirs):
-            message = f"has {kind} '{name}', of which run {run.folder} knows nothing"
-            problems.append(Problem(str(subject.folder), message, hint=nearest_name(name, theirs)))
+            problems.append(Problem(str(subject.folder), message, hint=nearest_name(name, subject_names)))
+        for name in (name for name in subject_names if name not in run_names):
+            message = f"has {kind} '{name}', which run {run.folder} does not have"
+            problems.append(Problem(str(subject.folder), message, hint=nearest_name(name, run_names)))
     missing = () if run.paths is None else set(run.paths.coordinates) - set(subject.trials.coordinates)
     for name in sorted(missing):
         message = f"has no angles of '{name}', which the muscle paths of run {run.folder} depend on"
@@ -206,14 +216,14 @@ def _refuse_others(run: Run, subject: Subject) -> None:
         raise InputError(problems)
 
 
-def _beyond(paths: PathSurrogate, trials: Trials) -> list[str]:
-    """Say about which coordinates the cycles leave the range that the polynomials were fitted on."""
+def _range_notes(paths: PathSurrogate, trials: Trials) -> list[str]:
+    """Note the coordinates whose recorded angles leave the range that the polynomials were fitted on."""
     columns = [trials.coordinates.index(name) for name in paths.coordinates]
     center, half = np.asarray(paths.center)[:, None], np.asarray(paths.half_range)[:, None]
-    outside = np.abs(trials.angles[:, columns] - center) > (1.0 + _BEYOND) * half
+    outside = np.abs(trials.angles[:, columns] - center) > (1.0 + _RANGE_TOLERANCE) * half
     return [
-        f"In {100.0 * share:.0f} % of all frames {name} is beyond what the run's paths were fitted on, where "
-        "polynomials cannot be trusted."
+        f"In {100.0 * share:.0f} % of all frames {name} is outside the range that the run's paths were "
+        "fitted on, where polynomials are unreliable."
         for name, share in zip(paths.coordinates, outside.mean(axis=(0, 2)).tolist(), strict=True)
         if share > 0.0
     ]

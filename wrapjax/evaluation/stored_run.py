@@ -23,7 +23,7 @@ from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.synergies import Synergies, SynergyBasis
 
-_HINT = "calibrate again with 'wrapjax calibrate'"
+_RECALIBRATE = "calibrate again with 'wrapjax calibrate'"
 #: Largest difference between times of stored curves and of the subject's frames, s.
 _TIME_TOLERANCE = 1e-6
 _FILES = ("summary.json", "settings.json", "parameters.csv")
@@ -155,7 +155,7 @@ def load_run(folder: str | Path) -> Run:
         muscles, source = tuple(settings["muscles"]), settings.get("paths")
         if source is None:
             message = "does not say where the run's paths came from: it is from an earlier version"
-            raise InputError(Problem(str(folder / "settings.json"), message, hint=_HINT))
+            raise InputError(Problem(str(folder / "settings.json"), message, hint=_RECALIBRATE))
         synergies = _read_synergies(settings.get("synergies"))
         values, wraps, weights = _read_parameters(folder / "parameters.csv", muscles, synergies)
         return Run(
@@ -180,7 +180,7 @@ def load_run(folder: str | Path) -> Run:
     except InputError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_HINT)) from error
+        raise InputError(Problem(str(folder), f"is damaged (no {error})", hint=_RECALIBRATE)) from error
 
 
 def _read_synergies(stored: dict[str, Any] | None) -> Synergies | None:
@@ -202,9 +202,11 @@ def _read_json(file: Path) -> dict[str, Any]:
     try:
         content = load_json(file)
     except ValueError as error:
-        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_HINT)) from error
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_RECALIBRATE)) from error
     if not isinstance(content, dict):
-        raise InputError(Problem(str(file), "expected an object in JSON, found something else", hint=_HINT))
+        raise InputError(
+            Problem(str(file), "expected an object in JSON, found something else", hint=_RECALIBRATE)
+        )
     return content
 
 
@@ -219,9 +221,9 @@ def _read_parameters(
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise InputError(Problem(str(file), "is not text in UTF-8", hint=_HINT)) from None
+        raise InputError(Problem(str(file), "is not text in UTF-8", hint=_RECALIBRATE)) from None
     if not text.endswith("\n"):
-        raise InputError(Problem(str(file), "seems cut off: its last line has no end", hint=_HINT))
+        raise InputError(Problem(str(file), "seems cut off: its last line has no end", hint=_RECALIBRATE))
     stored: dict[tuple[str, str, str], float] = {}
     for number, row in enumerate(csv.DictReader(io.StringIO(text)), start=2):
         try:
@@ -229,16 +231,16 @@ def _read_parameters(
             value = float(row["value"])
         except (KeyError, TypeError, ValueError):
             message = "expected owner, kind, parameter and a value"
-            raise InputError(Problem(str(file), message, f"line {number}", _HINT)) from None
+            raise InputError(Problem(str(file), message, f"line {number}", _RECALIBRATE)) from None
         if not math.isfinite(value):
             message = f"expected a finite number, found {value}"
-            raise InputError(Problem(str(file), message, f"line {number}", _HINT))
+            raise InputError(Problem(str(file), message, f"line {number}", _RECALIBRATE))
         stored[key] = value
 
     def value_of(owner: str, kind: str, name: str) -> float:
         if (owner, kind, name) not in stored:
             message = f"{name} of {owner} is missing: the file seems cut off or changed"
-            raise InputError(Problem(str(file), message, hint=_HINT))
+            raise InputError(Problem(str(file), message, hint=_RECALIBRATE))
         return stored[owner, kind, name]
 
     values = {name: np.array([value_of(muscle, "muscle", name) for muscle in muscles]) for name in QUANTITIES}
@@ -257,11 +259,13 @@ def _read_parameters(
 
 def _read_paths(file: Path, muscles: tuple[str, ...]) -> PathSurrogate:
     if not file.is_file():
-        raise InputError(Problem(str(file), "is missing: the run's muscle paths are in it", hint=_HINT))
+        raise InputError(
+            Problem(str(file), "is missing: the run's muscle paths are in it", hint=_RECALIBRATE)
+        )
     try:
         return surrogate_from_arrays(load_arrays(file)).select_muscles(muscles)
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_HINT)) from error
+        raise InputError(Problem(str(file), f"is damaged ({error})", hint=_RECALIBRATE)) from error
 
 
 @dataclass(frozen=True)

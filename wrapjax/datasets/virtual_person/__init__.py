@@ -1,1 +1,1 @@
-"""A virtual person whose parameters are known: the subject of the demo and of recovery tests."""
+"""Simulated recordings of a virtual person with known parameters, for demonstration and tests."""

@@ -1,11 +1,11 @@
-"""Segments, joints and wrapping cylinders of the virtual leg: published figures.
+"""Segments, joints and wrapping cylinders of the virtual leg, from published data.
 
 A right leg of the size of Delp's model: segment frames, joint centers and axes are those of Delp et al. 1990
 (An interactive graphics-based model of the lower extremity, doi:10.1109/10.102791) as published in the
 gait2392 model; x points forward, y up, z to the right when standing. The pelvis frame sits midway between
 the anterior superior iliac spines, the femur's in the hip, the tibia's in the knee.
 
-Whatever is marked *chosen here* is no measurement.
+Values marked *chosen here* are assumptions, not measurements.
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ import numpy as np
 
 from wrapjax.osim.virtual_leg import Body, Cylinder, Hinge, Joint
 
-#: Chosen here: about the mean man of the sources below.
+#: Chosen here: about the mean of the men in the sources below.
 BODY_MASS_KG = 75.0
 
 _THIGH_LENGTH = 0.396
 _SHANK_LENGTH = 0.430
 
-# Share of body mass; mass center as share of segment length from its upper end (the heel for the foot);
-# radii of gyration about x, y, z as shares of the length. De Leva 1996 (Adjustments to Zatsiorsky-Seluyanov's
-# segment inertia parameters, doi:10.1016/0021-9290(95)00178-6), table 4, men.
+# Fraction of body mass; mass center as fraction of segment length from its upper end (the heel for the foot);
+# radii of gyration about x, y, z as fractions of the length. De Leva 1996 (Adjustments to
+# Zatsiorsky-Seluyanov's segment inertia parameters, doi:10.1016/0021-9290(95)00178-6), table 4, men.
 _THIGH = (0.1416, 0.4095, (0.329, 0.149, 0.329))
 _SHANK = (0.0433, 0.4459, (0.255, 0.103, 0.249))
 _FOOT = (0.0137, 0.4415, (0.124, 0.245, 0.257))
 _LOWER_TRUNK = (0.1117, 0.6115, (0.615, 0.587, 0.551))
 
-#: Chosen here: lengths that de Leva's shares are of, where the model itself has none.
+#: Chosen here: lengths that de Leva's fractions refer to, for segments whose length the model does not
+#: define.
 _FOOT_LENGTH, _LOWER_TRUNK_LENGTH = 0.25, 0.146
-#: Chosen here: the talus is a small part of the foot, split off so that the two ankle joints are two.
+#: Chosen here: mass (kg) of the talus, split off from the foot so that the two ankle joints are separate.
 _TALUS_MASS = 0.1
 
 
@@ -45,7 +46,7 @@ def _segment(
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     without: float = 0.0,
 ) -> Body:
-    """Build a body from shares of body mass and length, measured from ``start`` along ``direction``."""
+    """Build a body from fractions of body mass and length, measured from ``start`` along ``direction``."""
     mass_share, center_share, gyration = shares
     mass = mass_share * BODY_MASS_KG - without
     x, y, z = (round(s + d * center_share * length, 5) for s, d in zip(start, direction, strict=True))
@@ -75,15 +76,15 @@ _KNEE_SHIFT_Y = (-0.395264, -0.3966, -0.3976, -0.399, -0.4082, -0.4226)
 
 
 def _polynomial(flexion: tuple[float, ...], shift: tuple[float, ...]) -> tuple[float, ...]:
-    """Fit a cubic, highest power first; the sources' cubic splines have kinks in the second derivative."""
+    """Fit a cubic, highest power first; the sources' cubic splines have a discontinuous third derivative."""
     return tuple(
         round(float(c), 6) for c in np.polynomial.Polynomial.fit(flexion, shift, 3).convert().coef[::-1]
     )
 
 
 JOINTS = (
-    # Chosen here: the pelvis is welded at the height of standing. The recorded angles are those of the leg
-    # against the pelvis, and a muscle's path depends on nothing else.
+    # Chosen here: the pelvis is welded to the ground at standing height. The recorded angles are those of the
+    # leg relative to the pelvis, and muscle paths depend on these alone.
     Joint("ground_pelvis", "ground", "pelvis", (0.0, 0.95, 0.0)),
     Joint(
         "hip_r",
@@ -126,14 +127,15 @@ JOINTS = (
 COORDINATES = tuple(hinge.coordinate for joint in JOINTS for hinge in joint.hinges)
 
 # Which bone a muscle wraps over follows Arnold et al. 2010 (A model of the lower limb for analysis of human
-# movement, doi:10.1007/s10439-009-9852-5). Chosen here: every center and radius, so that the surface passes
-# near the via points that Delp et al. 1990 hold the same muscle out with, or (knee) so that moment arms
-# resemble those measured by Buford et al. 1997 (IEEE Trans Rehabil Eng 5:367), and that no path point comes
-# inside and no path jumps while walking.
+# movement, doi:10.1007/s10439-009-9852-5). Chosen here: all centers and radii, so that the surface passes
+# near the via points of the same muscle in Delp et al. 1990, or (knee) so that moment arms resemble those
+# measured by Buford et al. 1997 (IEEE Trans Rehabil Eng 5:367), and so that in walking no path point lies
+# inside a cylinder and no path is discontinuous.
 #
-# Two habits of OpenSim's wrapping (4.6) are heeded. Its path is not quite the shortest where it runs along
-# the axis, so cylinders are turned about x to lie across their muscles. And it misplaces a tangent point if
-# the wrapped segment ends in the cylinder's middle plane, so those at the knee are moved aside.
+# The cylinders avoid two defects of OpenSim's wrapping (4.6). Its path is not quite the shortest where it
+# runs along the axis, so cylinders are rotated about x to lie across their muscles. It misplaces a tangent
+# point if the wrapped segment ends in the cylinder's middle plane, so cylinders at the knee are moved
+# sideways.
 CYLINDERS = (
     Cylinder("Gmax1_at_pelvis_r", "pelvis", (-0.085, -0.050, 0.083), 0.040, 0.30, "-x", (-0.33, 0.0, 0.0)),
     Cylinder("Gmax2_at_pelvis_r", "pelvis", (-0.095, -0.060, 0.083), 0.042, 0.30, "-x", (-0.39, 0.0, 0.0)),

@@ -1,4 +1,4 @@
-"""The files of a virtual subject's folder."""
+"""Files of a virtual subject's folder: trials and ``subject.toml``."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ from wrapjax.datasets.virtual_person.anatomy import BODY_MASS_KG, COORDINATES
 from wrapjax.datasets.virtual_person.gait import CHANNELS, WalkingCycle
 from wrapjax.datasets.virtual_person.leg import on_side
 from wrapjax.io.storage import Storage, write_storage
-from wrapjax.subject.trials import cycle_times
+from wrapjax.subject.cycles import cycle_times
 
 MODEL_FILE = "model.osim"
-#: Frames of angles written before and after a cycle, so that a spline's derivative is good at its ends.
+#: Number of frames of angles before and after each cycle, so that spline derivatives are accurate at its
+#: ends.
 MARGIN_FRAMES = 8
 
 
 @dataclass(frozen=True)
 class Series:
-    """Cycles walked at one speed.
+    """Series of gait cycles at one speed.
 
     Parameters
     ----------
     speed
-        m/s.
+        Walking speed, m/s.
     calibration, validation
-        Number of cycles for either use.
+        Number of cycles for calibration and for validation.
     """
 
     speed: float
@@ -38,7 +39,7 @@ class Series:
 
 
 def trial_names(series: Sequence[Series]) -> list[str]:
-    """Name the cycles, one trial each."""
+    """Return the names of the trials, one for each cycle."""
     return [
         f"walk_{entry.speed:g}".replace(".", "p") + f"_{order}"
         for entry in series
@@ -76,16 +77,22 @@ def settings_text(
     *,
     missing_channels: Sequence[str] = (),
 ) -> str:
-    """Compose the settings file.
+    """Compose ``subject.toml``.
 
     Parameters
     ----------
-    name, side, other_leg
-        Of the subject; the last as a path from its folder.
-    names, cycles, series
-        Of the trials, which the series give their uses.
-    unheard
-        Channels that have no electrode.
+    name
+        Name of the subject.
+    side
+        Side of the leg, ``l`` or ``r``.
+    other_leg
+        Folder of the other leg, relative to this one; None if there is none.
+    names, cycles
+        Names and gait cycles of the trials.
+    series
+        Series of cycles, which determine the use of each trial.
+    missing_channels
+        Channels that were not recorded.
     """
     uses = [
         use
@@ -94,7 +101,7 @@ def settings_text(
     ]
     quoted = ", ".join(f'"{on_side(coordinate, side)}"' for coordinate in COORDINATES)
     lines = [
-        "# A virtual person, made up by wrapjax. Their true parameters are in truth.json.",
+        "# A virtual person, simulated by wrapjax. The true parameters are in truth.json.",
         "[subject]",
         f'name = "{name}"',
         f"mass_kg = {BODY_MASS_KG}",

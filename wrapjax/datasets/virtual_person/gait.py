@@ -1,7 +1,7 @@
-"""How the virtual person walks: joint angles and EMG envelopes as smooth functions of time.
+"""Walking of the virtual person: joint angles and EMG envelopes as smooth functions of time.
 
-Both are periodic over the gait cycle, which starts at heel strike. Every cycle differs a little from the
-next in size, timing and shape, smoothly and by a seeded generator.
+Both are periodic over the gait cycle, which starts at heel strike. Cycles vary randomly and smoothly in
+amplitude, timing and shape.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES
 
-#: Speed of the curves below, m/s.
+#: Walking speed of the curves below, m/s.
 NATURAL_SPEED = 1.2
 
 # Joint angles of able-bodied adults at natural speed, degrees, at 0, 5, ..., 95 % of the gait cycle: rounded
-# figures that follow the mean curves of Winter 1991 (The biomechanics and motor control of human gait,
+# values that follow the mean curves of Winter 1991 (The biomechanics and motor control of human gait,
 # 2nd ed.) in the sagittal plane, of Bovi et al. 2011 (A multiple-task gait analysis approach,
 # doi:10.1016/j.gaitpost.2010.08.009) in the others and of Rattanaprasert et al. 1999 (Clin Biomech 14:14) at
 # the subtalar joint; not digitised from them. OpenSim's signs: flexion, adduction, internal rotation,
@@ -52,12 +52,13 @@ _ANGLES_DEG = {
     ),
 }
 
-#: Harmonics kept of the angles: 99 % of the power of walking lies below 6 Hz (Winter 2009, Biomechanics and
-#: motor control of human movement, 4th ed., section 3.4).
+#: Number of harmonics of the angles: 99 % of the power of walking lies below 6 Hz (Winter 2009, Biomechanics
+#: and motor control of human movement, 4th ed., section 3.4).
 _HARMONICS = 6
-#: Chosen here: excursions shrink with speed, about as in Bovi et al. 2011.
+#: Chosen here: relative change of excursions per m/s, about as in Bovi et al. 2011.
 _EXCURSION_PER_SPEED = 0.25
-#: Chosen here: EMG grows with speed, about as in Hof et al. 2002, doi:10.1016/S0966-6362(01)00206-5.
+#: Chosen here: relative change of EMG per m/s, about as in Hof et al. 2002,
+#: doi:10.1016/S0966-6362(01)00206-5.
 _EMG_PER_SPEED = 0.55
 
 # Mean (column 0) and complex amplitudes of the harmonics, rad.
@@ -72,9 +73,9 @@ class Burst:
     Parameters
     ----------
     center, width
-        Of a bell over the gait cycle, in parts of it; the width is a standard deviation.
+        Center and standard deviation of a bell-shaped curve, as fractions of the gait cycle.
     height
-        Its size, in units of the channel's own.
+        Height of the curve, relative to the channel's largest burst.
     """
 
     center: float
@@ -89,9 +90,9 @@ class Channel:
     Parameters
     ----------
     bursts
-        Of the envelope, at 1.2 m/s.
+        Bursts of the envelope at 1.2 m/s.
     scales
-        Muscles that it stands for, and each one's usual excitation where the envelope peaks (0 to 1).
+        Typical excitation (0 to 1) at the peak of the envelope, of each muscle that the channel drives.
     """
 
     bursts: tuple[Burst, ...]
@@ -99,8 +100,8 @@ class Channel:
 
 
 # Timing: Perry and Burnfield 2010 (Gait analysis, 2nd ed., chapters 4 to 7) and Winter and Yack 1987
-# (doi:10.1016/0013-4694(87)90003-4). Chosen here: bells for the shapes, and heights and scales such that the
-# joint moments at 1.2 m/s resemble Winter's (1991).
+# (doi:10.1016/0013-4694(87)90003-4). Chosen here: the shape of the curves, and heights and scales such that
+# the joint moments at 1.2 m/s resemble Winter's (1991).
 CHANNELS: dict[str, Channel] = {
     "AddLong": Channel(
         (Burst(0.63, 0.07, 1.0), Burst(0.02, 0.07, 0.75)),
@@ -172,37 +173,37 @@ CHANNELS: dict[str, Channel] = {
         {"vasmed_r": 0.22},
     ),
 }
-#: Envelope between bursts, chosen here.
+#: Chosen here: envelope between bursts.
 _BASELINE = 0.01
 
 
 def cycle_time(speed: float) -> float:
-    """Return the duration of a gait cycle in s at a speed in m/s.
+    """Compute the duration of a gait cycle (s) at a walking speed (m/s).
 
-    Stride length grows with the root of speed (Grieve and Gear 1966, doi:10.1080/00140136608964399) and is
-    1.34 m at 1.2 m/s.
+    Stride length grows with the square root of speed (Grieve and Gear 1966, doi:10.1080/00140136608964399)
+    and is 1.34 m at 1.2 m/s.
     """
     return 1.34 * np.sqrt(speed / NATURAL_SPEED) / speed
 
 
 @dataclass(frozen=True)
 class WalkingCycle:
-    """One gait cycle and what sets it apart from the mean; periodic beyond its ends.
+    """One gait cycle and its differences from the mean cycle; periodic beyond its ends.
 
     Parameters
     ----------
     start, duration
-        s.
+        Start and duration, s.
     speed
-        m/s.
+        Walking speed, m/s.
     warp
-        Sine and cosine amplitude by which phase runs ahead, in parts of the cycle.
+        Sine and cosine amplitudes of the phase advance, as fractions of the cycle.
     angle_gain
-        Factor on the excursion.
+        Factors on the excursions of the angles.
     angle_change
-        Offset (column 0) and complex amplitudes of harmonics added to the angles, rad.
+        Offsets (column 0) and complex amplitudes of harmonics added to the angles, rad.
     burst_gain, burst_shift
-        For each channel, factors on the bursts' heights and shifts of their centers (parts of the cycle).
+        Factors on the heights of the bursts and shifts of their centers (fractions of the cycle), by channel.
     """
 
     start: float
@@ -222,11 +223,11 @@ class WalkingCycle:
     def _phase(self, time: Float[np.ndarray, " frame"]) -> Float[np.ndarray, " frame"]:
         phase = (time - self.start) / self.duration
         turn = 2.0 * np.pi * phase
-        # Zero at heel strike, where a cycle is cut.
+        # The phase advance is zero at heel strike, where cycles begin and end.
         return phase + self.warp[0] * np.sin(turn) + self.warp[1] * (np.cos(turn) - 1.0)
 
     def angles(self, time: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "coordinate frame"]:
-        """Return the joint angles (`COORDINATES`) in rad."""
+        """Compute the joint angles (`COORDINATES`, rad) at times (s)."""
         excursion = self.angle_gain * (1.0 + _EXCURSION_PER_SPEED * (self.speed - NATURAL_SPEED))
         spectrum = _SPECTRUM.copy()
         spectrum[:, 1:] *= excursion[:, None]
@@ -235,7 +236,7 @@ class WalkingCycle:
         return (spectrum @ turns).real
 
     def emg(self, time: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "channel frame"]:
-        """Return the EMG envelopes (`CHANNELS`), positive and of the size of their `Burst` s."""
+        """Compute the EMG envelopes (`CHANNELS`, in units of burst heights) at times (s)."""
         phase = self._phase(time)
         gain = 1.0 + _EMG_PER_SPEED * (self.speed - NATURAL_SPEED)
         envelopes = []
@@ -243,7 +244,7 @@ class WalkingCycle:
             total = np.full(time.shape, _BASELINE)
             varied = zip(channel.bursts, self.burst_gain[name], self.burst_shift[name], strict=True)
             for burst, factor, shift in varied:
-                # A bell that repeats every cycle (von Mises).
+                # A periodic bell-shaped curve (von Mises).
                 turn = 2.0 * np.pi * (phase - burst.center - shift)
                 bell = np.exp((np.cos(turn) - 1.0) / (2.0 * np.pi * burst.width) ** 2)
                 total += gain * factor * burst.height * bell
@@ -252,27 +253,27 @@ class WalkingCycle:
 
 
 def normative_cycle(speed: float = NATURAL_SPEED) -> WalkingCycle:
-    """Return the mean cycle at a speed in m/s, starting at time zero."""
+    """Return the mean gait cycle at a walking speed (m/s), starting at time zero."""
     return draw_cycle(np.random.default_rng(0), speed, 0.0, variation=0.0)
 
 
 def draw_cycle(
     generator: np.random.Generator, speed: float, start: float, *, variation: float = 1.0
 ) -> WalkingCycle:
-    """Draw a cycle.
+    """Draw a random gait cycle.
 
-    Standard deviations, chosen here after the variability within a person reported by Winter 1991: duration
+    Standard deviations, chosen here after the within-person variability of Winter 1991, are: duration
     2 %, excursions 4 %, offsets and first three harmonics 0.6 degrees each, heights of EMG bursts 12 %,
     their timing 1 % of the cycle, phase 0.5 %.
 
     Parameters
     ----------
     generator
-        Its numbers decide.
+        Random generator.
     speed
-        m/s.
+        Walking speed, m/s.
     start
-        s.
+        Start of the cycle, s.
     variation
         Factor on all standard deviations.
     """

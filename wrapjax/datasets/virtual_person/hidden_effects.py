@@ -103,7 +103,8 @@ def _remove_hip_flexor_channel(recording: NoiseFreeRecording) -> NoiseFreeRecord
     return replace(recording, missing_channels=("Iliopsoas",))
 
 
-#: Functions that simulate an effect, by the identifier of the catalogue's effect that a diagnosis should name.
+#: Functions that simulate an effect, by the identifier of the catalogue's effect that a diagnosis should
+#: name.
 HIDDEN_EFFECTS: dict[str, Callable[[NoiseFreeRecording], NoiseFreeRecording]] = {
     "ankle_foot_orthosis": _add_orthosis,
     "emg_drift": _add_emg_drift,

@@ -1,12 +1,8 @@
-"""The left leg: the right one in a mirror.
+"""OpenSim model of the virtual leg: muscles from published data, and the left leg as mirror image.
 
-Points change the sign of z. A turn by an angle about an axis becomes a turn by the same angle about the
-mirrored axis with its sign changed, so that flexion, adduction and internal rotation stay positive and
-equal angles are mirrored poses.
-
-Muscles of the virtual leg: published paths, architecture and strength.
-
-The virtual leg as an OpenSim model.
+In the mirror image, points change the sign of z. A rotation about an axis becomes a rotation by the same
+angle about the mirrored axis with its sign changed, so that flexion, adduction and internal rotation stay
+positive and equal angles are mirrored poses.
 """
 
 from __future__ import annotations
@@ -30,77 +26,8 @@ from wrapjax.osim.virtual_leg import (
 
 
 def on_side(name: str, side: str) -> str:
-    """Name a part of the right leg as that of a side, ``l`` or ``r``; the pelvis is on both."""
+    """Return the name of a part of the right leg for a side, ``l`` or ``r``; the pelvis keeps its name."""
     return re.sub(r"_r$", f"_{side}", name)
-
-
-def mirrored(leg: LegModel) -> LegModel:
-    """Turn a right leg into a left one of the same lengths and moment arms at the same angles."""
-    return replace(
-        leg,
-        bodies=tuple(map(_body, leg.bodies)),
-        joints=tuple(map(_joint, leg.joints)),
-        cylinders=tuple(map(_cylinder, leg.cylinders)),
-        muscles=tuple(map(_muscle, leg.muscles)),
-    )
-
-
-def _left(name: str) -> str:
-    return on_side(name, "l")
-
-
-def _point(point: Point) -> Point:
-    x, y, z = point
-    return (x, y, 0.0 - z)  # no negative zeros
-
-
-def _axis(axis: Point) -> Point:
-    x, y, z = axis
-    return (0.0 - x, 0.0 - y, z)
-
-
-def _body(body: Body) -> Body:
-    return replace(body, name=_left(body.name), mass_center=_point(body.mass_center))
-
-
-def _joint(joint: Joint) -> Joint:
-    shift = dict(joint.shift)
-    if "z" in shift:
-        shift["z"] = tuple(0.0 - coefficient for coefficient in shift["z"])
-    return replace(
-        joint,
-        name=_left(joint.name),
-        parent=_left(joint.parent),
-        child=_left(joint.child),
-        location=_point(joint.location),
-        hinges=tuple(map(_hinge, joint.hinges)),
-        shift=shift,
-    )
-
-
-def _hinge(hinge: Hinge) -> Hinge:
-    return replace(hinge, coordinate=_left(hinge.coordinate), axis=_axis(hinge.axis))
-
-
-def _cylinder(cylinder: Cylinder) -> Cylinder:
-    # Turned about its body-fixed axes one after the other: each turn is mirrored by itself. The sides x
-    # and y that paths keep to stay where they are.
-    return replace(
-        cylinder,
-        name=_left(cylinder.name),
-        body=_left(cylinder.body),
-        center=_point(cylinder.center),
-        rotation=_axis(cylinder.rotation),
-    )
-
-
-def _muscle(muscle: Muscle) -> Muscle:
-    return replace(
-        muscle,
-        name=_left(muscle.name),
-        points=tuple((_left(body), _point(location)) for body, location in muscle.points),
-        cylinder=_left(muscle.cylinder),
-    )
 
 
 # Max isometric force (N), optimal fiber length (m) and pennation (degrees): Delp et al. 1990,
@@ -140,21 +67,22 @@ _ARCHITECTURE = {
     "vasmed_r": (1294.0, 0.0890, 0.2260, 5.0),
 }
 
-#: Rule for the tendon slack lengths: over the mean gait cycle at 1.2 m/s the normalised fiber length spans an
-#: interval about this center, so that the fibers work on the plateau of their force-length curve and just
-#: below it (Arnold and Delp 2011, doi:10.1098/rstb.2010.0345). Published slack lengths belong to other paths.
+#: Rule for the tendon slack lengths: over the mean gait cycle at 1.2 m/s the range of the normalised fiber
+#: length is centered on this value, so that the fibers operate on the plateau and the upper ascending limb of
+#: their force-length curve (Arnold and Delp 2011, doi:10.1098/rstb.2010.0345). Published slack lengths are
+#: for other paths.
 FIBER_LENGTH_CENTER = 0.82
 
 _PELVIS, _FEMUR, _TIBIA, _CALCN = "pelvis", "femur_r", "tibia_r", "calcn_r"
 
-# The extensors run over the trochlea's cylinder straight to the tibial tuberosity. Patella and patellar
-# ligament count as tendon.
+# The knee extensors run over the cylinder of the trochlea straight to the tibial tuberosity. Patella and
+# patellar ligament are part of the tendon.
 _TUBEROSITY = (_TIBIA, (0.0390, -0.0820, 0.0))
 _HEEL = (_CALCN, (0.0, 0.0310, -0.0053))
 _FIBULAR_HEAD = (_TIBIA, (-0.0234, -0.0563, 0.0343))
 
 # Attachments and via points from origin to insertion, m: Delp et al. 1990, doi:10.1109/10.102791, as
-# published in the gait2392 model. Via points that a cylinder stands in for are left out.
+# published in the gait2392 model. Via points that a cylinder replaces are left out.
 _PATHS: dict[str, tuple[tuple[str, Point], ...]] = {
     "addbrev_r": ((_PELVIS, (-0.0587, -0.0915, 0.0164)), (_FEMUR, (0.0009, -0.1196, 0.0294))),
     "addlong_r": ((_PELVIS, (-0.0316, -0.0836, 0.0169)), (_FEMUR, (0.0050, -0.2111, 0.0234))),
@@ -163,7 +91,7 @@ _PATHS: dict[str, tuple[tuple[str, Point], ...]] = {
     "addmagIsch_r": ((_PELVIS, (-0.1111, -0.1141, 0.0488)), (_FEMUR, (0.0070, -0.3837, -0.0266))),
     "bflh_r": ((_PELVIS, (-0.1260, -0.1026, 0.0694)), _FIBULAR_HEAD),
     "bfsh_r": ((_FEMUR, (0.0050, -0.2111, 0.0234)), _FIBULAR_HEAD),
-    # Chosen here: both origins, higher up the femur than Delp's, so that they lie outside the condyles.
+    # Chosen here: both origins, more proximal than Delp's, so that they lie outside the condyles.
     "gaslat_r": ((_FEMUR, (0.0060, -0.3700, 0.0272)), _HEEL),
     "gasmed_r": ((_FEMUR, (0.0060, -0.3700, -0.0235)), _HEEL),
     "glmax1_r": (
@@ -288,10 +216,85 @@ LEG = LegModel(
 )
 
 
-def build_leg_model(path: Path, side: str = "r") -> None:
-    """Write the virtual leg's OpenSim model (``.osim``): always the same bytes.
+def mirrored(leg: LegModel) -> LegModel:
+    """Mirror a right leg to a left one with the same muscle lengths and moment arms at the same angles."""
+    return replace(
+        leg,
+        bodies=tuple(map(_body, leg.bodies)),
+        joints=tuple(map(_joint, leg.joints)),
+        cylinders=tuple(map(_cylinder, leg.cylinders)),
+        muscles=tuple(map(_muscle, leg.muscles)),
+    )
 
-    A leg of 6 degrees of freedom, 31 muscles and 10 wrapping cylinders; the pelvis is welded to the
-    ground at the height of standing. The left leg (side ``l``) is the right one (``r``) in a mirror.
+
+def _left(name: str) -> str:
+    return on_side(name, "l")
+
+
+def _point(point: Point) -> Point:
+    x, y, z = point
+    return (x, y, 0.0 - z)  # 0.0 - z, because -z would write negative zeros.
+
+
+def _axis(axis: Point) -> Point:
+    x, y, z = axis
+    return (0.0 - x, 0.0 - y, z)
+
+
+def _body(body: Body) -> Body:
+    return replace(body, name=_left(body.name), mass_center=_point(body.mass_center))
+
+
+def _joint(joint: Joint) -> Joint:
+    shift = dict(joint.shift)
+    if "z" in shift:
+        shift["z"] = tuple(0.0 - coefficient for coefficient in shift["z"])
+    return replace(
+        joint,
+        name=_left(joint.name),
+        parent=_left(joint.parent),
+        child=_left(joint.child),
+        location=_point(joint.location),
+        hinges=tuple(map(_hinge, joint.hinges)),
+        shift=shift,
+    )
+
+
+def _hinge(hinge: Hinge) -> Hinge:
+    return replace(hinge, coordinate=_left(hinge.coordinate), axis=_axis(hinge.axis))
+
+
+def _cylinder(cylinder: Cylinder) -> Cylinder:
+    # Rotations about body-fixed axes are mirrored one by one. The wrapping sides along x and y do not change.
+    return replace(
+        cylinder,
+        name=_left(cylinder.name),
+        body=_left(cylinder.body),
+        center=_point(cylinder.center),
+        rotation=_axis(cylinder.rotation),
+    )
+
+
+def _muscle(muscle: Muscle) -> Muscle:
+    return replace(
+        muscle,
+        name=_left(muscle.name),
+        points=tuple((_left(body), _point(location)) for body, location in muscle.points),
+        cylinder=_left(muscle.cylinder),
+    )
+
+
+def build_leg_model(path: Path, side: str = "r") -> None:
+    """Write the OpenSim model of the virtual leg (``.osim``), always with the same bytes.
+
+    The leg has 6 degrees of freedom, 31 muscles and 10 wrapping cylinders; the pelvis is welded to the ground
+    at standing height.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    side
+        Side of the leg: ``r``, or ``l`` for its mirror image.
     """
     write_leg_model({"r": LEG, "l": mirrored(LEG)}[side], Path(path))

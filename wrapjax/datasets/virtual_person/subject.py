@@ -1,4 +1,4 @@
-"""Write a virtual subject's folder: what a laboratory would record of a person, whose truth is known."""
+"""Simulated recordings of a virtual person with known parameters, written as subject folders."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.muscle.excitation import fit_emg_spline
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model
-from wrapjax.subject.trials import cycle_times, padding_frames
+from wrapjax.subject.cycles import cycle_times, padding_frames
 
-#: Standard deviation in frames of the bell that noise is smoothed with: halves the power at 3.5 / cycle,
-#: where envelopes are cut off.
+#: Standard deviation (frames) of the Gaussian filter of the noise: it halves the power at 3.5 per gait cycle,
+#: the cutoff frequency of EMG envelopes.
 _NOISE_WIDTH = 3.8
-#: Additive noise of a channel, in parts of the multiplicative one, where the envelope is at its highest.
-_ADDITIVE_PART = 0.2
+#: Ratio of additive to multiplicative EMG noise at the peak of an envelope.
+_ADDITIVE_SHARE = 0.2
 
-#: Three cycles to calibrate with and one to validate at a slow and a natural speed.
+#: Three calibration cycles and one validation cycle at a slow and at a natural speed.
 DEFAULT_SERIES = (Series(0.8, 3, 1), Series(1.2, 3, 1))
 
 
@@ -64,46 +64,59 @@ def write_virtual_subject(
     hidden_effect: str | None = None,
     force: bool = False,
 ) -> TrueParameters:
-    """Make up a person, let them walk, and write what was recorded as a subject folder.
+    """Simulate recorded walking of a virtual person, and write it as a subject folder.
 
-    The joint moments are those of the package's own forward model with the true parameters, on the muscle
-    paths of OpenSim and the noise-free EMG. JAX must be in 64-bit mode.
+    The joint moments come from the package's own forward model with the true parameters, the muscle paths of
+    OpenSim and the noise-free EMG.
 
     Parameters
     ----------
     folder
-        Where to write; it appears when complete.
+        Subject folder to write; it appears when it is complete.
     seed
-        Decides the person, the cycles and the noise. The same seed gives the same files.
+        Seed of the person, the cycles and the noise. The same seed gives the same files.
     emg_noise
-        Standard deviation of the noise that envelopes are multiplied with; a fifth of it is added.
+        Standard deviation of the logarithm of the multiplicative noise of the envelopes. The standard
+        deviation of their additive noise is a fifth of it.
     moment_noise
-        Standard deviation of the noise added to the moments, N m. Both kinds are as smooth as envelopes.
+        Standard deviation of the noise added to the moments, N m. All noise is as smooth
+        as EMG envelopes.
     series
         Speeds and numbers of cycles.
     wrap_spread
-        How far the person's wrapping cylinders may be from the written model's: in 5 mm, 10 degrees and
-        10 % of the radius, along every parameter.
+        Largest displacement of the true wrapping cylinders from those of the written model, as a multiple of
+        5 mm, 10 degrees and 10 % of the radius, for every parameter.
     hidden_effect
-        One of `HIDDEN_EFFECTS` that is at work beside muscles, and that no file tells of.
+        One of `HIDDEN_EFFECTS`, simulated in the recordings and not noted in the folder; None for none.
     force
-        Replace a folder that exists.
+        Replace an existing folder.
 
     Returns
     -------
     VirtualTruth
-        What was written to ``truth.json``.
+        True parameters, as written to ``truth.json``.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``force`` is not set.
+    ValueError
+        If ``wrap_spread`` is too large for usable muscle paths.
+    RuntimeError
+        If JAX is not in 64-bit mode.
     """
     require_float64()
     person, walking, noise, _, _, _, wraps = _generators(seed)
-    cycles = _walk(walking, series)
-    truth = draw_true_parameters(person)
+    cycles = _draw_cycles(walking, series)
+    true_parameters = draw_true_parameters(person)
     if wrap_spread:
-        truth = replace(truth, wraps=_hidden_wraps(wraps, cycles, wrap_spread))
-    leg = _record(truth, "r", cycles, noise, emg_noise, moment_noise, series, hidden_effect)
+        true_parameters = replace(true_parameters, wraps=_draw_wraps(wraps, cycles, wrap_spread))
+    leg = _simulate_recording(
+        true_parameters, "r", cycles, noise, emg_noise, moment_noise, series, hidden_effect
+    )
     with new_folder(Path(folder), force=force) as temporary:
         leg.write(temporary, Path(folder).name)
-    return leg.truth
+    return leg.true_parameters
 
 
 def write_virtual_legs(
@@ -115,61 +128,75 @@ def write_virtual_legs(
     series: Sequence[Series] = DEFAULT_SERIES,
     force: bool = False,
 ) -> dict[str, TrueParameters]:
-    """Make up a person, and write what was recorded of both legs as two subjects that name each other.
+    """Simulate recorded walking of both legs of a virtual person, and write two subject folders.
 
-    The right leg is that of `write_virtual_subject`. The left one is its mirror image with the same
-    activation constants, fiber and slack lengths; delays, EMG scales, cycles and noise are its own.
+    Each folder names the other as ``other_leg``. The right leg is that of `write_virtual_subject`. The left
+    one is its mirror image with the same activation constants, fiber and slack lengths; delays, EMG scales,
+    cycles and noise are independent.
 
     Parameters
     ----------
     folder
-        Gets ``right/`` and ``left/``, both complete.
+        Folder in which ``right/`` and ``left/`` are written; it appears when it is complete.
     seed, emg_noise, moment_noise, series, force
-        As of `write_virtual_subject`.
+        As in `write_virtual_subject`.
 
     Returns
     -------
     dict of VirtualTruth
-        By ``right`` and ``left``.
+        True parameters by leg, ``right`` and ``left``.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``force`` is not set.
+    RuntimeError
+        If JAX is not in 64-bit mode.
     """
     require_float64()
     person, walking, noise, other_person, other_walking, other_noise, _ = _generators(seed)
     right = draw_true_parameters(person)
     left = draw_other_leg(right, other_person)
     legs = {
-        "right": _record(right, "r", _walk(walking, series), noise, emg_noise, moment_noise, series),
-        "left": _record(
-            left, "l", _walk(other_walking, series), other_noise, emg_noise, moment_noise, series
+        "right": _simulate_recording(
+            right, "r", _draw_cycles(walking, series), noise, emg_noise, moment_noise, series
+        ),
+        "left": _simulate_recording(
+            left, "l", _draw_cycles(other_walking, series), other_noise, emg_noise, moment_noise, series
         ),
     }
     with new_folder(Path(folder), force=force) as temporary:
         for name, other in (("right", "left"), ("left", "right")):
             (temporary / name).mkdir()
             legs[name].write(temporary / name, f"{Path(folder).name}_{name}", other_leg=f"../{other}")
-    return {name: leg.truth for name, leg in legs.items()}
+    return {name: leg.true_parameters for name, leg in legs.items()}
 
 
 def _generators(seed: int) -> list[np.random.Generator]:
-    """Give those of the person, the walking and the noise; the left leg's own; that of the cylinders."""
+    """Make the random generators.
+
+    They are those of the person, the walking and the noise, the same of the left leg, and that of the
+    cylinders.
+    """
     return [np.random.default_rng(part) for part in np.random.SeedSequence(seed).spawn(7)]
 
 
 @dataclass(frozen=True)
-class _Leg:
-    """A leg and what was recorded of it."""
+class _SimulatedLeg:
+    """True parameters of a leg and its simulated recording."""
 
-    truth: TrueParameters
+    true_parameters: TrueParameters
     side: str
     series: Sequence[Series]
     cycles: list[WalkingCycle]
     emg_time: Float[np.ndarray, "trial padded_frame"]
     emg: Float[np.ndarray, "trial channel padded_frame"]
     moments: Float[np.ndarray, "trial coordinate frame"]
-    #: Channels without an electrode.
+    #: Channels that were not recorded.
     missing_channels: tuple[str, ...] = ()
 
     def write(self, folder: Path, name: str, *, other_leg: str | None = None) -> None:
-        """Write all files of a subject into a folder that exists."""
+        """Write all files of the subject into an existing folder."""
         build_leg_model(folder / MODEL_FILE, self.side)
         names = trial_names(self.series)
         rows = zip(self.cycles, self.emg_time, self.emg, self.moments, strict=True)
@@ -185,10 +212,10 @@ class _Leg:
             missing_channels=self.missing_channels,
         )
         write_text(folder / "subject.toml", settings)
-        self.truth.write(folder)
+        self.true_parameters.write(folder)
 
 
-def _walk(walking: np.random.Generator, series: Sequence[Series]) -> list[WalkingCycle]:
+def _draw_cycles(walking: np.random.Generator, series: Sequence[Series]) -> list[WalkingCycle]:
     return [
         draw_cycle(walking, entry.speed, start=1.0)
         for entry in series
@@ -196,19 +223,19 @@ def _walk(walking: np.random.Generator, series: Sequence[Series]) -> list[Walkin
     ]
 
 
-def _hidden_wraps(
+def _draw_wraps(
     generator: np.random.Generator, cycles: Sequence[WalkingCycle], spread: float
 ) -> dict[str, Float[np.ndarray, " wrap_parameter"]]:
-    """Draw the right leg's cylinders, with which it can walk these cycles."""
-    _, angles = _walked_angles(cycles)
+    """Draw random cylinders of the right leg with which the paths over these cycles are usable."""
+    _, angles = _cycle_angles(cycles)
     with TemporaryDirectory() as place:
         model_file = Path(place) / MODEL_FILE
         build_leg_model(model_file)
         return draw_wraps(generator, model_file, angles, spread)
 
 
-def _record(
-    truth: TrueParameters,
+def _simulate_recording(
+    true_parameters: TrueParameters,
     side: str,
     cycles: list[WalkingCycle],
     noise: np.random.Generator,
@@ -216,8 +243,8 @@ def _record(
     moment_noise: float,
     series: Sequence[Series],
     hidden_effect: str | None = None,
-) -> _Leg:
-    """Let a leg walk and record it."""
+) -> _SimulatedLeg:
+    """Simulate the recording of a leg: muscle paths, moments, a hidden effect and noise."""
     limits = [(cycle.start, cycle.end) for cycle in cycles]
     emg_time = cycle_times(limits, padding_frames(limits))
     emg = np.array([cycle.emg(time) for cycle, time in zip(cycles, emg_time, strict=True)])
@@ -225,11 +252,11 @@ def _record(
     with TemporaryDirectory() as place:
         model_file = Path(place) / MODEL_FILE
         build_leg_model(model_file, side)
-        if truth.wraps:
-            write_personalised_model(model_file, model_file, truth.wraps, {})
+        if true_parameters.wraps:
+            write_personalised_model(model_file, model_file, true_parameters.wraps, {})
         path = compute_muscle_paths(model_file, cycles, side)
-    moments = compute_moments(truth, emg_time, emg, path)
-    _, angles = _walked_angles(cycles)
+    moments = compute_true_moments(true_parameters, emg_time, emg, path)
+    _, angles = _cycle_angles(cycles)
     inside = np.swapaxes(angles, 1, 2)[..., MARGIN_FRAMES:-MARGIN_FRAMES]
     speeds = np.array([cycle.speed for cycle in cycles])
     recorded = NoiseFreeRecording(speeds, inside, emg_time, emg, moments)
@@ -238,31 +265,33 @@ def _record(
     moments, emg = recorded.moments, recorded.emg
     moments = moments + moment_noise * _smooth_noise(noise, moments.shape)
     factor = np.exp(emg_noise * _smooth_noise(noise, emg.shape))
-    emg = emg * factor + _ADDITIVE_PART * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
-    return _Leg(truth, side, series, cycles, emg_time, emg, moments, recorded.missing_channels)
+    emg = emg * factor + _ADDITIVE_SHARE * emg_noise * np.abs(_smooth_noise(noise, emg.shape))
+    return _SimulatedLeg(
+        true_parameters, side, series, cycles, emg_time, emg, moments, recorded.missing_channels
+    )
 
 
 def compute_muscle_paths(model_file: Path, cycles: Sequence[WalkingCycle], side: str = "r") -> PathState:
-    """Compute the muscles' paths over the cycles with OpenSim.
+    """Compute muscle paths over gait cycles by OpenSim.
 
     Parameters
     ----------
     model_file
-        The virtual leg.
+        Model of the virtual leg.
     cycles
-        How it walked.
+        Gait cycles.
     side
-        Which leg it is.
+        Side of the leg, ``l`` or ``r``.
 
     Returns
     -------
     PathState
-        Of the muscles as `TrueParameters` orders them; the rate is the derivative of the spline through the
-        lengths.
+        Paths of the muscles in the order of `TrueParameters`. Velocities are derivatives of splines through
+        the lengths.
     """
     muscles = tuple(on_side(name, side) for channel in CHANNELS.values() for name in channel.scales)
     coordinates = tuple(on_side(name, side) for name in COORDINATES)
-    time, angles = _walked_angles(cycles)
+    time, angles = _cycle_angles(cycles)
     poses = angles.reshape(-1, len(COORDINATES))
     geometry = analyse_muscles(model_file, muscles, coordinates, poses, quiet=True)
     length = np.moveaxis(geometry.length.reshape(*time.shape, len(muscles)), -1, 0)
@@ -279,24 +308,24 @@ def compute_muscle_paths(model_file: Path, cycles: Sequence[WalkingCycle], side:
     )
 
 
-def _walked_angles(
+def _cycle_angles(
     cycles: Sequence[WalkingCycle],
 ) -> tuple[Float[np.ndarray, "trial padded_frame"], Float[np.ndarray, "trial padded_frame coordinate"]]:
-    """Give times (s) and joint angles (rad) of the cycles, with frames before and after."""
+    """Compute times (s) and joint angles (rad) of cycles, with `MARGIN_FRAMES` before and after."""
     time = cycle_times([(cycle.start, cycle.end) for cycle in cycles], MARGIN_FRAMES)
     return time, np.array([cycle.angles(row).T for cycle, row in zip(cycles, time, strict=True)])
 
 
-def compute_moments(
-    truth: TrueParameters,
+def compute_true_moments(
+    true_parameters: TrueParameters,
     emg_time: Float[np.ndarray, "trial padded_frame"],
     emg: Float[np.ndarray, "trial channel padded_frame"],
     path: PathState,
 ) -> Float[np.ndarray, "trial coordinate frame"]:
-    """Compute the joint moments (N m) of a person from noise-free EMG and the muscles' paths."""
-    # The same figures on either side.
+    """Compute joint moments (N m) from true parameters, noise-free EMG and muscle paths."""
+    # Muscles of both sides have the same model parameters.
     by_name = {on_side(muscle.name, side): muscle for muscle in MUSCLES for side in ("l", "r")}
-    chosen = [by_name[name] for name in truth.muscles]
+    chosen = [by_name[name] for name in true_parameters.muscles]
     columns = np.array(
         [
             (m.max_isometric_force, m.optimal_fiber_length, m.tendon_slack_length, m.pennation_angle)
@@ -304,7 +333,7 @@ def compute_moments(
         ]
     )
     start = initial_parameters(*jnp.asarray(columns.T))
-    true_values = {name: jnp.asarray(getattr(truth, name)) for name in parameter_names()}
+    true_values = {name: jnp.asarray(getattr(true_parameters, name)) for name in parameter_names()}
     parameters = type(start)(**{**vars(start), **true_values})
     channel_of = np.repeat(np.arange(len(CHANNELS)), [len(channel.scales) for channel in CHANNELS.values()])
     spline = fit_emg_spline(emg_time, emg[:, channel_of])
@@ -315,7 +344,7 @@ def compute_moments(
 
 
 def _smooth_noise(generator: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Draw smooth noise along the last axis, of mean zero and standard deviation one."""
+    """Draw noise of zero mean and unit standard deviation that is smooth along the last axis."""
     white = generator.standard_normal(shape)
     # The smoothed variance of white noise is 1 / (2 sqrt(pi) width).
     return gaussian_filter1d(white, _NOISE_WIDTH, axis=-1, mode="wrap") * np.sqrt(
