@@ -17,9 +17,9 @@ from wrapjax.io.files import (
     code_hash,
     content_hash,
     new_folder,
+    write_atomically,
     write_json,
     write_text,
-    write_whole,
 )
 
 
@@ -40,14 +40,14 @@ def test_failing_writer_leaves_the_old_file(tmp_path):
     file = tmp_path / "result.json"
     write_text(file, "old")
     with pytest.raises(Failure):
-        write_whole(file, write_and_fail)
+        write_atomically(file, write_and_fail)
     assert file.read_text() == "old"
     assert names(tmp_path) == ["result.json"]
 
 
 def test_failing_writer_leaves_nothing_where_nothing_was(tmp_path):
     with pytest.raises(Failure):
-        write_whole(tmp_path / "result.json", write_and_fail)
+        write_atomically(tmp_path / "result.json", write_and_fail)
     assert names(tmp_path) == []
 
 
@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_the_old_file_and_no_part_of_the_new_one(tmp_path, fu
     with pytest.raises(OSError) as of_text:
         write_json(file, list(range(1000)))
     with pytest.raises(OSError) as of_arrays:
-        write_whole(tmp_path / "arrays.npz", lambda path: np.savez(path, a=np.zeros(1000)))
+        write_atomically(tmp_path / "arrays.npz", lambda path: np.savez(path, a=np.zeros(1000)))
     with pytest.raises(OSError) as of_folder, new_folder(tmp_path / "run") as folder:
         write_text(folder / "small", "small")
         write_json(folder / "large", list(range(1000)))
@@ -80,8 +80,8 @@ def test_a_full_disk_leaves_the_old_file_and_no_part_of_the_new_one(tmp_path, fu
 def test_writing_replaces_and_makes_parents(tmp_path):
     file = tmp_path / "deep" / "er" / "result.txt"
     write_text(file, "old")
-    write_text(file, "neu: µ")
-    assert file.read_bytes() == "neu: µ".encode()
+    write_text(file, "neu: ü")
+    assert file.read_bytes() == "neu: ü".encode()
     assert names(file.parent) == ["result.txt"]
 
 
@@ -95,7 +95,7 @@ def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
         assert temporary.suffix == ".txt"  # some writers choose the format, or append to the name, by it
         assert file.read_text() == "old"
 
-    write_whole(file, write)
+    write_atomically(file, write)
     assert file.read_text() == "new"
 
 

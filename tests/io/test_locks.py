@@ -12,7 +12,7 @@ import pytest
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
 from wrapjax.io.files import new_folder, write_text
-from wrapjax.io.locks import BusyError, working_alone
+from wrapjax.io.locks import BusyError, lock_folder
 
 #: Holds the lock of the folder that it is given until it is killed.
 HOLDER = """
@@ -100,10 +100,10 @@ def test_killed_while_replacing_the_old_folder_comes_back(tmp_path):
 
 def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
     place = tmp_path / "deep" / "er" / "run"
-    with working_alone(place), working_alone(place):
+    with lock_folder(place), lock_folder(place):
         assert (place.parent / ".run.lock").read_text().startswith(f"process {os.getpid()} on ")
     assert names(tmp_path) == []
-    with pytest.raises(KeyError), working_alone(place):
+    with pytest.raises(KeyError), lock_folder(place):
         raise KeyError
     assert names(tmp_path) == []
 
@@ -111,15 +111,15 @@ def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
 def test_the_same_folder_by_a_link_is_the_same_folder(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
-    with working_alone(tmp_path / "real" / "run"), working_alone(tmp_path / "link" / "run"):
+    with lock_folder(tmp_path / "real" / "run"), lock_folder(tmp_path / "link" / "run"):
         pass
-    with working_alone(Path("/")):
+    with lock_folder(Path("/")):
         pass
 
 
 def test_where_no_lock_can_be_made_the_work_says_why(tmp_path):
     (tmp_path / "file").write_text("")
-    with working_alone(tmp_path / "file" / "run"):
+    with lock_folder(tmp_path / "file" / "run"):
         pass
     assert names(tmp_path) == ["file"]
 

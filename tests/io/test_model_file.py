@@ -152,7 +152,7 @@ ENTITIES = """<?xml version="1.0"?>
         (MODEL.replace(">1500.0<", ">strong<"), ["recfem_l", "max_isometric_force", "'strong'"]),
         (MODEL.replace(">1500.0<", ">NaN<"), ["recfem_l", "max_isometric_force", "'NaN'"]),
         (MODEL.replace('"semiten_l"', '"recfem_l"'), ["recfem_l", "more than once"]),
-        (MODEL.replace('"knee_angle_l"', '"hip_flexion_l"'), ["hip_flexion_l", "name of its own"]),
+        (MODEL.replace('"knee_angle_l"', '"hip_flexion_l"'), ["hip_flexion_l", "unique name"]),
         (MODEL.replace("-2 2", "wide"), ["hip_flexion_l", "knee_angle_l", "range", "'wide'"]),
     ],
 )

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from wrapjax.errors import InputError
 from wrapjax.io.storage import (
     Storage,
-    find_column,
+    find_columns,
     read_storage,
     read_storage_header,
     write_storage,
@@ -181,13 +181,13 @@ DAMAGED = {
     "xml": ("<?xml version='1.0'?>\n<a/>\n", ["endheader", "XML"]),
     "csv": ("time,a\n0,1\n1,2\n", ["endheader", "comma-separated"]),
     "header only": (PLAIN.split("time")[0], ["endheader", "labels"]),
-    "no rows": (PLAIN.split("0.0\t")[0], ["promises 3 rows, found 0"]),
+    "no rows": (PLAIN.split("0.0\t")[0], ["states 3 rows, found 0"]),
     "one row": (PLAIN.split("0.1\t")[0].replace("nRows=3\n", ""), ["at least 2 rows", "found 1"]),
-    "rows missing": (PLAIN.split("0.25")[0], ["promises 3 rows, found 2", "cut off"]),
-    "rows too many": (PLAIN + "0.3\t1\t2\n", ["promises 3 rows, found 4"]),
+    "rows missing": (PLAIN.split("0.25")[0], ["states 3 rows, found 2", "truncated"]),
+    "rows too many": (PLAIN + "0.3\t1\t2\n", ["states 3 rows, found 4"]),
     "cut within a row": (
         PLAIN.replace("5\t+6\n", "5"),
-        ["line 10", "expected 3 numbers, found 2", "cut off"],
+        ["line 10", "expected 3 numbers, found 2", "truncated"],
     ),
     "row too long": (PLAIN.replace("3.5", "3.5\t9"), ["line 9", "expected 3 numbers, found 4"]),
     "cell missing": (PLAIN.replace("3.5", ""), ["line 9", "expected 3 numbers, found 2"]),
@@ -275,4 +275,4 @@ def test_any_damage_is_an_input_error_or_harmless(place, rubbish, tmp_path):
     ],
 )
 def test_columns_are_found_by_name_or_path(columns, name, suffixes, found):
-    assert find_column(columns, name, suffixes) == found
+    assert find_columns(columns, name, suffixes) == found

@@ -1,6 +1,6 @@
 import pytest
 
-from tests.preprocessing.made_up_project import write_project
+from tests.preprocessing.synthetic_project import write_project
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from tests.preprocessing import c3d_file
 from tests.preprocessing.c3d_file import FRAMES, PLACES, RATE, RATIO
 from wrapjax.errors import InputError
 from wrapjax.preprocessing.c3d import _wrench, read_c3d_analog, read_c3d_markers, read_plates
-from wrapjax.preprocessing.filters import laboratory_axes
 from wrapjax.preprocessing.force_plates import ForceColumns, centers_of_pressure
+from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
 
 
 @pytest.fixture(scope="module", params=["1", "-1"], ids=["pushes", "pulls"])
@@ -44,7 +44,7 @@ def test_analog_channels(file):
 
 def test_the_ground_pushes_up_where_the_foot_is(file):
     """The plate's axes are the corners': x along its 0.4 m here, so 80 mm along it are 80 mm along y."""
-    forces = read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_axes("x", "z"))
+    forces = read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_rotation("x", "z"))
     assert forces.wrench.shape == (1, 6, FRAMES * RATIO)
     np.testing.assert_allclose(forces.wrench[0, 3:, 5], [0.0, 700.0, 0.0], atol=1e-3)
     ahead, _, right = centers_of_pressure(forces.wrench)[0, :, 5]
@@ -61,7 +61,7 @@ def test_a_plate_that_is_not_there_is_told(file):
 def test_plates_without_a_known_unit_of_length_are_told(tmp_path, unit):
     file = _written(tmp_path / "walk.c3d", "1", unit)
     with pytest.raises(InputError, match=rf"expected m, .* as POINT:UNITS, found '{unit.strip()}'"):
-        read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_axes("x", "z"))
+        read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_rotation("x", "z"))
 
 
 def test_a_plate_in_no_known_unit_of_length_is_told(tmp_path):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.preprocessing.emg import NAMES, RATE, raw_emg
+from tests.preprocessing.synthetic_emg import NAMES, RATE, raw_emg
 from wrapjax.preprocessing.emg_quality import emg_faults
-from wrapjax.subject.emg import envelopes_of_raw
+from wrapjax.subject.emg import compute_envelopes
 
 
 def _zero(volts):
@@ -45,7 +45,7 @@ def _rectified(volts):
 
 
 def _envelope(volts):
-    volts[2] = envelopes_of_raw(volts, RATE, 1.0)[2] - 1e-6
+    volts[2] = compute_envelopes(volts, RATE, 1.0)[2] - 1e-6
 
 
 PLANTED = {
@@ -54,7 +54,7 @@ PLANTED = {
     "unplugged": (_quiet, "is dead", {"vastus"}),
     "clipped": (_clipped, "is clipped (saturated)", {"vastus"}),
     "copied": (_copied, "is a duplicate of", {"soleus", "vastus"}),
-    "reversed": (_reversed, "is the reverse of", {"soleus", "vastus"}),
+    "reversed": (_reversed, "is the inverse of", {"soleus", "vastus"}),
     "one in mV": (_millivolts, "is in another unit", {"vastus"}),
     "all in uV": (_microvolts, "is in another unit", set(NAMES)),
     "rectified": (_rectified, "is rectified", {"vastus"}),

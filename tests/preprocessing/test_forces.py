@@ -5,13 +5,14 @@ import pytest
 
 from wrapjax.errors import InputError
 from wrapjax.io.storage import Storage, write_storage
-from wrapjax.preprocessing.filters import laboratory_axes, low_pass
 from wrapjax.preprocessing.force_plates import (
     ForceColumns,
     centers_of_pressure,
     read_force_columns,
     write_forces,
 )
+from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
+from wrapjax.preprocessing.motion_filter import low_pass
 from wrapjax.subject.external_loads import read_external_loads
 
 TIME = np.arange(1000) / 1000.0
@@ -77,7 +78,7 @@ def test_the_filter_halves_power_at_its_cutoff_and_delays_nothing():
 
 
 def test_axes_of_laboratories_turn_into_opensims():
-    axes = laboratory_axes("-y", "z")
+    axes = laboratory_rotation("-y", "z")
     np.testing.assert_array_equal(axes @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0])  # forward
     np.testing.assert_array_equal(axes @ [0.0, 0.0, 1.0], [0.0, 1.0, 0.0])  # up
     assert np.linalg.det(axes) == 1.0

@@ -6,7 +6,7 @@ import pytest
 
 from tests.preprocessing.walker import write_trc as write_as_cameras_do
 from wrapjax.errors import InputError
-from wrapjax.preprocessing.markers import Markers, follow, read_trc, write_trc
+from wrapjax.preprocessing.markers import Markers, match_markers, read_trc, write_trc
 
 TIME = np.arange(120) / 100.0
 NAMES = ("HEEL", "TOE", "KNEE")
@@ -52,7 +52,7 @@ def test_short_gaps_are_bridged_and_long_ones_stay(places):
 
 
 BROKEN = {
-    "cut off": (lambda text: text[: len(text) // 2].rsplit("\n", 1)[0], "promises 120 frames"),
+    "cut off": (lambda text: text[: len(text) // 2].rsplit("\n", 1)[0], "states 120 frames"),
     "no trc": (lambda text: "time,x\n1,2\n", "PathFileType"),
     "another unit": (lambda text: text.replace("\tm\t", "\tfeet\t"), "found 'feet'"),
     "mm in a file that says m": (lambda text: text.replace("\tm\t", "\tmm\t"), "is the unit of length"),
@@ -80,4 +80,4 @@ def test_broken_files_are_refused(tmp_path, places, fault):
 
 def test_markers_of_another_set_are_told(tmp_path, places):
     with pytest.raises(InputError, match=r"found 1 of 4; did you mean 'toe_l'"):
-        follow(Markers(("TOE_L", "KNEE"), TIME, places[:2]), ("KNEE", "toe_l", "a", "b"), (), tmp_path)
+        match_markers(Markers(("TOE_L", "KNEE"), TIME, places[:2]), ("KNEE", "toe_l", "a", "b"), (), tmp_path)

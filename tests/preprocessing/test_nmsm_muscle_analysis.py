@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.preprocessing.made_up_project import BESIDE, STARTS, write_settings
+from tests.preprocessing.synthetic_project import BESIDE, STARTS, write_settings
 from tests.subject.synthetic import COORDINATES, MODEL, PERIOD, angles
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
@@ -22,13 +22,13 @@ def by_hand(time):
     """
     hip, knee = angles(time)
 
-    def turned(angle, x, y):
+    def rotated(angle, x, y):
         return np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y])
 
     length, arms = {}, {name: {} for name in COORDINATES}
-    axis = turned(hip, *KNEE)
+    axis = rotated(hip, *KNEE)
     for muscle, forward in MUSCLES.items():
-        point = axis + turned(hip + knee, forward, INSERTION)
+        point = axis + rotated(hip + knee, forward, INSERTION)
         along = point - np.array([[forward], [0.0]])
         length[muscle] = np.linalg.norm(along, axis=0)
         for name, center in zip(COORDINATES, (np.zeros((2, 1)), axis), strict=True):
@@ -59,7 +59,9 @@ def notes_of(folder, **changes):
 def test_what_agrees_is_told_in_figures(project):
     write_analysis(project)
     (note,) = notes_of(project)
-    assert note.startswith("MAData beside the model's own muscle paths: the largest difference of lengths")
+    assert note.startswith(
+        "MAData compared with the muscle paths of the model: the largest difference of lengths"
+    )
     assert note.count(" 0.00 mm (rms 0.00)") == 2 and "of moment arms" in note
 
 
@@ -75,10 +77,10 @@ def test_what_differs_is_named_with_muscle_coordinate_and_size(project, tmp_path
     write_analysis(project, spoiled)
     largest, warning = notes_of(project)
     arms = by_hand(STARTS["gait_2"] + PERIOD / 100 * np.arange(101))[1]
-    turned = 2e3 * arms["knee_angle_l"]["recfem_l"]
-    rms = np.sqrt(np.mean(turned**2))
+    rotated = 2e3 * arms["knee_angle_l"]["recfem_l"]
+    rms = np.sqrt(np.mean(rotated**2))
     length = "semiten_l 5.00 mm (rms 5.00) in gait_2"
-    arm = f"recfem_l about knee_angle_l {np.abs(turned).max():.2f} mm (rms {rms:.2f}) in gait_2"
+    arm = f"recfem_l about knee_angle_l {np.abs(rotated).max():.2f} mm (rms {rms:.2f}) in gait_2"
     assert largest.endswith(f"lengths {length}; of moment arms {arm}")
     assert warning.startswith("warning")
     assert f"lengths of {length}; moment arms of {arm}. It is not used" in warning
@@ -104,7 +106,7 @@ def test_frames_beside_the_cycle_do_not_count(project):
 def test_what_is_not_there_is_told_and_does_no_harm(project):
     assert notes_of(project) == ()
     write_analysis(project, trials=("gait_1",))
-    assert notes_of(project)[1:] == ("MAData has nothing of gait_2",)
+    assert notes_of(project)[1:] == ("MAData lacks the trials gait_2",)
     assert len(notes_of(project, prefixes="gait_1")) == 1
     for file in (project / "preprocessed" / "MAData" / "gait_1").glob("*_Length.sto"):
         file.unlink()

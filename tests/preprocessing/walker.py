@@ -9,7 +9,7 @@ import numpy as np
 import opensim
 from scipy.interpolate import CubicSpline
 
-from tests.preprocessing.emg import raw_emg
+from tests.preprocessing.synthetic_emg import raw_emg
 from wrapjax.io.storage import Storage, write_storage
 
 PERIOD, MASS, GRAVITY = 1.1, 70.0, 9.80665

@@ -132,7 +132,7 @@ BROKEN = {
     "unknown kind of EMG": (settings('"envelope"', '"enveloppe"'), ["kind", "did you mean 'envelope'"]),
     "unknown use": (settings('"calibration"', '"calibrate"'), ["use", "did you mean 'calibration'"]),
     "nothing to calibrate with": (settings('"calibration"', '"validation"'), ["use", "calibration", "none"]),
-    "trial name twice": (settings('"walk_b"', '"walk_a"'), ["walk_a", "name of its own"]),
+    "trial name twice": (settings('"walk_b"', '"walk_a"'), ["walk_a", "unique name"]),
     "trial name with a slash": (settings('"walk_b"', '"walk/b"'), ["name", "letters", "walk/b"]),
     "speed negative": (settings("speed_m_s = 1.1", "speed_m_s = -1.1"), ["speed_m_s", "-1.1"]),
     "trial not a table": (settings("[[trial]]", "[trial]"), ["not valid TOML"]),
@@ -191,7 +191,7 @@ BROKEN = {
     ),
     "muscle in two channels": (
         settings('["semiten_l"]', '["semiten_l", "recfem_l"]'),
-        ["[emg.channels] SemiTen", "one channel a muscle", "'recfem_l'", "'RecFem'"],
+        ["[emg.channels] SemiTen", "one channel for each muscle", "'recfem_l'", "'RecFem'"],
     ),
     "muscle of the other leg": (
         both(settings('["recfem_l"]', '["recfem_r"]'), swap("model.osim", "recfem_l", "recfem_r")),
@@ -252,7 +252,7 @@ BROKEN = {
     ),
     "angles empty": (write(f"{A}/angles.sto", ""), ["walk_a/angles.sto", "empty"]),
     "moments binary": (write(f"{A}/moments.sto", bytes(range(256))), ["walk_a/moments.sto", "binary"]),
-    "EMG cut off": (cut(f"{A}/emg.sto", 0.6), ["walk_a/emg.sto", "promises 401 rows", "cut off"]),
+    "EMG cut off": (cut(f"{A}/emg.sto", 0.6), ["walk_a/emg.sto", "states 401 rows", "truncated"]),
     "NaN in angles": (
         values(f"{A}/angles.sto", lambda v: np.where(np.arange(v.size) == 50, np.nan, v), 1),
         ["walk_a/angles.sto", "line 58", "column knee_angle_l", "finite", "nan"],

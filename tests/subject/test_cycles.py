@@ -13,8 +13,9 @@ from tests.subject.synthetic import (
     write_subject,
 )
 from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.subject.cycles import cycle_times, padding_frames, resample
 from wrapjax.subject.subject import load_subject
-from wrapjax.subject.trials import FRAMES, cycle_times, padding_frames, resample
+from wrapjax.subject.trials import FRAMES
 
 
 @pytest.fixture

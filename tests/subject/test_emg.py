@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.subject.emg import envelopes_of_raw, even_samples, normalise, sampling_rate
+from wrapjax.subject.emg import compute_envelopes, normalise, resample_evenly, sampling_rate
 
 RATE = 1000.0
 TIME = np.arange(8000) / RATE
@@ -18,7 +18,7 @@ def test_envelope_of_a_modulated_carrier():
     """A rectified sine has the mean 2 / pi, so that is the envelope of A(t) sin(wt), times A(t)."""
     carrier = np.sin(2.0 * np.pi * 150.3 * TIME)
     volts = np.array([MODULATION * carrier, 3e-3 * MODULATION * carrier])
-    envelope = envelopes_of_raw(volts, RATE, PERIOD)
+    envelope = compute_envelopes(volts, RATE, PERIOD)
     expected = 2.0 / np.pi * MODULATION * np.array([[1.0], [3e-3]])
     np.testing.assert_allclose(envelope[:, MIDDLE] / expected[:, MIDDLE], 1.0, atol=0.02)
 
@@ -27,14 +27,14 @@ def test_offset_and_movement_are_removed():
     """An offset, and movement at 2 Hz ten times the signal, change the envelope by little."""
     carrier = MODULATION * np.sin(2.0 * np.pi * 150.3 * TIME)
     disturbed = carrier + 5.0 + 10.0 * np.sin(2.0 * np.pi * 2.0 * TIME)
-    clean, dirty = envelopes_of_raw(np.array([carrier, disturbed]), RATE, PERIOD)
+    clean, dirty = compute_envelopes(np.array([carrier, disturbed]), RATE, PERIOD)
     np.testing.assert_allclose(dirty[MIDDLE], clean[MIDDLE], atol=0.01)
 
 
 def test_nothing_is_delayed():
     """The envelope of a burst that is symmetric in time is symmetric about the same instant."""
     burst = np.exp(-(((TIME - 4.0) / 0.5) ** 2)) * np.cos(2.0 * np.pi * 100.0 * (TIME - 4.0))
-    envelope = envelopes_of_raw(burst[None], RATE, PERIOD)[0]
+    envelope = compute_envelopes(burst[None], RATE, PERIOD)[0]
     assert abs(TIME[np.argmax(envelope)] - 4.0) < 2e-3
     np.testing.assert_allclose(envelope[3000:4000], envelope[5000:4000:-1], atol=1e-6)
 
@@ -44,13 +44,13 @@ def test_cutoff_follows_the_gait_period():
     for period in (1.0, 2.0):
         modulation = 1.0 + 0.5 * np.sin(2.0 * np.pi * 3.5 / period * TIME)
         volts = modulation * np.sin(2.0 * np.pi * 150.3 * TIME)
-        envelope = envelopes_of_raw(volts[None], RATE, period)[0, MIDDLE] * np.pi / 2.0
+        envelope = compute_envelopes(volts[None], RATE, period)[0, MIDDLE] * np.pi / 2.0
         assert np.ptp(envelope) / 2.0 == pytest.approx(0.25, rel=0.03)
 
 
 def test_never_negative():
     burst = np.where(TIME > 4.0, np.sin(2.0 * np.pi * 150.3 * TIME), 0.0)
-    assert envelopes_of_raw(burst[None], RATE, 0.3).min() >= 0.0
+    assert compute_envelopes(burst[None], RATE, 0.3).min() >= 0.0
 
 
 def test_normalising_takes_the_maximum_over_all_trials():
@@ -64,12 +64,12 @@ def test_normalising_takes_the_maximum_over_all_trials():
 
 def test_rounded_times_are_made_even_and_uneven_ones_interpolated():
     values = np.sin(2.0 * np.pi * TIME)[None]
-    even, same = even_samples(np.round(TIME, 3) + 1e-7, values)
+    even, same = resample_evenly(np.round(TIME, 3) + 1e-7, values)
     np.testing.assert_array_equal(same, values)
     np.testing.assert_allclose(np.diff(even), 1.0 / RATE, rtol=1e-9)
 
     uneven = TIME + 0.02 * np.sin(2.0 * np.pi * 0.3 * TIME)
-    grid, interpolated = even_samples(uneven, np.sin(2.0 * np.pi * uneven)[None])
+    grid, interpolated = resample_evenly(uneven, np.sin(2.0 * np.pi * uneven)[None])
     assert np.ptp(np.diff(grid)) < 1e-9
     np.testing.assert_allclose(interpolated[0], np.sin(2.0 * np.pi * grid), atol=1e-9)
 

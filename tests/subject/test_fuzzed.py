@@ -1,6 +1,6 @@
 """Whatever bytes a file holds, it is read or refused in sentences fit for a terminal.
 
-Files at which readers stumbled (``python -m validation.fuzz`` makes such), cut down to what mattered, and any
+Files at which readers stumbled (``python -m validation.file_fuzzing`` makes such), cut down to what mattered, and any
 bytes at all.
 """
 
@@ -66,16 +66,16 @@ def refusal(read, path) -> str:
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("sto", HEAD.format(rows="9" * 5000), "whole number"),
+        ("sto", HEAD.format(rows="9" * 5000), "an integer"),
         ("sto", HEAD.format(rows=2).replace("\tb\n", "\t\x1b[31mb\tc\n"), "binary"),
         ("sto", HEAD.format(rows=2).replace("\tb\n", "\t\u202eb\t\u202eb\n"), "\\u202e"),
         ("csv", "\ufeff", "column muscle"),
         ("trc", TRC.format(rows=0), "10 frames"),
-        ("trc", TRC.format(rows="9" * 5000) + FRAMES, "promises"),
+        ("trc", TRC.format(rows="9" * 5000) + FRAMES, "states"),
         ("trc", TRC.format(rows=11) + FRAMES.replace("\t5\t5\t", "\t1e999\t5\t"), "infinity"),
-        ("toml", "a = " + "[" * 3000, "without end"),
+        ("toml", "a = " + "[" * 3000, "too deeply nested"),
         ("toml", "a = " + "9" * 5000, "not valid TOML"),
-        ("toml", "[subject]\nmass_kg = 0x" + "f" * 5000, "a number without end"),
+        ("toml", "[subject]\nmass_kg = 0x" + "f" * 5000, "a number of too many digits"),
         ("toml", f'[model]\nfile = "{"x" * 3000}"', "expected a file"),
         ("toml", "[[trial]]\ncycle = [0, 1" + "0" * 400 + "]", "expected [t0, t1]"),
         ("osim", "<a>" * 100_000, "levels"),
@@ -92,9 +92,9 @@ def test_found_by_changing_files(tmp_path, name, content, words):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("name = ", "name = " + "[" * 3000, "without end"),
+        ("name = ", "name = " + "[" * 3000, "too deeply nested"),
         ("[0.6, 1.8]", f"[0, 1{'0' * 400}]", "expected [t0, t1]"),
-        ("mass_kg = 70.0", "mass_kg = 0x" + "f" * 5000, "a number without end"),
+        ("mass_kg = 70.0", "mass_kg = 0x" + "f" * 5000, "a number of too many digits"),
         ('side = "l"', f'side = "l"\nother_leg = "{"x" * 3000}"', "expected the folder"),
     ],
 )
@@ -121,10 +121,10 @@ def test_a_c3d_file_whose_parameters_lead_nowhere_is_not_followed(tmp_path):
     section = bytes([1, 80, 1, 84]) + group + wrong
     content = header.ljust(512, b"\0") + section.ljust(512, b"\0") + bytes(2048)
     (tmp_path / "a.c3d").write_bytes(content)
-    assert "UNIT is larger than its place" in refusal(read_c3d_markers, tmp_path / "a.c3d")
+    assert "UNIT is longer than its offset allows" in refusal(read_c3d_markers, tmp_path / "a.c3d")
     mended = content.replace(b"\xa5", b"\x00")
     (tmp_path / "a.c3d").write_bytes(mended[:1100])
-    assert "frames or more, found 76" in refusal(read_c3d_markers, tmp_path / "a.c3d")
+    assert "bytes of frames, found 76" in refusal(read_c3d_markers, tmp_path / "a.c3d")
 
 
 # ---- XML
@@ -153,7 +153,7 @@ def test_models_whose_parts_lie_in_other_files_are_refused(tmp_path):
     """OpenSim reads such a part from wherever it is: any file of this machine, for somebody else."""
     file = tmp_path / "a.osim"
     file.write_text(MODEL.replace("<Model ", '<Model file="/etc/outside.xml" ', 1))
-    assert "<Model> is to be read from another file, '/etc/outside.xml'" in refusal(read_model_file, file)
+    assert "<Model> refers to another file, '/etc/outside.xml'" in refusal(read_model_file, file)
 
 
 def test_files_without_end_are_refused(tmp_path):
@@ -264,7 +264,7 @@ def test_arrays_come_back(tmp_path):
 
 def test_json_without_end_is_an_error(tmp_path):
     (tmp_path / "a.json").write_text("[" * 100_000)
-    with pytest.raises(ValueError, match="without end"):
+    with pytest.raises(ValueError, match="too deeply nested"):
         load_json(tmp_path / "a.json")
     (tmp_path / "a.json").write_text('{"a": -1' + 308 * "0" + "}")
     with pytest.raises(ValueError, match="310 digits"):

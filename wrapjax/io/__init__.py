@@ -1,1 +1,1 @@
-"""Files, written whole or not at all: OpenSim tables and models, TOML, XML, JSON, arrays, locks."""
+"""Reading and writing files: OpenSim tables and models, TOML, XML, JSON, arrays; atomic writing, locks."""

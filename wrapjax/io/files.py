@@ -1,6 +1,8 @@
-"""Writing files whole or not at all, and naming cached results by their content.
+"""Atomic writing of files and folders, bounded reading of input files, content hashes and the cache folder.
 
-Opening an input file, so that every reader answers the same faults in the same words.
+A file or folder is written under a temporary name and moved into place when it is complete, so that a failed
+or killed process leaves no partial result. All readers of input files use `read_content`, so that a missing,
+empty or too large file gives the same error message everywhere.
 """
 
 from __future__ import annotations
@@ -23,32 +25,40 @@ from typing import Any
 import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.io.locks import working_alone
+from wrapjax.io.locks import lock_folder
 
-#: What the names of temporary files and folders end with (files: before the ending of their kind).
-UNFINISHED = ".part"
-_REPLACED = ".old"
-#: A temporary file as old as this, in s, is nobody's any more.
-_ABANDONED_S = 86_400.0
+#: Suffix of the names of temporary files and folders (of files: before the suffix of their format).
+PART_SUFFIX = ".part"
+#: Suffix of the temporary folder that holds a folder while it is replaced.
+_OLD_SUFFIX = ".old"
+#: Age in s from which a temporary file is taken to be left by a killed process.
+_ABANDONED_AGE_S = 86_400.0
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Let ``write`` fill a temporary file beside ``path``, then move it into place.
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file under a temporary name in the same folder, then move it into place.
 
-    A reader sees the old file or the new one, never a part of either. What processes left unfinished that
-    were killed goes a day later.
+    A reader sees the old file or the complete new file. Temporary files left by killed processes are deleted
+    after a day.
+
+    Parameters
+    ----------
+    path
+        File to write or replace; its folder is created if needed.
+    write
+        Function that writes the content to the temporary path that it receives.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    ending = f"{UNFINISHED}{path.suffix}"
-    for left in _temporaries(path.parent, path.stem, ending):
+    ending = f"{PART_SUFFIX}{path.suffix}"
+    for abandoned in _temporary_paths(path.parent, path.stem, ending):
         with suppress(OSError):
-            if time.time() - left.stat().st_mtime > _ABANDONED_S:
-                left.unlink()
+            if time.time() - abandoned.stat().st_mtime > _ABANDONED_AGE_S:
+                abandoned.unlink()
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=ending, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
-        with _named(path, temporary):
+        with _errors_naming(path, temporary):
             write(temporary)
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
@@ -57,41 +67,41 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
 
 
 @contextmanager
-def _named(path: Path, temporary: Path) -> Iterator[None]:
-    """Let an error name what was to be written: of a full disk it names nothing, else what goes again."""
+def _errors_naming(path: Path, temporary: Path) -> Iterator[None]:
+    """Replace the temporary path, or no path (full disk), in an `OSError` by the path of the final file."""
     try:
         yield
     except OSError as error:
-        ours = error.filename is None or str(error.filename).startswith(str(temporary))
-        if ours and error.errno is not None:
+        concerns_temporary = error.filename is None or str(error.filename).startswith(str(temporary))
+        if concerns_temporary and error.errno is not None:
             raise OSError(error.errno, error.strerror or "cannot be written", str(path)) from error
         raise
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) whole or not at all."""
+    """Write a text file (UTF-8) atomically."""
 
     def write(temporary: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
-    write_whole(path, write)
+    write_atomically(path, write)
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write strict JSON (NaN and infinity become null) whole or not at all."""
-    write_text(path, json.dumps(plain_values(content), indent=1, allow_nan=False) + "\n")
+    """Write strict JSON atomically; NaN and infinity become null."""
+    write_text(path, json.dumps(to_json_values(content), indent=1, allow_nan=False) + "\n")
 
 
-def plain_values(content: Any) -> Any:
-    """NumPy scalars, arrays and dataclass-free containers as plain JSON values."""
+def to_json_values(content: Any) -> Any:
+    """Convert NumPy scalars and arrays, paths and containers of them to plain JSON values."""
     if isinstance(content, dict):
-        return {str(key): plain_values(value) for key, value in content.items()}
+        return {str(key): to_json_values(value) for key, value in content.items()}
     if isinstance(content, (list, tuple)):
-        return [plain_values(value) for value in content]
+        return [to_json_values(value) for value in content]
     if isinstance(content, np.ndarray):
-        return plain_values(content.tolist())
+        return to_json_values(content.tolist())
     if isinstance(content, np.generic):
-        return plain_values(content.item())
+        return to_json_values(content.item())
     if isinstance(content, float) and not np.isfinite(content):
         return None
     if isinstance(content, Path):
@@ -101,37 +111,50 @@ def plain_values(content: Any) -> Any:
 
 @contextmanager
 def new_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
-    """Fill a folder under a temporary name; it appears at ``path`` only when complete.
+    """Create a folder atomically: yield a temporary folder and move it to ``path`` when the block ends.
 
-    A folder that exists is refused unless ``force``, and even then it is replaced only after the
-    new one has been written whole. What killed processes left of the same folder is cleared away.
+    Temporary folders that killed processes left for the same path are deleted.
+
+    Parameters
+    ----------
+    path
+        Folder to create.
+    force
+        Replace an existing folder, after the new one is complete.
+
+    Yields
+    ------
+    Path
+        Temporary folder to write into.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``force`` is false, ``path`` is a file, or the folder cannot be created.
+    BusyError
+        If another process writes the same folder.
     """
     path = Path(path)
-    with working_alone(path):
-        _clear_away(path)
+    with lock_folder(path):
+        _delete_abandoned(path)
         with _new_folder(path, force) as folder:
             yield folder
 
 
 @contextmanager
 def _new_folder(path: Path, force: bool) -> Iterator[Path]:
-    if path.exists() and not force:
-        raise InputError(
-            Problem(str(path), "exists already and is not overwritten", hint="use --force to replace it")
-        )
-    if path.exists() and not path.is_dir():
-        raise InputError(Problem(str(path), "is a file, where a folder was expected"))
+    _check_replaceable(path, force)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=UNFINISHED, dir=path.parent))
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=PART_SUFFIX, dir=path.parent))
     except OSError as error:
         raise InputError(Problem(str(path), f"cannot be created ({error.strerror})")) from error
     try:
-        with _named(path, temporary):
+        with _errors_naming(path, temporary):
             yield temporary
         os.chmod(temporary, 0o755)
         if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=_REPLACED, dir=path.parent))
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-", suffix=_OLD_SUFFIX, dir=path.parent))
             os.replace(path, old / path.name)
             os.replace(temporary, path)
             shutil.rmtree(old, ignore_errors=True)
@@ -141,39 +164,56 @@ def _new_folder(path: Path, force: bool) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _clear_away(path: Path) -> None:
-    """Remove what was left of a folder by processes that were killed; nobody else may be at work there."""
-    for old in _temporaries(path.parent, path.name, _REPLACED):
-        # Killed between the two steps of a replacement: there is no new one, so the old one stays.
+def _delete_abandoned(path: Path) -> None:
+    """Delete temporary folders that killed processes left; the caller must hold the folder's lock."""
+    for old in _temporary_paths(path.parent, path.name, _OLD_SUFFIX):
+        # The process was killed between the two steps of a replacement: the old folder is restored.
         if not path.exists() and (old / path.name).exists():
             os.replace(old / path.name, path)
         shutil.rmtree(old, ignore_errors=True)
-    for left in _temporaries(path.parent, path.name, UNFINISHED):
-        shutil.rmtree(left, ignore_errors=True)
+    for abandoned in _temporary_paths(path.parent, path.name, PART_SUFFIX):
+        shutil.rmtree(abandoned, ignore_errors=True)
 
 
-def _temporaries(folder: Path, name: str, ending: str) -> list[Path]:
-    """Find what `tempfile` named for a file or folder of this name."""
-    fits = re.compile(rf"\.{re.escape(name)}-[a-z0-9_]{{8}}{re.escape(ending)}")
+def _temporary_paths(folder: Path, name: str, ending: str) -> list[Path]:
+    """Find temporary files or folders that `tempfile` created for a file or folder of this name."""
+    pattern = re.compile(rf"\.{re.escape(name)}-[a-z0-9_]{{8}}{re.escape(ending)}")
     try:
-        return [Path(entry.path) for entry in os.scandir(folder) if fits.fullmatch(entry.name)]
+        return [Path(entry.path) for entry in os.scandir(folder) if pattern.fullmatch(entry.name)]
     except OSError:
         return []
 
 
-def refuse_existing(folder: Path, force: bool) -> None:
-    """Say at once, not after the work, that a folder would be overwritten or cannot be made."""
+def _check_replaceable(folder: Path, force: bool) -> None:
     if folder.exists() and not force:
         raise InputError(
             Problem(str(folder), "exists already and is not overwritten", hint="use --force to replace it")
         )
-    if folder.is_file():
+    if folder.exists() and not folder.is_dir():
         raise InputError(Problem(str(folder), "is a file, where a folder was expected"))
+
+
+def check_output_folder(folder: Path, force: bool) -> None:
+    """Check before a long computation that its output folder can be created.
+
+    Parameters
+    ----------
+    folder
+        Output folder.
+    force
+        Whether an existing folder may be replaced.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and must not be replaced, is a file, or cannot be created.
+    """
+    _check_replaceable(folder, force)
     parent = next(place for place in folder.absolute().parents if place.exists())
     if not parent.is_dir():
         raise InputError(Problem(str(folder), "cannot be created", hint=f"{parent} is a file"))
     try:
-        # What permissions say is not all: file servers and quotas refuse what they allow.
+        # File servers and quotas can refuse what the permissions allow, so that writing is tried.
         with tempfile.TemporaryFile(dir=parent):
             pass
     except OSError as error:
@@ -182,7 +222,7 @@ def refuse_existing(folder: Path, force: bool) -> None:
 
 
 def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
-    """Name content by its SHA-256 (hex, 32 digits). A `Path` stands for the bytes of its file."""
+    """Compute the SHA-256 of values (first 32 hex digits); a `Path` stands for the bytes of its file."""
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, Path):
@@ -207,9 +247,9 @@ def code_hash() -> str:
 
 
 def cache_folder(kind: str) -> Path:
-    """The user's cache folder for one kind of result, made if needed.
+    """Return the user's cache folder for one kind of result, created if needed.
 
-    ``WRAPJAX_CACHE`` overrides the place; the default follows the XDG convention.
+    The environment variable ``WRAPJAX_CACHE`` sets the parent folder; the default follows the XDG convention.
     """
     base = os.environ.get("WRAPJAX_CACHE")
     root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "wrapjax"
@@ -218,44 +258,44 @@ def cache_folder(kind: str) -> Path:
     return folder
 
 
-#: Larger files are refused unless a reader says otherwise. An hour of 20 channels at 1 kHz has 0.8 GB.
-MOST_BYTES = 2 << 30
+#: Default largest size of an input file, bytes. An hour of 20 channels at 1 kHz has 0.8 GB.
+MAX_BYTES = 2 << 30
 
 
 def read_content(
-    path: Path, expected: str, line_limit: int | None = None, most_bytes: int = MOST_BYTES
+    path: Path, expected: str, line_limit: int | None = None, max_bytes: int = MAX_BYTES
 ) -> bytes:
-    """Read a file, or its first lines.
+    """Read the bytes of a file, or of its first lines.
 
     Parameters
     ----------
     path
-        The file.
+        File to read.
     expected
-        What it should be, such as ``XML``, for the message.
+        Expected kind of file, such as ``XML``, for error messages.
     line_limit
-        Lines to read; all by default.
-    most_bytes
-        A larger file is refused.
+        Number of lines to read; all lines by default.
+    max_bytes
+        Largest accepted size of the file, bytes.
 
     Raises
     ------
     InputError
-        If there is no such file, it cannot be read, is empty or too large, or is a device or a pipe, which
-        might have no end.
+        If the file does not exist, cannot be read, is empty or too large, or is a device or a pipe (reading
+        these may never end).
     """
     try:
-        found = path.stat()
-        if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+        status = path.stat()
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise InputError(Problem(str(path), f"is a device or a pipe, where {expected} was expected"))
-        if line_limit is None and found.st_size > most_bytes:
-            message = f"has {found.st_size >> 20} MiB, where {expected} of at most {most_bytes >> 20} MiB"
+        if line_limit is None and status.st_size > max_bytes:
+            message = f"has {status.st_size >> 20} MiB, where {expected} of at most {max_bytes >> 20} MiB"
             raise InputError(Problem(str(path), f"{message} was expected"))
         if line_limit is None:
             content = path.read_bytes()
         else:
             with path.open("rb") as stream:
-                # A binary file may be a single line without end.
+                # A binary file may be a single very long line.
                 content = b"".join(stream.readline(1 << 20) for _ in range(line_limit))
     except FileNotFoundError:
         raise InputError(Problem(str(path), "does not exist", hint=_nearest_file(path))) from None

@@ -1,4 +1,7 @@
-"""Results read back from files, which may be cut off, changed or made up: a `ValueError` at worst."""
+"""Reading of JSON and ``.npz`` files of results, with checks against damaged or manipulated files.
+
+Every fault raises a `ValueError`. Writing is in `wrapjax.io.files` (`write_json`).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-#: Larger files are not read: nothing that is written here comes near.
-MOST_JSON_BYTES = 256 << 20
-MOST_ARRAY_BYTES = 4 << 30
-#: Longer whole numbers are no floating-point numbers, and calculating with them ends in errors.
-MOST_DIGITS = 300
+#: Largest sizes of files that are read, bytes; files that this package writes are far smaller.
+MAX_JSON_BYTES = 256 << 20
+MAX_ARRAY_BYTES = 4 << 30
+#: Longest integer in a JSON file, digits; longer ones exceed the range of floating-point numbers.
+MAX_DIGITS = 300
 
 
 def load_json(file: Path) -> Any:
@@ -23,43 +26,43 @@ def load_json(file: Path) -> Any:
     Raises
     ------
     ValueError
-        If it is damaged, not JSON, or larger or deeper than anything that is written here.
+        If the file is damaged, not JSON, too large, too deeply nested or holds an integer of too many digits.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
-    if file.stat().st_size > MOST_JSON_BYTES:
-        raise ValueError(f"more than {MOST_JSON_BYTES >> 20} MiB")
+    if file.stat().st_size > MAX_JSON_BYTES:
+        raise ValueError(f"more than {MAX_JSON_BYTES >> 20} MiB")
     try:
-        return json.loads(file.read_text(encoding="utf-8"), parse_int=_whole_number)
+        return json.loads(file.read_text(encoding="utf-8"), parse_int=_parse_integer)
     except RecursionError:
-        raise ValueError("lists within lists without end") from None
+        raise ValueError("too deeply nested lists") from None
 
 
-def _whole_number(text: str) -> int:
-    if len(text) > MOST_DIGITS:
-        raise ValueError(f"a whole number of {len(text)} digits")
+def _parse_integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"an integer of {len(text)} digits")
     return int(text)
 
 
 def load_arrays(file: Path) -> dict[str, np.ndarray]:
-    """Read all arrays of an ``.npz`` file: plain numbers and texts, never objects, which are code.
+    """Read all arrays of an ``.npz`` file; pickled objects are refused, as they can run code.
 
-    Sizes are looked at before anything is read: of a small file, an array as large as its header says, or
-    compressed zeros, could fill the memory.
+    Sizes are checked before anything is read: a small file may declare a huge array, or hold compressed
+    zeros, and so fill the memory.
 
     Raises
     ------
     ValueError
-        If it is damaged, cut off, no such file, or holds objects.
+        If the file is damaged, incomplete, not an ``.npz`` file, or holds objects.
     OSError
-        If it cannot be opened.
+        If the file cannot be opened.
     """
-    # Opened by hand: what is no whole archive is otherwise left open.
+    # `numpy.load` leaves the file open if it is not a complete archive, so that it is opened here.
     with file.open("rb") as stream:
         try:
             with zipfile.ZipFile(stream) as archive:
-                if sum(member.file_size for member in archive.infolist()) > MOST_ARRAY_BYTES:
-                    raise ValueError(f"more than {MOST_ARRAY_BYTES >> 30} GiB of arrays")
+                if sum(member.file_size for member in archive.infolist()) > MAX_ARRAY_BYTES:
+                    raise ValueError(f"more than {MAX_ARRAY_BYTES >> 30} GiB of arrays")
                 for member in archive.infolist():
                     _check_size(archive, member)
             stream.seek(0)
@@ -68,12 +71,12 @@ def load_arrays(file: Path) -> dict[str, np.ndarray]:
         except ValueError:
             raise
         except Exception as error:
-            # Headers of archives and of arrays can be wrong in ways that raise almost anything.
-            raise ValueError(f"no whole archive of arrays: {error or type(error).__name__}") from error
+            # Damaged headers of archives and arrays raise exceptions of many types.
+            raise ValueError(f"not a complete archive of arrays: {error or type(error).__name__}") from error
 
 
 def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
-    """Raise an error unless a member is as large as its header says."""
+    """Raise an error unless the size of an array agrees with its header."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = (
@@ -81,4 +84,4 @@ def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
         )
         shape, _, kind = read(stream)
         if math.prod(shape) * kind.itemsize != member.file_size - stream.tell():
-            raise ValueError(f"{member.filename} does not have the size that it says")
+            raise ValueError(f"the size of {member.filename} disagrees with its header")

@@ -1,4 +1,4 @@
-"""One run at a time for one folder of results."""
+"""Lock of an output folder, so that two runs do not write the same folder at the same time."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from wrapjax.errors import InputError, Problem
 
 try:
     import fcntl
-except ImportError:  # not on Windows, where nobody is kept out
+except ImportError:  # On Windows folders are not locked.
     fcntl = None  # type: ignore[assignment]
 
-#: Folders that this process works for, by how many of its functions do.
+#: Number of nested locks that this process holds, by folder.
 _held: dict[Path, int] = {}
 
 
 class BusyError(InputError):
-    """Another run is at work in the same folder."""
+    """Another run writes the same folder."""
 
 
 @contextlib.contextmanager
-def working_alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from writing the same folder meanwhile; within one process it may be asked twice.
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes for the duration of a block; locks of one process may be nested.
 
-    A file ``.NAME.lock`` beside the folder is locked, and says who did that. The system lets go of it when
-    the process ends, however it ends: what a killed run leaves bars nobody's way.
+    The file ``.NAME.lock`` beside the folder is locked and holds the process number and the computer's name.
+    The operating system releases the lock when the process ends, even if it is killed.
 
     Raises
     ------
     BusyError
-        If another run is at work.
+        If another run has locked the folder.
     """
     place = Path(os.path.realpath(folder.absolute().parent)) / folder.absolute().name
-    if not place.name:  # the whole file system, where nothing is ever written
+    if not place.name:  # The root of the file system is never an output folder.
         yield
         return
     if _held.get(place):
@@ -46,23 +46,23 @@ def working_alone(folder: Path) -> Iterator[None]:
         finally:
             _held[place] -= 1
         return
-    with _folders(place.parent):
+    with _temporary_parents(place.parent):
         lock = place.with_name(f".{place.name}.lock")
-        handle = _locked(lock, folder)
+        handle = _acquire(lock, folder)
         _held[place] = 1
         try:
             yield
         finally:
             del _held[place]
             if handle is not None:
-                # Before it is let go of: who finds none makes one, who has it open sees that it is gone.
+                # Deleted before it is released: a process that has the file open notices that it was deleted.
                 lock.unlink(missing_ok=True)
                 os.close(handle)
 
 
 @contextlib.contextmanager
-def _folders(parent: Path) -> Iterator[None]:
-    """Make a folder, and those above it; take away again what of them stays empty."""
+def _temporary_parents(parent: Path) -> Iterator[None]:
+    """Create a folder and its parents; delete those that are still empty when the block ends."""
     above = (parent, *parent.parents)
     missing = [place for place in above if not place.exists()]
     if os.access(above[len(missing)], os.W_OK):
@@ -76,8 +76,8 @@ def _folders(parent: Path) -> Iterator[None]:
                 place.rmdir()
 
 
-def _locked(lock: Path, folder: Path) -> int | None:
-    """Lock a file; None where that cannot be done: whoever then writes says why nothing can be written."""
+def _acquire(lock: Path, folder: Path) -> int | None:
+    """Lock a file and return its handle; None if it cannot be locked (writing then raises the error)."""
     while fcntl is not None:
         try:
             handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
@@ -85,15 +85,16 @@ def _locked(lock: Path, folder: Path) -> int | None:
             return None
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is(handle, lock):
+            if _is_current(handle, lock):
                 os.truncate(handle, 0)
                 os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return handle
         except BlockingIOError:
-            who = os.read(handle, 200).decode(errors="replace")
+            holder = os.read(handle, 200).decode(errors="replace")
             os.close(handle)
-            message = f"is being written by another run ({who or 'just begun'})"
-            raise BusyError(Problem(str(folder), message, hint="wait for it, or write elsewhere")) from None
+            message = f"is being written by another run ({holder or 'just started'})"
+            hint = "wait until it ends, or choose another folder"
+            raise BusyError(Problem(str(folder), message, hint=hint)) from None
         except OSError:  # a file system without locks, or a full one
             os.close(handle)
             return None
@@ -101,8 +102,8 @@ def _locked(lock: Path, folder: Path) -> int | None:
     return None
 
 
-def _is(handle: int, lock: Path) -> bool:
-    """Say whether a file that was opened is still the one of that name."""
+def _is_current(handle: int, lock: Path) -> bool:
+    """Return whether an open file is still the file of that name."""
     try:
         return os.path.samestat(os.fstat(handle), lock.stat())
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""What a subject's model says, read from its ``.osim`` file as XML, without OpenSim.
+"""Muscles, coordinates, force groups and mass of a model, read from its ``.osim`` file without OpenSim.
 
-Old (3.x) and new (4.x) documents are understood. A muscle is whatever has an ``optimal_fiber_length``, so
-that every muscle class counts.
+Documents of OpenSim 3 and 4 are read. Every element with an ``optimal_fiber_length`` is a muscle, of whatever
+class.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import read_content
-from wrapjax.io.xml import MOST_BYTES, parse_xml
+from wrapjax.io.xml import read_xml
 
-#: Motion types of the coordinates of joints that say nothing themselves (OpenSim 4), in order.
+#: Motion types of the coordinates of each joint class, in order (OpenSim 4 files do not state them).
 _JOINT_MOTIONS = {
     "PinJoint": ("rotational",),
     "SliderJoint": ("translational",),
@@ -30,26 +29,26 @@ _JOINT_MOTIONS = {
     "PlanarJoint": ("rotational", "translational", "translational"),
     "FreeJoint": ("rotational",) * 3 + ("translational",) * 3,
 }
-#: Names of one property in different muscle classes and versions.
+#: Tags of the pennation angle in different muscle classes and versions.
 _PENNATION = ("pennation_angle_at_optimal", "pennation_angle")
 
 
 @dataclass(frozen=True)
 class MuscleParameters:
-    """Force-producing parameters, one row a muscle.
+    """Force-producing parameters of muscles.
 
     Parameters
     ----------
     names
-        Muscles, in the order of all rows.
+        Names of the muscles, in the order of the arrays.
     max_isometric_force
-        N.
+        Maximum isometric force, N.
     optimal_fiber_length
-        m.
+        Optimal fiber length, m.
     tendon_slack_length
-        m.
+        Tendon slack length, m.
     pennation_angle
-        rad, at optimal fiber length.
+        Pennation angle at optimal fiber length, rad.
     """
 
     names: tuple[str, ...]
@@ -59,7 +58,7 @@ class MuscleParameters:
     pennation_angle: Float[np.ndarray, " muscle"]
 
     def select(self, names: tuple[str, ...]) -> MuscleParameters:
-        """Keep some muscles, in the order given."""
+        """Return the parameters of some muscles, in the order given."""
         rows = np.array([self.names.index(name) for name in names], dtype=int)
         return MuscleParameters(
             names=names,
@@ -69,8 +68,8 @@ class MuscleParameters:
             pennation_angle=self.pennation_angle[rows],
         )
 
-    def followed_by(self, others: MuscleParameters) -> MuscleParameters:
-        """Append other muscles; of one that is in both, `select` gives the first."""
+    def extended_by(self, others: MuscleParameters) -> MuscleParameters:
+        """Append other muscles; `select` returns the first entry of a muscle that occurs twice."""
         own, added = (list(vars(one).values())[1:] for one in (self, others))
         return MuscleParameters(self.names + others.names, *map(np.append, own, added))
 
@@ -82,15 +81,15 @@ class CoordinateInfo:
     Parameters
     ----------
     name
-        OpenSim's name.
+        Name in OpenSim.
     motion_type
-        ``rotational``, ``translational`` or ``coupled`` (moves several axes, none of them one to one).
+        ``rotational``, ``translational`` or ``coupled`` (along several axes, none of them one to one).
     default_value
-        rad or m.
+        Default value, rad or m.
     range
-        Lowest and highest value in rad or m.
+        Lowest and highest value, rad or m.
     locked
-        Whether the model holds it at its default value.
+        Whether the model locks the coordinate at its default value.
     """
 
     name: str
@@ -102,14 +101,18 @@ class CoordinateInfo:
 
 @dataclass(frozen=True)
 class ModelFile:
-    """What a model's file says.
+    """Content of an ``.osim`` file.
 
     Parameters
     ----------
-    muscles, coordinates, groups
-        Muscles, coordinates, and groups of forces by their names.
+    muscles
+        Parameters of all muscles.
+    coordinates
+        All coordinates.
+    groups
+        Names of the members of each group of forces, by the group's name.
     mass_kg
-        Sum over all bodies; NaN where the file does not say.
+        Mass of all bodies, kg; NaN where a mass is missing or not a number.
     """
 
     muscles: MuscleParameters
@@ -124,23 +127,27 @@ def read_model_file(path: str | Path) -> ModelFile:
     Returns
     -------
     ModelFile
-        In SI units and radians, in the file's order.
+        Content in SI units and radians, in the order of the file.
 
     Raises
     ------
     InputError
-        With everything wrong: missing, not XML, not an OpenSim model, no muscles, a number that is none.
+        With all faults of the file: missing, not XML, not an OpenSim model, no muscles, not a number.
     """
     path = Path(path)
     root = read_xml(path, "OpenSimDocument")
     model = root.find("Model")
     if model is None:
         raise InputError(Problem(str(path), "expected a <Model> in the OpenSim document, found none"))
-    # OpenSim would read it, wherever it is: a model's parts are to be in the model.
+    # OpenSim would read such a file from any place on this computer.
     problems = [
-        Problem(str(path), f"<{one.tag}> is to be read from another file, '{other}'", hint="put it in here")
-        for one in model.iter()
-        if (other := one.get("file")) is not None
+        Problem(
+            str(path),
+            f"<{element.tag}> refers to another file, '{other}'",
+            hint="include its content in the model file",
+        )
+        for element in model.iter()
+        if (other := element.get("file")) is not None
     ]
     defaults = _remove_defaults(model)
     muscles = _read_muscles(model, defaults, path, problems)
@@ -155,22 +162,8 @@ def read_model_file(path: str | Path) -> ModelFile:
     return ModelFile(muscles, coordinates, groups, _mass(model, defaults))
 
 
-def read_xml(path: Path, root_tag: str) -> Element:
-    """Parse an XML file and check its root.
-
-    Raises
-    ------
-    InputError
-        If it is missing, is nothing that `parse_xml` takes, or has another root.
-    """
-    root = parse_xml(read_content(path, "XML", most_bytes=MOST_BYTES), path)
-    if root.tag != root_tag:
-        raise InputError(Problem(str(path), f"expected the root element <{root_tag}>, found <{root.tag}>"))
-    return root
-
-
 def _remove_defaults(model: Element) -> dict[str, Element]:
-    """Take the ``<defaults>`` of old documents out of the model: one element a class, by its tag."""
+    """Remove the ``<defaults>`` of OpenSim 3 documents from the model and return them by class name."""
     found = {}
     for parent in list(model.iter()):
         for child in parent.findall("defaults"):
@@ -182,7 +175,7 @@ def _remove_defaults(model: Element) -> dict[str, Element]:
 
 
 def _text(element: Element, tag: str, default: Element | None = None) -> str:
-    """Text of a child element; of the class's default where the element lacks it; else empty."""
+    """Return the text of a child element, else that of the class's default, else an empty string."""
     for owner in (element, default):
         if owner is not None:
             text = owner.findtext(tag)
@@ -205,7 +198,7 @@ def _read_muscles(
         name = element.get("name", "")
         place = f"muscle {name}"
         if not name or name in names:
-            message = "is there more than once" if name else "has no name"
+            message = "occurs more than once" if name else "has no name"
             problems.append(Problem(str(path), f"a muscle (<{element.tag}>) {message}", place))
             continue
         row = []
@@ -224,7 +217,7 @@ def _read_muscles(
 
 
 def _mass(model: Element, defaults: dict[str, Element]) -> float:
-    """Sum the bodies' masses in kg; NaN where one is missing or no number."""
+    """Sum the masses of all bodies, kg; NaN where one is missing or not a number."""
     texts = [_text(body, "mass", defaults.get("Body")) for body in model.iter("Body")]
     try:
         return float(sum(map(float, texts))) if texts else float("nan")
@@ -254,7 +247,7 @@ def _read_coordinates(
             name = element.get("name", "")
             place = f"coordinate {name}"
             if not name or name in coordinates:
-                message = "expected every coordinate to have a name of its own"
+                message = "expected every coordinate to have a unique name"
                 problems.append(Problem(str(path), message, place))
                 continue
             limits = _text(element, "range", default).split() or ["-inf", "inf"]
@@ -277,10 +270,10 @@ def _read_coordinates(
 
 
 def _motion_type(joint: Element, coordinate: Element, order: int) -> str:
-    """Say what a coordinate moves, as OpenSim does.
+    """Determine the motion type of a coordinate by OpenSim's rule.
 
-    A coordinate of a custom joint is rotational (translational) where it is the angle (the distance) along
-    one of the joint's axes, one to one, whatever else it also moves; and coupled otherwise.
+    A coordinate of a custom joint is rotational (translational) if it equals, up to its sign, the angle (the
+    displacement) about one of the joint's axes, whatever else it also moves; otherwise it is coupled.
     """
     stated = _text(coordinate, "motion_type").lower()
     if stated in ("rotational", "translational", "coupled"):

@@ -1,11 +1,10 @@
-"""OpenSim's tables in text: ``.sto`` and ``.mot`` files, read strictly and written whole.
+"""OpenSim's ``.sto`` and ``.mot`` tables: reading with checks, writing, and finding columns by name.
 
-The format is ten years of habits: ``key=value`` lines or SIMM's ``key value`` lines, comments and blank
-lines up to a line ``endheader``, then the column labels and the numbers. The rows the header promises and
-the labels above the numbers are checked against the body, so that a truncated file is never used. OpenSim
-itself does not rely on ``nColumns``, and files from its own distribution have it wrong: that is a remark.
-
-Column labels: plain names, or full paths of components, as OpenSim writes them since version 4.
+The header has ``key=value`` lines or SIMM's ``key value`` lines, comments and blank lines up to a line
+``endheader``; column labels and numbers follow. The number of rows in the header and the number of labels are
+compared with the numbers, so that a truncated file is refused. A wrong ``nColumns`` is a remark only, since
+OpenSim ignores it and files of its own distribution have it wrong. Column labels are plain names, or the full
+paths of components that OpenSim writes since version 4.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import read_content, write_text
 
-#: A header longer than this is no header. Real ones have 5 to 20 lines.
+#: Largest number of header lines. Usual headers have 5 to 20 lines.
 MAX_HEADER_LINES = 200
 _CONTROL_CHARACTER = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")
 _KEY_VALUE = re.compile(r"\s*(\w+)\s*(?:=|\s)\s*(\S.*?)\s*$")
@@ -29,22 +28,23 @@ _KEY_VALUE = re.compile(r"\s*(\w+)\s*(?:=|\s)\s*(\S.*?)\s*$")
 
 @dataclass(frozen=True)
 class StorageHeader:
-    """What stands above the numbers.
+    """Header and column labels of a table.
 
     Parameters
     ----------
     name
-        The first line of the file.
+        First line of the file.
     columns
-        Labels of all columns but the first, which is time.
+        Labels of all columns except the first, which is time.
     in_degrees
-        Whether angles are in degrees. Where the file does not say, OpenSim's rule: ``.mot`` yes, ``.sto`` no.
+        Whether angles are in degrees. Where the file does not state it, OpenSim's rule: ``.mot`` yes,
+        ``.sto`` no.
     row_count
-        Rows promised, None where the file does not say.
+        Number of rows by the header; None where the header does not state it.
     body_line
-        Lines of the file above the first row of numbers.
+        Number of lines above the first row of numbers.
     remarks
-        What is odd about the file but does no harm.
+        Harmless irregularities of the file.
     """
 
     name: str
@@ -57,22 +57,22 @@ class StorageHeader:
 
 @dataclass(frozen=True)
 class Storage:
-    """A table over time, in the units of its file.
+    """Table over time, in the units of its file.
 
     Parameters
     ----------
     name
         Title of the table.
     columns
-        Labels of the columns, time not among them.
+        Labels of the columns without time.
     time
         Time in s, strictly increasing.
     values
-        The numbers, finite.
+        Values, finite, in the units of the file.
     in_degrees
         Whether angles are in degrees.
     remarks
-        What was odd about the file read but does no harm.
+        Harmless irregularities of the file.
     """
 
     name: str
@@ -89,30 +89,30 @@ def read_storage(path: str | Path, *, trust_row_count: bool = True) -> Storage:
     Parameters
     ----------
     path
-        The file.
+        File to read.
     trust_row_count
-        Refuse a file that has another number of rows than its header promises; else that is a remark.
+        Refuse a file whose number of rows differs from that in its header; otherwise this is a remark.
 
     Returns
     -------
     Storage
-        Time in s and the values in the file's own units (see `Storage.in_degrees`).
+        Time in s, values in the units of the file (see `Storage.in_degrees`).
 
     Raises
     ------
     InputError
-        With everything wrong in this file: missing, empty, binary, truncated, not numeric, not finite, time
-        not strictly increasing, a column twice.
+        With all faults of the file: missing, empty, binary, truncated, not numeric, not finite, time not
+        strictly increasing, duplicate columns.
     """
     path = Path(path)
     lines = _read_lines(path)
     header = _parse_header(lines, path)
-    promised = header.row_count
+    stated = header.row_count
     if not trust_row_count:
         header = replace(header, row_count=None)
     rows, line_numbers = _split_rows(lines[header.body_line :], header, path)
-    if promised not in (None, len(rows)):
-        remark = f"the header promises {promised} rows, found {len(rows)}"
+    if stated not in (None, len(rows)):
+        remark = f"the header states {stated} rows, found {len(rows)}"
         header = replace(header, remarks=(*header.remarks, remark))
     table = _numbers(rows, line_numbers, header, path)
     _check_table(table, line_numbers, header, path)
@@ -120,31 +120,33 @@ def read_storage(path: str | Path, *, trust_row_count: bool = True) -> Storage:
 
 
 def read_storage_header(path: str | Path) -> StorageHeader:
-    """Read only the header and the column labels, for files whose numbers are not needed.
+    """Read the header and the column labels only.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, binary, or has no proper header.
+        If the file is missing, empty, binary, or has no valid header.
     """
     path = Path(path)
     return _parse_header(_read_lines(path, limit=MAX_HEADER_LINES + 2), path)
 
 
 def write_storage(path: str | Path, storage: Storage) -> None:
-    """Write a ``.sto`` or ``.mot`` file that OpenSim opens, whole or not at all, without loss of digits.
+    """Write a ``.sto`` or ``.mot`` file for OpenSim atomically, with all digits.
 
     Raises
     ------
     ValueError
-        If a label cannot stand in a tab-separated line, or the shapes disagree.
+        If a label is empty or holds tabs or line breaks, or the shapes disagree.
     """
     labels = ("time", *storage.columns)
     if storage.values.shape != (storage.time.size, len(storage.columns)):
         raise ValueError(f"values are {storage.values.shape}, not (frames, columns) of time and labels")
-    unfit = [label for label in (storage.name, *labels) if re.search(r"[\t\r\n]", label) or not label.strip()]
-    if unfit:
-        raise ValueError(f"labels may be neither empty nor hold tabs or line breaks: {unfit!r}")
+    invalid = [
+        label for label in (storage.name, *labels) if re.search(r"[\t\r\n]", label) or not label.strip()
+    ]
+    if invalid:
+        raise ValueError(f"labels must not be empty or hold tabs or line breaks: {invalid!r}")
     head = [
         storage.name,
         "version=1",
@@ -160,12 +162,12 @@ def write_storage(path: str | Path, storage: Storage) -> None:
 
 
 def _read_lines(path: Path, limit: int | None = None) -> list[str]:
-    """Read the lines of a text file, line ends removed; all of them or the first few."""
+    """Read all lines of a text file, or the first ones, without line ends."""
     content = read_content(path, "a .sto or .mot table", limit)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Titles typed on old systems; every byte is a letter there, so binary content is caught below.
+        # Titles in an 8-bit encoding. Latin-1 decodes any byte, so that binary content is detected below.
         text = content.decode("latin-1")
     if _CONTROL_CHARACTER.search(text):
         raise InputError(
@@ -175,7 +177,7 @@ def _read_lines(path: Path, limit: int | None = None) -> list[str]:
 
 
 def _parse_header(lines: list[str], path: Path) -> StorageHeader:
-    """Read what stands above the numbers; raises with everything wrong there."""
+    """Parse the header and the column labels; raise an error with all faults."""
     problems: list[Problem] = []
     ends = [
         number for number, line in enumerate(lines[:MAX_HEADER_LINES]) if line.strip().lower() == "endheader"
@@ -185,7 +187,7 @@ def _parse_header(lines: list[str], path: Path) -> StorageHeader:
             Problem(
                 str(path),
                 "has no line 'endheader', where a .sto or .mot table was expected",
-                hint=_kind(lines),
+                hint=_guess_format(lines),
             )
         )
     keys: dict[str, str] = {}
@@ -219,20 +221,20 @@ def _parse_header(lines: list[str], path: Path) -> StorageHeader:
         )
     remarks: tuple[str, ...] = ()
     if column_count is not None and column_count != len(labels):
-        remarks = (f"the header promises {column_count} columns, the labels name {len(labels)}",)
+        remarks = (f"the header states {column_count} columns, found {len(labels)} labels",)
     if "" in labels:
         problems.append(Problem(str(path), f"column {labels.index('') + 1} has no label", place))
-    twice = [label for label, count in Counter(labels).items() if count > 1 and label]
+    duplicates = [label for label, count in Counter(labels).items() if count > 1 and label]
     problems += [
-        Problem(str(path), "the column stands there more than once", f"column {label}") for label in twice
+        Problem(str(path), "the column occurs more than once", f"column {label}") for label in duplicates
     ]
     if problems:
         raise InputError(problems)
     return StorageHeader(lines[0].strip(), tuple(labels[1:]), in_degrees, row_count, start + 1, remarks)
 
 
-def _kind(lines: list[str]) -> str:
-    """Guess what a file without a header is."""
+def _guess_format(lines: list[str]) -> str:
+    """Guess the format of a file without a header."""
     first = lines[0].lstrip()
     if first.startswith("<"):
         return "it looks like XML"
@@ -244,10 +246,10 @@ def _kind(lines: list[str]) -> str:
 def _count(keys: dict[str, str], names: tuple[str, ...], path: Path, problems: list[Problem]) -> int | None:
     for name in names:
         if name in keys:
-            # Longer than any number of rows, and at some length more than Python turns into a number.
+            # Longer ones exceed any number of rows, and Python refuses to convert very long ones.
             if keys[name].isdecimal() and len(keys[name]) < 20:
                 return int(keys[name])
-            message = f"expected a whole number for {name}, found '{keys[name]}'"
+            message = f"expected an integer for {name}, found '{keys[name]}'"
             problems.append(Problem(str(path), message, "header"))
     return None
 
@@ -266,7 +268,7 @@ def _in_degrees(keys: dict[str, str], comments: list[str], path: Path, problems:
 
 
 def _split_rows(body: list[str], header: StorageHeader, path: Path) -> tuple[list[list[str]], list[int]]:
-    """Split the body into cells and say on which line of the file each row stands."""
+    """Split the rows of numbers into cells; also return the line number of each row in the file."""
     rows = []
     line_numbers = []
     for number, line in enumerate(body, start=header.body_line + 1):
@@ -279,12 +281,16 @@ def _split_rows(body: list[str], header: StorageHeader, path: Path) -> tuple[lis
     for cells, number in zip(rows, line_numbers, strict=True):
         if len(cells) != expected:
             message = f"expected {expected} numbers, found {len(cells)}"
-            hint = "the file seems cut off there" if number == line_numbers[-1] else "; ".join(header.remarks)
+            hint = (
+                "the file seems to be truncated there"
+                if number == line_numbers[-1]
+                else "; ".join(header.remarks)
+            )
             problems.append(Problem(str(path), message, f"line {number}", hint))
             break
     if header.row_count is not None and header.row_count != len(rows):
-        message = f"the header promises {header.row_count} rows, found {len(rows)}"
-        hint = "the file seems cut off" if len(rows) < header.row_count else ""
+        message = f"the header states {header.row_count} rows, found {len(rows)}"
+        hint = "the file seems to be truncated" if len(rows) < header.row_count else ""
         problems.append(Problem(str(path), message, hint=hint))
     elif len(rows) < 2:
         problems.append(Problem(str(path), f"expected at least 2 rows of numbers, found {len(rows)}"))
@@ -297,7 +303,7 @@ def _numbers(
     rows: list[list[str]], line_numbers: list[int], header: StorageHeader, path: Path
 ) -> Float[np.ndarray, "frame all_columns"]:
     try:
-        # Not by NumPy: it gives every text the room of the longest.
+        # NumPy would allocate for every cell the length of the longest one.
         return np.array([list(map(float, cells)) for cells in rows])
     except ValueError:
         pass
@@ -329,9 +335,8 @@ def _check_table(
     for column in np.flatnonzero(bad.any(axis=0)):
         row = int(np.argmax(bad[:, column]))
         label = ("time", *header.columns)[column]
-        message = (
-            f"expected finite numbers, found {table[row, column]} ({bad[:, column].sum()} such in the column)"
-        )
+        message = f"expected finite numbers, found {table[row, column]}"
+        message = f"{message} ({bad[:, column].sum()} such values in the column)"
         problems.append(Problem(str(path), message, f"line {line_numbers[row]}, column {label}"))
     if not bad[:, 0].any():
         backwards = np.flatnonzero(np.diff(table[:, 0]) <= 0.0)
@@ -343,26 +348,26 @@ def _check_table(
         raise InputError(problems)
 
 
-#: The last segment of a full path that says which quantity of a component a column holds.
+#: Last segments of full paths that name a quantity of a component.
 _QUANTITIES = ("value", "activation", "excitation")
 
 
-def find_column(columns: tuple[str, ...], name: str, suffixes: tuple[str, ...] = ("",)) -> list[int]:
-    """Find the columns that hold a quantity of a component, by plain label or full path.
+def find_columns(columns: tuple[str, ...], name: str, suffixes: tuple[str, ...] = ("",)) -> list[int]:
+    """Find the columns of a component, by plain label or full path.
 
     Parameters
     ----------
     columns
-        Labels of a file.
+        Labels of the columns.
     name
-        A component, such as ``hip_flexion_r``.
+        Name of a component, such as ``hip_flexion_r``.
     suffixes
-        What may follow the name in the label, such as ``("_moment",)``; earlier ones win.
+        Allowed suffixes of the name, such as ``("_moment",)``; earlier ones take precedence.
 
     Returns
     -------
     list of int
-        Positions of the columns that match: none, one, or several where the file is ambiguous.
+        Positions of the matching columns: none, one, or several where the file is ambiguous.
         ``/jointset/hip_r/hip_flexion_r/value`` matches; ``.../speed`` does not.
     """
     for suffix in suffixes:
@@ -374,9 +379,9 @@ def find_column(columns: tuple[str, ...], name: str, suffixes: tuple[str, ...] =
 
 
 def component_name(label: str) -> str:
-    """Name the component that a column label is about: ``hip_flexion_r`` for its full path.
+    """Extract a component's name from a column label: ``hip_flexion_r`` from its full path.
 
-    Returns the label itself where it is a plain name or holds another quantity (``.../speed``).
+    A plain name, and the path of another quantity (``.../speed``), is returned unchanged.
     """
     if "/" not in label:
         return label

@@ -1,8 +1,7 @@
-"""Values as TOML writes them, for whatever writes a subject's settings.
+"""TOML files: writing of strings, reading, and checking of the keys and values of tables.
 
-Reading TOML, whoever wrote it.
-
-Reading a TOML table key by key, collecting everything wrong on the way.
+`TableReader` takes the known keys of a table one by one and collects all faults, so that the user sees them
+at once.
 """
 
 from __future__ import annotations
@@ -18,19 +17,19 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import read_content
 
 
-def quoted(text: str) -> str:
-    """Write a string."""
-    # TOML's basic strings are JSON's.
+def toml_string(text: str) -> str:
+    """Format a string as TOML."""
+    # TOML's basic strings have the syntax of JSON's.
     return json.dumps(text, ensure_ascii=False)
 
 
-def quoted_list(names: Sequence[str]) -> str:
-    """Write a list of strings."""
-    return f"[{', '.join(map(quoted, names))}]"
+def toml_list(names: Sequence[str]) -> str:
+    """Format a list of strings as TOML."""
+    return f"[{', '.join(map(toml_string, names))}]"
 
 
-#: Larger files are refused. Settings of a subject with a thousand cycles have about 100 kB.
-MOST_BYTES = 16 << 20
+#: Largest TOML file, bytes. Settings of a subject with a thousand cycles have about 100 kB.
+MAX_BYTES = 16 << 20
 
 
 def read_toml(file: Path) -> dict[str, Any]:
@@ -39,7 +38,7 @@ def read_toml(file: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If there is no such file, or it is not TOML.
+        If the file cannot be read or is not valid TOML.
     """
     return parse_toml(read_toml_text(file), file)
 
@@ -50,10 +49,10 @@ def read_toml_text(file: Path) -> str:
     Raises
     ------
     InputError
-        If there is no such file, or it is not text.
+        If the file cannot be read or is not text in UTF-8.
     """
     try:
-        return read_content(file, "a TOML file of settings", most_bytes=MOST_BYTES).decode("utf-8-sig")
+        return read_content(file, "a TOML file of settings", max_bytes=MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(Problem(str(file), "is not text in UTF-8, where TOML was expected")) from None
 
@@ -64,14 +63,14 @@ def parse_toml(text: str, file: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If it is not TOML.
+        If the text is not valid TOML.
     """
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise InputError(Problem(str(file), "is not valid TOML (lists within lists without end)")) from None
+        raise InputError(Problem(str(file), "is not valid TOML (too deeply nested lists)")) from None
     except ValueError as error:
-        # Beside errors of syntax: whole numbers of thousands of digits.
+        # Errors of syntax, and integers of thousands of digits.
         raise InputError(Problem(str(file), f"is not valid TOML ({error})")) from None
 
 
@@ -86,8 +85,8 @@ _TYPE_NAMES = {
 
 
 @contextmanager
-def collecting(problems: list[Problem]) -> Iterator[None]:
-    """Add the problems of an `InputError` to the list and go on after the block."""
+def collect_problems(problems: list[Problem]) -> Iterator[None]:
+    """Catch an `InputError` raised in the block and add its problems to the list."""
     try:
         yield
     except InputError as error:
@@ -95,31 +94,31 @@ def collecting(problems: list[Problem]) -> Iterator[None]:
 
 
 def describe_value(value: Any) -> str:
-    """Say what was found: the value if it is short, else its kind."""
+    """Describe a value for an error message: the value itself if it is short, else its type."""
     try:
         shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
-    except ValueError:  # a whole number of thousands of digits, which Python does not write out
-        return "a number without end"
+    except ValueError:  # an integer of thousands of digits, which Python does not convert to text
+        return "a number of too many digits"
     return shown if len(shown) <= 40 else _TYPE_NAMES.get(type(value), type(value).__name__)
 
 
 class TableReader:
-    """Takes the known keys out of a TOML table; whatever is wrong or left over becomes a problem.
+    """Reader of the known keys of a TOML table; faults and unknown keys are added to a list of problems.
 
-    Every method returns None where the key is absent or unfit, so that reading goes on and the next
-    fault is found as well.
+    Every method that reads a key returns None where the key is missing or its value is invalid, so that
+    reading continues and later faults are found as well.
 
     Parameters
     ----------
     table
-        The table, as `tomllib` gives it; None where it is missing, which has been reported and makes all
-        its keys missing without another word.
+        Table, as returned by `tomllib`; None where it is missing, which has been reported already, so that
+        its missing keys are not reported again.
     file
-        The file, as the user knows it.
+        File, for error messages.
     place
-        Name of the table, such as ``[subject]``.
+        Name of the table for error messages, such as ``[subject]``.
     problems
-        The list to add to.
+        List to which problems are added.
     """
 
     def __init__(self, table: Any, file: Path, place: str, problems: list[Problem]):
@@ -127,31 +126,31 @@ class TableReader:
         self.place = place
         self.problems = problems
         if table is not None and not isinstance(table, dict):
-            self.problem("", f"expected a table, found {describe_value(table)}")
+            self.add_problem("", f"expected a table, found {describe_value(table)}")
             table = None
         self.silent = table is None
         self._table: dict[str, Any] = table or {}
         self._known: list[str] = []
 
-    def problem(self, key: str, message: str, hint: str = "") -> None:
-        """Report something wrong at a key of this table."""
+    def add_problem(self, key: str, message: str, hint: str = "") -> None:
+        """Add a problem with a key of this table to the list."""
         place = f"{self.place} {key}".strip()
         self.problems.append(Problem(str(self.file), message, place, hint))
 
     def has(self, key: str) -> bool:
-        """Say whether the table holds the key."""
+        """Return whether the table has the key."""
         return key in self._table
 
     def _take(self, key: str, required: bool, expected: str) -> Any:
         self._known.append(key)
         if key not in self._table:
             if required and not self.silent:
-                self.problem(key, f"expected {expected}, found nothing")
+                self.add_problem(key, f"expected {expected}, found nothing")
             return None
         return self._table[key]
 
     def text(self, key: str, *, required: bool = True, choices: tuple[str, ...] = ()) -> str | None:
-        """Take a text that is not empty, one of the choices where there are any."""
+        """Read a text that is not empty; if there are choices, one of them."""
         expected = " or ".join(f"'{choice}'" for choice in choices) or "text"
         value = self._take(key, required, expected)
         if value is None:
@@ -159,33 +158,33 @@ class TableReader:
         if not isinstance(value, str) or not value.strip() or (choices and value not in choices):
             hint = nearest_name(value, choices) if choices and isinstance(value, str) else ""
             hint = hint if hint.startswith("did") else ""
-            self.problem(key, f"expected {expected}, found {describe_value(value)}", hint)
+            self.add_problem(key, f"expected {expected}, found {describe_value(value)}", hint)
             return None
         return value
 
     def number(
         self, key: str, *, lowest: float, highest: float, unit: str, required: bool = True
     ) -> float | None:
-        """Take a number within limits."""
+        """Read a number from ``lowest`` to ``highest`` (both included)."""
         expected = f"a number from {lowest:g} to {highest:g} {unit}"
         value = self._take(key, required, expected)
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not lowest <= value <= highest:
-            self.problem(key, f"expected {expected}, found {describe_value(value)}")
+            self.add_problem(key, f"expected {expected}, found {describe_value(value)}")
             return None
         return float(value)
 
     def boolean(self, key: str) -> bool | None:
-        """Take true or false; absent means unknown."""
+        """Read true or false; None if the key is missing."""
         value = self._take(key, False, "true or false")
         if value is not None and not isinstance(value, bool):
-            self.problem(key, f"expected true or false, found {describe_value(value)}")
+            self.add_problem(key, f"expected true or false, found {describe_value(value)}")
             return None
         return value
 
     def names(self, key: str, *, required: bool = True) -> tuple[str, ...] | None:
-        """Take a list of different names, at least one."""
+        """Read a list of at least one name, without duplicates."""
         expected = "a list of names"
         value = self._take(key, required, expected)
         if value is None:
@@ -195,17 +194,18 @@ class TableReader:
             or not value
             or not all(isinstance(name, str) and name for name in value)
         ):
-            self.problem(key, f"expected {expected}, found {describe_value(value)}")
+            self.add_problem(key, f"expected {expected}, found {describe_value(value)}")
             return None
-        twice = sorted({name for name in value if value.count(name) > 1})
-        for name in twice:
-            self.problem(key, f"'{name}' stands there more than once")
-        return None if twice else tuple(value)
+        duplicates = sorted({name for name in value if value.count(name) > 1})
+        for name in duplicates:
+            self.add_problem(key, f"'{name}' is listed more than once")
+        return None if duplicates else tuple(value)
 
     def path(self, key: str, folder: Path, *, required: bool = True) -> Path | None:
-        """Take a path inside the folder; absolute ones, and those that lead out, by links too, are refused.
+        """Read a path inside a folder; absolute paths, and paths or links that lead out of it, are refused.
 
-        A folder from somebody else could otherwise have any file of this machine read, and parts of it told.
+        Otherwise a folder received from others could cause any file of this computer to be read and quoted in
+        error messages.
         """
         value = self.text(key, required=required)
         if value is None:
@@ -213,42 +213,42 @@ class TableReader:
         windows = PureWindowsPath(value)
         parts = {*PurePosixPath(value).parts, *windows.parts}
         if PurePosixPath(value).is_absolute() or windows.drive or windows.root or ".." in parts:
-            self.problem(key, f"expected a path inside the subject's folder, found '{value}'")
+            self.add_problem(key, f"expected a path inside the subject's folder, found '{value}'")
             return None
         path = folder / value
         try:
             outside = not path.resolve().is_relative_to(folder.resolve())
         except (OSError, RuntimeError, ValueError):  # a loop of links, a zero byte
-            self.problem(key, f"expected a path inside the subject's folder, found '{value}'")
+            self.add_problem(key, f"expected a path inside the subject's folder, found '{value}'")
             return None
         if outside:
             message = (
                 f"expected a path inside the subject's folder, found the link '{value}' to {path.resolve()}"
             )
-            self.problem(key, message, "copy the file into the folder")
+            self.add_problem(key, message, "copy the file into the folder")
             return None
         return path
 
     def table(self, key: str) -> Any:
-        """Take what should be a table, for a reader of its own; None where it is absent."""
+        """Read a value that should be a table, for a `TableReader` of its own; None if the key is missing."""
         return self._take(key, True, "a table")
 
     def tables(self, key: str) -> list[Any]:
-        """Take a list of tables (``[[key]]``), empty where it is absent."""
+        """Read a list of tables (``[[key]]``); empty if the key is missing."""
         value = self._take(key, True, f"at least one table [[{key}]]")
         if value is None:
             return []
         if not isinstance(value, list):
-            self.problem(key, f"expected tables [[{key}]], found {describe_value(value)}")
+            self.add_problem(key, f"expected tables [[{key}]], found {describe_value(value)}")
             return []
         return value
 
     def raw(self, key: str) -> Any:
-        """Take a value of any kind, None where it is absent."""
+        """Read a value of any type; None if the key is missing."""
         return self._take(key, False, "")
 
-    def finish(self) -> None:
-        """Report the keys that nobody took."""
+    def report_unknown_keys(self) -> None:
+        """Add a problem for every key of the table that was not read."""
         for key in self._table:
             if key not in self._known:
-                self.problem(key, "is not a known key", nearest_name(key, self._known))
+                self.add_problem(key, "is not a known key", nearest_name(key, self._known))

@@ -1,4 +1,4 @@
-"""XML from anywhere, parsed without what makes XML dangerous."""
+"""Parsing of XML files from untrusted sources: size and depth are limited, entities are refused."""
 
 from __future__ import annotations
 
@@ -9,48 +9,64 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from wrapjax.errors import InputError, Problem
+from wrapjax.io.files import read_content
 
-#: Larger files are refused. A whole-body model has about 2 MB, with 10,000 path points 10 MB.
-MOST_BYTES = 256 << 20
-#: Elements within elements. OpenSim's files have about 15; code that calls itself has its limit.
-MOST_LEVELS = 200
+#: Largest XML file, bytes. A whole-body model has about 2 MB, with 10,000 path points 10 MB.
+MAX_BYTES = 256 << 20
+#: Largest depth of nested elements. OpenSim's files have about 15; recursive functions have a limit.
+MAX_NESTING = 200
 _DECLARATION = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
-def read_xml_file(path: Path) -> Element:
-    """Read and parse a file; see `parse_xml`.
+def read_xml(path: Path, root_tag: str) -> Element:
+    """Read and parse an XML file and check its root element.
 
     Raises
     ------
     InputError
-        If it is too large or nothing that `parse_xml` takes.
+        If the file cannot be read, is refused by `parse_xml`, or has another root element.
+    """
+    root = parse_xml(read_content(path, "XML", max_bytes=MAX_BYTES), path)
+    if root.tag != root_tag:
+        raise InputError(Problem(str(path), f"expected the root element <{root_tag}>, found <{root.tag}>"))
+    return root
+
+
+def read_xml_file(path: Path) -> Element:
+    """Read and parse an XML file with any root element; see `parse_xml`.
+
+    Raises
+    ------
+    InputError
+        If the file is too large or refused by `parse_xml`.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     _check_size(path.stat().st_size, path)
     return parse_xml(path.read_bytes(), path)
 
 
 def parse_xml(content: bytes, path: Path) -> Element:
-    """Parse a document that declares nothing.
+    """Parse an XML document without document type or entities.
 
-    Entities can make a small file expand without bound, or name files elsewhere, and no OpenSim file needs
-    them. What declares any is refused before it is parsed.
+    Entities can make a small file expand without limit, or include other files, and no OpenSim file needs
+    them. A document that declares any is refused before it is parsed.
 
     Parameters
     ----------
     content
-        Of the file.
+        Bytes of the file.
     path
-        The file, for the message.
+        File, for error messages.
 
     Raises
     ------
     InputError
-        If it is too large, no UTF-8, not well formed, too deep, or declares a document type or entities.
+        If the document is too large, not UTF-8, not well formed, too deeply nested, or declares a document
+        type or entities.
     """
     _check_size(len(content), path)
-    # A zero byte means binary content, or an encoding in which the next check would not see the declaration.
+    # A zero byte means binary content, or an encoding in which the next check would miss the declaration.
     if b"\0" in content:
         raise InputError(Problem(str(path), "is binary, where XML in UTF-8 was expected"))
     if _DECLARATION.search(content):
@@ -61,18 +77,18 @@ def parse_xml(content: bytes, path: Path) -> Element:
         for event, element in ElementTree.iterparse(io.BytesIO(content), ("start", "end")):
             root = element if root is None else root
             level += 1 if event == "start" else -1
-            if level > MOST_LEVELS:
-                message = f"has elements in more than {MOST_LEVELS} levels, which is no OpenSim file"
+            if level > MAX_NESTING:
+                message = f"has elements nested in more than {MAX_NESTING} levels, unlike any OpenSim file"
                 raise InputError(Problem(str(path), message))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(Problem(str(path), f"is not well-formed XML ({error})")) from None
-    assert root is not None  # else it would not have been well formed
+    assert root is not None  # a well-formed document has a root element
     return root
 
 
 def _check_size(size: int, path: Path) -> None:
-    if size > MOST_BYTES:
-        message = f"has {size >> 20} MiB, where XML of at most {MOST_BYTES >> 20} MiB was expected"
+    if size > MAX_BYTES:
+        message = f"has {size >> 20} MiB, where XML of at most {MAX_BYTES >> 20} MiB was expected"
         raise InputError(Problem(str(path), message))

@@ -1,1 +1,1 @@
-"""A laboratory's raw files, or a project of the NMSM Pipeline, made into a subject folder."""
+"""Preparation of a subject folder from a laboratory's raw files or from a project of the NMSM Pipeline."""

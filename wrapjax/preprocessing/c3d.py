@@ -1,10 +1,9 @@
-"""What a ``.c3d`` file holds: markers, analog channels, force plates. Its first frame is at time zero.
+"""Markers, analog channels and force plates of ``.c3d`` files, read by ezc3d. The first frame has time zero.
 
-Whether a ``.c3d`` file is laid out as one, looked at before ezc3d reads it, which trusts what it finds.
-
-A single wrong byte can send it through counts and sizes that no file has, for minutes and gigabytes. The
-layout is that of the C3D User Guide (https://www.c3d.org/docs/C3D_User_Guide.pdf): blocks of 512 bytes; a
-header; parameters, each with the way to the next; frames.
+The layout of a file is checked before ezc3d reads it: ezc3d trusts counts and sizes in the file, and a single
+wrong byte can make it run for minutes and allocate gigabytes. The layout is that of the C3D User Guide
+(https://www.c3d.org/docs/C3D_User_Guide.pdf): blocks of 512 bytes; a header; parameters, each with the offset
+of the next; frames.
 """
 
 from __future__ import annotations
@@ -21,49 +20,53 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import read_content
 from wrapjax.io.storage import Storage
 from wrapjax.preprocessing.force_plates import FootForces, ForceColumns
-from wrapjax.preprocessing.markers import METERS, Markers, checked
+from wrapjax.preprocessing.markers import METERS_PER_UNIT, Markers, check_markers
 
+#: Bytes of a block.
 _BLOCK = 512
+#: Second byte of every C3D file.
 _KEY = 0x50
-_MOST_DIMENSIONS = 7
-#: What the fourth byte of the parameters says of the order of bytes: Intel, DEC and MIPS.
-_ORDERS = {84: "<", 85: "<", 86: ">"}
+#: Largest number of dimensions of a parameter.
+_MAX_DIMENSIONS = 7
+#: Byte order by the fourth byte of the parameter section: Intel, DEC and MIPS processors.
+_BYTE_ORDERS = {84: "<", 85: "<", 86: ">"}
 
 
 def check_layout(content: bytes, path: Path) -> None:
-    """Raise an error unless header and parameters hold together and the frames are there.
+    """Check that the header, the parameters and the number of frames of a C3D file are consistent.
 
     Raises
     ------
     InputError
-        If the file is no C3D file, is cut off, or a parameter leads nowhere.
+        If the file is not a C3D file, is truncated, or an offset of a parameter is invalid.
     """
     try:
-        _check(content)
+        _check_content(content)
     except (ValueError, struct.error, IndexError) as error:
         raise InputError(Problem(str(path), f"cannot be read as a C3D file ({error})")) from None
 
 
-def _check(content: bytes) -> None:
+def _check_content(content: bytes) -> None:
     if len(content) < 2 * _BLOCK or content[1] != _KEY or content[0] < 2:
-        raise ValueError("its first bytes are not those of one")
+        raise ValueError("its first bytes are not those of a C3D file")
     start = (content[0] - 1) * _BLOCK
     blocks, kind = content[start + 2], content[start + 3]
-    if kind not in _ORDERS:
-        raise ValueError(f"expected 84, 85 or 86 as the kind of processor, found {kind}")
-    order = _ORDERS[kind]
+    if kind not in _BYTE_ORDERS:
+        raise ValueError(f"expected 84, 85 or 86 as the processor type, found {kind}")
+    order = _BYTE_ORDERS[kind]
     points, analog, first, last = struct.unpack_from(f"{order}4H", content, 2)
     data_block, samples = struct.unpack_from(f"{order}2H", content, 16)
     _check_parameters(content[start : start + max(blocks, 1) * _BLOCK], order)
-    # Integers of 2 bytes at least. Recordings beyond 65,535 frames say their length elsewhere, and have more.
-    least = 2 * (4 * points + analog) * max(last - first + 1, 0)
-    found = len(content) - (data_block - 1) * _BLOCK
-    if data_block < 2 or least > found or (analog and analog % max(samples, 1)):
-        raise ValueError(f"its header promises {least} bytes of frames or more, found {max(found, 0)}")
+    # Numbers have at least 2 bytes. Recordings of more than 65,535 frames state their length elsewhere, and
+    # are longer.
+    min_size = 2 * (4 * points + analog) * max(last - first + 1, 0)
+    size = len(content) - (data_block - 1) * _BLOCK
+    if data_block < 2 or min_size > size or (analog and analog % max(samples, 1)):
+        raise ValueError(f"by its header it has at least {min_size} bytes of frames, found {max(size, 0)}")
 
 
 def _check_parameters(section: bytes, order: str) -> None:
-    """Go from parameter to parameter: each lies within the section, and its values within it."""
+    """Check that each parameter is within the section, and its values within the parameter."""
     at = 4
     while at < len(section) and section[at] != 0:
         length, group = (
@@ -74,31 +77,31 @@ def _check_parameters(section: bytes, order: str) -> None:
         here = at + 2 + length
         (step,) = struct.unpack_from(f"{order}H", section, here)
         if not name.isascii() or not name.decode("ascii").isprintable() or group == 0:
-            raise ValueError(f"a parameter without a proper name at byte {at} of its parameters")
+            raise ValueError(f"a parameter has no valid name, at byte {at} of the parameter section")
         end = here + step if step else len(section)
         if end > len(section) or (step and step < 3):
-            raise ValueError(f"the parameter {name.decode('ascii')} leads out of the parameters")
-        remark = here + 2  # where the length of the description stands
+            raise ValueError(f"the parameter {name.decode('ascii')} extends beyond the parameter section")
+        remark = here + 2  # position of the length of the description
         if group > 0:
             size, count = struct.unpack_from("bB", section, here + 2)
             sizes = section[here + 4 : here + 4 + count]
             remark = here + 4 + count + abs(size) * math.prod(sizes)
-            if size not in (-1, 1, 2, 4) or count > _MOST_DIMENSIONS:
-                raise ValueError(f"the parameter {name.decode('ascii')} is of no known kind")
+            if size not in (-1, 1, 2, 4) or count > _MAX_DIMENSIONS:
+                raise ValueError(f"the parameter {name.decode('ascii')} has an unknown type")
         if remark >= end or remark + 1 + section[remark] > end:
-            raise ValueError(f"the parameter {name.decode('ascii')} is larger than its place")
+            raise ValueError(f"the parameter {name.decode('ascii')} is longer than its offset allows")
         if step == 0:
             return
         at = end
 
 
 def read_c3d_markers(path: Path) -> Markers:
-    """Read all markers, in m, in the laboratory's axes; prefixes such as ``Person:`` are cut off.
+    """Read all markers, in m and the laboratory's axes; prefixes such as ``Person:`` are removed from names.
 
     Raises
     ------
     InputError
-        If the file is no C3D file, holds no markers, or markers that are no person's.
+        If the file is not a C3D file, has no markers, or its markers are refused by `check_markers`.
     """
     content = _open(path)
     points = content["data"]["points"]
@@ -108,18 +111,18 @@ def read_c3d_markers(path: Path) -> Markers:
         raise InputError(Problem(str(path), "expected markers, found none"))
     time = np.arange(points.shape[2]) / float(content["parameters"]["POINT"]["RATE"]["value"][0])
     positions = np.moveaxis(points[:3, : len(names)], 0, -1) * unit
-    # What was not seen is NaN, or, as older programs write it, the origin.
+    # A marker that was not visible is NaN or, in files of older programs, at the origin.
     positions = np.where((positions == 0.0).all(axis=-1, keepdims=True), np.nan, positions)
-    return checked(Markers(names, time, positions.astype(np.float64)), path)
+    return check_markers(Markers(names, time, positions.astype(np.float64)), path)
 
 
 def read_c3d_analog(path: Path) -> Storage:
-    """Read all analog channels in the units of the file.
+    """Read all analog channels, in the units of the file.
 
     Raises
     ------
     InputError
-        If the file is no C3D file or holds no analog channels.
+        If the file is not a C3D file or has no analog channels.
     """
     content = _open(path)
     values = content["data"]["analogs"][0]
@@ -132,23 +135,24 @@ def read_c3d_analog(path: Path) -> Storage:
 
 
 def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarray, "3 3"]) -> FootForces:
-    """Read what plates do to each foot, summed over the plates that are its own.
+    """Read the ground reaction force on each foot, summed over its force plates.
 
-    Plates differ in sign: the ground pushes up, and all of a plate is turned over where it seems to pull.
+    Plates differ in the sign of their forces: if the mean vertical force of a plate points down, the sign of
+    all its forces and moments is changed.
 
     Parameters
     ----------
     path
-        The file.
+        File to read.
     feet
-        Plates of each foot.
+        Numbers of the force plates of each foot, by side.
     axes
-        Rotation from the laboratory's axes to OpenSim's.
+        Rotation matrix from the laboratory's axes to OpenSim's.
 
     Raises
     ------
     InputError
-        If the file is no C3D file or has no plate of that number.
+        If the file is not a C3D file, lacks a plate, or has an unknown unit.
     """
     content = _open(path, plates=True)
     platforms = content["data"].get("platform", [])
@@ -162,7 +166,7 @@ def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarra
     ]
     if problems:
         raise InputError(problems)
-    # ezc3d takes plates for measured in m where the file says nothing.
+    # ezc3d assumes m for the force plates if the file states no unit.
     _unit(content["parameters"]["POINT"], path)
     rate = float(content["parameters"]["ANALOG"]["RATE"]["value"][0])
     wrench = [
@@ -175,16 +179,17 @@ def read_plates(path: Path, feet: dict[str, ForceColumns], axes: Float[np.ndarra
 
 def _wrench(platform: Any, axes: Float[np.ndarray, "3 3"], path: Path) -> Float[np.ndarray, "6 sample"]:
     length_unit = platform["unit_position"].strip().lower()
-    if length_unit not in METERS:
-        message = f"expected {', '.join(METERS)} as the unit of force plates' corners, found '{length_unit}'"
+    if length_unit not in METERS_PER_UNIT:
+        message = f"expected {', '.join(METERS_PER_UNIT)} as the unit of force plates' corners"
+        message = f"{message}, found '{length_unit}'"
         raise InputError(Problem(str(path), message))
     moment_unit = platform["unit_moment"].strip().lower().removeprefix("n").lstrip(".* ")
-    if platform["unit_force"].strip().lower() != "n" or moment_unit not in METERS:
+    if platform["unit_force"].strip().lower() != "n" or moment_unit not in METERS_PER_UNIT:
         found = f"{platform['unit_force']} and {platform['unit_moment']}"
         raise InputError(Problem(str(path), f"expected forces in N and moments in Nmm or Nm, found {found}"))
     force = axes @ platform["force"]
-    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * METERS[length_unit]
-    free = axes @ np.nan_to_num(platform["Tz"]) * METERS[moment_unit]
+    center = axes @ np.nan_to_num(platform["center_of_pressure"]) * METERS_PER_UNIT[length_unit]
+    free = axes @ np.nan_to_num(platform["Tz"]) * METERS_PER_UNIT[moment_unit]
     wrench = np.concatenate([np.cross(center, force, axis=0) + free, force])
     return wrench * (-1.0 if wrench[4].sum() < 0.0 else 1.0)
 
@@ -201,7 +206,7 @@ def _open(path: Path, plates: bool = False) -> Any:
 
 
 def _labels(group: Any) -> list[str]:
-    """List labels; what does not fit into one list of 255 goes on in ``LABELS2``."""
+    """List all labels; those beyond the first 255 are in ``LABELS2`` and so on."""
     keys = ["LABELS", *(f"LABELS{number}" for number in range(2, 20))]
     return [label for key in keys if key in group for label in group[key]["value"]]
 
@@ -209,6 +214,7 @@ def _labels(group: Any) -> list[str]:
 def _unit(group: Any, path: Path) -> float:
     units = group["UNITS"]["value"] if "UNITS" in group else []
     unit = units[0].strip().lower() if len(units) else ""
-    if unit not in METERS:
-        raise InputError(Problem(str(path), f"expected {', '.join(METERS)} as POINT:UNITS, found '{unit}'"))
-    return METERS[unit]
+    if unit not in METERS_PER_UNIT:
+        message = f"expected {', '.join(METERS_PER_UNIT)} as POINT:UNITS, found '{unit}'"
+        raise InputError(Problem(str(path), message))
+    return METERS_PER_UNIT[unit]

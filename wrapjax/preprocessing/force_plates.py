@@ -1,4 +1,8 @@
-"""Ground forces under each foot: read, filtered, and written as OpenSim's external loads."""
+"""Ground reaction forces under each foot: reading from tables, filtering, writing as external loads.
+
+Another format of force plates needs a reader that returns `FootForces`; `read_plates` reads those of ``.c3d``
+files.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +14,26 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import write_text
-from wrapjax.io.storage import Storage, find_column, read_storage, write_storage
-from wrapjax.preprocessing.filters import low_pass
+from wrapjax.io.storage import Storage, find_columns, read_storage, write_storage
 from wrapjax.preprocessing.gait_events import CONTACT_FORCE
+from wrapjax.preprocessing.motion_filter import low_pass
 
+#: Names of the sides.
 SIDES = {"l": "left", "r": "right"}
 
 
 @dataclass(frozen=True)
 class FootForces:
-    """What the ground does to each foot, in OpenSim's axes (y up).
+    """Ground reaction force and moment on each foot, in OpenSim's axes (y up).
 
     Parameters
     ----------
     sides
-        ``l``, ``r``: which are measured.
+        Sides of the measured feet, ``l`` or ``r``.
     time
-        s.
+        Times, s.
     wrench
-        Moment about ground's origin (N m), then force (N), of the ground on each foot.
+        Moment about the origin of ground (N m), then force (N), of the ground on each foot.
     """
 
     sides: tuple[str, ...]
@@ -36,35 +41,36 @@ class FootForces:
     wrench: Float[np.ndarray, "foot 6 sample"]
 
     def vertical(self, side: str) -> Float[np.ndarray, " sample"]:
-        """Upward force on a foot in N."""
+        """Return the upward force on a foot, N."""
         return self.wrench[self.sides.index(side), 4]
 
     def filtered(self, cutoff_hz: float) -> FootForces:
-        """Filter force and moment low-pass: unlike a center of pressure both fade where contact ends."""
+        """Low-pass filter the wrench; unlike a center of pressure it is smooth at the end of contact."""
         flat = low_pass(self.time, self.wrench.reshape(-1, self.time.size), cutoff_hz)
         return replace(self, wrench=flat.reshape(self.wrench.shape))
 
     def during(self, start: float, end: float) -> FootForces:
-        """Keep samples from ``start`` to ``end`` in s."""
-        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        return replace(self, time=self.time[kept], wrench=self.wrench[..., kept])
+        """Select the samples from ``start`` to ``end``, s."""
+        selected = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        return replace(self, time=self.time[selected], wrench=self.wrench[..., selected])
 
     def at(self, time: Float[np.ndarray, " frame"]) -> Float[np.ndarray, "foot 6 frame"]:
-        """Interpolate linearly at times in s."""
+        """Interpolate the wrench linearly at times in s."""
         rows = [np.interp(time, self.time, row) for row in self.wrench.reshape(-1, self.time.size)]
         return np.array(rows).reshape(*self.wrench.shape[:2], time.size)
 
 
 def centers_of_pressure(
-    wrench: Float[np.ndarray, "foot 6 sample"], least_force: float = CONTACT_FORCE
+    wrench: Float[np.ndarray, "foot 6 sample"], min_force: float = CONTACT_FORCE
 ) -> Float[np.ndarray, "foot 3 sample"]:
-    """Give where each foot's force meets the ground's plane (y = 0), in m.
+    """Compute the center of pressure of each foot in the ground plane (y = 0), m.
 
-    While a foot bears less than ``least_force`` (N) its last center stays; before its first, that one.
+    While the vertical force is at most ``min_force`` (N) the last center is kept; before the first contact,
+    the first one. It is zero for a foot that is never in contact.
     """
     centers = np.zeros((wrench.shape[0], 3, wrench.shape[2]))
     for center, (moment_x, _, moment_z, _, up, _) in zip(centers, wrench, strict=True):
-        loaded = np.flatnonzero(up > least_force)
+        loaded = np.flatnonzero(up > min_force)
         if loaded.size == 0:
             continue
         before = np.searchsorted(loaded, np.arange(up.size), side="right") - 1
@@ -76,16 +82,17 @@ def centers_of_pressure(
 
 @dataclass(frozen=True)
 class ForceColumns:
-    """Which columns of a ``.mot`` file, or which plates of a ``.c3d``, are one foot's.
+    """Columns of a ``.mot`` file, or force plates of a ``.c3d`` file, that hold the force on one foot.
 
     Parameters
     ----------
     body
-        The model's body that the ground acts on.
+        Body of the model on which the ground acts.
     force, point, torque
-        What labels start with (``x``, ``y``, ``z`` follow), in ground's frame; ``torque`` may be empty.
+        Prefixes of the column labels (``x``, ``y``, ``z`` follow) of force, center of pressure and free
+        torque, in the ground frame; ``torque`` may be empty.
     plates
-        Numbers of force plates, from 1.
+        Numbers of the force plates, from 1.
     """
 
     body: str
@@ -96,12 +103,12 @@ class ForceColumns:
 
 
 def read_force_columns(path: Path, feet: dict[str, ForceColumns]) -> FootForces:
-    """Read forces of each foot from a ``.mot`` or ``.sto`` file in N, m and N m.
+    """Read the forces on each foot from a ``.mot`` or ``.sto`` file in N, m and N m.
 
     Raises
     ------
     InputError
-        With everything wrong in the file, and every column that it lacks.
+        With all faults of the file, and every missing column.
     """
     table = read_storage(path, trust_row_count=False)
     problems: list[Problem] = []
@@ -109,7 +116,7 @@ def read_force_columns(path: Path, feet: dict[str, ForceColumns]) -> FootForces:
     def columns(prefix: str) -> Float[np.ndarray, "3 sample"]:
         if not prefix:
             return np.zeros((3, table.time.size))
-        found = [find_column(table.columns, prefix + axis) for axis in "xyz"]
+        found = [find_columns(table.columns, prefix + axis) for axis in "xyz"]
         for axis, places in zip("xyz", found, strict=True):
             if len(places) != 1:
                 hint = nearest_name(prefix + axis, table.columns)
@@ -121,7 +128,7 @@ def read_force_columns(path: Path, feet: dict[str, ForceColumns]) -> FootForces:
     wrench = []
     for foot in feet.values():
         force, point, torque = (columns(prefix) for prefix in (foot.force, foot.point, foot.torque))
-        # A force that is not there acts nowhere; files then hold any point, some kilometers away.
+        # Without force the point of application is undefined, and files hold arbitrary values.
         moment = np.where(np.any(force != 0.0, axis=0), np.cross(point, force, axis=0), 0.0)
         wrench.append(np.concatenate([torque + moment, force]))
     if problems:
@@ -130,9 +137,9 @@ def read_force_columns(path: Path, feet: dict[str, ForceColumns]) -> FootForces:
 
 
 def write_forces(folder: Path, forces: FootForces, feet: dict[str, ForceColumns]) -> None:
-    """Write ``ground_forces.mot`` and ``external_loads.xml`` beside it.
+    """Write forces as ``ground_forces.mot`` and ``external_loads.xml`` into a folder.
 
-    What the center of pressure leaves of the moment is written as a torque, so that nothing is lost.
+    The part of the moment that the force at the center of pressure does not give is written as a free torque.
     """
     centers = centers_of_pressure(forces.wrench)
     moment, force = forces.wrench[:, :3], forces.wrench[:, 3:]

@@ -1,4 +1,4 @@
-"""When feet meet and leave the ground, by the vertical force under each."""
+"""Gait events (foot strike and toe-off) and gait cycles from the vertical ground reaction force."""
 
 from __future__ import annotations
 
@@ -8,47 +8,47 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float
 
-#: A foot is on the ground above this vertical force in N: above what plates drift and walkers' hands shake.
+#: Vertical force above which a foot is in contact, N: above the drift and noise of force plates.
 CONTACT_FORCE = 30.0
-#: Contacts and gaps shorter than this, in s, are none: plates ring, and feet brush the belt.
-SHORTEST_PHASE = 0.08
-#: A gait cycle lasts at least and at most this, in s. What is longer has a step off the plate in it.
-SHORTEST_CYCLE, LONGEST_CYCLE = 0.5, 3.0
+#: Shortest stance or swing, s; shorter ones are caused by ringing plates or by feet that touch the belt.
+MIN_PHASE_DURATION = 0.08
+#: Shortest and longest gait cycle, s. A longer interval contains a step beside the plates.
+MIN_CYCLE_DURATION, MAX_CYCLE_DURATION = 0.5, 3.0
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Steps of one foot.
+    """Foot strikes and toe-offs of one foot.
 
     Parameters
     ----------
     strikes
-        Time in s of each first sample on the ground.
+        Time in s of the first sample of each contact.
     offs
-        Time in s of each first sample off the ground. A contact that was under way when the recording
-        began, or when it ended, has only one of the two.
+        Time in s of the first sample after each contact. A contact at the start or the end of the recording
+        has only one of the two.
     """
 
     strikes: Float[np.ndarray, " strike"]
     offs: Float[np.ndarray, " off"]
 
     def cycles(
-        self, start: float = -np.inf, end: float = np.inf, longest: float = LONGEST_CYCLE
+        self, start: float = -np.inf, end: float = np.inf, longest: float = MAX_CYCLE_DURATION
     ) -> tuple[tuple[float, float], ...]:
-        """List gait cycles, each from a strike to the next of the same foot, that lie between two times.
+        """Return the gait cycles (strike to next strike of the same foot) between two times.
 
         Parameters
         ----------
         start, end
-            Limits in s.
+            First and last time, s.
         longest
-            Leave out cycles longer than this, in s: a step between was not measured.
+            Longest cycle, s; longer ones contain a step that was not measured and are omitted.
         """
         pairs = zip(self.strikes[:-1].tolist(), self.strikes[1:].tolist(), strict=True)
         return tuple(
             (first, last)
             for first, last in pairs
-            if SHORTEST_CYCLE <= last - first <= longest and first >= start and last <= end
+            if MIN_CYCLE_DURATION <= last - first <= longest and first >= start and last <= end
         )
 
 
@@ -57,23 +57,23 @@ def find_contacts(
     vertical_force: Float[np.ndarray, " sample"],
     threshold: float = CONTACT_FORCE,
 ) -> Contacts:
-    """Find when a foot meets and leaves the ground.
+    """Find the strikes and toe-offs of a foot.
 
     Parameters
     ----------
     time
-        s, strictly increasing.
+        Times, s, strictly increasing.
     vertical_force
-        Of the ground on this foot, upwards, in N, not filtered: a low-pass filter makes feet touch early.
+        Upward ground reaction force on this foot, N, not filtered: a low-pass filter advances strikes.
     threshold
-        N.
+        Force above which the foot is in contact, N.
 
     Returns
     -------
     Contacts
-        At samples of the recording, to no more than one of them.
+        Events at sample times.
     """
-    on = without_short_runs(time, vertical_force > threshold, SHORTEST_PHASE)
+    on = without_short_runs(time, vertical_force > threshold, MIN_PHASE_DURATION)
     change = np.flatnonzero(on[1:] != on[:-1]) + 1
     return Contacts(strikes=time[change[on[change]]], offs=time[change[~on[change]]])
 
@@ -81,9 +81,9 @@ def find_contacts(
 def without_short_runs(
     time: Float[np.ndarray, " sample"], on: Bool[np.ndarray, " sample"], shortest: float
 ) -> Bool[np.ndarray, " sample"]:
-    """Turn over runs of equal values shorter than ``shortest`` (s): gaps first, then what is still short.
+    """Invert runs of equal values that are shorter than ``shortest`` (s): first runs of false, then of true.
 
-    Runs at either end of the recording stay: how long they were nobody knows.
+    Runs at either end of the recording are kept, as their full duration is unknown.
     """
     cleaned = on.copy()
     for value in (False, True):

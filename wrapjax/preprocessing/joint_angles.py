@@ -1,4 +1,4 @@
-"""Joint angles that a laboratory has solved already, and coordinates that follow others."""
+"""Reading of joint angles that a laboratory has computed, and computation of coupled coordinates."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.model_description import Coordinate
 from wrapjax.io.model_file import CoordinateInfo
-from wrapjax.io.storage import find_column, read_storage
-from wrapjax.subject.recordings import all_angles, check_angle_unit
+from wrapjax.io.storage import find_columns, read_storage
+from wrapjax.subject.recordings import check_angle_unit, select_angles
 
-#: Coupled coordinates that are this close to their couplers (rad or m, root mean square) are as coupled.
-AS_COUPLED = 0.02
-#: In degrees they fit so much better than in radians.
-BETTER_IN_DEGREES = 0.2
+#: Largest accepted difference of a coupled coordinate from its coupler function (root mean square), rad or m.
+MAX_COUPLING_ERROR = 0.02
+#: A coupled coordinate is in degrees if this reduces the difference to less than this share.
+DEGREES_ERROR_RATIO = 0.2
 
 
 @dataclass(frozen=True)
@@ -28,38 +28,38 @@ class Motion:
     Parameters
     ----------
     coordinates
-        Names.
+        Names of the coordinates.
     time
-        s.
+        Times, s.
     values
-        rad or m.
+        Values of the coordinates, rad or m.
     """
 
     coordinates: tuple[str, ...]
     time: Float[np.ndarray, " frame"]
     values: Float[np.ndarray, "coordinate frame"]
 
-    def independent(self, couplers: Mapping[str, Coordinate]) -> Motion:
-        """Leave out coordinates that follow others."""
-        kept = [row for row, name in enumerate(self.coordinates) if name not in couplers]
-        return Motion(tuple(self.coordinates[row] for row in kept), self.time, self.values[kept])
+    def without_coupled(self, coupled: Mapping[str, Coordinate]) -> Motion:
+        """Remove the coupled coordinates."""
+        rows = [row for row, name in enumerate(self.coordinates) if name not in coupled]
+        return Motion(tuple(self.coordinates[row] for row in rows), self.time, self.values[rows])
 
-    def coupled(self, couplers: Mapping[str, Coordinate]) -> Motion:
-        """Add what follows others, in place of whatever it was."""
-        known = self.independent(couplers)
-        rows = dict(zip(known.coordinates, known.values, strict=True))
-        waiting = dict(couplers)
-        # A coordinate may follow one that follows another.
-        while ready := [name for name, entry in waiting.items() if entry.coupled_to[0] in rows]:
+    def with_coupled(self, coupled: Mapping[str, Coordinate]) -> Motion:
+        """Compute the coupled coordinates from the independent ones and add or replace them."""
+        independent = self.without_coupled(coupled)
+        rows = dict(zip(independent.coordinates, independent.values, strict=True))
+        remaining = dict(coupled)
+        # A coordinate can be coupled to one that is coupled itself.
+        while ready := [name for name, entry in remaining.items() if entry.coupled_to[0] in rows]:
             for name in ready:
-                entry = waiting.pop(name)
+                entry = remaining.pop(name)
                 assert entry.coupler is not None
                 rows[name] = entry.coupler.value(rows[entry.coupled_to[0]])
         return Motion(tuple(rows), self.time, np.array(list(rows.values())))
 
 
-def couplers_of(coordinates: Sequence[Coordinate]) -> dict[str, Coordinate]:
-    """Name the coordinates that follow one other by a known function."""
+def find_coupled_coordinates(coordinates: Sequence[Coordinate]) -> dict[str, Coordinate]:
+    """Find the coordinates that are a known function of one other coordinate, by name."""
     return {
         entry.name: entry for entry in coordinates if entry.coupler is not None and len(entry.coupled_to) == 1
     }
@@ -68,72 +68,69 @@ def couplers_of(coordinates: Sequence[Coordinate]) -> dict[str, Coordinate]:
 def read_motion(
     path: Path,
     infos: tuple[CoordinateInfo, ...],
-    couplers: Mapping[str, Coordinate],
-    wanted: Sequence[str],
+    coupled: Mapping[str, Coordinate],
+    required: Sequence[str],
     notes: list[str],
 ) -> Motion:
-    """Read solved joint angles, coupled coordinates by their couplers whatever the file says of them.
+    """Read joint angles; coupled coordinates are computed from their coupler functions, not read.
 
-    OpenSim's own files have coupled patellae in degrees where the header says radians, and the other way
-    round; taken as they are they throw the moments of hip and knee off by tens of N m.
+    Files of OpenSim can hold the coupled coordinate of the patella in degrees although the header states
+    radians, and the reverse. Its values in the file would cause errors of tens of N m in the moments of hip
+    and knee.
 
     Parameters
     ----------
     path
-        ``.sto`` or ``.mot``.
+        File of joint angles, ``.sto`` or ``.mot``.
     infos
         Coordinates of the model.
-    couplers
-        Those that follow others.
-    wanted
+    coupled
+        Coupled coordinates, from `find_coupled_coordinates`.
+    required
         Coordinates that must be in the file.
     notes
-        A sentence is added for each coupled coordinate that was not as coupled.
+        List to which a sentence is added for each coupled coordinate that disagrees with its coupler
+        function.
 
     Raises
     ------
     InputError
-        With everything wrong in the file.
+        With all faults of the file.
     """
     table = read_storage(path)
     problems: list[Problem] = []
-    missing = [name for name in wanted if not find_column(table.columns, name)]
+    missing = [name for name in required if not find_columns(table.columns, name)]
     problems += [Problem(str(path), "is not in the file", f"column {name}") for name in missing]
-    rotational = [info for info in infos if info.name not in couplers]
+    rotational = [info for info in infos if info.name not in coupled]
     check_angle_unit(table, rotational, path, problems)
     if problems:
         raise InputError(problems)
-    names, values = all_angles(table, infos)
+    names, values = select_angles(table, infos)
     motion = Motion(names, table.time, values)
-    mended = motion.coupled(couplers)
-    for name in couplers:
-        places = find_column(table.columns, name)
-        if len(places) == 1 and name in mended.coordinates:
-            note = _compared(
-                name, table.values[:, places[0]], mended.values[mended.coordinates.index(name)], couplers
-            )
+    result = motion.with_coupled(coupled)
+    for name in coupled:
+        places = find_columns(table.columns, name)
+        if len(places) == 1 and name in result.coordinates:
+            expected = result.values[result.coordinates.index(name)]
+            note = _describe_disagreement(table.values[:, places[0]], expected, coupled[name])
             if note:
                 notes.append(f"{path}: column {name}: {note}")
-    return mended
+    return result
 
 
-def _compared(
-    name: str,
-    found: Float[np.ndarray, " frame"],
-    expected: Float[np.ndarray, " frame"],
-    couplers: Mapping[str, Coordinate],
+def _describe_disagreement(
+    found: Float[np.ndarray, " frame"], expected: Float[np.ndarray, " frame"], coordinate: Coordinate
 ) -> str:
-    """Say how a coupled column differs from what its coupler gives; empty where it does not."""
-    leader = couplers[name].coupled_to[0]
-    plain, turned = (
+    """Describe how a coupled column of the file differs from its coupler function; empty if it agrees."""
+    as_radians, as_degrees = (
         float(np.sqrt(np.mean((factor * found - expected) ** 2))) for factor in (1.0, np.pi / 180)
     )
-    if plain <= AS_COUPLED:
+    if as_radians <= MAX_COUPLING_ERROR:
         return ""
     spans = (
         f"found {found.min():.3g} to {found.max():.3g}, where {expected.min():.3g} to {expected.max():.3g}"
     )
-    spans = f"{spans} rad follow from {leader}"
-    if turned < BETTER_IN_DEGREES * plain:
-        return f"is in degrees ({spans}); taken from its coupler instead"
-    return f"does not follow its coupler ({spans}); taken from its coupler instead"
+    spans = f"{spans} rad follow from {coordinate.coupled_to[0]}"
+    if as_degrees < DEGREES_ERROR_RATIO * as_radians:
+        return f"is in degrees ({spans}); computed from its coupler function instead"
+    return f"disagrees with its coupler function ({spans}); computed from that instead"

@@ -1,4 +1,4 @@
-"""The settings of a preparation: one TOML file that names a laboratory's files and says what is in them."""
+"""Laboratory settings, the TOML file of `wrapjax prepare`: its allowed keys, their checks, and the values."""
 
 from __future__ import annotations
 
@@ -6,30 +6,41 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, parse_toml, read_toml_text
 from wrapjax.preprocessing.force_plates import SIDES, ForceColumns
 from wrapjax.subject.settings import TrialSettings, read_channels, read_cycles
 
-#: Volts in each unit of EMG.
-VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
+#: Volts in each unit of EMG that the settings may name.
+VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
+#: Directions of the laboratory's axes that the settings may name.
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 
 
 @dataclass(frozen=True)
-class RawTrial:
-    """One ``[[trial]]`` of a laboratory.
+class LaboratoryTrial:
+    """Recording of a laboratory (table ``[[trial]]``).
 
     Parameters
     ----------
-    name, use, speed
-        As in a subject folder; ``speed`` in m/s, NaN where not given.
+    name
+        Name, unique among the trials.
+    use
+        ``calibration`` or ``validation``.
+    speed
+        Walking speed in m/s, NaN if not given.
     markers, angles
-        Where motion comes from: one of the two, None the other.
-    forces, emg
-        Files.
+        File of marker positions (``.trc``, ``.c3d``) or of joint angles (``.sto``, ``.mot``); one of them is
+        None.
+    forces
+        File of ground reaction forces (``.mot``, ``.sto``, ``.c3d``).
+    emg
+        File of EMG (``.sto``, ``.mot``, ``.c3d``).
     cycles
-        Start and end of each gait cycle in s; empty: found by the vertical force.
+        Start and end of each gait cycle in s; if empty, they are found from the vertical force.
     """
 
     name: str
@@ -43,40 +54,56 @@ class RawTrial:
 
     @property
     def motion(self) -> Path:
-        """The file that motion comes from."""
+        """File of the motion: markers or joint angles."""
         file = self.markers or self.angles
         assert file is not None
         return file
 
 
 @dataclass(frozen=True)
-class RawSettings:
-    """All of the settings.
+class LaboratorySettings:
+    """Content of the laboratory settings.
 
     Parameters
     ----------
-    file, text
-        The settings' own file, and what it says.
-    name, mass_kg, side, paretic
-        The person and the leg.
-    model_file, coordinates, muscle_parameters
-        The model and what a subject folder says of it.
+    file
+        Settings file.
+    text
+        Text of the settings file.
+    name
+        Name of the person.
+    mass_kg
+        Body mass, kg.
+    side
+        Side of the leg, ``l`` or ``r``.
+    paretic
+        Whether the leg is paretic, None if unknown.
+    model_file
+        OpenSim model (``.osim``).
+    coordinates
+        Coordinates whose moments are predicted.
+    muscle_parameters
+        CSV file of muscle parameters, None if those of the model are used.
     scaling
-        OpenSim's settings of its scale tool, None where the model is scaled already.
+        Setup file of OpenSim's scale tool, None if the model is scaled already.
     forward, up
         Axes of the laboratory, for ``.trc`` and ``.c3d`` files.
-    ignored_markers, marker_weights
-        Markers not to follow, and weights other than 1.
+    ignored_markers
+        Markers that inverse kinematics does not use.
+    marker_weights
+        Weights of markers in inverse kinematics that differ from 1, by marker.
     feet
-        Which forces are whose.
+        Body, and columns or force plates, of each measured foot, by side.
     channels
-        The muscles that each EMG channel drives.
-    emg_kind, volts
-        ``raw`` or ``envelope``; volts at the electrode in one unit of raw EMG's files: unit over gain.
+        Muscles that each EMG channel drives, by channel.
+    emg_kind
+        ``raw`` or ``envelope``.
+    volts
+        Volts at the electrode per unit of the raw EMG file: unit over gain.
     accepted
-        Channels used whatever their faults.
+        Channels that are used despite faults.
     trials
-        In the order of the file.
+        Trials, in the order of the file.
     """
 
     file: Path
@@ -98,16 +125,16 @@ class RawSettings:
     emg_kind: str
     volts: float
     accepted: tuple[str, ...]
-    trials: tuple[RawTrial, ...]
+    trials: tuple[LaboratoryTrial, ...]
 
 
-def read_raw_settings(file: Path) -> RawSettings:
-    """Read the settings of a preparation; paths in it start from its folder.
+def read_laboratory_settings(file: Path) -> LaboratorySettings:
+    """Read laboratory settings; paths in the file are relative to its folder.
 
     Raises
     ------
     InputError
-        With everything wrong in it.
+        With all faults of the file.
     """
     file = Path(file)
     problems: list[Problem] = []
@@ -119,48 +146,48 @@ def read_raw_settings(file: Path) -> RawSettings:
     mass = subject.number("mass_kg", lowest=5.0, highest=400.0, unit="kg")
     side = subject.text("side", choices=("l", "r")) or ""
     paretic = subject.boolean("paretic")
-    subject.finish()
+    subject.report_unknown_keys()
 
     model = TableReader(top.table("model"), file, "[model]", problems)
     model_file = _file(model, "file")
     coordinates = model.names("coordinates") or ()
     muscle_parameters = _file(model, "muscle_parameters", required=False)
     scaling = _file(model, "scaling", required=False)
-    model.finish()
+    model.report_unknown_keys()
 
     laboratory = TableReader(top.raw("laboratory") or {}, file, "[laboratory]", problems)
     forward = laboratory.text("forward", required=False, choices=_AXES) or "x"
     up = laboratory.text("up", required=False, choices=_AXES) or "y"
     if forward[-1] == up[-1]:
-        laboratory.problem("up", f"expected another axis than forward, found '{forward}' and '{up}'")
-    laboratory.finish()
+        laboratory.add_problem("up", f"expected another axis than forward, found '{forward}' and '{up}'")
+    laboratory.report_unknown_keys()
 
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
     ignored = markers.names("ignore", required=False)
-    weights = _weights(markers, problems)
-    markers.finish()
+    weights = _read_marker_weights(markers, problems)
+    markers.report_unknown_keys()
 
-    feet = _feet(top, file, side, problems)
+    feet = _read_feet(top, file, side, problems)
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     kind = emg.text("kind", required=False, choices=("raw", "envelope")) or "raw"
-    unit = emg.text("unit", required=kind == "raw", choices=tuple(VOLTS))
+    unit = emg.text("unit", required=kind == "raw", choices=tuple(VOLTS_PER_UNIT))
     gain = emg.number("gain", lowest=1e-3, highest=1e7, unit="", required=False)
     if kind == "envelope" and (emg.has("unit") or emg.has("gain")):
-        emg.problem(
+        emg.add_problem(
             "", "expected no unit and no gain of envelopes, which are normalised to about 1, found one"
         )
     accepted = emg.names("accept", required=False)
     channels = read_channels(emg.table("channels"), file, problems)
-    emg.finish()
+    emg.report_unknown_keys()
 
     tables = top.tables("trial")
-    trials = [_trial(table, number, file, problems) for number, table in enumerate(tables, start=1)]
-    top.finish()
+    trials = [_read_trial(table, number, file, problems) for number, table in enumerate(tables, start=1)]
+    top.report_unknown_keys()
     if problems:
         raise InputError(problems)
     assert mass is not None and model_file is not None and (unit is not None or kind == "envelope")
-    return RawSettings(
+    return LaboratorySettings(
         file=file,
         text=text,
         name=name,
@@ -178,38 +205,38 @@ def read_raw_settings(file: Path) -> RawSettings:
         feet=feet,
         channels=channels,
         emg_kind=kind,
-        volts=1.0 if unit is None else VOLTS[unit] / (gain or 1.0),
+        volts=1.0 if unit is None else VOLTS_PER_UNIT[unit] / (gain or 1.0),
         accepted=accepted or (),
         trials=tuple(trial for trial in trials if trial is not None),
     )
 
 
 def _file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
-    """Take a file, which may lie anywhere, and check that it is there."""
+    """Read the path of a file, which may be outside the folder of the settings, and check that it exists."""
     value = reader.text(key, required=required)
     if value is None:
         return None
     path = reader.file.parent / value
     try:
-        there = path.is_file()
-    except OSError:  # a name that no file can have
-        there = False
-    if not there:
-        reader.problem(key, f"expected a file, found no {path}")
+        exists = path.is_file()
+    except OSError:  # an impossible file name, such as one that is too long
+        exists = False
+    if not exists:
+        reader.add_problem(key, f"expected a file, found no {path}")
         return None
     return path
 
 
-def _weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
+def _read_marker_weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
     table = markers.raw("weights")
     if table is None:
         return {}
     reader = TableReader(table, markers.file, "[markers.weights]", problems)
-    found = {name: reader.number(name, lowest=1e-6, highest=1e6, unit="") for name in table}
-    return {name: weight for name, weight in found.items() if weight is not None}
+    weights = {name: reader.number(name, lowest=1e-6, highest=1e6, unit="") for name in table}
+    return {name: weight for name, weight in weights.items() if weight is not None}
 
 
-def _feet(top: TableReader, file: Path, own: str, problems: list[Problem]) -> dict[str, ForceColumns]:
+def _read_feet(top: TableReader, file: Path, leg: str, problems: list[Problem]) -> dict[str, ForceColumns]:
     reader = TableReader(top.table("forces"), file, "[forces]", problems)
     feet = {}
     for side in SIDES:
@@ -224,34 +251,60 @@ def _feet(top: TableReader, file: Path, own: str, problems: list[Problem]) -> di
                 or not plates
                 or not all(isinstance(n, int) and n > 0 for n in plates)
             ):
-                foot.problem("plates", f"expected numbers from 1, found {describe_value(plates)}")
+                foot.add_problem("plates", f"expected numbers from 1, found {describe_value(plates)}")
             else:
                 feet[side] = ForceColumns(body, plates=tuple(plates))
         else:
             force, point = foot.text("force") or "", foot.text("point") or ""
             feet[side] = ForceColumns(body, force, point, foot.text("torque", required=False) or "")
-        foot.finish()
-    if own and not reader.has(own) and not reader.silent:
-        reader.problem("", f"expected [forces.{own}], what the ground does to the leg's own foot, found none")
-    reader.finish()
+        foot.report_unknown_keys()
+    if leg and not reader.has(leg) and not reader.silent:
+        message = f"expected [forces.{leg}], the ground reaction force on the leg's foot, found none"
+        reader.add_problem("", message)
+    reader.report_unknown_keys()
     return feet
 
 
-def _trial(table: object, number: int, file: Path, problems: list[Problem]) -> RawTrial | None:
+def _read_trial(table: object, number: int, file: Path, problems: list[Problem]) -> LaboratoryTrial | None:
     reader = TableReader(table, file, f"[[trial]] number {number}", problems)
     name = reader.text("name")
-    if name is not None and not TrialSettings.is_fit_name(name):
-        reader.problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
+    if name is not None and not TrialSettings.is_valid_name(name):
+        reader.add_problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
     use = reader.text("use", choices=("calibration", "validation"))
     speed = reader.number("speed_m_s", lowest=0.0, highest=15.0, unit="m/s", required=False)
     if reader.has("markers") == reader.has("angles"):
         found = "both" if reader.has("markers") else "neither"
-        reader.problem("markers", f"expected either markers or angles, found {found}")
+        reader.add_problem("markers", f"expected either markers or angles, found {found}")
     markers, angles = (_file(reader, key, required=False) for key in ("markers", "angles"))
     forces, emg = (_file(reader, key) for key in ("forces", "emg"))
     cycles = read_cycles(reader) if reader.has("cycles") or reader.has("cycle") else ()
     reader.raw("cycle"), reader.raw("cycles")
-    reader.finish()
+    reader.report_unknown_keys()
     if name is None or use is None or forces is None or emg is None or (markers is None) == (angles is None):
         return None
-    return RawTrial(name, use, math.nan if speed is None else speed, markers, angles, forces, emg, cycles)
+    return LaboratoryTrial(
+        name, use, math.nan if speed is None else speed, markers, angles, forces, emg, cycles
+    )
+
+
+def laboratory_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation from a laboratory's axes to OpenSim's: x forward, y up, z to the right.
+
+    Parameters
+    ----------
+    forward, up
+        Axes of the laboratory that point forward and up: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z``.
+
+    Returns
+    -------
+    Float[np.ndarray, "3 3"]
+        Rotation matrix; it multiplies column vectors in laboratory axes.
+    """
+    x_axis, y_axis = (_unit_vector(name) for name in (forward, up))
+    return np.array([x_axis, y_axis, np.cross(x_axis, y_axis)])
+
+
+def _unit_vector(name: str) -> Float[np.ndarray, " 3"]:
+    axis = np.zeros(3)
+    axis["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return axis

@@ -1,4 +1,4 @@
-"""Recorded markers: ``.trc`` files read strictly and written whole, gaps and filters."""
+"""Marker trajectories: reading and writing of ``.trc`` files, checks, gap filling and filtering."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from scipy.interpolate import CubicSpline
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import read_content, write_text
-from wrapjax.preprocessing.filters import low_pass
+from wrapjax.preprocessing.motion_filter import low_pass
 
-#: Meters in each unit of length that files name.
-METERS = {"m": 1.0, "meters": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "millimeters": 0.001}
-#: Gaps up to this, in s, are bridged by a spline; in longer ones the marker is not followed.
-LONGEST_GAP = 0.15
-#: Extent of all markers of a person in m, head to foot or toe to heel.
-LEAST_EXTENT, MOST_EXTENT = 0.3, 4.0
+#: Meters in each unit of length that files may name.
+METERS_PER_UNIT = {"m": 1.0, "meters": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "millimeters": 0.001}
+#: Longest gap of a marker that is filled by a spline, s; inverse kinematics does not use the marker in longer
+#: ones.
+MAX_GAP = 0.15
+#: Limits of the extent of all markers of a person, m, which reveal a wrong unit of length.
+MIN_EXTENT, MAX_EXTENT = 0.3, 4.0
 
 
 @dataclass(frozen=True)
 class Markers:
-    """Markers over time.
+    """Marker trajectories.
 
     Parameters
     ----------
     names
-        Labels.
+        Names of the markers.
     time
-        s, even.
+        Times of the frames, s, evenly spaced.
     positions
-        m, in the axes of the file; NaN where a marker was not seen.
+        Positions, m, in the axes of the file; NaN where a marker was not visible.
     """
 
     names: tuple[str, ...]
@@ -42,42 +43,42 @@ class Markers:
 
     @property
     def rate(self) -> float:
-        """Frames a second."""
+        """Frame rate, Hz."""
         return float((self.time.size - 1) / (self.time[-1] - self.time[0]))
 
     def select(self, names: tuple[str, ...]) -> Markers:
-        """Keep some markers, in the order given."""
+        """Select some of the markers, in the order given."""
         rows = [self.names.index(name) for name in names]
         return replace(self, names=names, positions=self.positions[rows])
 
-    def turned(self, rotation: Float[np.ndarray, "3 3"]) -> Markers:
-        """Give positions in other axes, the rows of ``rotation``."""
+    def rotated(self, rotation: Float[np.ndarray, "3 3"]) -> Markers:
+        """Rotate the positions into the axes that are the rows of ``rotation``."""
         return replace(self, positions=self.positions @ rotation.T)
 
     def during(self, start: float, end: float) -> Markers:
-        """Keep frames from ``start`` to ``end`` in s."""
-        kept = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
-        return replace(self, time=self.time[kept], positions=self.positions[:, kept])
+        """Select the frames from ``start`` to ``end``, s."""
+        selected = (self.time >= start - 1e-9) & (self.time <= end + 1e-9)
+        return replace(self, time=self.time[selected], positions=self.positions[:, selected])
 
     def filtered(self, cutoff_hz: float) -> Markers:
-        """Bridge short gaps and filter low-pass; where a gap is longer than `LONGEST_GAP`, NaN stays."""
-        positions = np.array([_filtered(self.time, path, cutoff_hz) for path in self.positions])
+        """Fill short gaps and apply the low-pass filter; gaps longer than `MAX_GAP` remain NaN."""
+        positions = np.array([_filter_marker(self.time, path, cutoff_hz) for path in self.positions])
         return replace(self, positions=positions)
 
 
-def _filtered(
+def _filter_marker(
     time: Float[np.ndarray, " frame"], path: Float[np.ndarray, "frame 3"], cutoff_hz: float
 ) -> Float[np.ndarray, "frame 3"]:
-    seen = np.isfinite(path).all(axis=1)
-    if seen.sum() < 2:
+    visible = np.isfinite(path).all(axis=1)
+    if visible.sum() < 2:
         return np.full_like(path, np.nan)
-    inside = np.clip(time, time[seen][0], time[seen][-1])
-    bridged = CubicSpline(time[seen], path[seen])(inside)
-    smooth = low_pass(time, bridged.T, cutoff_hz).T
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], seen, [True]]).astype(int)))
+    inside = np.clip(time, time[visible][0], time[visible][-1])
+    filled = CubicSpline(time[visible], path[visible])(inside)
+    smooth = low_pass(time, filled.T, cutoff_hz).T
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], visible, [True]]).astype(int)))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         at_end = first == 0 or last == time.size
-        if at_end or time[last] - time[first - 1] > LONGEST_GAP:
+        if at_end or time[last] - time[first - 1] > MAX_GAP:
             smooth[first:last] = np.nan
     return smooth
 
@@ -88,13 +89,13 @@ def read_trc(path: Path) -> Markers:
     Returns
     -------
     Markers
-        In m. Empty cells are markers not seen.
+        Trajectories in m; an empty cell means that the marker was not visible.
 
     Raises
     ------
     InputError
-        With everything wrong: missing, binary, cut off, without labels, in an unknown unit, not numeric,
-        time going backwards, a label twice.
+        With the faults of the file: missing, binary, truncated, without labels, in an unknown unit, not
+        numeric, time not increasing, duplicate labels.
     """
     lines = _lines(path)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
@@ -102,27 +103,27 @@ def read_trc(path: Path) -> Markers:
         raise InputError(Problem(str(path), message))
     keys = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
     unit = keys.get("Units", "").strip().lower()
-    if unit not in METERS:
-        message = f"expected {', '.join(METERS)} as Units, found '{unit}'"
+    if unit not in METERS_PER_UNIT:
+        message = f"expected {', '.join(METERS_PER_UNIT)} as Units, found '{unit}'"
         raise InputError(Problem(str(path), message, "line 3"))
     labels = lines[3].rstrip().split("\t")
     names = tuple(label.strip().rsplit(":", 1)[-1] for label in labels[2::3])
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if not names or "" in names or twice:
-        found = f"'{twice[0]}' twice" if twice else "none" if not names else "one that is empty"
+    duplicates = [name for name, count in Counter(names).items() if count > 1]
+    if not names or "" in names or duplicates:
+        found = f"'{duplicates[0]}' twice" if duplicates else "none" if not names else "an empty one"
         raise InputError(Problem(str(path), f"expected a label for each marker, found {found}", "line 4"))
     rows = [(number, line) for number, line in enumerate(lines[5:], start=6) if line.strip()]
     width = 2 + 3 * len(names)
     table = np.array([_row(line, width, number, path) for number, line in rows]).reshape(-1, width)
-    promised = keys.get("NumFrames", "").strip()
-    if promised.isdecimal() and (promised.lstrip("0") or "0") != str(len(rows)):
-        message = f"the header promises {promised} frames, found {len(rows)}"
-        raise InputError(Problem(str(path), message, hint="the file seems cut off"))
-    return checked(
+    stated = keys.get("NumFrames", "").strip()
+    if stated.isdecimal() and (stated.lstrip("0") or "0") != str(len(rows)):
+        message = f"the header states {stated} frames, found {len(rows)}"
+        raise InputError(Problem(str(path), message, hint="the file seems to be truncated"))
+    return check_markers(
         Markers(
             names,
             table[:, 1],
-            np.moveaxis(table[:, 2:].reshape(len(rows), len(names), 3), 0, 1) * METERS[unit],
+            np.moveaxis(table[:, 2:].reshape(len(rows), len(names), 3), 0, 1) * METERS_PER_UNIT[unit],
         ),
         path,
     )
@@ -137,9 +138,9 @@ def _lines(path: Path) -> list[str]:
 
 
 def _row(line: str, count: int, number: int, path: Path) -> list[float]:
-    """Read a frame; cells that are empty, or missing at its end, are markers not seen."""
+    """Read the numbers of a frame; empty cells, and cells missing at its end, become NaN (not visible)."""
     cells = line.rstrip("\r\n").split("\t")
-    # Many programs end each line by a tab.
+    # Many programs end each line with a tab.
     cells = (cells + [""] * count)[:count] if not any(cell.strip() for cell in cells[count:]) else cells
     try:
         values = [float(cell) if cell.strip() else np.nan for cell in cells]
@@ -151,13 +152,14 @@ def _row(line: str, count: int, number: int, path: Path) -> list[float]:
     return values
 
 
-def checked(markers: Markers, path: Path) -> Markers:
-    """Check what no file of a walking person may have, and return the markers.
+def check_markers(markers: Markers, path: Path) -> Markers:
+    """Check the times and positions of markers, and return the markers.
 
     Raises
     ------
     InputError
-        If there are too few frames, time does not increase evenly, or markers are no person's.
+        If there are too few frames, time does not increase evenly, a position is infinite, or the extent of
+        the markers is not that of a person.
     """
     problems = []
     step = np.diff(markers.time)
@@ -170,16 +172,17 @@ def checked(markers: Markers, path: Path) -> Markers:
             f"expected even frames {np.median(step):.4g} s apart, found {step.max():.4g} s after {at:g} s"
         )
         problems.append(Problem(str(path), message, "Time"))
-    lost = np.isinf(markers.positions).any(axis=(1, 2))
-    if lost.any():
-        label = markers.names[int(np.argmax(lost))]
+    infinite = np.isinf(markers.positions).any(axis=(1, 2))
+    if infinite.any():
+        label = markers.names[int(np.argmax(infinite))]
         problems.append(Problem(str(path), "expected finite positions, found infinity", f"marker {label}"))
-    seen = markers.positions[:, np.isfinite(markers.positions).all(axis=(0, 2))]
-    if seen.size:
-        spread = float(np.median(np.ptp(seen, axis=0).max(axis=-1)))
-        if not LEAST_EXTENT <= spread <= MOST_EXTENT:
-            message = f"expected markers {LEAST_EXTENT:g} to {MOST_EXTENT:g} m apart, found {spread:.4g} m"
-            hint = "is the unit of length in the file the one that its numbers are in?"
+    complete_frames = markers.positions[:, np.isfinite(markers.positions).all(axis=(0, 2))]
+    if complete_frames.size:
+        extent = float(np.median(np.ptp(complete_frames, axis=0).max(axis=-1)))
+        if not MIN_EXTENT <= extent <= MAX_EXTENT:
+            message = f"expected an extent of all markers of {MIN_EXTENT:g} to {MAX_EXTENT:g} m"
+            message = f"{message}, found {extent:.4g} m"
+            hint = "is the unit of length stated in the file that of its numbers?"
             problems.append(Problem(str(path), message, "Units", hint))
     if problems:
         raise InputError(problems)
@@ -187,7 +190,7 @@ def checked(markers: Markers, path: Path) -> Markers:
 
 
 def write_trc(path: Path, markers: Markers) -> None:
-    """Write a ``.trc`` file in m that OpenSim opens, whole or not at all; NaN becomes empty cells."""
+    """Write a ``.trc`` file in m for OpenSim atomically; NaN becomes empty cells."""
     count, rate = markers.time.size, repr(markers.rate)
     numbered = "\t".join(f"{axis}{order}" for order in range(1, len(markers.names) + 1) for axis in "XYZ")
     head = [
@@ -206,19 +209,19 @@ def write_trc(path: Path, markers: Markers) -> None:
     write_text(path, "\n".join([*head, *body]) + "\n")
 
 
-def follow(
+def match_markers(
     markers: Markers, model_markers: tuple[str, ...], ignored: tuple[str, ...], path: Path
 ) -> tuple[str, ...]:
-    """Name the markers that the model has and the recording shows.
+    """Find the markers of the model that were recorded, without the ignored ones.
 
     Raises
     ------
     InputError
-        If fewer than three are in both.
+        If there are fewer than three.
     """
-    both = tuple(name for name in model_markers if name in markers.names and name not in ignored)
-    if len(both) < 3:
-        stranger = next((name for name in markers.names if name not in model_markers), "")
-        message = f"expected the model's markers, found {len(both)} of {len(model_markers)}"
-        raise InputError(Problem(str(path), message, hint=nearest_name(stranger, model_markers)))
-    return both
+    common = tuple(name for name in model_markers if name in markers.names and name not in ignored)
+    if len(common) < 3:
+        unknown = next((name for name in markers.names if name not in model_markers), "")
+        message = f"expected the model's markers, found {len(common)} of {len(model_markers)}"
+        raise InputError(Problem(str(path), message, hint=nearest_name(unknown, model_markers)))
+    return common

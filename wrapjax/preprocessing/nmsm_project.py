@@ -1,12 +1,9 @@
-"""From a project of the NMSM Pipeline to a subject folder.
-
-A project's own muscle geometry (``MAData``): what OpenSim's muscle analysis wrote of each trial.
-"""
+"""Conversion of a project of the NMSM Pipeline into a subject folder."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,31 +11,32 @@ import numpy as np
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import write_text
-from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file, read_xml
-from wrapjax.io.storage import Storage, read_storage
-from wrapjax.io.toml import collecting, quoted, quoted_list
-from wrapjax.preprocessing.nmsm_osimx import OsimxMuscle, ToolSettings, read_osimx, read_tool_settings
+from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
+from wrapjax.io.storage import read_storage
+from wrapjax.io.toml import toml_list, toml_string
+from wrapjax.io.xml import read_xml
+from wrapjax.preprocessing.nmsm_files import OsimxMuscle, ToolSettings, read_osimx, read_tool_settings
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.trials import FRAMES
 
-#: Folders of a project's data, by what is in them.
+#: Folders of a project's data, by kind of signal.
 FOLDERS = {"angles": "IKData", "moments": "IDData", "emg": "EMGData"}
 _SUFFIXES = (".sto", ".mot")
 _LENGTHS = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length")
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A trial of a project: one gait cycle.
+class ProjectTrial:
+    """Trial of a project: one gait cycle.
 
     Parameters
     ----------
     name
-        Of the trial.
+        Name of the trial.
     files
-        By kind: ``angles``, ``moments``, ``emg``.
+        Files of ``angles``, ``moments`` and ``emg``.
     cycle
-        Its start and end in s, without what the project keeps beside it.
+        Start and end of the gait cycle in s, without the additional frames before and after it.
     """
 
     name: str
@@ -48,24 +46,26 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Project:
-    """One leg of a project, as a subject takes it.
+    """Content of a project for one leg.
 
     Parameters
     ----------
     settings
-        What was read.
-    side, mass_kg
-        Of the leg, and of all bodies of the model.
+        Settings of muscle-tendon personalisation.
+    side
+        Side of the leg, ``l`` or ``r``.
+    mass_kg
+        Mass of all bodies of the model, kg.
     channels
-        The muscles of this leg that each channel drives.
+        Muscles of this leg that each EMG channel drives.
     extrapolated
-        The muscles of this leg in each group without a channel: they have an excitation in common.
+        Muscles of this leg in each group without an EMG channel, which share an excitation.
     trials
-        The gait cycles.
+        Gait cycles.
     muscles
-        Parameters where an ``.osimx`` file gives some, else None: the model's then hold.
+        Muscle parameters if the project has an ``.osimx`` file; None if those of the model are used.
     notes
-        What of the project a subject does not have.
+        Parts of the project that are not converted, and remarks.
     """
 
     settings: ToolSettings
@@ -73,39 +73,39 @@ class Project:
     mass_kg: float
     channels: dict[str, tuple[str, ...]]
     extrapolated: dict[str, tuple[str, ...]]
-    trials: tuple[Recorded, ...]
+    trials: tuple[ProjectTrial, ...]
     muscles: MuscleParameters | None
     notes: tuple[str, ...]
 
 
 def read_project(path: str | Path) -> Project:
-    """Read a project by its settings of muscle-tendon personalisation.
+    """Read a project from its settings of muscle-tendon personalisation (``.xml``).
 
     Raises
     ------
     InputError
-        With everything wrong in it.
+        With all faults of the project.
     """
     settings = read_tool_settings(path)
     model = read_model_file(settings.model_file)
     problems: list[Problem] = []
-    side = _side(settings, problems)
-    channels = _channels(settings, model, side, problems)
-    trials = _trials(settings, problems)
+    side = _find_side(settings, problems)
+    channels = _read_channels(settings, model, side, problems)
+    trials = _find_trials(settings, problems)
     notes: list[str] = []
-    extrapolated = _extrapolated(settings, model, side, channels, problems, notes)
+    extrapolated = _read_extrapolated(settings, model, side, channels, problems, notes)
     muscles = None
     if settings.osimx_file is not None:
         earlier = read_osimx(settings.osimx_file)
-        muscles = _with_lengths(model.muscles, earlier)
+        muscles = _replace_lengths(model.muscles, earlier)
         if any(set(muscle.values) - set(_LENGTHS) for muscle in earlier):
             notes.append(
-                f"{settings.osimx_file.name}: lengths and forces are taken over; delays, time constants and "
-                "EMG scales are calibrated anew"
+                f"{settings.osimx_file.name}: lengths and forces are used; delays, time constants and EMG "
+                "scales are calibrated anew"
             )
     if settings.passive:
         notes.append(
-            f"passive trials ('{settings.passive}') are not taken over; where angles and moments of them are "
+            f"passive trials ('{settings.passive}') are not converted; if their angles and moments are "
             "known, list both as [[passive]] for 'wrapjax initialise'"
         )
     mass = _mass(settings.model_file, problems)
@@ -114,19 +114,19 @@ def read_project(path: str | Path) -> Project:
     return Project(settings, side, mass, channels, extrapolated, trials, muscles, tuple(notes))
 
 
-def fill_subject_folder(project: Project, folder: Path, name: str) -> None:
-    """Fill an empty folder with a project, as a subject of this name; files are copied as they are."""
+def write_project_as_subject(project: Project, folder: Path, name: str) -> None:
+    """Write a project as a subject of this name into an empty folder; its files are copied unchanged."""
     shutil.copyfile(project.settings.model_file, folder / "model.osim")
     if project.muscles is not None:
         write_text(folder / "muscle_parameters.csv", _parameter_table(project.muscles))
     for trial in project.trials:
         (folder / "trials" / trial.name).mkdir(parents=True)
         for kind, file in trial.files.items():
-            shutil.copyfile(file, folder / _place(trial, kind))
+            shutil.copyfile(file, folder / _trial_file(trial, kind))
     write_text(folder / SETTINGS_FILE, _settings_text(project, name))
 
 
-def _side(settings: ToolSettings, problems: list[Problem]) -> str:
+def _find_side(settings: ToolSettings, problems: list[Problem]) -> str:
     sides = {coordinate[-2:] for coordinate in settings.coordinates}
     if sides in ({"_l"}, {"_r"}):
         return sides.pop()[1:]
@@ -136,25 +136,25 @@ def _side(settings: ToolSettings, problems: list[Problem]) -> str:
             str(settings.file),
             f"expected coordinates of one leg, which end in _l or in _r, found {listed}",
             "<coordinate_list>",
-            "a subject is one leg: give each settings of its own",
+            "a subject is one leg: use separate settings for each leg",
         )
     )
     return ""
 
 
-def _channels(
+def _read_channels(
     settings: ToolSettings, model: ModelFile, side: str, problems: list[Problem]
 ) -> dict[str, tuple[str, ...]]:
     tag = "collected_emg_channel_muscle_groups"
     before = len(problems)
     channels = _groups_of_leg(settings.collected, tag, settings, model, side, problems)
     if settings.collected and not channels and len(problems) == before:
-        found = f"expected a group with muscles that end in _{side}, found none"
-        problems.append(Problem(str(settings.file), found, f"<{tag}>"))
+        message = f"expected a group with muscles that end in _{side}, found none"
+        problems.append(Problem(str(settings.file), message, f"<{tag}>"))
     return channels
 
 
-def _extrapolated(
+def _read_extrapolated(
     settings: ToolSettings,
     model: ModelFile,
     side: str,
@@ -162,25 +162,25 @@ def _extrapolated(
     problems: list[Problem],
     notes: list[str],
 ) -> dict[str, tuple[str, ...]]:
-    """Keep the groups without EMG, of muscles that nothing else excites, and say what can drive them."""
-    taken = {muscle for own in channels.values() for muscle in own}
-    found = {}
+    """Find the groups without EMG, omit muscles that have another excitation, and note how to drive them."""
+    assigned = {muscle for members in channels.values() for muscle in members}
+    extrapolated = {}
     tag = "missing_emg_channel_muscle_groups"
     for group, muscles in _groups_of_leg(settings.missing, tag, settings, model, side, problems).items():
-        twice = [muscle for muscle in muscles if muscle in taken]
-        if twice:
-            notes.append(f"group {group}: without {', '.join(twice)}, which another group has already")
-        own = tuple(muscle for muscle in muscles if muscle not in taken)
-        if own:
-            found[group] = own
-            taken.update(own)
-    if found:
+        duplicates = [muscle for muscle in muscles if muscle in assigned]
+        if duplicates:
+            notes.append(f"group {group}: without {', '.join(duplicates)}, which another group has already")
+        members = tuple(muscle for muscle in muscles if muscle not in assigned)
+        if members:
+            extrapolated[group] = members
+            assigned.update(members)
+    if extrapolated:
         notes.append(
-            f"no EMG: the groups {', '.join(found)}, kept as [emg.extrapolated]; with 'wrapjax calibrate "
-            "--undriven synergies' each has an excitation by synergies of the measured EMG, and without that "
-            "option nothing drives them"
+            f"no EMG: the groups {', '.join(extrapolated)}, written as [emg.extrapolated]; with 'wrapjax "
+            "calibrate --undriven synergies' each is excited by synergies of the measured EMG, and without "
+            "that option they are not driven"
         )
-    return found
+    return extrapolated
 
 
 def _groups_of_leg(
@@ -191,48 +191,48 @@ def _groups_of_leg(
     side: str,
     problems: list[Problem],
 ) -> dict[str, tuple[str, ...]]:
-    """Look up the muscles of this leg in each group; groups of the other leg alone are left out."""
-    found = {}
+    """Find the muscles of this leg in each group of the model; groups without any are omitted."""
+    members = {}
     for group in groups:
         if group not in model.groups:
             message = f"names the group '{group}', which {settings.model_file.name} does not have"
             hint = nearest_name(group, list(model.groups))
             problems.append(Problem(str(settings.file), message, f"<{tag}>", hint))
             continue
-        own = tuple(
+        muscles = tuple(
             name for name in model.groups[group] if name in model.muscles.names and name.endswith(f"_{side}")
         )
-        if own:
-            found[group] = own
-    return found
+        if muscles:
+            members[group] = muscles
+    return members
 
 
-def _trials(settings: ToolSettings, problems: list[Problem]) -> tuple[Recorded, ...]:
+def _find_trials(settings: ToolSettings, problems: list[Problem]) -> tuple[ProjectTrial, ...]:
     angles = settings.data_directory / FOLDERS["angles"]
-    files = _tables(angles)
+    files = _list_tables(angles)
     if not files:
-        problems.append(Problem(str(angles), "expected a .sto or .mot file a trial, found none"))
-    found = []
+        problems.append(Problem(str(angles), "expected a .sto or .mot file for each trial, found none"))
+    trials = []
     prefixes = settings.prefixes or tuple(file.stem.removesuffix("_ik") for file in files)
-    wanted = [file for file in files if file.stem.startswith(prefixes)] if prefixes else []
-    if files and not wanted:
+    selected = [file for file in files if file.stem.startswith(prefixes)] if prefixes else []
+    if files and not selected:
         listed = ", ".join(settings.prefixes)
         problems.append(Problem(str(angles), f"expected files that begin with {listed}, found none"))
-    for file in wanted:
+    for file in selected:
         name = file.stem.removesuffix("_ik")
-        own = {"angles": file}
+        trial_files = {"angles": file}
         for kind in ("moments", "emg"):
             folder = settings.data_directory / FOLDERS[kind]
-            match = [other for other in _tables(folder) if _same_trial(other.stem, name)]
+            match = [other for other in _list_tables(folder) if _same_trial(other.stem, name)]
             if not match:
                 problems.append(Problem(str(folder), f"expected a file of the trial '{name}', found none"))
                 continue
-            own[kind] = match[0]
-        found.append(Recorded(name, own, _cycle(file, problems)))
-    return tuple(found)
+            trial_files[kind] = match[0]
+        trials.append(ProjectTrial(name, trial_files, _find_cycle(file, problems)))
+    return tuple(trials)
 
 
-def _tables(folder: Path) -> list[Path]:
+def _list_tables(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES)
@@ -242,19 +242,19 @@ def _same_trial(stem: str, trial: str) -> bool:
     return stem in (trial, *(f"{trial}_{kind}" for kind in ("id", "emg")))
 
 
-def _cycle(file: Path, problems: list[Problem]) -> tuple[float, float]:
-    """Leave out the frames beside the cycle: the same number at either end, and `FRAMES` between them."""
+def _find_cycle(file: Path, problems: list[Problem]) -> tuple[float, float]:
+    """Find the `FRAMES` frames of the cycle, with equally many additional frames before and after it."""
     time = read_storage(file).time
-    beside, odd = divmod(len(time) - FRAMES, 2)
-    if beside < 0 or odd:
+    additional, odd = divmod(len(time) - FRAMES, 2)
+    if additional < 0 or odd:
         message = f"expected {FRAMES} frames, and as many before as after them, found {len(time)}"
         problems.append(Problem(str(file), message))
         return (0.0, 0.0)
-    return float(time[beside]), float(time[len(time) - 1 - beside])
+    return float(time[additional]), float(time[len(time) - 1 - additional])
 
 
-def _with_lengths(model: MuscleParameters, earlier: Sequence[OsimxMuscle]) -> MuscleParameters:
-    """Put what an earlier step found in the place of what the model has."""
+def _replace_lengths(model: MuscleParameters, earlier: Sequence[OsimxMuscle]) -> MuscleParameters:
+    """Replace parameters of the model by those of an earlier step."""
     columns = {name: np.array(getattr(model, name)) for name in _LENGTHS}
     for muscle in earlier:
         if muscle.name in model.names:
@@ -276,7 +276,7 @@ def _mass(model_file: Path, problems: list[Problem]) -> float:
     return total
 
 
-def _place(trial: Recorded, kind: str) -> str:
+def _trial_file(trial: ProjectTrial, kind: str) -> str:
     return f"trials/{trial.name}/{kind}{trial.files[kind].suffix}"
 
 
@@ -289,103 +289,31 @@ def _parameter_table(muscles: MuscleParameters) -> str:
 
 def _settings_text(project: Project, name: str) -> str:
     lines = [
-        "# Taken over from a project of the NMSM Pipeline. All trials calibrate: say 'validation' of",
-        "# some, and give their speeds (speed_m_s), to see how errors are on cycles that were not seen.",
+        "# Converted from a project of the NMSM Pipeline. All trials are for calibration: set use to",
+        "# 'validation' for some, and give their speeds (speed_m_s), to evaluate errors on held-out cycles.",
         *(f"# {note}" for note in project.notes),
         "[subject]",
-        f"name = {quoted(name)}",
+        f"name = {toml_string(name)}",
         f"mass_kg = {project.mass_kg!r}",
         f'side = "{project.side}"',
         "",
         "[model]",
         'file = "model.osim"',
         *([] if project.muscles is None else ['muscle_parameters = "muscle_parameters.csv"']),
-        f"coordinates = {quoted_list(project.settings.coordinates)}",
+        f"coordinates = {toml_list(project.settings.coordinates)}",
         "",
         "[emg]",
         'kind = "envelope"',
         "[emg.channels]",
-        *_lists(project.channels),
-        *(["[emg.extrapolated]", *_lists(project.extrapolated)] if project.extrapolated else []),
+        *_format_lists(project.channels),
+        *(["[emg.extrapolated]", *_format_lists(project.extrapolated)] if project.extrapolated else []),
     ]
     for trial in project.trials:
-        lines += ["", "[[trial]]", f"name = {quoted(trial.name)}", 'use = "calibration"']
-        lines += [f"{kind} = {quoted(_place(trial, kind))}" for kind in FOLDERS]
+        lines += ["", "[[trial]]", f"name = {toml_string(trial.name)}", 'use = "calibration"']
+        lines += [f"{kind} = {toml_string(_trial_file(trial, kind))}" for kind in FOLDERS]
         lines.append(f"cycle = [{trial.cycle[0]!r}, {trial.cycle[1]!r}]")
     return "\n".join(lines) + "\n"
 
 
-def _lists(groups: dict[str, tuple[str, ...]]) -> list[str]:
-    return [f"{quoted(name)} = {quoted_list(muscles)}" for name, muscles in groups.items()]
-
-
-#: Folder of a project's data, with a folder a trial.
-FOLDER = "MAData"
-_LENGTH, _ARM, _SUFFIX = "_Length", "_MomentArm_", ".sto"
-
-
-@dataclass(frozen=True)
-class MuscleAnalysis:
-    """Lengths and moment arms of muscles in one trial, as a project keeps them.
-
-    Parameters
-    ----------
-    trial
-        Its name.
-    length
-        Muscle-tendon lengths in m, a column a muscle; None where there is no such table.
-    moment_arm
-        By coordinate, moment arms in m, of the sign of -d(length)/d(coordinate), a column a muscle.
-    """
-
-    trial: str
-    length: Storage | None
-    moment_arm: Mapping[str, Storage]
-
-
-def read_muscle_analyses(
-    data_directory: Path, trials: Mapping[str, Path], coordinates: tuple[str, ...]
-) -> tuple[MuscleAnalysis, ...]:
-    """Read ``MAData/<trial>/*_Length.sto`` and ``*_MomentArm_<coordinate>.sto``.
-
-    Parameters
-    ----------
-    data_directory
-        Of the project.
-    trials
-        By name, the file of angles, which a trial's folder may be called after, too.
-    coordinates
-        Whose moment arms are read.
-
-    Returns
-    -------
-    tuple of MuscleAnalysis
-        Of the trials that have such a folder.
-
-    Raises
-    ------
-    InputError
-        With everything wrong in these files.
-    """
-    problems: list[Problem] = []
-    found = []
-    for trial, angles in trials.items():
-        folder = next(
-            (place for name in (trial, angles.stem) if (place := data_directory / FOLDER / name).is_dir()),
-            None,
-        )
-        if folder is None:
-            continue
-        there = sorted(file for file in folder.iterdir() if file.is_file())
-        tables = {}
-        for ending in (_LENGTH, *(f"{_ARM}{coordinate}" for coordinate in coordinates)):
-            # As the analysis names them, with something before: the trial, or the trial and its own name.
-            files = [file for file in there if file.name.endswith(ending + _SUFFIX)]
-            with collecting(problems):
-                if files:
-                    tables[ending] = read_storage(files[0])
-        arms = {name: tables[_ARM + name] for name in coordinates if _ARM + name in tables}
-        found.append(MuscleAnalysis(trial, tables.get(_LENGTH), arms))
-    if problems:
-        raise InputError(problems)
-    return tuple(found)
+def _format_lists(groups: dict[str, tuple[str, ...]]) -> list[str]:
+    return [f"{toml_string(name)} = {toml_list(muscles)}" for name, muscles in groups.items()]

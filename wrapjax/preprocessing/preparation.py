@@ -1,4 +1,4 @@
-"""From a laboratory's raw files to a subject folder."""
+"""Preparation of a subject folder from a laboratory's raw files, or from a project of the NMSM Pipeline."""
 
 from __future__ import annotations
 
@@ -12,57 +12,65 @@ from pathlib import Path
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import read_model_file
-from wrapjax.io.toml import collecting
+from wrapjax.io.toml import collect_problems
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.tools import marker_names, scale_model
 from wrapjax.preprocessing.force_plates import SIDES
-from wrapjax.preprocessing.joint_angles import couplers_of
-from wrapjax.preprocessing.laboratory_settings import RawSettings, read_raw_settings
-from wrapjax.preprocessing.nmsm_paths import geometry_notes
-from wrapjax.preprocessing.nmsm_project import Project, fill_subject_folder, read_project
-from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_folder
-from wrapjax.preprocessing.raw_trial import RawModel, prepare_trial
+from wrapjax.preprocessing.joint_angles import find_coupled_coordinates
+from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, read_laboratory_settings
+from wrapjax.preprocessing.nmsm_muscle_analysis import compare_muscle_analyses
+from wrapjax.preprocessing.nmsm_project import Project, read_project, write_project_as_subject
+from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_subject_folder
+from wrapjax.preprocessing.trial_preparation import PreparationModel, prepare_trial
+from wrapjax.subject.body_mass import describe_masses, mass_agrees_with_model, mass_looks_like_pounds
 from wrapjax.subject.description import Table
-from wrapjax.subject.subject import agrees_with_model, load_subject, looks_like_pounds, mass_beside_model
+from wrapjax.subject.subject import load_subject
 
 
 @dataclass(frozen=True)
 class Preparation:
-    """A laboratory's files, made ready.
+    """Subject prepared from a laboratory's raw files.
 
     Parameters
     ----------
     settings
-        What was asked for.
+        Laboratory settings.
     model
-        The scaled model, as an ``.osim`` document.
+        Scaled model: bytes of its ``.osim`` file.
     trials
-        In the order of the settings.
+        Prepared trials, in the order of the settings.
     """
 
-    settings: RawSettings
+    settings: LaboratorySettings
     model: bytes
     trials: tuple[PreparedTrial, ...]
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
-        """Write the subject folder, whole or not at all, and only if it can be read as one.
+        """Write the subject folder atomically, provided that `load_subject` can read it.
+
+        Parameters
+        ----------
+        folder
+            Subject folder to create.
+        force
+            Replace an existing folder.
 
         Raises
         ------
         InputError
-            If the folder exists, or what would be written is no fit subject.
+            If the folder exists and ``force`` is false, or the result is not a valid subject.
         """
         folder = Path(folder)
-        with new_folder(folder, force=force) as temporary, _called(temporary, folder):
+        with new_folder(folder, force=force) as temporary, _errors_naming(temporary, folder):
             with tempfile.TemporaryDirectory(prefix="wrapjax-") as beside:
                 file = Path(beside) / "model.osim"
                 file.write_bytes(self.model)
-                write_folder(temporary, self.settings, file, self.trials)
+                write_subject_folder(temporary, self.settings, file, self.trials)
             write_json(temporary / "preparation.json", self.summary())
             _write_page(temporary, self.tables(), "markers, forces and raw EMG", self.trials)
 
     def summary(self) -> dict:
-        """Give what ``preparation.json`` holds: filters, cycles, checks with numbers, notes of each trial."""
+        """Return the content of ``preparation.json``: filters, cycles, checks and notes of each trial."""
         return {
             "schema": 1,
             "subject": self.settings.name,
@@ -78,42 +86,58 @@ class Preparation:
         }
 
     def tables(self) -> tuple[Table, ...]:
-        """Give what the command prints: trials, then every check."""
+        """Return the tables that `wrapjax prepare` prints: trials, checks and notes."""
         trials = tuple(
-            (each.trial.name, each.trial.use, len(each.cycles), each.cutoff_hz) for each in self.trials
+            (prepared.trial.name, prepared.trial.use, len(prepared.cycles), prepared.cutoff_hz)
+            for prepared in self.trials
         )
-        rows = tuple((each.trial.name, check.found) for each in self.trials for check in each.checks)
-        notes = tuple((each.trial.name, note) for each in self.trials for note in each.notes)
+        checks = tuple(
+            (prepared.trial.name, check.found) for prepared in self.trials for check in prepared.checks
+        )
+        notes = tuple((prepared.trial.name, note) for prepared in self.trials for note in prepared.notes)
         return (
             Table("Trials", ("trial", "use", "cycles", "low-pass (Hz)"), trials),
-            Table("Checks", ("trial", "found"), rows),
+            Table("Checks", ("trial", "found"), checks),
             Table("Notes", ("trial", "note"), notes),
         )
 
 
 @dataclass(frozen=True)
 class ProjectPreparation:
-    """A project of the NMSM Pipeline, whose files are taken over as they are."""
+    """Subject prepared from a project of the NMSM Pipeline, whose files are copied unchanged.
+
+    Parameters
+    ----------
+    project
+        Content of the project.
+    """
 
     project: Project
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
-        """Write the subject folder, whole or not at all, and only if it can be read as one.
+        """Write the subject folder atomically, provided that `load_subject` can read it.
+
+        Parameters
+        ----------
+        folder
+            Subject folder to create; its name becomes the name of the subject.
+        force
+            Replace an existing folder.
 
         Raises
         ------
         InputError
-            If the folder exists, or what would be written is no fit subject.
+            If the folder exists and ``force`` is false, or the result is not a valid subject.
         """
         folder = Path(folder)
-        with new_folder(folder, force=force) as temporary, _called(temporary, folder):
-            fill_subject_folder(self.project, temporary, folder.name)
+        with new_folder(folder, force=force) as temporary, _errors_naming(temporary, folder):
+            write_project_as_subject(self.project, temporary, folder.name)
             shutil.copyfile(self.project.settings.file, temporary / "prepared_from.xml")
             write_json(temporary / "preparation.json", self.summary())
             _write_page(temporary, self.tables(), "a project of the NMSM Pipeline")
 
     def summary(self) -> dict:
-        """Give what ``preparation.json`` holds: where it is from, cycles, notes."""
+        """Return the content of ``preparation.json``: project, cycles and notes."""
         return {
             "schema": 1,
             "project": str(self.project.settings.file),
@@ -122,9 +146,9 @@ class ProjectPreparation:
         }
 
     def tables(self) -> tuple[Table, ...]:
-        """Give what the command prints."""
+        """Return the tables that `wrapjax prepare` prints: trials, channels and notes."""
         trials = tuple((trial.name, *trial.cycle) for trial in self.project.trials)
-        channels = tuple((name, ", ".join(own)) for name, own in self.project.channels.items())
+        channels = tuple((name, ", ".join(muscles)) for name, muscles in self.project.channels.items())
         notes = tuple((note,) for note in self.project.notes)
         return (
             Table("Trials", ("trial", "from (s)", "to (s)"), trials),
@@ -136,30 +160,32 @@ class ProjectPreparation:
 def prepare_subject(
     settings_file: Path | str, *, log: Callable[[str], None] = lambda line: None
 ) -> Preparation | ProjectPreparation:
-    """Read a laboratory's raw files, check that they belong together, and solve motion and moments.
+    """Prepare a subject from a laboratory's raw files, or from a project of the NMSM Pipeline.
 
-    Or, by the settings (``.xml``) of the NMSM Pipeline's muscle-tendon personalisation, take over what that
-    project holds already; its ``MAData`` are compared with its model's own muscle paths.
+    Raw files: markers (or joint angles) and ground reaction forces are low-pass filtered at 7 over the gait
+    period (zero-lag Butterworth filter of fourth order), OpenSim's inverse kinematics and inverse dynamics
+    compute angles and moments, and motion, forces and EMG are checked for agreement in time, leg and unit.
+    EMG is not filtered here but by `load_subject`.
 
-    Markers and forces are filtered low-pass at 7 over the gait period, forwards and backwards; OpenSim's own
-    tools solve angles and moments. EMG stays raw: `load_subject` filters it.
+    Project of the NMSM Pipeline: its model, angles, moments and EMG are used unchanged. Its ``MAData``
+    (lengths and moment arms), if present, are compared with the muscle paths of its model.
 
     Parameters
     ----------
     settings_file
-        TOML: who, which model, which files, whose forces, which electrodes. Or a project's XML.
-    tell
-        Called with a line of progress.
+        Laboratory settings (TOML), or the settings of the project's muscle-tendon personalisation (``.xml``).
+    log
+        Function called with each line of progress.
 
     Returns
     -------
     Preparation or ProjectPreparation
-        With ``save``.
+        Prepared subject; its method ``save`` writes the subject folder.
 
     Raises
     ------
     InputError
-        With everything wrong in the files, and every check that failed, with its numbers.
+        With all faults of the files and all failed checks, with their numbers.
 
     Examples
     --------
@@ -167,28 +193,28 @@ def prepare_subject(
     """
     if Path(settings_file).suffix.lower() == ".xml":
         project = read_project(settings_file)
-        notes = (*project.notes, *geometry_notes(project, log))
+        notes = (*project.notes, *compare_muscle_analyses(project, log))
         return ProjectPreparation(replace(project, notes=notes))
-    settings = read_raw_settings(Path(settings_file))
+    settings = read_laboratory_settings(Path(settings_file))
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         path = settings.model_file
         if settings.scaling is not None:
             log("scaling the model")
             path = Path(folder) / "scaled.osim"
             scale_model(settings.model_file, settings.scaling, settings.mass_kg, path)
-        model = _model(path, settings)
+        model = _read_model(path, settings)
         problems: list[Problem] = []
         trials = []
         for trial in settings.trials:
-            with collecting(problems):
+            with collect_problems(problems):
                 trials.append(prepare_trial(trial, settings, model, log))
         if problems:
             raise InputError(dict.fromkeys(problems))
         return Preparation(settings, path.read_bytes(), tuple(trials))
 
 
-def _model(path: Path, settings: RawSettings) -> RawModel:
-    """Read the model, and check what the settings name in it."""
+def _read_model(path: Path, settings: LaboratorySettings) -> PreparationModel:
+    """Read the model and check that it has the coordinates and bodies in the settings, and the mass."""
     file = read_model_file(path)
     description = describe_model(path)
     known = tuple(info.name for info in file.coordinates)
@@ -213,47 +239,47 @@ def _model(path: Path, settings: RawSettings) -> RawModel:
         for side, foot in settings.feet.items()
         if foot.body not in bodies
     ]
-    # The scale tool makes bodies as heavy as it is told.
-    if settings.scaling is None and not agrees_with_model(settings.mass_kg, file.mass_kg):
-        beside = mass_beside_model(settings.mass_kg, file.mass_kg)
-        pounds = looks_like_pounds(settings.mass_kg, file.mass_kg)
+    # OpenSim's scale tool sets the mass of a model to that in the settings.
+    if settings.scaling is None and not mass_agrees_with_model(settings.mass_kg, file.mass_kg):
+        masses = describe_masses(settings.mass_kg, file.mass_kg)
+        pounds = mass_looks_like_pounds(settings.mass_kg, file.mass_kg)
         problems.append(
             Problem(
                 str(settings.file),
-                f"expected the mass of a model scaled to the person, found that {beside}",
+                f"expected the mass of a model scaled to the person, found that {masses}",
                 "[subject] mass_kg",
                 "is it in lb? Give kg" if pounds else "scale the model to the person, or correct mass_kg",
             )
         )
     if problems:
         raise InputError(problems)
-    return RawModel(path, file, couplers_of(description.coordinates), marker_names(path))
+    return PreparationModel(path, file, find_coupled_coordinates(description.coordinates), marker_names(path))
 
 
 def _write_page(
     folder: Path, tables: Sequence[Table], came_from: str, trials: Sequence[PreparedTrial] = ()
 ) -> None:
-    """Read what was written as commands will, and show it."""
+    """Read the subject folder and write the report page."""
     from wrapjax.report.preparation_page import ForceTrace, render_preparation
 
     forces = [
         ForceTrace(
-            trial=each.trial.name,
-            cycles=each.cycles,
-            time=each.forces.time,
-            vertical={SIDES[side]: each.forces.vertical(side) for side in each.forces.sides},
-            needed_time=each.needed_time,
-            needed=each.needed_force,
+            trial=prepared.trial.name,
+            cycles=prepared.cycles,
+            time=prepared.forces.time,
+            vertical={SIDES[side]: prepared.forces.vertical(side) for side in prepared.forces.sides},
+            needed_time=prepared.required_time,
+            needed=prepared.required_force,
         )
-        for each in trials
+        for prepared in trials
     ]
     page = render_preparation(load_subject(folder), tables, forces, came_from)
     write_text(folder / "report.html", page)
 
 
 @contextmanager
-def _called(temporary: Path, folder: Path) -> Iterator[None]:
-    """Name files by where they would have been."""
+def _errors_naming(temporary: Path, folder: Path) -> Iterator[None]:
+    """Replace the temporary folder by the final one in error messages."""
     try:
         yield
     except InputError as error:

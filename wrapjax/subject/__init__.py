@@ -1,1 +1,1 @@
-"""Recorded data of one person: the subject folder, its signals and gait cycles, its muscles."""
+"""Recorded data of one leg: the subject folder and its settings, signals, gait cycles and muscles."""

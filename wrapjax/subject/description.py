@@ -1,4 +1,4 @@
-"""What a subject folder holds, as plain tables: `wrapjax check` prints them, or gives them as JSON."""
+"""Summary of a subject folder as tables, which `wrapjax check` prints or writes as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,17 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Table:
-    """A title, the names of the columns with their units, and the rows. A missing value is None."""
+    """Table for a terminal or a report.
+
+    Parameters
+    ----------
+    title
+        Title.
+    header
+        Names of the columns with their units.
+    rows
+        Cells of each row; a missing value is None.
+    """
 
     title: str
     header: tuple[str, ...]
@@ -22,12 +32,12 @@ class Table:
 
 
 def describe_subject(subject: Subject) -> tuple[Table, ...]:
-    """Describe a subject: who, EMG channels, trials, joint angles and moments, notes.
+    """Summarise a subject: overview, EMG channels, trials, joint angles and moments, notes.
 
     Returns
     -------
     tuple of Table
-        Angles are in degrees, everything else in SI units.
+        Tables with angles in degrees and all other quantities in SI units.
     """
     return (
         _overview(subject),
@@ -39,7 +49,7 @@ def describe_subject(subject: Subject) -> tuple[Table, ...]:
 
 
 def render_tables(tables: tuple[Table, ...]) -> str:
-    """Write tables as text with aligned columns, numbers to the right; tables without rows are left out."""
+    """Format tables as text with aligned columns, numbers to the right; tables without rows are omitted."""
     return "\n\n".join(_render(table) for table in tables if table.rows) + "\n"
 
 
@@ -68,7 +78,7 @@ def _overview(subject: Subject) -> Table:
 
 
 def _channels(subject: Subject) -> Table:
-    """Muscles, peak and mean of each channel over all cycles, padding included."""
+    """Tabulate the peak, the mean (all cycles with padding) and the muscles of each EMG channel."""
     rows = []
     for index, channel in enumerate(subject.trials.channels):
         muscles = ", ".join(name for name, driver in subject.channel_of.items() if driver == channel)
@@ -120,7 +130,7 @@ def _coordinates(subject: Subject) -> Table:
 
 
 def _render(table: Table) -> str:
-    cells = [[_shown(cell) for cell in row] for row in table.rows]
+    cells = [[_format_cell(cell) for cell in row] for row in table.rows]
     numeric = [
         all(isinstance(row[place], (int, float)) or row[place] is None for row in table.rows)
         for place in range(len(table.header))
@@ -138,7 +148,7 @@ def _render(table: Table) -> str:
     return "\n".join([table.title, line(table.header), rule, *map(line, cells)])
 
 
-def _shown(cell: Cell) -> str:
+def _format_cell(cell: Cell) -> str:
     if cell is None:
         return "-"
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

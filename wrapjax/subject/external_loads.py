@@ -1,4 +1,4 @@
-"""Ground forces of a recording: what acts on which body, read strictly, at any times."""
+"""Ground reaction forces of a recording, and OpenSim's external loads that assign them to bodies."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.io.model_file import read_xml
-from wrapjax.io.storage import find_column, read_storage, read_storage_header
-from wrapjax.io.toml import collecting
+from wrapjax.io.storage import find_columns, read_storage, read_storage_header
+from wrapjax.io.toml import collect_problems
+from wrapjax.io.xml import read_xml
 from wrapjax.subject.settings import TrialSettings
 from wrapjax.subject.trials import TIME_TOLERANCE
 
-#: What OpenSim writes where nothing is named.
+#: Values that OpenSim writes for an empty name.
 _UNNAMED = ("", "unassigned")
 
 
 @dataclass(frozen=True)
 class AppliedLoad:
-    """One ``<ExternalForce>``: on which body it acts, and what its columns start with.
+    """External force on a body (``<ExternalForce>``) and the columns that hold it.
 
     Parameters
     ----------
-    name, body
-        Its own name, and that of the body it acts on.
+    name
+        Name of the external force.
+    body
+        Name of the body on which it acts.
     force, point, torque
-        What the labels of the three columns of each start with (``x``, ``y`` and ``z`` follow), all in
-        ground's frame. Empty where there is none; a force has a point.
+        Prefixes of the labels of the three columns each (``x``, ``y`` and ``z`` follow) of the force, its
+        point of application and the torque, in the ground frame. Empty if there is none; a force has a point.
     """
 
     name: str
@@ -42,17 +44,17 @@ class AppliedLoad:
 
 @dataclass(frozen=True)
 class GroundLoads:
-    """Everything that acts on bodies from outside during a recording.
+    """External forces and moments on bodies during a recording.
 
     Parameters
     ----------
     bodies
-        On which each load acts.
+        Body on which each load acts.
     time
-        s, as recorded.
+        Times, s, as recorded.
     wrench
-        Moment about ground's origin (N m), then force (N), of each load on its body, in ground's frame.
-        Unlike a center of pressure it goes to zero smoothly where contact ends.
+        Moment about the origin of ground (N m), then force (N), of each load on its body, in the ground
+        frame. Unlike the center of pressure it goes to zero smoothly at the end of a contact.
     """
 
     bodies: tuple[str, ...]
@@ -60,27 +62,27 @@ class GroundLoads:
     wrench: Float[np.ndarray, "load 6 sample"]
 
     def at(self, times: Float[np.ndarray, "trial frame"]) -> Float[np.ndarray, "load 6 trial frame"]:
-        """Interpolate linearly at times in s; before the first and after the last sample the edge is held.
+        """Interpolate the wrench linearly at times in s; outside the recording the edge value is held.
 
-        A spline would overshoot the corners in which contact starts and ends.
+        A spline would overshoot at the start and the end of contact.
         """
         flat = [[np.interp(times, self.time, row) for row in load] for load in self.wrench]
         return np.array(flat).reshape(*self.wrench.shape[:2], *times.shape)
 
 
 def read_ground_loads(trial: TrialSettings) -> GroundLoads:
-    """Read what acts on which body during a trial that names its ground forces and external loads.
+    """Read the external loads of a trial whose settings name ground forces and external loads.
 
     Raises
     ------
     InputError
-        With everything wrong in the two files, or if the forces do not cover a cycle of the trial.
+        With all faults of the two files, or if the forces do not cover a cycle of the trial.
     """
     assert trial.ground_forces is not None and trial.external_loads is not None
     loads = read_external_loads(trial.external_loads)
-    # Rows are not counted: a file of forces that was cut to a trial often keeps the header of the whole.
+    # A file that was cut to a trial often keeps the number of rows of the original in its header.
     table = read_storage(trial.ground_forces, trust_row_count=False)
-    problems = _uncovered(trial, table.time)
+    problems = _cycles_outside(trial, table.time)
     places = _places(loads, table.columns, trial, problems)
     if problems:
         raise InputError(dict.fromkeys(problems))
@@ -98,12 +100,12 @@ def read_ground_loads(trial: TrialSettings) -> GroundLoads:
 
 
 def check_ground_loads(trial: TrialSettings, problems: list[Problem]) -> None:
-    """Check both files, as far as a trial names them, without reading numbers; add what is wrong."""
+    """Check the files of ground forces and external loads of a trial without reading numbers."""
     header, loads = None, None
-    with collecting(problems):
+    with collect_problems(problems):
         if trial.ground_forces is not None:
             header = read_storage_header(trial.ground_forces)
-    with collecting(problems):
+    with collect_problems(problems):
         if trial.external_loads is not None:
             loads = read_external_loads(trial.external_loads)
     if header is not None and loads is not None:
@@ -114,28 +116,28 @@ def _places(
     loads: tuple[AppliedLoad, ...], labels: tuple[str, ...], trial: TrialSettings, problems: list[Problem]
 ) -> dict[str, list[int]]:
     """Find the three columns of each force, point and torque."""
-    wanted = dict.fromkeys(part for load in loads for part in (load.force, load.point, load.torque) if part)
-    found: dict[str, list[int]] = {prefix: [] for prefix in wanted}
-    for prefix in wanted:
+    prefixes = dict.fromkeys(part for load in loads for part in (load.force, load.point, load.torque) if part)
+    found: dict[str, list[int]] = {prefix: [] for prefix in prefixes}
+    for prefix in prefixes:
         for label in (prefix + axis for axis in "xyz"):
-            places = find_column(labels, label)
+            places = find_columns(labels, label)
             found[prefix] += places
             if len(places) != 1:
-                seen = ", ".join(labels[place] for place in places) or "none"
-                message = f"expected one column, which {trial.external_loads} names, found {seen}"
+                matches = ", ".join(labels[place] for place in places) or "none"
+                message = f"expected one column, which {trial.external_loads} names, found {matches}"
                 hint = "" if places else nearest_name(label, labels)
                 problems.append(Problem(str(trial.ground_forces), message, f"column {label}", hint))
     return found
 
 
 def read_external_loads(path: Path) -> tuple[AppliedLoad, ...]:
-    """Read which columns of a file of forces act on which body.
+    """Read OpenSim's file of external loads: the columns of forces and the bodies on which they act.
 
     Raises
     ------
     InputError
-        With everything wrong: no OpenSim file of external loads, a force without a body or a point, one
-        that is given in the frame of another body than ground.
+        With all faults: not an OpenSim file of external loads, a force without a body or a point, a force
+        that is not expressed in ground.
     """
     root = read_xml(path, "OpenSimDocument")
     problems: list[Problem] = []
@@ -168,7 +170,7 @@ def _load(element: Element, path: Path, problems: list[Problem]) -> AppliedLoad:
         message = "expected <force_identifier> or <torque_identifier> to name columns, found neither"
         problems.append(Problem(str(path), message, place))
     if load.force and not load.point:
-        message = "expected <point_identifier> to say where the force acts, found none"
+        message = "expected <point_identifier> to name the columns of the point of application, found none"
         problems.append(Problem(str(path), message, place))
     for tag in ("force_expressed_in_body", "point_expressed_in_body"):
         frame = text(tag).rsplit("/", 1)[-1]
@@ -178,13 +180,13 @@ def _load(element: Element, path: Path, problems: list[Problem]) -> AppliedLoad:
     return load
 
 
-def _uncovered(trial: TrialSettings, time: Float[np.ndarray, " sample"]) -> list[Problem]:
-    """Report cycles that the forces do not cover."""
-    spans = f"the recording, which spans {time[0]:g} to {time[-1]:g} s"
+def _cycles_outside(trial: TrialSettings, time: Float[np.ndarray, " sample"]) -> list[Problem]:
+    """Return a problem for each cycle that the forces do not cover."""
+    recording = f"the recording, which spans {time[0]:g} to {time[-1]:g} s"
     return [
         Problem(
             str(trial.ground_forces),
-            f"the cycle lies outside {spans}",
+            f"the cycle lies outside {recording}",
             f"trial '{trial.name}', cycle {order} [{start:g}, {end:g}] s",
         )
         for order, (start, end) in enumerate(trial.cycles, start=1)

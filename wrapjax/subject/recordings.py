@@ -1,4 +1,4 @@
-"""The signals of one trial, read from its files and checked against the subject's settings."""
+"""Reading of the angles, moments and EMG of one recording, and checks of their units and ranges."""
 
 from __future__ import annotations
 
@@ -11,44 +11,48 @@ from jaxtyping import Float
 
 from wrapjax.errors import Problem, nearest_name
 from wrapjax.io.model_file import CoordinateInfo
-from wrapjax.io.storage import Storage, component_name, find_column
-from wrapjax.io.toml import collecting
+from wrapjax.io.storage import Storage, component_name, find_columns
+from wrapjax.io.toml import collect_problems
 from wrapjax.subject.external_loads import check_ground_loads
 from wrapjax.subject.settings import Settings, TrialSettings
 from wrapjax.subject.trials import TIME_TOLERANCE
 
-#: Samples a cycle must hold, and so the longest gap: with fewer, the shape of a gait cycle is guessed.
+#: Smallest number of samples in a gait cycle, which limits gaps to 1/20 of the cycle; with fewer samples the
+#: signals within the cycle are not determined.
 MIN_SAMPLES = 20
-#: Largest amplitude in a file marked as degrees that is taken for radians, about 143 degrees.
-LARGEST_IF_RADIANS = 2.5
-#: Moments per body mass in N m/kg. Walking peaks near 2 and running near 4; anything above the first limit is
-#: another unit (N mm) or a failed inverse dynamics, and anything below the second was divided by the mass.
-MOST_MOMENT_PER_MASS = 10.0
-LEAST_MOMENT_PER_MASS = 0.05
-#: Envelopes are normalised to about 1. Above this they are in percent or microvolts.
-MOST_ENVELOPE = 10.0
-#: Raw EMG needs at least this rate in Hz: its power reaches beyond 100 Hz.
-LEAST_RAW_RATE = 200.0
+#: A file in degrees whose angles do not exceed this value (143 degrees, if in rad) is reported as one in
+#: radians.
+MAX_ANGLE_IF_RADIANS = 2.5
+#: Limits of the peak moment per body mass, N m/kg. Walking peaks near 2 and running near 4. Larger values
+#: mean another unit (N mm) or failed inverse dynamics; smaller ones mean moments that were divided by body
+#: mass.
+MAX_MOMENT_PER_MASS = 10.0
+MIN_MOMENT_PER_MASS = 0.05
+#: Largest value of a normalised envelope, which peaks at about 1. Larger values are in percent or microvolts.
+MAX_ENVELOPE = 10.0
+#: Lowest sampling rate of raw EMG, Hz: its power extends beyond 100 Hz.
+MIN_RAW_EMG_RATE = 200.0
 
+#: Function that reads a table; it usually caches tables, as trials can share files.
 Reader = Callable[[Path], Storage]
 
 
 @dataclass(frozen=True)
 class Signals:
-    """The signals of a trial at their own rates, in SI units and radians.
+    """Signals of a recording at their own sampling rates, in SI units and radians.
 
     Parameters
     ----------
     trial
-        The settings they belong to.
+        Settings of the recording.
     coordinates
         Coordinates of the model found in the angle file, in the model's order.
     angle_time, angles
-        s; rad or m.
+        Times, s, and joint angles, rad (m for translations).
     moment_time, moments
-        s; N m, in the order of the settings' coordinates.
+        Times, s, and joint moments, N m, in the order of the coordinates in the settings.
     emg_time, emg
-        s; as recorded, in the order of the settings' channels.
+        Times, s, and EMG as recorded, in the order of the channels in the settings.
     """
 
     trial: TrialSettings
@@ -69,42 +73,44 @@ def read_signals(
     problems: list[Problem],
     notes: list[str],
 ) -> Signals | None:
-    """Read and check the signals of a trial, adding everything wrong to ``problems``.
+    """Read and check the signals of a recording.
 
     Parameters
     ----------
-    trial, settings
-        What the subject's settings say.
+    trial
+        Settings of the recording.
+    settings
+        Settings of the subject.
     model_coordinates
-        All coordinates of the model; empty where it could not be read, and then angles are not checked.
+        All coordinates of the model; empty if the model could not be read, and then angles are not checked.
     read
-        Reads a table; trials often share files, so that it pays to remember them.
+        Function that reads a table.
     problems, notes
-        Lists to add to.
+        Lists to which faults and remarks are added.
 
     Returns
     -------
     Signals or None
-        None where anything is missing.
+        None if a file or a column is missing.
     """
-    # Only later steps use them: it is enough to know that they can.
+    # Ground forces are used only by later steps, so that they are checked here but not kept.
     check_ground_loads(trial, problems)
     tables = {}
     for kind, path in (("angles", trial.angles), ("moments", trial.moments), ("emg", trial.emg)):
-        with collecting(problems):
+        with collect_problems(problems):
             tables[kind] = read(path)
             notes.extend(f"{path}: {remark}" for remark in tables[kind].remarks)
             _check_cycles(trial, path, tables[kind].time, problems)
     by_name = {info.name: info for info in model_coordinates}
-    wanted = [by_name[name] for name in settings.coordinates if name in by_name]
+    predicted = [by_name[name] for name in settings.coordinates if name in by_name]
     columns: dict[str, np.ndarray | None] = {}
     if "angles" in tables:
-        names = tuple(info.name for info in wanted)
+        names = tuple(info.name for info in predicted)
         columns["angles"] = _columns(tables["angles"], names, ("",), trial.angles, problems)
-        check_angle_unit(tables["angles"], wanted, trial.angles, problems)
+        check_angle_unit(tables["angles"], predicted, trial.angles, problems)
     if "moments" in tables:
-        # A coordinate that the model lacks has been reported; its column need not be missed as well.
-        expected = tuple(info.name for info in wanted) if model_coordinates else settings.coordinates
+        # A coordinate that the model lacks has been reported already; its column is not reported as missing.
+        expected = tuple(info.name for info in predicted) if model_coordinates else settings.coordinates
         moment_columns = _columns(
             tables["moments"], expected, ("_moment", "_force", ""), trial.moments, problems
         )
@@ -115,29 +121,29 @@ def read_signals(
         columns["emg"] = _columns(tables["emg"], tuple(settings.channels), ("",), trial.emg, problems)
         if columns["emg"] is not None:
             _check_emg(tables["emg"].time, columns["emg"], settings, trial, problems)
-    found = {kind: values for kind, values in columns.items() if values is not None}
-    if len(found) < 3:
+    complete = {kind: values for kind, values in columns.items() if values is not None}
+    if len(complete) < 3:
         return None
-    coordinates, angles = all_angles(tables["angles"], model_coordinates)
+    coordinates, angles = select_angles(tables["angles"], model_coordinates)
     return Signals(
         trial=trial,
         coordinates=coordinates,
         angle_time=tables["angles"].time,
         angles=angles,
         moment_time=tables["moments"].time,
-        moments=found["moments"],
+        moments=complete["moments"],
         emg_time=tables["emg"].time,
-        emg=found["emg"],
+        emg=complete["emg"],
     )
 
 
 def _columns(
     table: Storage, names: tuple[str, ...], suffixes: tuple[str, ...], path: Path, problems: list[Problem]
 ) -> Float[np.ndarray, "column sample"] | None:
-    """Take the columns of these names, None where one is missing or ambiguous."""
+    """Select the columns of these names; None if one is missing or ambiguous."""
     places = []
     for name in names:
-        found = find_column(table.columns, name, suffixes)
+        found = find_columns(table.columns, name, suffixes)
         expected = name + suffixes[0]
         if len(found) == 1:
             places.append(found[0])
@@ -157,7 +163,7 @@ def _columns(
 def _check_cycles(
     trial: TrialSettings, path: Path, time: Float[np.ndarray, " sample"], problems: list[Problem]
 ) -> None:
-    """Report cycles that the recording does not cover, or covers with too few samples."""
+    """Report cycles that are not within the recording or have gaps in their samples."""
     for order, (start, end) in enumerate(trial.cycles, start=1):
         place = f"trial '{trial.name}', cycle {order} [{start:g}, {end:g}] s"
         if start < time[0] - TIME_TOLERANCE or end > time[-1] + TIME_TOLERANCE:
@@ -167,28 +173,28 @@ def _check_cycles(
         first = max(int(np.searchsorted(time, start, side="right")) - 1, 0)
         last = int(np.searchsorted(time, end, side="left"))
         steps = np.diff(time[first : last + 1])
-        longest = (end - start) / MIN_SAMPLES
-        if steps.max() > longest * (1.0 + 1e-9):
+        max_step = (end - start) / MIN_SAMPLES
+        if steps.max() > max_step * (1.0 + 1e-9):
             gap = time[first + int(np.argmax(steps))]
             found = f"found none for {steps.max():.3g} s after {gap:g} s"
-            message = f"expected a sample at least every {longest:.3g} s, {found}"
+            message = f"expected a sample at least every {max_step:.3g} s, {found}"
             problems.append(Problem(str(path), message, place))
 
 
 def check_angle_unit(
-    table: Storage, wanted: list[CoordinateInfo], path: Path, problems: list[Problem]
+    table: Storage, coordinates: list[CoordinateInfo], path: Path, problems: list[Problem]
 ) -> None:
-    """Report degrees taken for radians, and radians taken for degrees."""
+    """Report angles in degrees that the file declares as radians, and the reverse."""
     peaks = {}
-    for info in wanted:
-        found = find_column(table.columns, info.name)
+    for info in coordinates:
+        found = find_columns(table.columns, info.name)
         if info.motion_type == "rotational" and len(found) == 1:
             peaks[info.name] = float(np.abs(table.values[:, found[0]]).max())
-    unit, turn, other = (
+    unit, full_turn, other_unit = (
         ("degrees", 360.0, "radians") if table.in_degrees else ("radians", 2.0 * np.pi, "degrees")
     )
     for name, peak in peaks.items():
-        if peak > turn:
+        if peak > full_turn:
             message = f"found {peak:.4g} {unit}, more than a full turn"
             hint = (
                 "are the angles in degrees? Then write inDegrees=yes in the header"
@@ -196,24 +202,29 @@ def check_angle_unit(
                 else ""
             )
             problems.append(Problem(str(path), message, f"column {name}", hint))
-    large_in_gait = any("hip" in name or "knee" in name for name in peaks)
-    if table.in_degrees and large_in_gait and max(peaks.values()) <= LARGEST_IF_RADIANS:
-        message = f"no angle exceeds {max(peaks.values()):.3g} degrees, which looks like {other}"
+    has_hip_or_knee = any("hip" in name or "knee" in name for name in peaks)
+    if table.in_degrees and has_hip_or_knee and max(peaks.values()) <= MAX_ANGLE_IF_RADIANS:
+        message = f"no angle exceeds {max(peaks.values()):.3g} degrees, which looks like {other_unit}"
         hint = "if the angles are in radians, write inDegrees=no in the header"
         problems.append(Problem(str(path), message, f"columns {', '.join(peaks)}", hint))
 
 
-def all_angles(
+def select_angles(
     table: Storage, model_coordinates: tuple[CoordinateInfo, ...]
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "coordinate sample"]]:
-    """Take every coordinate of the model that the file holds, in rad or m.
+    """Select all coordinates of the model that a table of angles contains, and convert them to rad or m.
 
-    As in OpenSim, degrees concern rotational coordinates only, not coupled ones.
+    As in OpenSim, only rotational coordinates are converted from degrees, not coupled ones.
+
+    Returns
+    -------
+    names, angles
+        Names of the coordinates in the model's order, and their values.
     """
     names = []
     series = []
     for info in model_coordinates:
-        found = find_column(table.columns, info.name)
+        found = find_columns(table.columns, info.name)
         if len(found) == 1:
             values = table.values[:, found[0]]
             names.append(info.name)
@@ -230,19 +241,19 @@ def _check_moments(
     path: Path,
     problems: list[Problem],
 ) -> None:
-    """Report moments that are all zero, or in another unit."""
+    """Report moments that are zero throughout or in another unit."""
     peaks = np.abs(moments).max(axis=1)
     for name, peak in zip(names, peaks, strict=True):
         if peak == 0.0:
             problems.append(
                 Problem(str(path), "expected joint moments, found zero throughout", f"column {name}_moment")
             )
-        elif peak > MOST_MOMENT_PER_MASS * mass_kg:
+        elif peak > MAX_MOMENT_PER_MASS * mass_kg:
             message = (
-                f"expected N m, found {peak:.4g}, more than {MOST_MOMENT_PER_MASS:g} N m per kg of body mass"
+                f"expected N m, found {peak:.4g}, more than {MAX_MOMENT_PER_MASS:g} N m per kg of body mass"
             )
             problems.append(Problem(str(path), message, f"column {name}_moment", "are the moments in N mm?"))
-    if peaks.size and 0.0 < peaks.max() < LEAST_MOMENT_PER_MASS * mass_kg:
+    if peaks.size and 0.0 < peaks.max() < MIN_MOMENT_PER_MASS * mass_kg:
         message = f"expected N m, found no moment above {peaks.max():.3g}"
         problems.append(Problem(str(path), message, hint="are the moments divided by body mass?"))
 
@@ -254,12 +265,12 @@ def _check_emg(
     trial: TrialSettings,
     problems: list[Problem],
 ) -> None:
-    """Report raw EMG taken for envelopes, envelopes taken for raw EMG, and EMG that is none."""
+    """Report raw EMG declared as envelopes, envelopes declared as raw EMG, and constant EMG."""
     path = trial.emg
     if settings.emg_kind == "raw":
         rate = (time.size - 1) / (time[-1] - time[0])
-        if rate < LEAST_RAW_RATE:
-            message = f"expected raw EMG at {LEAST_RAW_RATE:g} Hz or more, found {rate:.4g} Hz"
+        if rate < MIN_RAW_EMG_RATE:
+            message = f"expected raw EMG at {MIN_RAW_EMG_RATE:g} Hz or more, found {rate:.4g} Hz"
             problems.append(
                 Problem(str(path), message, hint='are these envelopes? Then write kind = "envelope"')
             )
@@ -273,6 +284,6 @@ def _check_emg(
                 problems.append(
                     Problem(str(path), message, place, 'is this raw EMG? Then write kind = "raw"')
                 )
-            elif signal.max() > MOST_ENVELOPE:
+            elif signal.max() > MAX_ENVELOPE:
                 message = f"expected an envelope normalised to about 1, found a peak of {signal.max():.4g}"
                 problems.append(Problem(str(path), message, place, "divide each channel by its maximum"))

@@ -1,8 +1,7 @@
-"""The settings of a subject, ``subject.toml``: what the folder holds and how to use it.
+"""Settings of a subject folder, ``subject.toml``: its allowed keys, their checks, and the values read.
 
-``[emg.channels]`` and ``[emg.extrapolated]`` of the settings: what excites which muscles.
-
-``[[passive]]`` of the settings: recordings of a leg at rest.
+A new key is read in the function of its table (`read_settings`, `_read_trial`, `read_channels`,
+`read_extrapolated`, `read_passive_settings`); a key that no function reads is reported as unknown.
 """
 
 from __future__ import annotations
@@ -17,111 +16,32 @@ from typing import Any
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, read_toml
 
-
-@dataclass(frozen=True)
-class PassiveSettings:
-    """One ``[[passive]]``: its name, unique among them, and its files."""
-
-    name: str
-    angles: Path
-    moments: Path
-
-
-def read_passive_settings(
-    tables: Any, file: Path, folder: Path, problems: list[Problem]
-) -> tuple[PassiveSettings, ...]:
-    """Take all ``[[passive]]`` tables, without those that are unfit; none where there is none."""
-    if tables is None:
-        return ()
-    if not isinstance(tables, list):
-        message = f"expected tables [[passive]], found {describe_value(tables)}"
-        problems.append(Problem(str(file), message, "passive"))
-        return ()
-    found = []
-    for number, table in enumerate(tables, start=1):
-        label = table.get("name") if isinstance(table, dict) else None
-        place = (
-            f"[[passive]] '{label}'" if isinstance(label, str) and label else f"[[passive]] number {number}"
-        )
-        reader = TableReader(table, file, place, problems)
-        name = reader.text("name")
-        angles, moments = (reader.path(key, folder) for key in ("angles", "moments"))
-        reader.finish()
-        if name is not None and angles is not None and moments is not None:
-            found.append(PassiveSettings(name, angles, moments))
-    for name, count in Counter(trial.name for trial in found).items():
-        if count > 1:
-            message = f"expected every trial to have a name of its own, found {count}"
-            problems.append(Problem(str(file), message, f"[[passive]] '{name}'"))
-    return tuple(found)
-
-
-def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
-    """Take the muscles of each channel; a muscle can be driven by one channel only."""
-    reader = TableReader(table, file, "[emg.channels]", problems)
-    channels = {}
-    drive_by_synergies: dict[str, str] = {}
-    for channel in table if isinstance(table, dict) else ():
-        muscles = reader.names(channel)
-        if muscles is None:
-            continue
-        channels[channel] = muscles
-        for muscle in muscles:
-            if muscle in drive_by_synergies:
-                message = f"expected one channel a muscle, found '{muscle}' driven by '{drive_by_synergies[muscle]}' already"
-                reader.problem(channel, message)
-            drive_by_synergies.setdefault(muscle, channel)
-    if not table and not reader.silent:
-        reader.problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
-    return channels
-
-
-def read_extrapolated(
-    table: object, channels: dict[str, tuple[str, ...]], file: Path, problems: list[Problem]
-) -> dict[str, tuple[str, ...]] | None:
-    """Take the muscles of each excitation that nobody measured; a muscle has one, or a channel."""
-    if table is None:
-        return None
-    reader = TableReader(table, file, "[emg.extrapolated]", problems)
-    found = {}
-    taken = {muscle: f"channel '{channel}'" for channel, own in channels.items() for muscle in own}
-    for name in table if isinstance(table, dict) else ():
-        muscles = reader.names(name)
-        if muscles is None:
-            continue
-        found[name] = muscles
-        for muscle in muscles:
-            if muscle in taken:
-                reader.problem(
-                    name, f"expected muscles without excitation, found '{muscle}', which has {taken[muscle]}"
-                )
-            taken.setdefault(muscle, f"'{name}'")
-    return found
-
-
+#: Name of the settings file in a subject folder.
 SETTINGS_FILE = "subject.toml"
-#: Trials name the files of results, so their names must be fit for that.
+#: Valid names of trials, which are used as names of result files.
 _TRIAL_NAME = re.compile(r"[\w.+-]+( [\w.+-]+)*")
 
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """One ``[[trial]]``: a recording and the gait cycles in it.
+    """Recording and its gait cycles (table ``[[trial]]``).
 
     Parameters
     ----------
     name
-        Unique among the subject's trials.
+        Name, unique among the trials of the subject.
     use
         ``calibration`` or ``validation``.
     angles, moments, emg
-        Files.
+        Files (``.sto`` or ``.mot``) of joint angles, joint moments and EMG.
     cycles
         Start and end of each gait cycle in s.
     speed
-        Walking speed in m/s, NaN where not given.
-    ground_forces, external_loads
-        Files, None where not given.
+        Walking speed in m/s, NaN if not given.
+    ground_forces
+        File (``.sto`` or ``.mot``) of ground reaction forces, None if not given.
+    external_loads
+        OpenSim's XML file that assigns the ground reaction forces to bodies, None if not given.
     """
 
     name: str
@@ -136,31 +56,60 @@ class TrialSettings:
 
     @staticmethod
     def is_valid_name(name: str) -> bool:
-        """Say whether a trial may be called so: its files are."""
+        """Return whether a name is valid for a trial, and thus for its result files."""
         return bool(_TRIAL_NAME.fullmatch(name) and name.strip("."))
 
 
 @dataclass(frozen=True)
-class Settings:
-    """All of ``subject.toml``. Where a key is unfit, its field is empty and a problem has been reported.
+class PassiveSettings:
+    """Passive trial (table ``[[passive]]``).
 
     Parameters
     ----------
-    name, mass_kg, side, paretic, other_leg
-        Of ``[subject]``; ``other_leg`` is that leg's folder.
-    model_file, coordinates, muscle_parameters
-        Of ``[model]``.
+    name
+        Name, unique among the passive trials.
+    angles, moments
+        Files (``.sto`` or ``.mot``) of joint angles and of the external moments that held or moved the
+        joints.
+    """
+
+    name: str
+    angles: Path
+    moments: Path
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Content of ``subject.toml``. A field is empty if its key is invalid; a problem has been reported then.
+
+    Parameters
+    ----------
+    name
+        Name of the person.
+    mass_kg
+        Body mass, kg; NaN if missing or invalid.
+    side
+        Side of the leg, ``l`` or ``r``.
+    paretic
+        Whether the leg is paretic, None if unknown.
+    other_leg
+        Subject folder of the other leg, None if not given.
+    model_file
+        OpenSim model (``.osim``).
+    coordinates
+        Coordinates whose moments are predicted.
+    muscle_parameters
+        CSV file of muscle parameters, None if those of the model are used.
     emg_kind
         ``envelope`` or ``raw``.
     channels
-        The muscles that each EMG channel drives.
+        Muscles that each EMG channel drives, by channel.
     extrapolated
-        Muscles without a channel that have an excitation in common, by a name for it; None where that is
-        not said.
+        Muscles without a channel that share an excitation, by name of the group; None if not given.
     trials
-        In the order of the file.
+        Trials, in the order of the file.
     passive
-        Recordings of the leg at rest, in the order of the file.
+        Passive trials, in the order of the file.
     """
 
     name: str
@@ -179,16 +128,16 @@ class Settings:
 
 
 def read_settings(folder: Path, problems: list[Problem]) -> Settings:
-    """Read ``subject.toml`` of a folder, adding everything wrong in it to ``problems``.
+    """Read ``subject.toml`` of a folder and add all its faults to ``problems``.
 
     Raises
     ------
     InputError
-        If there is no such file or it is not TOML, so that nothing can be read at all.
+        If the file does not exist or is not TOML.
     """
     file = folder / SETTINGS_FILE
     if not file.exists():
-        hint = f"a subject is a folder that holds a {SETTINGS_FILE}"
+        hint = f"a subject folder holds a file {SETTINGS_FILE}"
         raise InputError(Problem(str(file), "does not exist", hint=hint))
     top = TableReader(read_toml(file), file, "", problems)
 
@@ -197,26 +146,28 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     mass = subject.number("mass_kg", lowest=5.0, highest=400.0, unit="kg")
     side = subject.text("side", choices=("l", "r")) or ""
     paretic = subject.boolean("paretic")
-    other_leg = _other_leg(subject, folder)
-    subject.finish()
+    other_leg = _read_other_leg(subject, folder)
+    subject.report_unknown_keys()
 
     model = TableReader(top.table("model"), file, "[model]", problems)
     model_file = model.path("file", folder)
     coordinates = model.names("coordinates") or ()
     muscle_parameters = model.path("muscle_parameters", folder, required=False)
-    model.finish()
+    model.report_unknown_keys()
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
     emg_kind = emg.text("kind", choices=("envelope", "raw")) or ""
     channels = read_channels(emg.table("channels"), file, problems)
     extrapolated = read_extrapolated(emg.raw("extrapolated"), channels, file, problems)
-    emg.finish()
+    emg.report_unknown_keys()
 
     tables = top.tables("trial")
-    trials = [_trial(table, number, file, folder, problems) for number, table in enumerate(tables, start=1)]
+    trials = [
+        _read_trial(table, number, file, folder, problems) for number, table in enumerate(tables, start=1)
+    ]
     _check_trials(trials, tables, file, problems)
     passive = read_passive_settings(top.raw("passive"), file, folder, problems)
-    top.finish()
+    top.report_unknown_keys()
     return Settings(
         name=name,
         mass_kg=math.nan if mass is None else mass,
@@ -234,40 +185,40 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     )
 
 
-def _other_leg(subject: TableReader, folder: Path) -> Path | None:
-    """Take the folder of the other leg, the only path that may lie outside the subject's folder."""
+def _read_other_leg(subject: TableReader, folder: Path) -> Path | None:
+    """Read the folder of the other leg, the only path that may lie outside the subject folder."""
     value = subject.text("other_leg", required=False)
     if value is None:
         return None
     path = folder / value
     settings = path if path.name == SETTINGS_FILE else path / SETTINGS_FILE
     try:
-        there = settings.is_file()
-    except OSError:  # a name that no file can have
-        there = False
-    if not there:
-        subject.problem("other_leg", f"expected the folder of a subject, found no {settings}")
+        exists = settings.is_file()
+    except OSError:  # an impossible file name, such as one that is too long
+        exists = False
+    if not exists:
+        subject.add_problem("other_leg", f"expected the folder of a subject, found no {settings}")
         return None
     return settings.parent
 
 
-def _trial(
+def _read_trial(
     table: object, number: int, file: Path, folder: Path, problems: list[Problem]
 ) -> TrialSettings | None:
-    """Take one ``[[trial]]``, None where a part that nothing works without is unfit."""
+    """Read a table ``[[trial]]``; None if a required key is missing or invalid."""
     label = table.get("name") if isinstance(table, dict) else None
     place = f"[[trial]] '{label}'" if isinstance(label, str) and label else f"[[trial]] number {number}"
     reader = TableReader(table, file, place, problems)
     name = reader.text("name")
     if name is not None and not TrialSettings.is_valid_name(name):
-        reader.problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
+        reader.add_problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
         name = None
     use = reader.text("use", choices=("calibration", "validation"))
     paths = [reader.path(key, folder) for key in ("angles", "moments", "emg")]
     extra = [reader.path(key, folder, required=False) for key in ("ground_forces", "external_loads")]
     speed = reader.number("speed_m_s", lowest=0.0, highest=15.0, unit="m/s", required=False)
     cycles = read_cycles(reader)
-    reader.finish()
+    reader.report_unknown_keys()
     angles, moments, emg = paths
     if name is None or use is None or angles is None or moments is None or emg is None:
         return None
@@ -285,10 +236,10 @@ def _trial(
 
 
 def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
-    """Take ``cycle = [t0, t1]`` or ``cycles = [[t0, t1], ...]``, without those that are unfit."""
+    """Read ``cycle = [t0, t1]`` or ``cycles = [[t0, t1], ...]``, s; invalid ones are reported and omitted."""
     if reader.has("cycle") == reader.has("cycles"):
         found = "both" if reader.has("cycle") else "neither"
-        reader.problem(
+        reader.add_problem(
             "cycle", f"expected either cycle = [t0, t1] or cycles = [[t0, t1], ...], found {found}"
         )
     single, several = reader.raw("cycle"), reader.raw("cycles")
@@ -297,7 +248,7 @@ def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
     key = "cycles" if several is not None else "cycle"
     listed = several if several is not None else [single]
     if not isinstance(listed, list) or not listed:
-        reader.problem(key, f"expected [[t0, t1], ...], found {describe_value(listed)}")
+        reader.add_problem(key, f"expected [[t0, t1], ...], found {describe_value(listed)}")
         return ()
     cycles = []
     for order, entry in enumerate(listed, start=1):
@@ -305,9 +256,9 @@ def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
         if entry is None:
             continue
         if not (isinstance(entry, list) and len(entry) == 2 and all(map(_is_time, entry))):
-            reader.problem(place, f"expected [t0, t1] in s, found {describe_value(entry)}")
+            reader.add_problem(place, f"expected [t0, t1] in s, found {describe_value(entry)}")
         elif entry[0] >= entry[1]:
-            reader.problem(place, f"expected t0 before t1, found [{entry[0]:g}, {entry[1]:g}]")
+            reader.add_problem(place, f"expected t0 before t1, found [{entry[0]:g}, {entry[1]:g}]")
         else:
             cycles.append((float(entry[0]), float(entry[1])))
     return tuple(cycles)
@@ -318,23 +269,102 @@ def _is_time(value: object) -> bool:
         return False
     try:
         return math.isfinite(value)
-    except OverflowError:  # whole numbers may be of any size
+    except OverflowError:  # an integer beyond the range of floating-point numbers
         return False
 
 
 def _check_trials(
     trials: list[TrialSettings | None], tables: list, file: Path, problems: list[Problem]
 ) -> None:
-    """Report names used twice, and that nothing is there to calibrate with."""
+    """Report duplicate names, and a lack of trials for calibration."""
     names = Counter(trial.name.lower() for trial in trials if trial is not None)
     for name, count in names.items():
         if count > 1:
-            message = f"expected every trial to have a name of its own, found {count}"
+            message = f"expected every trial to have a unique name, found {count} of this name"
             problems.append(Problem(str(file), message, f"[[trial]] '{name}'"))
     uses = {
         table.get("use") for table in tables if isinstance(table, dict) and isinstance(table.get("use"), str)
     }
-    # An unfit use has been reported already, and may have been meant as calibration.
+    # An invalid use has been reported already, and may have been meant as calibration.
     if tables and uses and uses <= {"validation"}:
         message = 'expected at least one trial with use = "calibration", found none'
         problems.append(Problem(str(file), message, "[[trial]] use"))
+
+
+def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:
+    """Read ``[emg.channels]``: the muscles of each channel. A muscle can have one channel only."""
+    reader = TableReader(table, file, "[emg.channels]", problems)
+    channels = {}
+    channel_of: dict[str, str] = {}
+    for channel in table if isinstance(table, dict) else ():
+        muscles = reader.names(channel)
+        if muscles is None:
+            continue
+        channels[channel] = muscles
+        for muscle in muscles:
+            if muscle in channel_of:
+                message = (
+                    f"expected one channel for each muscle, found '{muscle}' driven by "
+                    f"'{channel_of[muscle]}' already"
+                )
+                reader.add_problem(channel, message)
+            channel_of.setdefault(muscle, channel)
+    if not table and not reader.silent:
+        reader.add_problem("", 'expected at least one channel, such as soleus = ["soleus_l"]')
+    return channels
+
+
+def read_extrapolated(
+    table: object, channels: dict[str, tuple[str, ...]], file: Path, problems: list[Problem]
+) -> dict[str, tuple[str, ...]] | None:
+    """Read ``[emg.extrapolated]``: groups of muscles without a channel that share an excitation.
+
+    A muscle can be in one group only, and not also have a channel. None if the table is missing.
+    """
+    if table is None:
+        return None
+    reader = TableReader(table, file, "[emg.extrapolated]", problems)
+    groups = {}
+    assigned = {muscle: f"channel '{channel}'" for channel, members in channels.items() for muscle in members}
+    for name in table if isinstance(table, dict) else ():
+        muscles = reader.names(name)
+        if muscles is None:
+            continue
+        groups[name] = muscles
+        for muscle in muscles:
+            if muscle in assigned:
+                reader.add_problem(
+                    name,
+                    f"expected muscles without excitation, found '{muscle}', which has {assigned[muscle]}",
+                )
+            assigned.setdefault(muscle, f"'{name}'")
+    return groups
+
+
+def read_passive_settings(
+    tables: Any, file: Path, folder: Path, problems: list[Problem]
+) -> tuple[PassiveSettings, ...]:
+    """Read all tables ``[[passive]]``; invalid ones are reported and omitted."""
+    if tables is None:
+        return ()
+    if not isinstance(tables, list):
+        message = f"expected tables [[passive]], found {describe_value(tables)}"
+        problems.append(Problem(str(file), message, "passive"))
+        return ()
+    trials = []
+    for number, table in enumerate(tables, start=1):
+        label = table.get("name") if isinstance(table, dict) else None
+        place = (
+            f"[[passive]] '{label}'" if isinstance(label, str) and label else f"[[passive]] number {number}"
+        )
+        reader = TableReader(table, file, place, problems)
+        name = reader.text("name")
+        angles, moments = (reader.path(key, folder) for key in ("angles", "moments"))
+        reader.report_unknown_keys()
+        if name is not None and angles is not None and moments is not None:
+            trials.append(PassiveSettings(name, angles, moments))
+    for name, count in Counter(trial.name for trial in trials).items():
+        if count > 1:
+            message = f"expected every trial to have a unique name, found {count} of this name"
+            problems.append(Problem(str(file), message, f"[[passive]] '{name}'"))
+    return tuple(trials)

@@ -1,216 +1,31 @@
-"""A subject folder, read whole: every problem in it is found before anything is calculated.
-
-All recordings of a subject, cut into cycles on one common grid.
-
-Does the mass that settings give agree with the model? Forces in bodyweights are divided by it.
-
-Both legs of a person: the folders of two subjects that belong together.
-"""
+"""Reading of a complete subject folder, with all faults reported at once, and of both legs of a person."""
 
 from __future__ import annotations
 
 import functools
-import itertools
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from jaxtyping import Float
-
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.io.storage import read_storage
-from wrapjax.io.toml import collecting
-from wrapjax.subject.emg import envelopes_of_raw, even_samples, normalise, sampling_rate
-from wrapjax.subject.muscles import (
-    activation_groups,
+from wrapjax.io.toml import collect_problems
+from wrapjax.subject.body_mass import mass_notes
+from wrapjax.subject.cycles import cut_cycles
+from wrapjax.subject.emg import sampling_rate
+from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
+from wrapjax.subject.muscle_parameters import (
     check_channels,
     check_muscle_parameters,
-    fiber_length_groups,
-    of_side,
+    is_on_side,
     read_muscle_parameters,
 )
-from wrapjax.subject.passive import PassiveTrial, read_passive
-from wrapjax.subject.recordings import Signals, read_signals
+from wrapjax.subject.passive import PassiveTrial, read_passive_trial
+from wrapjax.subject.recordings import read_signals
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
 from wrapjax.subject.synergies import Synergies
-from wrapjax.subject.trials import (
-    PADDING_SECONDS,
-    TIME_TOLERANCE,
-    Trials,
-    cycle_times,
-    padding_frames,
-    resample,
-)
-
-
-def cut_trials(
-    settings: Settings, signals: list[Signals], problems: list[Problem], notes: list[str]
-) -> Trials:
-    """Cut all recordings into cycles and normalise raw EMG over all of them.
-
-    Parameters
-    ----------
-    settings
-        The subject's settings.
-    signals
-        Those of every trial, checked.
-    problems, notes
-        Lists to add to: what was held, clipped or never active.
-
-    Returns
-    -------
-    Trials
-        In the order of the settings.
-    """
-    cycles = [cycle for entry in signals for cycle in entry.trial.cycles]
-    padding = padding_frames(cycles)
-    shared = tuple(
-        name for name in signals[0].coordinates if all(name in entry.coordinates for entry in signals)
-    )
-    angles, rates, moments, emg = [], [], [], []
-    for entry in signals:
-        times = cycle_times(list(entry.trial.cycles))
-        rows = [entry.coordinates.index(name) for name in shared]
-        own_angles, own_rates = resample(entry.angle_time, entry.angles[rows], times)
-        angles.append(own_angles)
-        rates.append(own_rates)
-        moments.append(resample(entry.moment_time, entry.moments, times)[0])
-        emg.append(_cut_emg(entry, settings, padding, notes))
-    _note_overlaps(signals, notes)
-    return Trials(
-        names=tuple(name for entry in signals for name in _cycle_names(entry)),
-        recordings=tuple(entry.trial.name for entry in signals for _ in entry.trial.cycles),
-        uses=tuple(entry.trial.use for entry in signals for _ in entry.trial.cycles),
-        speeds=np.array([entry.trial.speed for entry in signals for _ in entry.trial.cycles]),
-        coordinates=shared,
-        moment_coordinates=settings.coordinates,
-        channels=tuple(settings.channels),
-        time=cycle_times(cycles),
-        angles=np.concatenate(angles),
-        angular_velocities=np.concatenate(rates),
-        moments=np.concatenate(moments),
-        emg_time=cycle_times(cycles, padding),
-        emg=_scale(np.concatenate(emg), settings, problems, notes),
-    )
-
-
-def _cycle_names(entry: Signals) -> list[str]:
-    """Name the cycles of a recording: ``walk``, or ``walk/01``, ``walk/02`` where there are several."""
-    count = len(entry.trial.cycles)
-    if count == 1:
-        return [entry.trial.name]
-    digits = max(2, len(str(count)))
-    return [f"{entry.trial.name}/{order:0{digits}d}" for order in range(1, count + 1)]
-
-
-def _cut_emg(
-    entry: Signals, settings: Settings, padding: int, notes: list[str]
-) -> Float[np.ndarray, "trial channel padded_frame"]:
-    """Cut the EMG of one recording: envelopes, not negative, those of raw EMG not yet normalised."""
-    cycles = list(entry.trial.cycles)
-    time, emg = entry.emg_time, entry.emg
-    if settings.emg_kind == "raw":
-        time, emg = even_samples(time, emg)
-        gait_period = float(np.median([end - start for start, end in cycles]))
-        emg = envelopes_of_raw(emg, (time.size - 1) / (time[-1] - time[0]), gait_period)
-    elif emg.min() < 0.0:
-        low = [channel for channel, signal in zip(settings.channels, emg, strict=True) if signal.min() < 0.0]
-        clipped = f"negative values, down to {emg.min():.3g}, were set to 0 in {', '.join(low)}"
-        notes.append(f"{entry.trial.emg}: {clipped}")
-    wanted = cycle_times(cycles, padding)
-    limits = np.array(cycles)
-    missing = PADDING_SECONDS + np.maximum(time[0] - limits[:, 0], limits[:, 1] - time[-1])
-    if missing.max() > TIME_TOLERANCE:
-        count = int((missing > TIME_TOLERANCE).sum())
-        notes.append(
-            f"trial '{entry.trial.name}': less than {PADDING_SECONDS:g} s of EMG before or after {count} of "
-            f"{len(cycles)} cycles (up to {missing.max():.3g} s missing); the edge value is held"
-        )
-    # Negative samples, and the spline's undershoot between samples.
-    return np.maximum(resample(time, emg, wanted)[0], 0.0)
-
-
-def _scale(
-    emg: Float[np.ndarray, "trial channel padded_frame"],
-    settings: Settings,
-    problems: list[Problem],
-    notes: list[str],
-) -> Float[np.ndarray, "trial channel padded_frame"]:
-    """Normalise raw EMG; take envelopes as they are."""
-    peaks = emg.max(axis=(0, 2))
-    silent = [channel for channel, peak in zip(settings.channels, peaks, strict=True) if peak <= 0.0]
-    if settings.emg_kind == "envelope":
-        notes.extend(f"channel '{channel}' is zero in every cycle" for channel in silent)
-        return emg
-    for channel in silent:
-        files = ", ".join(dict.fromkeys(str(trial.emg) for trial in settings.trials))
-        problems.append(Problem(files, "expected EMG, found none in any cycle", f"column {channel}"))
-    return emg if silent else normalise(emg)
-
-
-def _note_overlaps(signals: list[Signals], notes: list[str]) -> None:
-    """Note validation cycles that share samples with calibration cycles: they validate nothing."""
-    for one, other in itertools.combinations([entry.trial for entry in signals], 2):
-        if one.angles != other.angles or one.use == other.use:
-            continue
-        shared = sum(
-            min(first[1], second[1]) - max(first[0], second[0]) > TIME_TOLERANCE
-            for first in one.cycles
-            for second in other.cycles
-        )
-        if shared:
-            notes.append(
-                f"trials '{one.name}' and '{other.name}', one for calibration and one for validation, "
-                f"overlap in {shared} pairs of cycles"
-            )
-
-
-#: By how much the person's mass may differ from that of a model scaled to them, as a share of the latter.
-MOST_MASS_ERROR = 0.10
-#: Pounds in a kilogram.
-POUNDS = 2.2046
-
-
-def agrees_with_model(mass_kg: float, model_kg: float) -> bool:
-    """Say whether a person's mass is that of a scaled model's bodies, both in kg; NaN agrees with all."""
-    return not abs(mass_kg / model_kg - 1.0) > MOST_MASS_ERROR if model_kg > 0.0 else True
-
-
-def looks_like_pounds(mass_kg: float, model_kg: float) -> bool:
-    """Say whether what is given as kg is what the model's bodies (kg) are in pounds."""
-    return model_kg > 0.0 and abs(mass_kg / model_kg / POUNDS - 1.0) <= MOST_MASS_ERROR
-
-
-def mass_beside_model(mass_kg: float, model_kg: float) -> str:
-    """Tell both masses, kg, and how they compare."""
-    times = mass_kg / model_kg
-    return f"mass_kg is {mass_kg:.4g}, {times:.3g} times the {model_kg:.4g} kg of all bodies of the model"
-
-
-def mass_notes(mass_kg: float, model_kg: float) -> tuple[str, ...]:
-    """Note a mass that is no person's with this model, though bodies may be left out of the model.
-
-    Parameters
-    ----------
-    mass_kg
-        Of the person.
-    model_kg
-        Of all bodies of the model, which may be a leg alone: too little of it says nothing, unless it is
-        what pounds would look like. NaN where unknown.
-
-    Returns
-    -------
-    tuple of str
-        One sentence, or none.
-    """
-    pounds = looks_like_pounds(mass_kg, model_kg)
-    if agrees_with_model(mass_kg, model_kg) or (mass_kg > model_kg and not pounds):
-        return ()
-    asked = "is it in lb?" if pounds else "is the model scaled to the person?"
-    beside = mass_beside_model(mass_kg, model_kg)
-    return (f"{beside}: {asked} Forces in bodyweights are divided by mass_kg",)
+from wrapjax.subject.trials import Trials
 
 
 @dataclass(frozen=True)
@@ -219,42 +34,49 @@ class Subject:
 
     Parameters
     ----------
-    name, mass_kg
-        The person.
+    name
+        Name of the person.
+    mass_kg
+        Body mass, kg.
     side
-        ``l`` or ``r``.
+        Side of the leg, ``l`` or ``r``.
     paretic
-        Whether the leg is, None if unknown.
-    folder, model_file
-        Where the subject was read from.
+        Whether the leg is paretic, None if unknown.
+    folder
+        Subject folder.
+    model_file
+        OpenSim model (``.osim``).
     other_leg
-        Folder of the other leg's subject, None if there is none.
+        Subject folder of the other leg, None if there is none.
     muscles
-        Muscles that an EMG channel drives: channel by channel, in the order of each list. Then those that
-        synergies drive.
+        Parameters of the driven muscles: those with an EMG channel, channel by channel in the order of each
+        list, then those driven by synergies.
     muscle_channels
-        Position in ``trials.channels`` of the channel that drives each muscle that one drives.
-    activation_groups, fiber_length_groups
-        Groups of two or more driven muscles.
+        Position in ``trials.channels`` of the EMG channel of each muscle that has one.
+    activation_groups
+        Groups of two or more driven muscles that share the delay and scale of their excitation.
+    fiber_length_groups
+        Groups of two or more driven muscles of similar normalised fiber length.
     undriven_muscles
-        Muscles of this leg's model that nothing drives.
+        Muscles of this leg that neither a channel nor a synergy drives.
     trials
-        The gait cycles.
+        Gait cycles.
     recordings
-        The trials as the settings give them, with their files.
+        Settings of the recordings that the cycles were cut from, with their files.
     emg_rates
-        Rate of each recording's EMG in Hz.
+        Sampling rate of the EMG of each recording, Hz.
     notes
-        What was repaired, or is worth knowing.
+        Repairs and remarks for the user.
     undriven_parameters
-        Of `undriven_muscles`: from the table of muscle parameters where that has them, else the model's.
+        Parameters of `undriven_muscles`: from the table of muscle parameters where it has them, else from the
+        model.
     extrapolated
-        Muscles without a channel that the settings give an excitation in common, by its name; None where
-        they say nothing of that.
+        Groups of muscles without a channel that share an excitation by the settings, by name of the group;
+        None if the settings give none.
     synergies
-        What drives muscles without a channel; None where nothing does.
+        Synergies that drive muscles without a channel; None if there are none.
     passive
-        Recordings of the leg at rest.
+        Passive trials.
     """
 
     name: str
@@ -280,23 +102,35 @@ class Subject:
 
     @property
     def channel_of(self) -> dict[str, str]:
-        """By muscle, the EMG channel that drives it; without those that none drives."""
-        channels = [self.trials.channels[place] for place in self.muscle_channels]
+        """EMG channel of each muscle that has one, by the muscle's name."""
+        channels = [self.trials.channels[index] for index in self.muscle_channels]
         return dict(zip(self.muscles.names, channels, strict=False))
 
 
 def load_subject(path: str | Path) -> Subject:
-    """Read a subject folder (or its ``subject.toml``).
+    """Read and check a subject folder.
+
+    Angles, moments and EMG of all trials are read, checked, and cut into gait cycles of 101 frames. Raw EMG
+    is filtered to envelopes and normalised to the maximum of each channel over all cycles.
+
+    Parameters
+    ----------
+    path
+        Subject folder, or the ``subject.toml`` in it.
 
     Returns
     -------
     Subject
-        In SI units and radians.
+        Subject in SI units and radians, with OpenSim's signs.
 
     Raises
     ------
     InputError
-        With everything wrong in the folder, each problem naming file, place, what was expected and found.
+        With all faults of the folder; each states the file, the place, and what was expected and found.
+
+    Examples
+    --------
+    >>> subject = wrapjax.load_subject("P07_left")  # doctest: +SKIP
     """
     path = Path(path)
     folder = path.parent if path.name == SETTINGS_FILE else path
@@ -315,11 +149,11 @@ def load_subject(path: str | Path) -> Subject:
     infos = () if model is None else model.coordinates
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
     read_all = [entry for entry in signals if entry is not None]
-    at_rest = [read_passive(trial, settings, infos, read, problems) for trial in settings.passive]
+    passive = [read_passive_trial(trial, settings, infos, read, problems) for trial in settings.passive]
     if not problems:
-        trials = cut_trials(settings, read_all, problems, notes)
+        trials = cut_cycles(settings, read_all, problems, notes)
     if problems:
-        # Trials that share a file report the same problem each.
+        # Each trial that uses a faulty file reports the same problem.
         raise InputError(dict.fromkeys(problems))
     assert model is not None and muscles is not None and settings.model_file is not None
     notes.extend(f"{folder / SETTINGS_FILE}: {note}" for note in mass_notes(settings.mass_kg, model.mass_kg))
@@ -343,14 +177,14 @@ def load_subject(path: str | Path) -> Subject:
         notes=tuple(dict.fromkeys(notes)),
         undriven_parameters=others,
         extrapolated=settings.extrapolated,
-        passive=tuple(trial for trial in at_rest if trial is not None),
+        passive=tuple(trial for trial in passive if trial is not None),
     )
 
 
 def _read_model(settings: Settings, folder: Path, problems: list[Problem]) -> ModelFile | None:
-    """Read the model and check the coordinates wanted from it."""
+    """Read the model and check that it has the coordinates of the settings."""
     model = None
-    with collecting(problems):
+    with collect_problems(problems):
         if settings.model_file is not None:
             model = read_model_file(settings.model_file)
     if model is None:
@@ -361,7 +195,7 @@ def _read_model(settings: Settings, folder: Path, problems: list[Problem]) -> Mo
         if name not in infos:
             message = f"coordinate '{name}' is not in the model"
             problems.append(Problem(file, message, place, nearest_name(name, tuple(infos))))
-        elif not of_side(name, settings.side):
+        elif not is_on_side(name, settings.side):
             problems.append(
                 Problem(file, f"expected coordinates of side '{settings.side}', found '{name}'", place)
             )
@@ -374,34 +208,35 @@ def _read_model(settings: Settings, folder: Path, problems: list[Problem]) -> Mo
 def _read_muscles(
     settings: Settings, model: ModelFile, folder: Path, problems: list[Problem]
 ) -> tuple[MuscleParameters | None, MuscleParameters]:
-    """Read the parameters of driven muscles and of the leg's others.
+    """Read the parameters of the driven muscles, and of the other muscles of the leg.
 
-    They are from the table where there is one, else from the model; those of others from the model too
-    where the table lacks them.
+    Parameters come from the table of muscle parameters if there is one, else from the model. Those of
+    undriven muscles that the table lacks come from the model.
     """
     file = folder / SETTINGS_FILE
     driven = check_channels(settings.channels, model.muscles, settings.side, file, problems)
     if settings.extrapolated:
-        named = settings.extrapolated
-        check_channels(named, model.muscles, settings.side, file, problems, "[emg.extrapolated]")
+        check_channels(
+            settings.extrapolated, model.muscles, settings.side, file, problems, "[emg.extrapolated]"
+        )
     others = model.muscles.select(
-        tuple(name for name in model.muscles.names if name not in driven and of_side(name, settings.side))
+        tuple(name for name in model.muscles.names if name not in driven and is_on_side(name, settings.side))
     )
     if settings.muscle_parameters is None:
         assert settings.model_file is not None
         return check_muscle_parameters(model.muscles, driven, settings.model_file, problems), others
-    with collecting(problems):
+    with collect_problems(problems):
         table = read_muscle_parameters(settings.muscle_parameters)
         for name in table.names:
             if name not in model.muscles.names:
                 message = f"muscle '{name}' is not in the model"
                 hint = nearest_name(name, model.muscles.names)
                 problems.append(Problem(str(settings.muscle_parameters), message, hint=hint))
-        # Of muscles that no channel drives only those that the table has: others are as in the model.
+        # Undriven muscles that the table lacks keep the parameters of the model.
         listed = tuple(name for name in table.names if name in others.names)
         checked = check_muscle_parameters(table, (*driven, *listed), settings.muscle_parameters, problems)
         if checked is not None:
-            return checked.select(driven), checked.followed_by(others).select(others.names)
+            return checked.select(driven), checked.extended_by(others).select(others.names)
     return None, others
 
 
@@ -409,22 +244,27 @@ _PLACE = "[subject] other_leg"
 
 
 def name_without_side(name: str) -> str:
-    """Name a muscle as both legs do: ``soleus_l`` and ``soleus_r`` are ``soleus``."""
+    """Remove the suffix of the side from a muscle's name: ``soleus_l`` and ``soleus_r`` become ``soleus``."""
     return re.sub(r"_[lr]$", "", name)
 
 
 def read_legs(subject: Subject) -> tuple[Subject, ...]:
-    """Gather the legs that are calibrated together: the subject, and its other leg if it names one.
+    """Return the legs that are calibrated together: the subject and, if its settings name one, its other leg.
+
+    Parameters
+    ----------
+    subject
+        Subject whose ``other_leg`` is read.
 
     Returns
     -------
     tuple of Subject
-        One, or two that name each other, whether or not the other leg's folder points back.
+        One or two legs. The ``other_leg`` of the second is set to the first, even if its settings name none.
 
     Raises
     ------
     InputError
-        With everything wrong in the other leg's folder, or between the two.
+        With all faults of the other leg's folder, or if the two legs do not belong together.
     """
     if subject.other_leg is None:
         return (subject,)
@@ -434,16 +274,17 @@ def read_legs(subject: Subject) -> tuple[Subject, ...]:
     if other.side == subject.side:
         message = f"expected the other leg, found one of the same side '{other.side}' in {other.folder}"
         problems.append(Problem(file, message, _PLACE))
-    elif not _shared(subject) & _shared(other):
-        message = f"no driven muscle of {other.folder} has a namesake here: the legs would share nothing"
-        problems.append(Problem(file, message, _PLACE, "namesakes differ in '_l' and '_r' only"))
+    elif not _names_without_side(subject) & _names_without_side(other):
+        message = f"no driven muscle of {other.folder} is driven here, so that the legs share no parameter"
+        hint = "names of corresponding muscles differ in '_l' and '_r' only"
+        problems.append(Problem(file, message, _PLACE, hint))
     if other.other_leg is not None and other.other_leg.resolve() != subject.folder.resolve():
-        message = f"expected {subject.folder}, whose other leg this is, or nothing; found {other.other_leg}"
+        message = f"expected {subject.folder}, which names this folder, or no key; found {other.other_leg}"
         problems.append(Problem(other_file, message, _PLACE))
     if problems:
         raise InputError(problems)
     return subject, replace(other, other_leg=subject.folder)
 
 
-def _shared(subject: Subject) -> set[str]:
+def _names_without_side(subject: Subject) -> set[str]:
     return set(map(name_without_side, subject.muscles.names))

@@ -1,7 +1,7 @@
-"""Synergies of measured EMG: what muscles without an electrode are taken to be driven by.
+"""Muscle synergies of measured EMG, from which the excitations of muscles without an electrode are estimated.
 
-The first principal components of all measured channels are *commands*; EMG that nobody measured is sought as
-their weighted sum (Ao et al. 2020, doi:10.3389/fncom.2020.588943).
+The scores of the first principal components of all measured channels are the synergy commands; the excitation
+of a muscle without an electrode is a weighted sum of them (Ao et al. 2020, doi:10.3389/fncom.2020.588943).
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-#: Commands where nobody asks for another number: the NMSM Pipeline's.
-COMMANDS = 5
+#: Default number of synergies, as in the NMSM Pipeline.
+DEFAULT_SYNERGIES = 5
 
 
 @dataclass(frozen=True)
 class SynergyBasis:
-    """Principal components of a person's EMG.
+    """Principal components of a subject's EMG.
 
     Parameters
     ----------
     channels
-        Measured ones.
+        Measured channels.
     largest
-        Of each channel in the cycles that the components are of: EMG is divided by it.
+        Maximum of each channel over the cycles of the fit, by which EMG is divided.
     mean
-        Of each channel after that.
+        Mean of each channel after the division.
     components
-        Unit vectors over channels, those of most variance first.
+        Unit vectors over channels, in decreasing order of variance.
     explained
-        Part of the variance that each component has.
+        Share of the variance that each component explains.
     """
 
     channels: tuple[str, ...]
@@ -41,40 +41,40 @@ class SynergyBasis:
 
     @property
     def count(self) -> int:
-        """How many weights say what an unmeasured muscle gets: one a component, and one of the constant."""
+        """Number of weights of an estimated excitation: one for each component, and one for the constant."""
         return len(self.components) + 1
 
     def commands(
         self, emg: Float[np.ndarray, "trial channel frame"], channels: tuple[str, ...]
     ) -> Float[np.ndarray, "trial command frame"]:
-        """Read the commands off EMG: scores of the components, then 1 throughout.
+        """Compute the synergy commands of EMG: the scores of the components, then a constant 1.
 
-        Cycles that the components were not found in are read by the same ones, so that weights mean the
-        same in all of them.
+        Cycles that were not part of the fit are projected on the same components, so that weights have the
+        same meaning in all cycles.
 
         Parameters
         ----------
         emg
-            Envelopes, without unit.
+            Envelopes, dimensionless.
         channels
-            Their names; among them all that the components are of.
+            Names of the channels of ``emg``, which must include those of the basis.
         """
-        own = emg[:, [channels.index(name) for name in self.channels]]
-        centered = own / self.largest[:, None] - self.mean[:, None]
+        selected = emg[:, [channels.index(name) for name in self.channels]]
+        centered = selected / self.largest[:, None] - self.mean[:, None]
         scores = np.einsum("kc,tcf->tkf", self.components, centered)
         return np.concatenate([scores, np.ones_like(scores[:, :1])], axis=1)
 
 
 @dataclass(frozen=True)
 class Synergies:
-    """How muscles without an electrode are driven.
+    """Excitation of muscles without an electrode by synergies.
 
     Parameters
     ----------
     basis
-        Of the commands.
+        Principal components that give the synergy commands.
     groups
-        By the name of an excitation, the muscles that have it. Every one has its own delay and scale.
+        Muscles that share each estimated excitation, by its name; each muscle has its own delay and scale.
     """
 
     basis: SynergyBasis
@@ -82,26 +82,31 @@ class Synergies:
 
     @property
     def muscles(self) -> tuple[str, ...]:
-        """All of them, group by group."""
+        """All muscles, group by group."""
         return tuple(muscle for members in self.groups.values() for muscle in members)
 
 
 def fit_synergies(
     emg: Float[np.ndarray, "trial channel frame"], channels: tuple[str, ...], count: int
 ) -> SynergyBasis:
-    """Find the principal components of EMG over all frames of all cycles.
+    """Compute the principal components of EMG over all frames of all cycles.
 
-    Channels are divided by their largest value and freed of their mean, as the NMSM Pipeline does (MATLAB's
-    ``pca``). Of each component's two signs that one is taken whose largest entry is positive, as there.
+    Channels are divided by their maximum and centered, and the entry of largest magnitude of each component
+    is positive, as in the NMSM Pipeline (MATLAB's ``pca``).
 
     Parameters
     ----------
     emg
-        Envelopes, without unit, of the cycles to calibrate on.
+        Envelopes of the calibration cycles, dimensionless.
     channels
-        Their names.
+        Names of the channels.
     count
-        How many components; at most as many as there are channels.
+        Number of components, at most the number of channels.
+
+    Raises
+    ------
+    ValueError
+        If the number of components is out of range.
     """
     if not 1 <= count <= len(channels):
         raise ValueError(

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from wrapjax.preprocessing.alignment import forces_against_motion, own_steps_measured
+from wrapjax.preprocessing.consistency_checks import check_foot_on_plates, check_forces_against_motion
 from wrapjax.preprocessing.force_plates import FootForces
-from wrapjax.preprocessing.measured_steps import all_measured, measured_steps
+from wrapjax.preprocessing.plate_contacts import all_contact_measured, find_plate_contacts
 
 #: Gait cycles of 1.1 s, 0.7 s of stance: both feet are down for 0.15 s at a time.
 PERIOD, STANCE = 1.1, 0.7
@@ -41,11 +41,11 @@ def between(start, end):
 
 
 def faults(forces, time=TIME[150:2500:5]):
-    return {check.what: check.fault for check in forces_against_motion(time, needed(time), forces)}
+    return {check.what: check.fault for check in check_forces_against_motion(time, needed(time), forces)}
 
 
 def test_steps_are_those_on_plates():
-    steps = measured_steps(plates(LEFT[:2], RIGHT[1:2], gain=1e-3))
+    steps = find_plate_contacts(plates(LEFT[:2], RIGHT[1:2], gain=1e-3))
     np.testing.assert_allclose(steps["l"].strikes, LEFT[:2], atol=0.02)
     np.testing.assert_allclose(steps["r"].offs, RIGHT[1:2] + STANCE, atol=0.02)
     assert steps["l"].stance == pytest.approx(STANCE, abs=0.03)
@@ -53,9 +53,9 @@ def test_steps_are_those_on_plates():
 
 def test_a_step_under_way_is_no_whole_step():
     forces = plates(LEFT, RIGHT).during(0.7, 4.0)
-    left = measured_steps(forces)["l"]
-    assert left.strikes[0] == pytest.approx(0.7) and not left.whole[0] and not left.whole[-1]
-    assert left.whole[1:-1].all() and left.stance == pytest.approx(STANCE, abs=0.03)
+    left = find_plate_contacts(forces)["l"]
+    assert left.strikes[0] == pytest.approx(0.7) and not left.complete[0] and not left.complete[-1]
+    assert left.complete[1:-1].all() and left.stance == pytest.approx(STANCE, abs=0.03)
 
 
 @pytest.mark.parametrize(
@@ -77,12 +77,12 @@ def test_a_step_under_way_is_no_whole_step():
     ],
 )
 def test_all_is_measured_where_both_feet_are_known(left, right, known, unknown):
-    steps = [foot for foot in measured_steps(plates(left, right)).values() if foot.strikes.size]
-    complete = all_measured(TIME, steps)
+    steps = [foot for foot in find_plate_contacts(plates(left, right)).values() if foot.strikes.size]
+    complete = all_contact_measured(TIME, steps)
     assert complete[between(*known)].all()
     middle = np.zeros(TIME.size, bool)
     for foot in steps:
-        middle |= foot.alone(TIME)
+        middle |= foot.single_support(TIME)
     assert not (complete & ~middle)[between(*unknown)].any()
 
 
@@ -127,12 +127,12 @@ def test_forces_downward_are_told():
 def test_what_cannot_be_compared_is_said():
     forces = plates(LEFT[:1], RIGHT[2:3])
     time = np.arange(2.0, 2.6, 0.01)
-    (check,) = forces_against_motion(time, needed(time), forces)
+    (check,) = check_forces_against_motion(time, needed(time), forces)
     assert "not compared" in check.found and not check.fault
 
 
 def own_fault(forces, *cycles):
-    (check,) = own_steps_measured(forces, "l", cycles)
+    (check,) = check_foot_on_plates(forces, "l", cycles)
     return check.fault, check.hint
 
 
@@ -141,6 +141,6 @@ def test_the_legs_own_steps_have_to_be_measured():
     assert own_fault(plates(LEFT[1:2]), cycle) == ("", "")
     assert own_fault(plates(LEFT), cycle, (0.9, 2.0)) == ("", "")
     missed, hint = own_fault(plates(LEFT[[0, 2]]), long)
-    assert "off them for 1.5" in missed and "from 0.5 to 2.7 s" in missed and "list as cycles" in hint
+    assert "off them for 1.5" in missed and "from 0.5 to 2.7 s" in missed and "list as cycles only" in hint
     assert own_fault(plates(LEFT[:1]), cycle)[0] and own_fault(plates(()), cycle)[0]
     assert "upward" in own_fault(plates(LEFT, gain=-1.0), cycle)[1]

@@ -1,7 +1,4 @@
-"""Which muscles are driven, and with which parameters.
-
-Muscles that act alike: groups whose parameters a calibration keeps similar.
-"""
+"""Reading of the CSV table of muscle parameters, and checks of driven muscles and of their parameters."""
 
 from __future__ import annotations
 
@@ -14,8 +11,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import read_content
 from wrapjax.io.model_file import MuscleParameters
 
-#: Columns of a table of muscle parameters, with the greatest value that makes sense in the column's unit.
-#: A fiber of a metre, 50 kN of one muscle or a right angle of pennation mean another unit.
+#: Columns of the table of muscle parameters and the upper limit of their values, which reveals other units.
 CSV_COLUMNS = {
     "max_isometric_force_N": 50_000.0,
     "optimal_fiber_length_m": 1.0,
@@ -26,12 +22,12 @@ _FIELDS = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length",
 
 
 def read_muscle_parameters(path: Path) -> MuscleParameters:
-    """Read muscle parameters from a CSV file: columns ``muscle`` and those of `CSV_COLUMNS`, others ignored.
+    """Read muscle parameters from the columns ``muscle`` and `CSV_COLUMNS` of a CSV file.
 
     Raises
     ------
     InputError
-        With everything wrong in the file.
+        With all faults of the file.
     """
     content = read_content(path, "a table of muscle parameters")
     try:
@@ -78,7 +74,7 @@ def read_muscle_parameters(path: Path) -> MuscleParameters:
                 place = f"line {number}, column {label}, muscle {muscle}"
                 problems.append(Problem(str(path), f"expected a number, found '{row[label][:40]}'", place))
     if not table and not problems:
-        problems.append(Problem(str(path), "expected a row a muscle, found none"))
+        problems.append(Problem(str(path), "expected a row for each muscle, found none"))
     if problems:
         raise InputError(problems)
     columns = np.array(list(table.values()), dtype=float)
@@ -93,14 +89,27 @@ def check_channels(
     problems: list[Problem],
     table: str = "[emg.channels]",
 ) -> tuple[str, ...]:
-    """Report muscles that the model does not have or that are the other leg's; return the others.
+    """Report muscles that the model lacks or that belong to the other leg, and return the valid ones.
 
-    The last argument is the name of the table of settings that they are from.
+    Parameters
+    ----------
+    channels
+        Names of the muscles of each channel.
+    model
+        Muscles of the model.
+    side
+        Side of the leg, ``l`` or ``r``.
+    file
+        Settings file, for error messages.
+    problems
+        List to which problems are added.
+    table
+        Name of the table of settings, for error messages.
 
     Returns
     -------
     tuple of str
-        The driven muscles: channel by channel, in the order of each list.
+        Valid muscles: channel by channel, in the order of each list.
     """
     driven = []
     for channel, muscles in channels.items():
@@ -109,7 +118,7 @@ def check_channels(
             if muscle not in model.names:
                 message = f"muscle '{muscle}' is not in the model"
                 problems.append(Problem(str(file), message, place, nearest_name(muscle, model.names)))
-            elif not of_side(muscle, side):
+            elif not is_on_side(muscle, side):
                 message = f"expected muscles of side '{side}', found '{muscle}'"
                 problems.append(Problem(str(file), message, place))
             else:
@@ -117,20 +126,20 @@ def check_channels(
     return tuple(dict.fromkeys(driven))
 
 
-def of_side(name: str, side: str) -> bool:
-    """Say whether a muscle or coordinate may be of a leg: it does not carry the other one's suffix."""
+def is_on_side(name: str, side: str) -> bool:
+    """Return whether a muscle or coordinate can belong to a leg: its name lacks the other side's suffix."""
     return not name.endswith({"l": "_r", "r": "_l"}.get(side, "\0"))
 
 
 def check_muscle_parameters(
     parameters: MuscleParameters, driven: tuple[str, ...], file: Path, problems: list[Problem]
 ) -> MuscleParameters | None:
-    """Report driven muscles that are missing or have impossible values; return the driven ones, in order.
+    """Report driven muscles without parameters or with impossible ones, and return the parameters of all.
 
     Returns
     -------
     MuscleParameters or None
-        None where anything is wrong.
+        Parameters in the order of ``driven``; None if there is a problem.
     """
     before = len(problems)
     for muscle in driven:
@@ -141,78 +150,10 @@ def check_muscle_parameters(
         row = parameters.names.index(muscle)
         for field, (label, highest) in zip(_FIELDS, CSV_COLUMNS.items(), strict=True):
             value = float(getattr(parameters, field)[row])
-            lowest_fits = value >= 0.0 if field == "pennation_angle" else value > 0.0
-            if not (lowest_fits and value < highest):
+            above_lowest = value >= 0.0 if field == "pennation_angle" else value > 0.0
+            if not (above_lowest and value < highest):
                 bound = "from 0" if field == "pennation_angle" else "above 0"
                 unit = label.rsplit("_", 1)[1]
                 message = f"expected {field} {bound} and below {highest:.6g} {unit}, found {value:g}"
                 problems.append(Problem(str(file), message, f"muscle {muscle}"))
     return parameters.select(driven) if len(problems) == before else None
-
-
-#: Activation groups of Rajagopal-type models, without the side (Meyer et al. 2017; NMSM Pipeline).
-STANDARD_ACTIVATION_GROUPS = (
-    ("addbrev", "addlong", "addmagDist", "addmagIsch", "addmagMid", "addmagProx"),
-    ("glmax1", "glmax2", "glmax3"),
-    ("glmed1", "glmed2", "glmed3"),
-    ("glmin1", "glmin2", "glmin3"),
-    ("iliacus", "psoas"),
-    ("semimem", "semiten"),
-    ("bflh", "bfsh"),
-    ("perbrev", "perlong"),
-)
-#: Groups of similar normalised fiber length, from the same source.
-STANDARD_FIBER_LENGTH_GROUPS = (
-    ("addbrev", "addlong", "addmagDist", "addmagIsch", "addmagMid", "addmagProx"),
-    ("glmax1", "glmax2", "glmax3"),
-    ("glmed1", "glmed2", "glmed3"),
-    ("glmin1", "glmin2", "glmin3"),
-    ("vasint", "vaslat", "vasmed"),
-    ("semimem", "semiten", "bflh"),
-    ("perbrev", "perlong"),
-    ("iliacus", "psoas"),
-    ("gaslat", "gasmed", "soleus"),
-    ("tibant", "edl"),
-    ("tibpost", "fdl"),
-)
-
-
-def activation_groups(
-    model_groups: dict[str, tuple[str, ...]], driven: tuple[str, ...], side: str
-) -> tuple[tuple[str, ...], ...]:
-    """Choose the groups that share their excitation's timing and scale.
-
-    Parameters
-    ----------
-    model_groups
-        The model's groups of forces. Those with ``ActivationGroup`` in their name win over the standard ones.
-    driven
-        Muscles that an EMG channel drives; others are left out, and with them groups of fewer than two.
-    side
-        ``l`` or ``r``.
-    """
-    return _choose(model_groups, "ActivationGroup", STANDARD_ACTIVATION_GROUPS, driven, side)
-
-
-def fiber_length_groups(
-    model_groups: dict[str, tuple[str, ...]], driven: tuple[str, ...], side: str
-) -> tuple[tuple[str, ...], ...]:
-    """Choose the groups of similar normalised fiber length: ``FiberLengthGroup`` ones, else standard."""
-    return _choose(model_groups, "FiberLengthGroup", STANDARD_FIBER_LENGTH_GROUPS, driven, side)
-
-
-def _choose(
-    model_groups: dict[str, tuple[str, ...]],
-    word: str,
-    standard: tuple[tuple[str, ...], ...],
-    driven: tuple[str, ...],
-    side: str,
-) -> tuple[tuple[str, ...], ...]:
-    # The muscles driven are all of one leg, so that groups of the other leg drop out with their members.
-    own = _at_least_two([members for name, members in model_groups.items() if word in name], driven)
-    return own or _at_least_two([tuple(f"{name}_{side}" for name in group) for group in standard], driven)
-
-
-def _at_least_two(groups: list[tuple[str, ...]], driven: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    kept = (tuple(muscle for muscle in group if muscle in driven) for group in groups)
-    return tuple(group for group in kept if len(group) >= 2)

@@ -1,8 +1,6 @@
-"""The NMSM Pipeline's file of muscle parameters, ``.osimx``.
+"""XML files of the NMSM Pipeline: muscle-tendon personalisation settings and ``.osimx`` muscle parameters.
 
-Its delays count tenths of a second and its time constants hundredths, as its code does; here both are in s.
-
-Settings of the NMSM Pipeline's muscle-tendon personalisation: what of them says what was recorded.
+In ``.osimx`` files delays are in tenths of a second and time constants in hundredths; here both are in s.
 """
 
 from __future__ import annotations
@@ -16,32 +14,35 @@ from xml.etree.ElementTree import Comment, Element, SubElement
 import numpy as np
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.model_file import read_xml
+from wrapjax.io.xml import read_xml
 
+#: Root element of the files.
 ROOT = "NMSMPipelineDocument"
 _TOOL = "MuscleTendonPersonalizationTool"
 
 
 @dataclass(frozen=True)
 class ToolSettings:
-    """What a settings file names. How its tool optimises (tasks, cost terms) is not read.
+    """Recordings and files that a settings file names; optimisation tasks and cost terms are not read.
 
     Parameters
     ----------
     file
-        The settings themselves.
-    model_file, osimx_file
-        Model, and the parameters of an earlier step; None where none are named.
+        Settings file.
+    model_file
+        OpenSim model.
+    osimx_file
+        Muscle parameters of an earlier step, None if not given.
     data_directory
-        Folder of ``IKData``, ``IDData``, ``EMGData`` and, where there is one, ``MAData``.
+        Folder of ``IKData``, ``IDData``, ``EMGData`` and, optionally, ``MAData``.
     coordinates
-        Whose moments are tracked.
+        Coordinates whose moments are tracked.
     collected, missing
-        Groups of muscles with an EMG channel, and without.
+        Groups of muscles with and without an EMG channel.
     prefixes
-        With which names of trial files begin; empty for all.
+        Prefixes of the names of the trial files to use; empty for all.
     passive
-        Folder of passive trials as the settings write it; empty where they name none.
+        Folder of passive trials as written in the settings; empty if not given.
     """
 
     file: Path
@@ -61,7 +62,7 @@ def read_tool_settings(path: str | Path) -> ToolSettings:
     Raises
     ------
     InputError
-        With everything wrong: no such file, not these settings, something named that there is not.
+        With all faults: the file is missing or not such a settings file, or names a file that does not exist.
     """
     path = Path(path)
     root = read_xml(path, ROOT)
@@ -70,11 +71,11 @@ def read_tool_settings(path: str | Path) -> ToolSettings:
         found = ", ".join(f"<{child.tag}>" for child in root) or "nothing"
         raise InputError(Problem(str(path), f"expected a <{_TOOL}>, found {found}"))
     problems: list[Problem] = []
-    model = _named(tool, "input_model_file", path, problems, directory=False)
-    data = _named(tool, "data_directory", path, problems, directory=True)
+    model = _read_path(tool, "input_model_file", path, problems, directory=False)
+    data = _read_path(tool, "data_directory", path, problems, directory=True)
     osimx = None
     if (tool.findtext("input_osimx_file") or "").strip():
-        osimx = _named(tool, "input_osimx_file", path, problems, directory=False)
+        osimx = _read_path(tool, "input_osimx_file", path, problems, directory=False)
     coordinates = _words(tool, "coordinate_list")
     collected = _words(tool, "collected_emg_channel_muscle_groups")
     for tag, names in (
@@ -106,26 +107,28 @@ def _words(tool: Element, tag: str) -> tuple[str, ...]:
     return tuple((tool.findtext(tag) or "").split())
 
 
-def _named(
+def _read_path(
     tool: Element, tag: str, settings: Path, problems: list[Problem], *, directory: bool
 ) -> Path | None:
-    """Find what a tag names: from the folder of the settings, and with Windows' separators understood."""
+    """Read a path that is relative to the folder of the settings; separators may be those of Windows."""
     text = (tool.findtext(tag) or "").strip()
     kind = "folder" if directory else "file"
     if not text:
         problems.append(Problem(str(settings), f"expected the name of a {kind}, found none", f"<{tag}>"))
         return None
-    place = settings.parent / text.replace("\\", "/")
+    path = settings.parent / text.replace("\\", "/")
     try:
-        there = place.is_dir() if directory else place.is_file()
-    except OSError:  # a name that no file can have
-        there = False
-    if not there:
-        problems.append(Problem(str(settings), f"names the {kind} '{text}', which there is not", f"<{tag}>"))
-    return place
+        exists = path.is_dir() if directory else path.is_file()
+    except OSError:  # an impossible file name, such as one that is too long
+        exists = False
+    if not exists:
+        message = f"names the {kind} '{text}', which does not exist"
+        problems.append(Problem(str(settings), message, f"<{tag}>"))
+    return path
 
 
-#: By our name: the file's, and the unit of its numbers in ours.
+#: Quantities of ``.osimx`` files: name in the file, and SI value of one unit of the file, by name in this
+#: package.
 OSIMX_QUANTITIES: Mapping[str, tuple[str, float]] = {
     "electromechanical_delay": ("electromechanical_delay", 0.1),
     "activation_time_constant": ("activation_time_constant", 0.01),
@@ -135,20 +138,20 @@ OSIMX_QUANTITIES: Mapping[str, tuple[str, float]] = {
     "tendon_slack_length": ("tendon_slack_length", 1.0),
     "max_isometric_force": ("max_isometric_force", 1.0),
 }
-#: Of the documents that are written.
+#: Version of the documents that are written.
 _VERSION = "1.5.0"
 
 
 @dataclass(frozen=True)
 class OsimxMuscle:
-    """What a file says of one muscle.
+    """Parameters of one muscle in an ``.osimx`` file.
 
     Parameters
     ----------
     name
-        Of the muscle.
+        Name of the muscle.
     values
-        By our name of the quantity (`OSIMX_QUANTITIES`), SI units; what the file does not give is left out.
+        Values in SI units by quantity (keys of `OSIMX_QUANTITIES`), without those that the file lacks.
     """
 
     name: str
@@ -156,12 +159,12 @@ class OsimxMuscle:
 
 
 def read_osimx(path: str | Path) -> tuple[OsimxMuscle, ...]:
-    """Read the muscles of an ``.osimx`` file; what else is in it is passed over.
+    """Read the muscles of an ``.osimx`` file; its other content is ignored.
 
     Raises
     ------
     InputError
-        With everything wrong in the file.
+        With all faults of the file.
     """
     path = Path(path)
     root = read_xml(path, ROOT)
@@ -170,17 +173,17 @@ def read_osimx(path: str | Path) -> tuple[OsimxMuscle, ...]:
     for element in root.iter("RCNLMuscle"):
         name = element.get("name", "").strip()
         if not name or name in muscles:
-            found = "a second time" if name else "without a name"
-            problems.append(Problem(str(path), f"a muscle is there {found}", f"<RCNLMuscle> {name}".strip()))
+            found = "occurs a second time" if name else "has no name"
+            problems.append(Problem(str(path), f"a muscle {found}", f"<RCNLMuscle> {name}".strip()))
             continue
-        muscles[name] = OsimxMuscle(name, _values(element, name, path, problems))
+        muscles[name] = OsimxMuscle(name, _read_values(element, name, path, problems))
     if problems:
         raise InputError(problems)
     return tuple(muscles.values())
 
 
-def _values(element: Element, muscle: str, path: Path, problems: list[Problem]) -> dict[str, float]:
-    found = {}
+def _read_values(element: Element, muscle: str, path: Path, problems: list[Problem]) -> dict[str, float]:
+    values = {}
     for name, (tag, unit) in OSIMX_QUANTITIES.items():
         text = (element.findtext(tag) or "").strip()
         if not text:
@@ -193,23 +196,23 @@ def _values(element: Element, muscle: str, path: Path, problems: list[Problem]) 
             place = f"muscle {muscle}, <{tag}>"
             problems.append(Problem(str(path), f"expected a number, found '{text[:40]}'", place))
             continue
-        found[name] = value * unit
-    return found
+        values[name] = value * unit
+    return values
 
 
-def osimx_text(name: str, model_file: str, muscles: Sequence[OsimxMuscle], remark: str = "") -> str:
-    """Write muscles as the text of an ``.osimx`` file.
+def format_osimx(name: str, model_file: str, muscles: Sequence[OsimxMuscle], remark: str = "") -> str:
+    """Format muscles as the text of an ``.osimx`` file.
 
     Parameters
     ----------
     name
-        Of the model.
+        Name of the model.
     model_file
-        The model's file, from the folder of this one.
+        Path of the model, relative to the folder of the ``.osimx`` file.
     muscles
-        In SI units.
+        Muscles, in SI units.
     remark
-        What a reader has to know of them, as a comment at the top; without two hyphens in a row.
+        Comment at the top of the file; must not contain two successive hyphens.
     """
     root = Element(ROOT, Version=_VERSION)
     if remark:
