@@ -299,7 +299,7 @@ SLOW = {
         ("wrapjax", SLOW | {"jax"}),
         ("wrapjax.cli.command_line", SLOW | {"jax"}),
         ("wrapjax.subject.subject", SLOW | {"jax"}),
-        ("wrapjax.preprocessing.alignment", SLOW | {"jax"}),
+        ("wrapjax.preprocessing.consistency_checks", SLOW | {"jax"}),
         ("wrapjax.calibration.calibration", SLOW),
     ],
 )
