@@ -166,7 +166,7 @@ def test_the_same_question_is_answered_from_the_cache(person, sampled, monkeypat
 
 
 def test_a_fit_without_samples_cannot_serve_pga(person):
-    with pytest.raises(InputError, match="has not sampled them"):
+    with pytest.raises(InputError, match="has no samples of them"):
         fit(person, "engine").freedom("PGA", person)
 
 

@@ -8,9 +8,10 @@ from wrapjax.calibration.problem import fit_for_methods, matching_path_source, m
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.io.files import code_hash, content_hash
 from wrapjax.model.freedom import Freedom
-from wrapjax.path_sources.exact import SURFACES, ExactGeometry
+from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES, apply_undriven_strategy, with_synergy_weights
+from wrapjax.path_sources.wrap_freedom import SURFACES
 from wrapjax.subject.subject import Subject, read_legs
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 

@@ -1,1 +1,1 @@
-"""A subject's muscle paths as the model takes them in: fitted polynomials or the exact engine."""
+"""Sources of a subject's muscle paths for the model: fitted polynomials or the exact engine."""

@@ -1,11 +1,7 @@
-"""What calibrations may change of cylinders, whatever the source of the paths.
-
-The exact engine as a source of paths: no training, and cylinders that can be moved (PGA).
-"""
+"""The exact path engine as the source of a subject's muscle paths: no fitting, adjustable wraps (PGA)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,64 +10,21 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.paths import AbstractPath, fixed_path
-from wrapjax.geometry.wrap_bounds import parameter_box, translation_bounds
+from wrapjax.geometry.wrap_bounds import translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.io.files import content_hash
 from wrapjax.jax_setup import require_float64
-from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps
+from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import model_parameters
+from wrapjax.path_sources.wrap_freedom import NO_WRAPS_TO_FREE, freed_wraps
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
-_UNITS = ("m", "m", "m", "rad", "rad", "1")
-#: Which cylinders PGA frees: those that some muscle lies on in at least one recorded frame, or all.
-SURFACES = ("touched", "all")
-#: What is said where there are none.
-NO_CYLINDER = {
-    "touched": "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
-    "all": "no driven muscle has a cylinder that could be moved: PGA frees nothing",
-}
-# Prior deviations, in half widths: the box says where cylinders can be, the prior only breaks ties.
-_PRIOR = 2.0
-
-
-def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
-    """Free cylinders within their boxes; what is expected is nominal, within a box's width.
-
-    Parameters
-    ----------
-    wraps_of
-        The cylinders of each muscle, in the order of its path.
-    translations
-        Half width of the box of each freed cylinder, m.
-    """
-    names = tuple(translations)
-    places = np.full((len(wraps_of), max(map(len, wraps_of), default=0)), -1)
-    for row, wraps in enumerate(wraps_of):
-        for place, wrap in enumerate(wraps):
-            if wrap in names:
-                places[row, place] = names.index(wrap)
-    boxes = np.reshape([parameter_box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
-    lower, upper = boxes[:, 0] - NOMINAL, boxes[:, 1] - NOMINAL
-    half = 0.5 * (upper - lower)
-    return FreedWraps(
-        names=names,
-        quantities=WRAP_PARAMETERS,
-        units=_UNITS,
-        places=places,
-        lower=lower,
-        upper=upper,
-        scale=half,
-        prior_sd=_PRIOR * half,
-    )
-
-
-#: Ways in which the engine can wrap, by the names that commands know.
+#: Wrapping algorithms of the exact engine, by the names of the option ``--geometry``.
 WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
-# Poses that bounds of translation are found in: every so many recorded frames.
-_EVERY = 4
+# Step of the recorded frames in which bounds on translations are determined.
+_FRAME_STEP = 4
 
 
 @dataclass(frozen=True)
@@ -81,15 +34,15 @@ class ExactGeometry:
     Parameters
     ----------
     name
-        ``engine`` or ``engine-parity``.
+        Wrapping algorithm, of `WRAPPINGS`: ``engine`` or ``engine-parity``.
     key
-        Hash of what decides the paths.
+        Hash of everything that determines the paths.
     engine
-        Of the subject's muscles and recorded coordinates.
+        Engine with the subject's muscles and recorded coordinates.
     on_surface
-        Which of its cylinders each muscle lies on in at least one recorded frame.
+        Whether each muscle touches each of its wraps in a recorded frame.
     translations
-        How far each touched cylinder may move along each axis, to either side (m).
+        Largest translation of each touched wrap along each axis, to either side, m.
     """
 
     name: str
@@ -100,18 +53,33 @@ class ExactGeometry:
 
     @property
     def wrapping(self) -> Wrapping:
-        """The shortest way, or OpenSim's."""
+        """Wrapping algorithm: shortest path, or as in OpenSim."""
         return WRAPPINGS[self.name]
 
     @property
     def touching(self) -> tuple[str, ...]:
-        """The muscles that lie on a wrapping surface in at least one recorded frame."""
+        """Names of the muscles that touch a wrap in a recorded frame."""
         return tuple(
             name for name, touched in zip(self.engine.muscles, self.on_surface, strict=True) if touched.any()
         )
 
     def freedom(self, method: str, subject: Subject, surfaces: str = "touched") -> Freedom:
-        """Say what a method frees: nothing of the paths (NGA), or the cylinders of `SURFACES` (PGA)."""
+        """Build the freedom of a method.
+
+        Parameters
+        ----------
+        method
+            ``NGA`` (paths held) or ``PGA`` (wraps freed).
+        subject
+            Subject of these paths.
+        surfaces
+            Wraps that PGA frees, one of `SURFACES`.
+
+        Raises
+        ------
+        InputError
+            If the method adjusts polynomials, or there is no wrap to free.
+        """
         freedom = nga_freedom(model_parameters(subject))
         if method == "NGA":
             return freedom
@@ -128,7 +96,7 @@ class ExactGeometry:
             raise InputError(
                 Problem(
                     str(subject.model_file),
-                    NO_CYLINDER[surfaces],
+                    NO_WRAPS_TO_FREE[surfaces],
                     hint="use NGA or SGA",
                 )
             )
@@ -136,16 +104,26 @@ class ExactGeometry:
         return with_wraps(freedom, method, freed_wraps(wraps_of, translations))
 
     def _all_translations(self, subject: Subject) -> dict[str, float]:
-        """How far each cylinder may move, touched or not."""
+        """Determine the largest translation of each wrap, touched or not, m."""
         wraps = {wrap for name in self.engine.muscles for wrap in self.engine.wraps_of(name)}
         others = sorted(wraps - set(self.translations))
         found = translation_bounds(self.engine, self.engine.posed(_poses(self.engine, subject)), others)
         return dict(sorted((self.translations | found).items()))
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
-        """Lay the paths through cycles, with all that the freedom may change.
+        """Compute the paths over cycles as functions of what the freedom frees.
 
-        Where cylinders may move, paths get over no wall in the subject's other cycles either.
+        With free wraps, the proximity of the paths also covers the subject's other cycles, so that a
+        calibration avoids discontinuities in all of them.
+
+        Parameters
+        ----------
+        subject
+            Subject of these paths.
+        trials
+            Cycles over which to compute the paths.
+        freedom
+            Freedom of the calibration.
         """
         free = () if freedom.wraps is None else freedom.wraps.names
         paths, _ = wrapped_paths(
@@ -160,19 +138,31 @@ class ExactGeometry:
 
 
 def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
-    """Take a subject's muscle paths from the exact engine.
+    """Build a subject's muscle paths with the exact engine.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     geometry
-        ``engine`` lays paths the shortest way; ``engine-parity`` as OpenSim 4.6 does.
+        Wrapping algorithm: ``engine`` computes shortest paths, ``engine-parity`` paths as in OpenSim 4.6.
+
+    Returns
+    -------
+    ExactGeometry
+        Paths, to be given to `calibrate` as ``fit``.
 
     Raises
     ------
     InputError
-        If a muscle's path has something that the engine does not know.
+        If a muscle's path has an element that the engine does not support.
+    ValueError
+        If the geometry is unknown.
+
+    Examples
+    --------
+    >>> paths = exact_geometry(subject)  # doctest: +SKIP
+    >>> calibrate(subject, "PGA", paths)  # doctest: +SKIP
     """
     require_float64()
     if geometry not in WRAPPINGS:
@@ -190,15 +180,22 @@ def exact_geometry(subject: Subject, geometry: str = "engine") -> ExactGeometry:
 
 
 def _poses(engine: ExactPaths, subject: Subject) -> Float[np.ndarray, "pose coordinate"]:
-    """Take the recorded frames that boxes are found in."""
+    """Select the recorded poses in which bounds on translations are determined, rad or m."""
     angles, _ = recorded_motion(subject.trials, engine.coordinates)
-    return np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_EVERY]
+    return np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates))[::_FRAME_STEP]
 
 
 def touched_wraps(
     engine: ExactPaths, trials: Trials
 ) -> tuple[Bool[np.ndarray, "muscle wrap"], tuple[str, ...]]:
-    """Say which of its cylinders each muscle lies on in at least one frame, and name these cylinders."""
+    """Determine the wraps that muscles touch.
+
+    Returns
+    -------
+    touching, names
+        Whether each muscle touches each of its wraps in at least one frame of the trials, and the sorted
+        names of these wraps.
+    """
     motion = recorded_motion(trials, engine.coordinates)
     _, touching = wrapped_paths(engine, *motion, trials.moment_coordinates, (), GEODESIC)
     names = {
@@ -211,7 +208,7 @@ def touched_wraps(
 
 
 def build_engine(subject: Subject) -> ExactPaths:
-    """Build the exact engine of a subject's muscles, over the recorded coordinates that they span."""
+    """Build the exact engine for a subject's muscles and the recorded coordinates that they span."""
     model = describe_model(subject.model_file)
     spanned = {name for muscle in subject.muscles.names for name in model.spanned_by(muscle)}
     coordinates = tuple(name for name in subject.trials.coordinates if name in spanned)
@@ -221,7 +218,7 @@ def build_engine(subject: Subject) -> ExactPaths:
 def angles_of_other_trials(
     subject: Subject, trials: Trials, coordinates: tuple[str, ...]
 ) -> Float[np.ndarray, "other_trial coordinate frame"]:
-    """Angles of the engine's coordinates in those of a subject's cycles that are not among these."""
+    """Return the angles of coordinates in the subject's cycles that are not in ``trials``, rad or m."""
     others = np.flatnonzero([name not in trials.names for name in subject.trials.names])
     return recorded_motion(subject.trials.select(others), coordinates)[0]
 
@@ -229,6 +226,6 @@ def angles_of_other_trials(
 def recorded_motion(
     trials: Trials, coordinates: tuple[str, ...]
 ) -> tuple[Float[np.ndarray, "trial coordinate frame"], Float[np.ndarray, "trial coordinate frame"]]:
-    """Angles and angular velocities of the engine's coordinates."""
+    """Return the angles (rad or m) and angular velocities (rad/s or m/s) of coordinates in trials."""
     columns = [trials.coordinates.index(name) for name in coordinates]
     return trials.angles[:, columns], trials.angular_velocities[:, columns]

@@ -1,4 +1,4 @@
-"""Poses at which muscle paths are analysed to fit polynomials, and to test them."""
+"""Poses in which muscle paths are computed to fit polynomials and to validate them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,36 @@ from jaxtyping import Float
 from wrapjax.geometry.training_samples import fastest_cycle_poses, random_poses
 from wrapjax.subject.subject import Subject
 
-#: Poses for training: random ones in the walking belt, beside the frames of one smooth cycle.
+#: Number of random training poses near the recorded ones, in addition to the frames of one smooth cycle.
 TRAINING_POSES = 400
-#: Poses that fitting never sees.
+#: Number of poses for validation.
 VALIDATION_POSES = 500
 
 
 class FitPoses(NamedTuple):
-    """Poses of a fit (rad or m), and the recorded ones."""
+    """Training and validation poses of a fit, and the recorded poses (rad or m)."""
 
     training: Float[np.ndarray, "pose coordinate"]
     validation: Float[np.ndarray, "pose coordinate"]
     recorded: Float[np.ndarray, "pose coordinate"]
 
 
-#: Which of the training poses are frames of one cycle, in order.
+#: Training poses that are the frames of one cycle, in order.
 SMOOTH_POSES = slice(TRAINING_POSES, None)
 
 
 def fit_poses(subject: Subject, coordinates: Sequence[str], seed: int) -> FitPoses:
-    """Draw the poses of a fit; the same seed gives the same ones."""
+    """Draw the poses of a fit; they are determined by the seed.
+
+    Parameters
+    ----------
+    subject
+        Subject with recorded cycles.
+    coordinates
+        Names of the coordinates.
+    seed
+        Seed of the random poses.
+    """
     trials = subject.trials
     angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
     generator = np.random.default_rng(seed)

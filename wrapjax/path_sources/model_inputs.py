@@ -1,4 +1,4 @@
-"""From a subject and its fitted paths to what the model takes in."""
+"""Inputs of the forward model for a subject: parameters, EMG splines, polynomial paths over its cycles."""
 
 from __future__ import annotations
 
@@ -21,9 +21,14 @@ from wrapjax.subject.trials import Trials
 
 
 def model_parameters(subject: Subject, *, path_modes: int = 0) -> ModelParameters:
-    """Build the parameter tree that a subject's calibration starts from.
+    """Build the initial parameter tree of a subject's calibration.
 
-    Its paths have ``path_modes`` modes, none of them in use; see `AdjustablePath`.
+    Parameters
+    ----------
+    subject
+        Subject with its muscle parameters.
+    path_modes
+        Number of path modes (see `AdjustablePath`); their coefficients are zero.
     """
     muscles = subject.muscles
     return initial_parameters(
@@ -42,22 +47,25 @@ def surrogate_paths(
     trials: Trials,
     modes: Float[np.ndarray, "muscle term mode"] | None = None,
 ) -> AdjustablePath:
-    """Evaluate the fitted paths of the subject's muscles over its cycles.
+    """Evaluate the polynomial paths of the subject's muscles over cycles.
 
-    Moment arms are given about the coordinates whose moments are matched, in their order.
+    Moment arms are about the coordinates whose moments are matched, in their order.
 
     Parameters
     ----------
     surrogate
-        Of at least the subject's muscles.
-    subject, trials
-        Whose cycles.
+        Polynomials of at least the subject's muscles.
+    subject
+        Subject with its muscles.
+    trials
+        Cycles over which to evaluate.
     modes
-        Coefficients, in m, of the changes that are possible; the subject's muscles in their order.
+        Changes of the coefficients per unit of each path mode, m, for the subject's muscles in their order;
+        None for held paths.
     """
-    angles, velocities = _recorded(surrogate, trials)
+    angles, velocities = _recorded_motion(surrogate, trials)
     own = surrogate.select_muscles(subject.muscles.names)
-    arms = functools.partial(_about, surrogate.coordinates, trials.moment_coordinates)
+    arms = functools.partial(_arms_about, surrogate.coordinates, trials.moment_coordinates)
     nominal = arms(eqx.filter_jit(own)(angles, velocities))
     if modes is None:
         return fixed_path(nominal)
@@ -66,24 +74,24 @@ def surrogate_paths(
 
 
 def coefficient_paths(surrogate: PathSurrogate, muscles: Sequence[str], trials: Trials) -> PathState:
-    """Evaluate what a unit (1 m) of each coefficient adds to paths; leaves lead with ``muscle term``."""
+    """Compute the change of paths per unit (1 m) of each coefficient; leading axes are ``muscle term``."""
     own = surrogate.select_muscles(muscles)
     count, terms = own.coefficients.shape
     single = jnp.broadcast_to(jnp.eye(terms), (count, terms, terms))
-    path = eqx.filter_jit(PathSurrogate.mode_derivatives)(own, *_recorded(surrogate, trials), single)
-    return _about(surrogate.coordinates, trials.moment_coordinates, path)
+    path = eqx.filter_jit(PathSurrogate.mode_derivatives)(own, *_recorded_motion(surrogate, trials), single)
+    return _arms_about(surrogate.coordinates, trials.moment_coordinates, path)
 
 
-def _recorded(
+def _recorded_motion(
     surrogate: PathSurrogate, trials: Trials
 ) -> tuple[Float[Array, "trial coordinate frame"], Float[Array, "trial coordinate frame"]]:
-    """Angles and angular velocities of the surrogate's coordinates."""
+    """Return angles and angular velocities of the surrogate's coordinates in trials."""
     columns = [trials.coordinates.index(name) for name in surrogate.coordinates]
     return jnp.asarray(trials.angles[:, columns]), jnp.asarray(trials.angular_velocities[:, columns])
 
 
-def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:
-    """Pick the moment arms about other coordinates; zero about those that no path was fitted over."""
+def _arms_about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> PathState:
+    """Select moment arms about the wanted coordinates; zero about coordinates without polynomials."""
     places = np.array([given.index(name) if name in given else len(given) for name in wanted])
     arms = np.asarray(path.moment_arm)
     moment_arm = np.append(arms, np.zeros_like(arms[..., :1, :]), axis=-2)[..., places, :]
@@ -91,7 +99,17 @@ def _about(given: tuple[str, ...], wanted: tuple[str, ...], path: PathState) -> 
 
 
 def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording:
-    """Join the EMG of each muscle's channel, or the commands that it takes instead, with its path."""
+    """Combine the EMG splines of the muscles, or their synergy commands, with their paths.
+
+    Parameters
+    ----------
+    subject
+        Subject with its muscles and channels.
+    trials
+        Cycles with their EMG.
+    path
+        Paths of the subject's muscles over these cycles.
+    """
     splines = fit_emg_spline(trials.emg_time, trials.emg)
     channels = np.array(subject.muscle_channels)
     emg = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[channels]), splines)
@@ -101,27 +119,29 @@ def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording
 
 
 def _with_commands(emg: EmgSpline, subject: Subject, trials: Trials) -> EmgSpline:
-    """Append the muscles without a channel, whose own EMG is zero, and give all of them the commands."""
+    """Append muscles without a channel, whose EMG splines are zero, and add the synergy commands."""
     assert subject.synergies is not None
     added = len(subject.synergies.muscles)
     driven, *shape = emg.coefficients.shape
-    silent = jnp.zeros((added, *shape))
+    zero_emg = jnp.zeros((added, *shape))
     step = jnp.broadcast_to(emg.step[:1], (added, len(trials)))
     read = subject.synergies.basis.commands(trials.emg, trials.channels)
     commands = fit_emg_spline(trials.emg_time, read).coefficients
-    everyone = jnp.broadcast_to(
+    for_all_muscles = jnp.broadcast_to(
         jnp.moveaxis(commands, 0, 1), (driven + added, len(trials), len(commands), *commands.shape[2:])
     )
     share = jnp.repeat(jnp.array([0.0, 1.0]), np.array([driven, added]), total_repeat_length=driven + added)
     return EmgSpline(
-        coefficients=jnp.concatenate([emg.coefficients, silent]),
+        coefficients=jnp.concatenate([emg.coefficients, zero_emg]),
         step=jnp.concatenate([emg.step, step]),
-        commands=CommandSplines(everyone, jnp.broadcast_to(share[:, None], (driven + added, len(trials)))),
+        commands=CommandSplines(
+            for_all_muscles, jnp.broadcast_to(share[:, None], (driven + added, len(trials)))
+        ),
     )
 
 
 def group_indices(
     groups: tuple[tuple[str, ...], ...], muscles: tuple[str, ...]
 ) -> tuple[tuple[int, ...], ...]:
-    """Turn groups of names into groups of positions."""
+    """Convert groups of muscle names to groups of muscle indices."""
     return tuple(tuple(muscles.index(name) for name in group) for group in groups)

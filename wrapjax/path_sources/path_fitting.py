@@ -1,4 +1,4 @@
-"""``fit``: replace a subject's muscle paths by polynomials."""
+"""Fitting of polynomials to the length and moment arms of a subject's muscle paths (``fit``)."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
 from wrapjax.progress import print_progress
 from wrapjax.subject.subject import Subject
 
-#: Where lengths and moment arms may come from.
+#: Sources of the lengths and moment arms to which polynomials are fitted.
 GEOMETRIES = ("opensim", *WRAPPINGS)
-# Raise when the same subject and seed would give another fit.
+# Version of the cached fits; increase it when the same subject and seed give another fit.
 _FORMAT = 4
 
 
@@ -36,33 +36,47 @@ def fit(
     processes: int | None = None,
     quiet: bool = True,
 ) -> Fit:
-    """Fit polynomials to length and moment arms of every driven muscle.
+    """Fit polynomials in the coordinates to the length and moment arms of every driven muscle.
 
-    That is the outer level, all that NGA, SGA and LSGA need. PGA also needs to know how the paths follow
-    their cylinders: give the result to `wrapjax.fit_wraps`, a stage of its own because it analyses a
-    thousand times as much.
+    This is the outer level of the surrogate, which suffices for NGA, SGA and LSGA. For PGA the coefficients
+    must also depend on wrap parameters: pass the result to `wrapjax.fit_wraps`, which takes a thousand times
+    as many path evaluations.
 
-    Poses are 400 random ones in the belt that the recorded cycles sweep, frame by frame, and the 100
-    of the fastest cycle; errors are measured on 500 other random ones.
+    The training poses are 400 random poses near the recorded cycles and 100 frames of the fastest cycle;
+    errors are evaluated in 500 other random poses.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     geometry
-        Where lengths and moment arms come from: ``opensim`` is its muscle analysis; ``engine`` wraps the
-        shortest way, ``engine-parity`` as OpenSim 4.6 does.
+        Source of lengths and moment arms: ``opensim`` (muscle analysis of OpenSim), ``engine`` (exact engine,
+        shortest paths) or ``engine-parity`` (exact engine, paths as in OpenSim 4.6).
     seed
-        Of the random poses.
+        Seed of the random poses.
     processes
-        Worker processes for OpenSim; by default one a core.
+        Number of worker processes for OpenSim; by default one per core.
     quiet
         Print no progress.
 
     Returns
     -------
     Fit
-        Also kept in the user's cache: the same question is answered at once.
+        Polynomials with their errors (mm), also stored in the user's cache, from which the same fit is read
+        again.
+
+    Raises
+    ------
+    InputError
+        If a muscle's path has an element that the exact engine does not support.
+    ValueError
+        If the geometry is unknown.
+
+    Examples
+    --------
+    >>> fitted = fit(subject, "engine")  # doctest: +SKIP
+    >>> fitted.errors["soleus_l"].moment_arm_rmse_mm  # doctest: +SKIP
+    >>> fitted.save("fit", subject=subject)  # doctest: +SKIP
     """
     require_float64()
     if geometry not in GEOMETRIES:
@@ -75,13 +89,13 @@ def fit(
         except (InputError, OSError, ValueError, KeyError):
             print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit(subject, geometry, key, seed, processes, quiet)
-    result.keep(cached)
+    result.write_to_cache(cached)
     return result
 
 
 def _key(subject: Subject, geometry: str, seed: int) -> str:
     trials = subject.trials
-    question = content_hash(
+    settings_hash = content_hash(
         repr(subject.muscles.names),
         repr(trials.coordinates),
         trials.angles,
@@ -90,13 +104,13 @@ def _key(subject: Subject, geometry: str, seed: int) -> str:
         seed,
         _FORMAT,
     )
-    return f"{content_hash(subject.model_file)}-{question}"
+    return f"{content_hash(subject.model_file)}-{settings_hash}"
 
 
 def _fit(subject: Subject, geometry: str, key: str, seed: int, processes: int | None, quiet: bool) -> Fit:
     muscles = subject.muscles.names
     spans = spanned_coordinates(subject.model_file, muscles)
-    # Coordinates that were not recorded stay at the model's defaults.
+    # Coordinates that were not recorded have the default values of the model.
     recorded = subject.trials.coordinates
     coordinates = tuple(name for name in recorded if any(name in spans[one] for one in muscles))
     poses = fit_poses(subject, coordinates, seed)
@@ -140,7 +154,7 @@ def _fit(subject: Subject, geometry: str, key: str, seed: int, processes: int | 
 def _analyse_by_engine(
     engine: ExactPaths, poses: Float[np.ndarray, "pose coordinate"], wrapping: Wrapping
 ) -> tuple[PathGeometry, tuple[str, ...]]:
-    """Lay all paths as the model has them; also name the muscles that lie on a cylinder in some pose."""
+    """Compute all paths with nominal wraps, and list the muscles that touch a wrap in some pose."""
     found = {
         name: wrap_at_samples(posed, nominal_parameters(len(engine.wraps_of(name)))[None], wrapping)
         for name, posed in engine.posed(poses).items()
@@ -154,18 +168,31 @@ def _analyse_by_engine(
 def path_errors(
     surrogate: PathSurrogate,
     poses: np.ndarray,
-    truth: PathGeometry,
+    reference: PathGeometry,
     rows: slice,
     wrapped: dict[str, bool],
 ) -> dict[str, PathError]:
-    """Compare a surrogate with analysed paths, muscle by muscle.
+    """Compute the errors of a surrogate muscle by muscle.
 
-    Moment-arm errors are pooled over the poses and the coordinates that the muscle spans.
+    Errors of moment arms are pooled over the poses and the coordinates that the muscle spans.
+
+    Parameters
+    ----------
+    surrogate
+        Polynomials to evaluate.
+    poses
+        Poses of shape (pose, coordinate), rad or m.
+    reference
+        Lengths and moment arms to compare with, m.
+    rows
+        Rows of ``reference`` that belong to ``poses``.
+    wrapped
+        Whether each muscle has wraps.
     """
     grid = jnp.asarray(poses.T[None])
     path = eqx.filter_jit(surrogate)(grid, jnp.zeros_like(grid))
-    length_error = np.asarray(path.length)[:, 0] - truth.length[rows].T
-    arm_error = np.asarray(path.moment_arm)[:, 0] - np.transpose(truth.moment_arm[rows], (2, 1, 0))
+    length_error = np.asarray(path.length)[:, 0] - reference.length[rows].T
+    arm_error = np.asarray(path.moment_arm)[:, 0] - np.transpose(reference.moment_arm[rows], (2, 1, 0))
     return {
         muscle: PathError.of(
             length_error[index],

@@ -1,4 +1,4 @@
-"""What ``fit`` gives: a subject's muscle paths as polynomials, in memory and on disk."""
+"""Polynomial fit of a subject's muscle paths, in memory (`Fit`) and on disk (``load_fit``)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.locks import BusyError
 from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.path_sources.exact import NO_CYLINDER
 from wrapjax.path_sources.model_inputs import model_parameters
 from wrapjax.path_sources.polynomial_paths import (
     WrapFit,
@@ -29,6 +28,7 @@ from wrapjax.path_sources.polynomial_paths import (
     wrap_fit_from,
     wrapped_polynomial_paths,
 )
+from wrapjax.path_sources.wrap_freedom import NO_WRAPS_TO_FREE
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
@@ -38,17 +38,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PathError:
-    """Errors of one muscle's path on poses never used in fitting, pooled over coordinates.
+    """Errors of one muscle's polynomial path in poses that were not used in fitting, pooled over coordinates.
 
-    Once its cylinders have been sampled: on samples never used either, those that are physiological. Where
-    none is, errors are those with the model's own cylinders.
+    After `wrapjax.fit_wraps` they are those on physiological validation samples of the wrap parameters, or
+    with nominal wraps if no sample is physiological.
     """
 
+    #: Whether the muscle has wraps.
     wrapped: bool
+    #: Root mean square and largest absolute error of length and moment arms, mm.
     length_rmse_mm: float
     length_max_mm: float
     moment_arm_rmse_mm: float
     moment_arm_max_mm: float
+    #: Number of coefficients of the polynomial.
     terms: int
 
     @classmethod
@@ -60,7 +63,7 @@ class PathError:
         wrapped: bool,
         terms: int,
     ) -> PathError:
-        """Pool errors in m; none at all count as zero."""
+        """Compute the summary of errors in m; zero where there are none."""
         return cls(
             wrapped=wrapped,
             length_rmse_mm=1e3 * _root_mean_square(length),
@@ -73,25 +76,26 @@ class PathError:
 
 @dataclass(frozen=True)
 class Fit:
-    """A subject's muscle paths as polynomials, with their errors.
+    """Polynomial fit of a subject's muscle paths, with its errors.
 
     Parameters
     ----------
     key
-        Hash of what the fit was made from; a fit serves only the subject it was made for.
+        Hash of the inputs of the fit, which is valid for one subject alone.
     surrogate
-        The polynomials.
+        Polynomials for length and moment arms.
     errors
-        By muscle.
+        Errors of the polynomials by muscle.
     touching
-        The muscles that lie on a wrapping surface in at least one recorded frame.
+        Names of the muscles that touch a wrap in a recorded frame.
     seconds
-        What took how long.
-    geometry, seed
-        What it was made with.
+        Computing times by step, s.
+    geometry
+        Source of the fitted lengths and moment arms, see `wrapjax.fit`.
+    seed
+        Seed of the random poses.
     wraps
-        How the paths follow their cylinders, which PGA needs; None until `wrapjax.fit_wraps` has sampled
-        them.
+        Dependence of the coefficients on wrap parameters, required by PGA; None before `wrapjax.fit_wraps`.
     """
 
     key: str
@@ -104,14 +108,21 @@ class Fit:
     wraps: WrapFit | None = None
 
     def freedom(self, method: str, subject: Subject, surfaces: str = "touched") -> Freedom:
-        """Say what a method frees: nothing of the paths (NGA), their coefficients (SGA, LSGA) or cylinders.
+        """Build the freedom of a method: paths held (NGA), coefficients (SGA, LSGA) or wraps (PGA) freed.
 
-        Of the cylinders, PGA frees those that ``surfaces`` names (`SURFACES`).
+        Parameters
+        ----------
+        method
+            Name of the method.
+        subject
+            Subject of the fit.
+        surfaces
+            Wraps that PGA frees, one of `SURFACES`.
 
         Raises
         ------
         InputError
-            Where there is nothing to free; for PGA also where cylinders have not been sampled.
+            If there is nothing to free, or PGA is asked for and the fit has no ``wraps``.
         """
         if method != "PGA":
             return polynomial_freedom(method, subject, self.surrogate, self.touching)
@@ -119,7 +130,7 @@ class Fit:
             raise InputError(
                 Problem(
                     str(subject.folder),
-                    "PGA moves cylinders, and this fit has not sampled them",
+                    "PGA adjusts wrapping cylinders, and this fit has no samples of them",
                     hint="make it with 'wrapjax fit', or use --geometry engine",
                 )
             )
@@ -128,18 +139,18 @@ class Fit:
             raise InputError(
                 Problem(
                     str(subject.model_file),
-                    NO_CYLINDER[surfaces],
+                    NO_WRAPS_TO_FREE[surfaces],
                     hint="use NGA or SGA",
                 )
             )
         return with_wraps(nga_freedom(model_parameters(subject)), method, freed)
 
     def calibrated(self, subject: Subject, freedom: Freedom, parameters: ModelParameters) -> PathSurrogate:
-        """Give the subject's polynomials as these parameters change them."""
+        """Compute the subject's polynomials with calibrated coefficients; see `calibrated_polynomials`."""
         return calibrated_polynomials(subject, self.surrogate, self.wraps, freedom, parameters)
 
     def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
-        """Evaluate the paths over cycles, with all that the freedom may change."""
+        """Evaluate the paths over cycles as functions of what the freedom frees."""
         if freedom.wraps is None or self.wraps is None:
             return polynomial_paths(subject, trials, self.surrogate, freedom)
         return wrapped_polynomial_paths(subject, trials, self.surrogate, self.wraps, freedom.wraps)
@@ -150,18 +161,18 @@ class Fit:
         Parameters
         ----------
         folder
-            Where to; it appears when complete.
+            Folder to create; it is written atomically.
         subject
-            Whose fit it is. With it the report names the person and shows, of every muscle that touches
-            a cylinder, which sampled paths were accepted; these are laid once more, half a minute's work.
+            Subject of the fit. If given, the report names it and shows the sampled paths, accepted and
+            rejected, of every muscle that touches a wrap; computing them takes half a minute.
         force
-            Replace a folder that exists.
+            Replace an existing folder.
 
         Raises
         ------
         InputError
-            If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not the
-            subject's.
+            If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not one of
+            the subject.
         """
         from wrapjax.path_sources.sample_figures import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
@@ -177,19 +188,26 @@ class Fit:
                 paths = sampled_paths(subject, self, shown, count=REPORTED_SAMPLES)
             write_text(temporary / "report.html", render_fit(self.content(), subject, paths))
 
-    def keep(self, folder: Path) -> None:
-        """Put the fit into a cache: whatever is there is replaced, and there is no report."""
-        # Whoever is writing the same one leaves what this would.
+    def write_to_cache(self, folder: Path) -> None:
+        """Write the fit without a report to a folder of the cache, replacing what is there."""
+        # A process that is writing the same fit leaves the same content.
         with suppress(BusyError), new_folder(folder, force=True) as temporary:
             self._write(temporary)
 
     def require_subject(self, subject: Subject, place: str) -> None:
-        """Raise an error if this is not a fit of the subject's model and of all its muscles.
+        """Raise an error if this is not a fit of the subject's model and all its muscles.
 
         Parameters
         ----------
+        subject
+            Subject that the fit must belong to.
         place
-            What the error names.
+            Folder or argument that the error names.
+
+        Raises
+        ------
+        InputError
+            If the fit is not one of the subject.
         """
         missing = [name for name in subject.muscles.names if name not in self.surrogate.muscles]
         if missing or self.key.split("-")[0] != content_hash(subject.model_file):
@@ -203,7 +221,7 @@ class Fit:
             )
 
     def content(self) -> dict[str, Any]:
-        """Describe the fit in plain values: what ``fit.json`` holds."""
+        """Return the content of ``fit.json``."""
         return {
             "schema": 1,
             "key": self.key,
@@ -230,19 +248,34 @@ class Fit:
 
 
 def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:
-    """Read a fit that `Fit.save` wrote.
+    """Read a fit from a folder that `Fit.save` or ``wrapjax fit`` wrote.
 
     Parameters
     ----------
     folder
-        Where it is.
+        Folder of the fit.
     subject
-        If given, a fit that does not cover its muscles and coordinates, or is of another model, is refused.
+        If given, the fit must be one of this subject's model and have all its muscles.
+
+    Returns
+    -------
+    Fit
+        Polynomials, to be given to `calibrate` as ``fit``.
+
+    Raises
+    ------
+    InputError
+        If the folder is not that of a fit, is damaged, or the fit is not one of ``subject``.
+
+    Examples
+    --------
+    >>> fitted = load_fit("fit", subject)  # doctest: +SKIP
+    >>> calibrate(subject, "SGA", fitted)  # doctest: +SKIP
     """
-    found = read_fit(Path(folder))
+    loaded = read_fit(Path(folder))
     if subject is not None:
-        found.require_subject(subject, str(folder))
-    return found
+        loaded.require_subject(subject, str(folder))
+    return loaded
 
 
 def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
@@ -250,18 +283,18 @@ def _root_mean_square(values: Float[np.ndarray, "..."]) -> float:
 
 
 def read_fit(folder: Path) -> Fit:
-    """Read a fit, whoever's it is."""
+    """Read a fit without checking its subject."""
     json_file, array_file = folder / "fit.json", folder / "fit.npz"
     for file in (json_file, array_file):
         if not file.is_file():
             raise InputError(Problem(str(folder), f"is no FIT folder: {file.name} is missing"))
     try:
         content, arrays = load_json(json_file), load_arrays(array_file)
-        # Arrays of cylinders have a dot in their names.
+        # Names of the arrays of wraps contain a dot.
         outer = {name: value for name, value in arrays.items() if "." not in name}
         wraps = None
         if content["wraps_of"] is not None:
-            # Fits made before they said so were held to the defaults.
+            # Earlier fits do not store thresholds and have the defaults.
             thresholds = content.get("thresholds", {})
             wraps = wrap_fit_from(arrays, content["wraps"], content["wraps_of"], thresholds)
         return Fit(

@@ -1,4 +1,4 @@
-"""Where the paths of sampled cylinders come from: the exact engine, or OpenSim."""
+"""Computation of muscle paths at samples of wrap parameters, by the exact engine or by OpenSim."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Poses = Float[np.ndarray, "pose coordinate"]
 
 @runtime_checkable
 class PathAnalyzer(Protocol):
-    """Analyses paths at samples of their cylinders."""
+    """Interface for the computation of paths at samples of the parameters of their wraps."""
 
     @property
     def poses(self) -> dict[str, Poses]:
@@ -36,25 +36,37 @@ class PathAnalyzer(Protocol):
         ...
 
     def paths(self, muscle: str, samples: SampleSet, poses: str) -> tuple[WrappedPath, WrappedPath]:
-        """Analyse one muscle at all samples and with nominal cylinders, in the poses of this name.
+        """Compute the path of one muscle for all samples and for nominal wraps.
 
-        Leaves lead with ``sample pose``, with one sample for the nominal path.
+        Parameters
+        ----------
+        muscle
+            Name of the muscle.
+        samples
+            Samples of the wrap parameters.
+        poses
+            Name of the poses.
+
+        Returns
+        -------
+        sampled, nominal
+            Paths; leading axes are ``sample pose``, with one sample for the nominal path.
         """
         ...
 
 
 @dataclass(frozen=True)
 class EngineAnalyzer:
-    """The exact engine: millions of paths a second."""
+    """Computation by the exact engine, millions of paths per second."""
 
     engine: ExactPaths
     poses: dict[str, Poses]
-    #: By name of the poses, then by muscle.
+    #: Paths in given poses, by the name of the poses and by muscle.
     posed: dict[str, dict[str, PosedPath]]
     wrapping: Wrapping = GEODESIC
 
     def paths(self, muscle: str, samples: SampleSet, poses: str) -> tuple[WrappedPath, WrappedPath]:
-        """See `PathAnalyzer`."""
+        """Compute the path of one muscle; see `PathAnalyzer`."""
         parameters = _with_nominal_first(samples, self.engine.wraps_of(muscle))
         found = wrap_at_samples(self.posed[poses][muscle], parameters, self.wrapping)
         return jax.tree.map(lambda leaf: leaf[1:], found), jax.tree.map(lambda leaf: leaf[:1], found)
@@ -62,9 +74,9 @@ class EngineAnalyzer:
 
 @dataclass(frozen=True)
 class OpenSimAnalyzer:
-    """OpenSim: the judge of lengths and moment arms; what jumps and touches the engine says.
+    """Computation of lengths and moment arms by OpenSim; contact and discontinuities are from the engine.
 
-    Every sample of a set is analysed once for all its muscles, and kept on disk.
+    Every sample of a set is analysed once for all its muscles, and stored on disk.
     """
 
     model_file: Path
@@ -74,7 +86,7 @@ class OpenSimAnalyzer:
     quiet: bool
 
     def paths(self, muscle: str, samples: SampleSet, poses: str) -> tuple[WrappedPath, WrappedPath]:
-        """See `PathAnalyzer`."""
+        """Compute the path of one muscle; see `PathAnalyzer`."""
         engine = self.flags.engine
         moved = samples.moved
         placements = [{}, *({wrap: own[n] for wrap, own in moved.items()} for n in range(samples.count))]
@@ -87,15 +99,15 @@ class OpenSimAnalyzer:
             processes=self.processes,
             quiet=self.quiet,
         )
-        judged = analysed.of(muscle)
-        found, nominal = self.flags.paths(muscle, samples, poses)
+        length_and_arms = analysed.of(muscle)
+        sampled, nominal = self.flags.paths(muscle, samples, poses)
         return (
-            _with(found, *(part[1:] for part in judged)),
-            _with(nominal, *(part[:1] for part in judged)),
+            _replace_geometry(sampled, *(part[1:] for part in length_and_arms)),
+            _replace_geometry(nominal, *(part[:1] for part in length_and_arms)),
         )
 
 
-def _with(
+def _replace_geometry(
     path: WrappedPath,
     length: Float[np.ndarray, "sample pose"],
     moment_arm: Float[np.ndarray, "sample pose coordinate"],
@@ -106,5 +118,5 @@ def _with(
 def _with_nominal_first(
     samples: SampleSet, wraps: tuple[str, ...]
 ) -> Float[np.ndarray, "sample wrap wrap_parameter"]:
-    # Not on their own: another number of samples would be another program to compile.
+    # In one array: another number of samples would require another compilation.
     return np.concatenate([nominal_parameters(len(wraps))[None], samples.parameters(wraps)])

@@ -1,4 +1,4 @@
-"""Pictures of sampled paths, so that a person can agree, or not, with what counts as physiological."""
+"""Figures of sampled muscle paths that were accepted as physiological or rejected."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from wrapjax.path_sources.polynomial_fit import Fit
     from wrapjax.report.fit_wraps import SampledPath
 
-#: Samples that are analysed for a picture, and for each of those in a report.
+#: Number of samples for a single figure, and for each figure of a report.
 _SAMPLES, REPORTED_SAMPLES = 250, 150
 
 
@@ -32,21 +32,29 @@ def physiological_picture(
     muscle: str,
     thresholds: PhysiologicalThresholds | None = None,
 ) -> str:
-    """Draw which samples of a muscle's cylinders were accepted, and what others were rejected for.
+    """Draw sampled paths of a muscle: which were accepted as physiological, and why others were rejected.
 
     Parameters
     ----------
-    subject, fit
-        A fit of this subject that has sampled its cylinders.
+    subject
+        Subject of the fit.
+    fit
+        Fit with samples of the wrap parameters, from `wrapjax.fit_wraps`.
     muscle
-        Name.
+        Name of the muscle.
     thresholds
-        What counts as physiological, by default as for the fit; try others here before fitting with them.
+        Definition of physiological paths, by default that of the fit. Other thresholds can be inspected here
+        before a fit with them.
 
     Returns
     -------
     str
-        SVG.
+        Figure as SVG.
+
+    Raises
+    ------
+    InputError
+        If the muscle has no samples of wrap parameters.
     """
     from wrapjax.report.fit_wraps import physiological_figure
     from wrapjax.report.style import to_svg
@@ -63,18 +71,24 @@ def sampled_paths(
     *,
     count: int = _SAMPLES,
 ) -> Iterator[SampledPath]:
-    """Lay the paths of the first samples of these muscles' cylinders, one muscle after the other.
+    """Compute the paths of muscles for the first samples of their wrap parameters, muscle by muscle.
 
-    Verdicts are on all training poses, as for the fit; what is given to be drawn is the cycle among them.
+    Samples are classified in all training poses, as in the fit; the returned curves are those of the cycle
+    among these poses.
 
     Parameters
     ----------
     subject, fit, thresholds
-        As for `physiological_picture`.
+        See `physiological_picture`.
     muscles
-        Names.
+        Names of the muscles.
     count
         Number of samples.
+
+    Yields
+    ------
+    SampledPath
+        Curves and reasons for rejection of one muscle.
     """
     from wrapjax.report.fit_wraps import SampledPath
 
@@ -87,7 +101,7 @@ def sampled_paths(
     training, _ = plan_samples(wraps_of, fit.wraps.translations, fit.seed)
     moved = training.together.moved
     samples = replace(training.together, moved={wrap: own[:count] for wrap, own in moved.items()})
-    # All muscles, and all poses, as when cylinders are sampled: the programs compiled for that serve here.
+    # All muscles and poses, as in the fit, so that compiled functions are reused.
     engine = ExactPaths(describe_model(subject.model_file), list(wraps_of), fit.surrogate.coordinates)
     poses = {"training": fit_poses(subject, engine.coordinates, fit.seed).training}
     posed = {name: engine.posed(own) for name, own in poses.items()}
@@ -95,12 +109,12 @@ def sampled_paths(
     for muscle in muscles:
         found, nominal = source.paths(muscle, samples, "training")
         length, moment_arm = (np.asarray(part)[:, SMOOTH_POSES] for part in (found.length, found.moment_arm))
-        usual = np.asarray(nominal.moment_arm)[0, SMOOTH_POSES]
+        nominal_arm = np.asarray(nominal.moment_arm)[0, SMOOTH_POSES]
         spanned = {engine.coordinates[slot]: slot for slot in fit.surrogate.slots(muscle)}
         yield SampledPath(
             muscle=muscle,
             nominal=np.asarray(nominal.length)[0, SMOOTH_POSES],
-            nominal_arms={name: usual[:, slot] for name, slot in spanned.items()},
+            nominal_arms={name: nominal_arm[:, slot] for name, slot in spanned.items()},
             length=length,
             moment_arms={name: moment_arm[:, :, slot] for name, slot in spanned.items()},
             faults=measure_paths(found, nominal, SMOOTH_POSES).failed_criteria(

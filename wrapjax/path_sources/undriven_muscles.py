@@ -1,7 +1,4 @@
-"""The muscles of a leg that no EMG channel drives.
-
-Muscles without an electrode, driven by synergies of the measured EMG.
-"""
+"""Muscles of a leg without an EMG channel: their paths, and excitation by synergies of the measured EMG."""
 
 from __future__ import annotations
 
@@ -18,8 +15,7 @@ from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_derivatives import compute_nominal_paths
 from wrapjax.geometry.paths import PathState
 from wrapjax.io.model_file import read_model_file
-from wrapjax.model.freedom import Freedom
-from wrapjax.model.freedom import with_synergies as with_free_weights
+from wrapjax.model.freedom import Freedom, with_synergies
 from wrapjax.model.parameters import ModelParameters, initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES, AbstractCurves
 from wrapjax.osim.model import describe_model
@@ -32,13 +28,13 @@ from wrapjax.subject.synergies import DEFAULT_SYNERGIES, Synergies, SynergyBasis
 
 
 class UndrivenMuscles(eqx.Module):
-    """Muscles of the leg that no EMG channel drives, over the recorded cycles."""
+    """Muscles without an EMG channel, with parameters and paths over the recorded cycles."""
 
     names: tuple[str, ...] = eqx.field(static=True)
-    #: Names of those that one unrecorded drive would excite together, by the name of the group.
+    #: Groups of these muscles that are assumed to have the same excitation, by the name of the group.
     groups: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
     curves: AbstractCurves
-    #: Leaves of both lead with ``muscle``.
+    #: Leading axis of the leaves of both: ``muscle``.
     parameters: ModelParameters
     path: PathState
 
@@ -46,22 +42,23 @@ class UndrivenMuscles(eqx.Module):
 def build_undriven_muscles(
     subject: Subject, curves: str, model_file: Path | None = None
 ) -> tuple[UndrivenMuscles | None, str]:
-    """Lay the muscles that nothing drives, as strong and long as the subject has them; or say why not.
+    """Build the muscles without an EMG channel that act on the matched coordinates.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     curves
         Name of the Hill curves.
     model_file
-        The model that paths are taken from, where it is not the subject's own. Parameters are always the
-        subject's: of its table of muscle parameters where that has them, else of its model.
+        Model for the paths, if not the subject's. Muscle parameters are always those of the subject: of its
+        parameter table where it has them, else of its model.
 
     Returns
     -------
     muscles, reason
-        Those that can be laid and have a moment arm about a matched coordinate.
+        Muscles whose paths the exact engine supports and that have a moment arm about a matched coordinate;
+        None with the reason if there are none.
     """
     if not subject.undriven_muscles:
         return None, "every muscle of this leg has an EMG channel"
@@ -88,74 +85,80 @@ def build_undriven_muscles(
 def acting_muscles(
     subject: Subject, model_file: Path | None = None
 ) -> tuple[tuple[str, ...], PathState | None]:
-    """Lay those muscles without a channel that can be laid and have an arm about a matched coordinate.
+    """Compute the paths of muscles without an EMG channel that act on the matched coordinates.
 
     Parameters
     ----------
     subject, model_file
-        As of `build_undriven_muscles`.
+        See `build_undriven_muscles`.
 
     Returns
     -------
     names, path
-        In the model's order; no path where there is no such muscle.
+        Names of the muscles whose paths the exact engine supports and that have a moment arm about a matched
+        coordinate, in the model's order, and their paths; None if there are none.
     """
     model = describe_model(model_file or subject.model_file)
 
-    def can_be_laid(muscle: str) -> bool:
+    def is_supported(muscle: str) -> bool:
         try:
             ExactPaths(model, (muscle,), ())
         except InputError:
             return False
         return True
 
-    known = tuple(filter(can_be_laid, subject.undriven_muscles))
-    if not known:
+    supported = tuple(filter(is_supported, subject.undriven_muscles))
+    if not supported:
         return (), None
-    spanned = {name for muscle in known for name in model.spanned_by(muscle)}
-    engine = ExactPaths(model, known, tuple(name for name in subject.trials.coordinates if name in spanned))
+    spanned = {name for muscle in supported for name in model.spanned_by(muscle)}
+    engine = ExactPaths(
+        model, supported, tuple(name for name in subject.trials.coordinates if name in spanned)
+    )
     trials = subject.trials
-    every = compute_nominal_paths(
+    paths = compute_nominal_paths(
         engine, *recorded_motion(trials, engine.coordinates), trials.moment_coordinates
     )
-    moving = np.flatnonzero(np.any(every.moment_arm != 0.0, axis=(1, 2, 3)))
+    moving = np.flatnonzero(np.any(paths.moment_arm != 0.0, axis=(1, 2, 3)))
     if not moving.size:
         return (), None
-    return tuple(known[row] for row in moving), jax.tree.map(lambda leaf: leaf[moving], every)
+    return tuple(supported[row] for row in moving), jax.tree.map(lambda leaf: leaf[moving], paths)
 
 
-#: What may become of muscles without an electrode: nothing drives them, or synergies do.
+#: Strategies for muscles without an electrode: they are left undriven, or driven by synergies.
 STRATEGIES = ("left", "synergies")
 
 
 def apply_undriven_strategy(
     subject: Subject, undriven: str = STRATEGIES[0], synergies: int = DEFAULT_SYNERGIES
 ) -> Subject:
-    """Say what drives a subject's muscles without an electrode.
+    """Apply a strategy for a subject's muscles without an electrode.
 
     Parameters
     ----------
     subject
-        From `load_subject`.
+        Subject from `load_subject`.
     undriven
-        ``left``: nothing does, and the subject is given back as it is. ``synergies``: weighted sums of the
-        first principal components of the measured EMG, whose weights a calibration finds. Then the muscles
-        are those of ``[emg.extrapolated]`` in the settings, a line an excitation; without that table every
-        muscle of this leg that the exact engine can lay and that has a moment arm about a matched
-        coordinate, each with an excitation of its own.
+        Strategy, one of `STRATEGIES`. ``left``: the muscles remain undriven, and the subject is returned
+        unchanged. ``synergies``: their excitations are weighted sums of the first principal components of the
+        measured EMG, with weights that a calibration determines. The muscles are then those of
+        ``[emg.extrapolated]`` in the settings, one excitation per line; without that table every muscle of
+        this leg whose path the exact engine supports and that has a moment arm about a matched coordinate,
+        with separate excitations.
     synergies
-        How many components.
+        Number of principal components.
 
     Returns
     -------
     Subject
-        With the muscles that are driven now after those that have channels. Whatever takes a subject's
-        muscle paths takes those of all.
+        Subject whose muscles are those with channels followed by those that synergies drive.
 
     Raises
     ------
     InputError
-        If there is no such muscle, fewer channels than synergies, or a muscle that cannot be driven.
+        If there is no such muscle, there are fewer channels than synergies, or a muscle of the table cannot
+        be driven.
+    ValueError
+        If the strategy is unknown.
     """
     if undriven not in STRATEGIES:
         raise ValueError(f"unknown strategy '{undriven}': expected one of {', '.join(STRATEGIES)}")
@@ -167,16 +170,21 @@ def apply_undriven_strategy(
 def drive_by_synergies(
     subject: Subject, basis: SynergyBasis, groups: Mapping[str, tuple[str, ...]]
 ) -> Subject:
-    """Drive these muscles of a subject by these synergies.
+    """Add muscles that given synergies drive to the muscles of a subject.
 
     Parameters
     ----------
     subject
-        Whose muscles; those of ``groups`` are without a channel.
+        Subject with the muscles of ``groups``, which have no channel.
     basis
-        Of the commands: this subject's own, or that of an earlier calibration of the person.
+        Synergies: of this subject's EMG, or of an earlier calibration.
     groups
-        By the name of an excitation, the muscles that have it.
+        Muscles of each excitation, by its name.
+
+    Raises
+    ------
+    InputError
+        If the parameters of a muscle are invalid.
     """
     synergies = Synergies(basis, dict(groups))
     own = subject.undriven_parameters
@@ -200,17 +208,17 @@ def drive_by_synergies(
 
 
 def with_synergy_weights(freedom: Freedom, subject: Subject) -> Freedom:
-    """Free the weights of a subject's synergies as well, where it has any."""
+    """Add the weights of a subject's synergies to a freedom, if it has synergies."""
     synergies = subject.synergies
     if synergies is None or freedom.synergies is not None:
         return freedom
     number = {muscle: place for place, own in enumerate(synergies.groups.values()) for muscle in own}
     places = np.array([number.get(muscle, -1) for muscle in subject.muscles.names])
-    return with_free_weights(freedom, tuple(synergies.groups), places, synergies.basis.count)
+    return with_synergies(freedom, tuple(synergies.groups), places, synergies.basis.count)
 
 
 def _basis(subject: Subject, count: int) -> SynergyBasis:
-    """Find synergies in the cycles that are calibrated on."""
+    """Compute the synergies of the calibration cycles."""
     trials = subject.trials.used_for("calibration")
     channels = trials.channels
     if count > len(channels):
@@ -220,7 +228,7 @@ def _basis(subject: Subject, count: int) -> SynergyBasis:
 
 
 def _groups(subject: Subject) -> dict[str, tuple[str, ...]]:
-    """Name the excitations, and the muscles of each."""
+    """Determine the excitations and the muscles of each, by the name of the excitation."""
     file = str(subject.folder / SETTINGS_FILE)
     acting, _ = acting_muscles(subject)
     if subject.extrapolated is None:

@@ -1,7 +1,4 @@
-"""``fit_wraps``: learn how a subject's muscle paths follow the cylinders that they wrap round.
-
-Learn one muscle's inner level from samples of its cylinders, and what they do to its path.
-"""
+"""Dependence of a subject's polynomial paths on wrap parameters, fitted to sampled wraps (``fit_wraps``)."""
 
 from __future__ import annotations
 
@@ -34,39 +31,51 @@ from wrapjax.path_sources.sample_analysis import EngineAnalyzer, OpenSimAnalyzer
 from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject
 
-#: Which of some poses are frames of one cycle, in order.
+#: Poses, by their name, that are the frames of one cycle in order.
 _CYCLES = {"training": SMOOTH_POSES, "validation": slice(0, 0)}
 
 Labels = Bool[np.ndarray, " sample"]
-UnseenLabels = Bool[np.ndarray, " unseen_sample"]
+ValidationLabels = Bool[np.ndarray, " unseen_sample"]
 
 
 @dataclass(frozen=True)
 class MuscleWrapFit:
-    """What the samples of a muscle's cylinders gave.
+    """Inner level of one muscle, fitted to samples of the parameters of its wraps.
 
     Parameters
     ----------
     inner
-        How its coefficients follow them, m.
+        Coefficients of the inner level, m.
     half_range
-        Of their boxes.
+        Half widths of the bounds of the wrap parameters, in their units.
     error
-        On unseen physiological samples, in unseen poses; None if none of them is physiological.
-    verdicts
-        By cylinder: which training and which validation samples of it leave the path physiological, the
-        muscle's other cylinders being nominal.
+        Error on physiological validation samples in validation poses; None if no sample is physiological.
+    labels
+        By wrap: which training and which validation samples of it give a physiological path, with the other
+        wraps of the muscle nominal.
     """
 
     inner: Float[np.ndarray, "wrap monomial term"]
     half_range: Float[np.ndarray, "wrap wrap_parameter"]
     error: PathError | None
-    verdicts: dict[str, tuple[Labels, UnseenLabels]]
+    labels: dict[str, tuple[Labels, ValidationLabels]]
 
 
 @dataclass(frozen=True)
 class MuscleWrapFitter:
-    """Where samples come from, and what they are held to."""
+    """Fitting of the inner level of muscles to samples of wrap parameters.
+
+    Parameters
+    ----------
+    surrogate
+        Polynomials with nominal wraps (outer level).
+    source
+        Computation of the sampled paths.
+    training, validation
+        Samples of the wrap parameters.
+    thresholds
+        Definition of physiological paths.
+    """
 
     surrogate: PathSurrogate
     source: PathAnalyzer
@@ -74,43 +83,50 @@ class MuscleWrapFitter:
     validation: SamplePlan
     thresholds: PhysiologicalThresholds
 
-    def learn(self, muscle: str, wraps: tuple[str, ...]) -> MuscleWrapFit:
-        """Sample a muscle's cylinders.
+    def fit(self, muscle: str, wraps: tuple[str, ...]) -> MuscleWrapFit:
+        """Fit the inner level of one muscle, and classify the samples of its wraps.
 
-        What is analysed is reduced at once: no more than one muscle's samples are held at a time.
+        Paths of one muscle at a time are in memory.
+
+        Parameters
+        ----------
+        muscle
+            Name of the muscle.
+        wraps
+            Names of its wraps, in the order of its path.
         """
-        inner, seen = self._inner_level(muscle, wraps)
-        error, unseen = self._judged(muscle, wraps, inner)
-        verdicts = {wrap: (seen, unseen) for wrap in wraps}
+        inner, training_labels = self._inner_level(muscle, wraps)
+        error, validation_labels = self._validate(muscle, wraps, inner)
+        labels = {wrap: (training_labels, validation_labels) for wrap in wraps}
         if len(wraps) > 1:
             for wrap in wraps:
                 alone = [plan.samples_for(muscle, wrap, wraps) for plan in (self.training, self.validation)]
-                verdicts[wrap] = self._labels(muscle, alone[0]), self._unseen_labels(muscle, alone[1])
-        return MuscleWrapFit(inner, self._half_range(wraps), error, verdicts)
+                labels[wrap] = self._labels(muscle, alone[0]), self._validation_labels(muscle, alone[1])
+        return MuscleWrapFit(inner, self._half_range(wraps), error, labels)
 
     def _inner_level(
         self, muscle: str, wraps: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "wrap monomial term"], Labels]:
         samples = self.training.together
-        found, nominal = self.source.paths(muscle, samples, "training")
-        physiological = self._physiological(found, nominal, "training")
-        # One factorisation serves all samples.
+        paths, nominal = self.source.paths(muscle, samples, "training")
+        physiological = self._physiological(paths, nominal, "training")
+        # One pseudoinverse serves all samples.
         design = self.surrogate.design(muscle, self.source.poses["training"])
         to_coefficients = np.linalg.pinv(design)
-        change = self._rows(muscle, found) - self._rows(muscle, nominal)
+        change = self._rows(muscle, paths) - self._rows(muscle, nominal)
         moved = samples.parameters(wraps) - NOMINAL
         coefficients = change @ to_coefficients.T
         half_range = self._half_range(wraps)
         inner = fit_inner_level(moved, half_range, coefficients, physiological, design.T @ design)
         return inner, physiological
 
-    def _judged(
+    def _validate(
         self, muscle: str, wraps: tuple[str, ...], inner: Float[np.ndarray, "wrap monomial term"]
     ) -> tuple[PathError | None, Labels]:
-        """Compare with samples and poses that the fit has not seen."""
+        """Evaluate the inner level on validation samples and poses."""
         samples, row = self.validation.together, self.surrogate.muscles.index(muscle)
-        found, nominal = self.source.paths(muscle, samples, "validation")
-        physiological = self._labels(muscle, samples) & self._physiological(found, nominal, "validation")
+        paths, nominal = self.source.paths(muscle, samples, "validation")
+        physiological = self._labels(muscle, samples) & self._physiological(paths, nominal, "validation")
         if not physiological.any():
             return None, physiological
         moved = samples.parameters(wraps) - NOMINAL
@@ -118,28 +134,28 @@ class MuscleWrapFitter:
         nominal_coefficients = np.asarray(self.surrogate.coefficients[row])[
             np.asarray(self.surrogate.used[row])
         ]
-        changes = np.asarray(jax.vmap(level.of_one)(jnp.asarray(moved.reshape(len(moved), -1))))
+        changes = np.asarray(jax.vmap(level.for_one_muscle)(jnp.asarray(moved.reshape(len(moved), -1))))
         coefficients = nominal_coefficients + changes[physiological]
         predicted = coefficients @ self.surrogate.design(muscle, self.source.poses["validation"]).T
-        error = predicted - self._rows(muscle, found)[physiological]
-        poses = found.length.shape[1]
+        error = predicted - self._rows(muscle, paths)[physiological]
+        poses = paths.length.shape[1]
         pooled = PathError.of(
             error[:, :poses], error[:, poses:], wrapped=True, terms=len(nominal_coefficients)
         )
         return pooled, physiological
 
-    def _unseen_labels(self, muscle: str, samples: SampleSet) -> Labels:
+    def _validation_labels(self, muscle: str, samples: SampleSet) -> Labels:
         paths = self.source.paths(muscle, samples, "validation")
         return self._labels(muscle, samples) & self._physiological(*paths, "validation")
 
     def _labels(self, muscle: str, samples: SampleSet) -> Labels:
         return self._physiological(*self.source.paths(muscle, samples, "training"), "training")
 
-    def _physiological(self, found: WrappedPath, nominal: WrappedPath, poses: str) -> Labels:
-        return measure_paths(found, nominal, _CYCLES[poses]).physiological(self.thresholds)
+    def _physiological(self, paths: WrappedPath, nominal: WrappedPath, poses: str) -> Labels:
+        return measure_paths(paths, nominal, _CYCLES[poses]).physiological(self.thresholds)
 
     def _rows(self, muscle: str, path: WrappedPath) -> Float[np.ndarray, "sample row"]:
-        """Lengths, then moment arms, in the order of `PathSurrogate.design`."""
+        """Concatenate lengths and moment arms in the order of `PathSurrogate.design`, m."""
         arms = [path.moment_arm[:, :, slot] for slot in self.surrogate.slots(muscle)]
         return np.concatenate([path.length, *arms], axis=1)
 
@@ -149,13 +165,13 @@ class MuscleWrapFitter:
 
 def stack_inner_levels(
     surrogate: PathSurrogate,
-    learned: Mapping[str, MuscleWrapFit],
+    fitted: Mapping[str, MuscleWrapFit],
 ) -> InnerLevel:
-    """Fill up to one shape; muscles without cylinders have zeros."""
-    most = max((len(one.inner) for one in learned.values()), default=0)
+    """Combine the inner levels of all muscles into arrays, padded with zeros."""
+    most = max((len(one.inner) for one in fitted.values()), default=0)
     weights = np.zeros((len(surrogate.muscles), most, MONOMIALS, surrogate.used.shape[1]))
     half_range = np.ones((len(surrogate.muscles), most, len(NOMINAL)))
-    for muscle, one in learned.items():
+    for muscle, one in fitted.items():
         row = surrogate.muscles.index(muscle)
         used = np.flatnonzero(np.asarray(surrogate.used[row]))
         weights[row, : len(one.inner), :, used] = np.moveaxis(one.inner, -1, 0)
@@ -163,9 +179,9 @@ def stack_inner_levels(
     return InnerLevel(jnp.asarray(weights), jnp.asarray(half_range))
 
 
-# Poses that boxes are found in: every so many recorded frames.
-_EVERY = 4
-# Raise when the same fit would get another inner level.
+# Step of the recorded frames in which bounds on translations are determined.
+_FRAME_STEP = 4
+# Version of the cached fits; increase it when the same fit gives another inner level.
 _FORMAT = 4
 
 
@@ -177,34 +193,44 @@ def fit_wraps(
     processes: int | None = None,
     quiet: bool = True,
 ) -> Fit:
-    """Sample all cylinders of a fit's muscles and learn what PGA needs of them.
+    """Fit the dependence of polynomial paths on wrap parameters, which PGA requires.
 
-    1000 placements, within a box for each cylinder, are analysed in the fit's 500 training poses. Those
-    that leave a path physiological show how its coefficients follow its cylinders; all of them, where in
-    its box each cylinder is physiological. 250 other placements, in those and 500 other poses, judge both.
+    Paths are computed for 1000 samples of the wrap parameters, within bounds for each wrap, in the 500
+    training poses of the fit. The samples with physiological paths determine how the coefficients of the
+    polynomials depend on the wrap parameters (inner level); all samples determine a classifier of feasible
+    parameters for each wrap. Both are validated with 250 other samples, in these and in 500 other poses.
 
     Parameters
     ----------
-    subject, fit
-        A fit of this subject. Its geometry is sampled; what jumps and touches the exact engine says.
+    subject
+        Subject of the fit.
+    fit
+        Fit from `wrapjax.fit`. Its source of lengths and moment arms is used; contacts and discontinuities
+        are always those of the exact engine.
     thresholds
-        What counts as physiological.
+        Definition of physiological paths.
     processes
-        Worker processes for OpenSim, and threads of scikit-learn; by default one a core or more.
+        Number of worker processes for OpenSim and of threads for scikit-learn; by default one per core or
+        more.
     quiet
         Print no progress.
 
     Returns
     -------
     Fit
-        The same, with ``wraps``, and with the errors of wrapped muscles on unseen placements. Also kept
-        in the user's cache. Analyses by OpenSim take long, and are kept as they come: interrupted
-        work goes on where it stopped.
+        The same fit with ``wraps``, and with the errors (mm) of wrapped muscles on validation samples. It is
+        also stored in the user's cache. Analyses by OpenSim take hours and are stored one by one, so that an
+        interrupted fit is continued.
 
     Raises
     ------
     InputError
-        If a muscle's path has something that the exact engine does not know.
+        If a muscle's path has an element that the exact engine does not support.
+
+    Examples
+    --------
+    >>> fitted = fit_wraps(subject, fit(subject, "engine"))  # doctest: +SKIP
+    >>> calibrate(subject, "PGA", fitted)  # doctest: +SKIP
     """
     require_float64()
     cached = cache_folder("fit_wraps") / content_hash(fit.key, repr(thresholds), _FORMAT)
@@ -214,14 +240,14 @@ def fit_wraps(
         except (InputError, OSError):
             print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
     result = _fit_wraps(subject, fit, thresholds, processes, quiet)
-    result.keep(cached)
+    result.write_to_cache(cached)
     return result
 
 
 def _fit_wraps(
     subject: Subject, fit: Fit, thresholds: PhysiologicalThresholds, processes: int | None, quiet: bool
 ) -> Fit:
-    began = time.perf_counter()
+    started = time.perf_counter()
     model, surrogate = describe_model(subject.model_file), fit.surrogate
     wrapped = [name for name in surrogate.muscles if model.muscle(name).wraps]
     engine = ExactPaths(model, wrapped, surrogate.coordinates)
@@ -232,11 +258,11 @@ def _fit_wraps(
     touched = {
         wrap
         for name, own in wraps_of.items()
-        for wrap, touches in zip(own, _touching(recorded[name]), strict=True)
+        for wrap, touches in zip(own, _touched_wraps(recorded[name]), strict=True)
         if touches
     }
-    print_progress(f"finding boxes for {len(wraps)} cylinders", quiet=quiet)
-    near = engine.posed(poses.recorded[::_EVERY])
+    print_progress(f"determining bounds of {len(wraps)} cylinders", quiet=quiet)
+    near = engine.posed(poses.recorded[::_FRAME_STEP])
     translations = translation_bounds(engine, near, wraps)
     boxed = time.perf_counter()
     training, validation = plan_samples(wraps_of, translations, fit.seed)
@@ -246,54 +272,54 @@ def _fit_wraps(
     source: PathAnalyzer = by_engine
     if fit.geometry == "opensim":
         source = OpenSimAnalyzer(subject.model_file, by_engine, by_name, processes, quiet)
-    learner = MuscleWrapFitter(surrogate, source, training, validation, thresholds)
-    learned: dict[str, MuscleWrapFit] = {}
+    fitter = MuscleWrapFitter(surrogate, source, training, validation, thresholds)
+    fitted: dict[str, MuscleWrapFit] = {}
     with progress_bar("sampling cylinders, muscles", len(wraps_of), quiet=quiet) as advance:
         for name, own in wraps_of.items():
-            learned[name] = learner.learn(name, own)
-            advance(len(learned))
+            fitted[name] = fitter.fit(name, own)
+            advance(len(fitted))
     sampled = time.perf_counter()
     feasibility: dict[str, Feasibility | None] = {}
     quality: dict[str, WrapQuality] = {}
     for wrap in wraps:
-        users = [learned[name].verdicts[wrap] for name, own in wraps_of.items() if wrap in own]
-        seen, unseen = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
+        users = [fitted[name].labels[wrap] for name, own in wraps_of.items() if wrap in own]
+        training_labels, validation_labels = (np.all(labels, axis=0) for labels in zip(*users, strict=True))
         samples, others = (plan.together.moved[wrap] for plan in (training, validation))
-        usable, also_usable = (usable_for_all_muscles(engine, near, wrap, own) for own in (samples, others))
+        usable, others_usable = (usable_for_all_muscles(engine, near, wrap, own) for own in (samples, others))
         feasibility[wrap] = fit_feasibility(
-            samples, seen, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
+            samples, training_labels, *training.boxes[wrap], usable=usable, seed=fit.seed, threads=processes
         )
-        judged = feasibility_quality(feasibility[wrap], others, unseen, also_usable)
-        alone = feasibility_quality(feasibility[wrap], others, unseen)
+        combined = feasibility_quality(feasibility[wrap], others, validation_labels, others_usable)
+        alone = feasibility_quality(feasibility[wrap], others, validation_labels)
         quality[wrap] = WrapQuality(
-            physiological_share=float(unseen.mean()),
-            **vars(judged),
+            physiological_share=float(validation_labels.mean()),
+            **vars(combined),
             learned_balanced_accuracy=alone.balanced_accuracy,
             learned_false_physiological=alone.false_physiological,
         )
     return replace(
         fit,
-        # A muscle that no placement leaves physiological keeps its errors with the model's own cylinders.
-        errors=fit.errors | {name: one.error for name, one in learned.items() if one.error is not None},
+        # A muscle without physiological samples keeps its errors with nominal wraps.
+        errors=fit.errors | {name: one.error for name, one in fitted.items() if one.error is not None},
         wraps=WrapFit(
             wraps_of={name: wraps_of.get(name, ()) for name in surrogate.muscles},
             translations=translations,
             touched=tuple(wrap for wrap in wraps if wrap in touched),
-            inner=stack_inner_levels(surrogate, learned),
+            inner=stack_inner_levels(surrogate, fitted),
             feasibility=feasibility,
             quality=quality,
             thresholds=thresholds,
         ),
         seconds=fit.seconds
         | {
-            "boxes": boxed - began,
+            "boxes": boxed - started,
             "sampling": sampled - boxed,
             "feasibility": time.perf_counter() - sampled,
         },
     )
 
 
-def _touching(posed: PosedPath) -> Bool[np.ndarray, " wrap"]:
-    """Say on which of its cylinders a muscle lies in some pose, wrapped the shortest way."""
+def _touched_wraps(posed: PosedPath) -> Bool[np.ndarray, " wrap"]:
+    """Determine which nominal wraps a muscle touches in some pose, with shortest paths."""
     nominal = nominal_parameters(posed.surfaces.radius.shape[0])
     return np.asarray(wrap_at_samples(posed, nominal[None]).touching.any(axis=(0, 1)))
