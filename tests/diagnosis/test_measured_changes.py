@@ -8,15 +8,15 @@ import opensim
 import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
-
-from tests.subject import synthetic
-from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
-from wrapjax.diagnosis.context import change_id
 from wrapjax.diagnosis.effects.kinematics import sliding
 from wrapjax.diagnosis.effects.measurement import CHAIN
 from wrapjax.diagnosis.inverse_dynamics.measured_changes import measured_changes, recorded_walk
 from wrapjax.diagnosis.inverse_dynamics.recorded_walk import UP, Walk
 from wrapjax.diagnosis.inverse_dynamics.wrong_inputs import FOOT_DISPLACED, FOOT_HELD, foot_loads
+
+from tests.subject import synthetic
+from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
+from wrapjax.diagnosis.context import change_id
 from wrapjax.errors import InputError
 from wrapjax.osim.inverse_dynamics import Mechanics
 from wrapjax.osim.motion import Motion
@@ -431,8 +431,8 @@ def test_the_other_foot_is_this_one_half_a_cycle_away():
         joint_center=np.zeros((0, 3, frames)),
         rotation=np.tile(axes[None, :, :, None], (2, 1, 1, frames)),
         origin=np.stack([pelvis.T, pelvis.T]),
-        of_mass=none,
-        of_inertia=none,
+        mass_wrench=none,
+        inertia_wrench=none,
     )
     walk = Walk(
         side="r",

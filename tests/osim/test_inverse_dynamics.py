@@ -90,7 +90,7 @@ def test_moments_are_opensims_own(odd_model, motion, mechanics, wrench):
     expected = np.stack([judge.moments(motion, pose, wrench[0, :, pose]) for pose in range(POSES)], axis=1)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
     # Inertia counts, and so does each of the two of it.
-    assert np.abs(mechanics.of_mass[:, :3]).max() > 1.0 and np.abs(mechanics.of_inertia).max() > 0.5
+    assert np.abs(mechanics.mass_wrench[:, :3]).max() > 1.0 and np.abs(mechanics.inertia_wrench).max() > 0.5
 
 
 def test_moving_a_force_acts_by_its_moment_about_the_hinge(mechanics, wrench):

@@ -1,1 +1,1 @@
-"""Skeleton kinematics, wrap surfaces, muscle paths: length, rate and moment arms, exact or by polynomials."""
+"""Kinematics, wrapping surfaces and muscle paths: length, rate and moment arms, exact or by polynomials."""

@@ -1,1 +1,1 @@
-"""OpenSim: the only package that imports ``opensim``."""
+"""Access to OpenSim: reads and writes models, computes muscle paths, and runs OpenSim's tools."""

@@ -1,10 +1,10 @@
-"""Inverse dynamics taken apart: what OpenSim says of bodies that move as recorded, as arrays.
+"""Terms of inverse dynamics of a recorded motion, from which effects of changed inputs are computed.
 
-The moment about a coordinate is the power, at unit speed of it, of what all bodies that it moves must be
-given. Kept apart are the coordinate's motion (a screw), what the mass and the inertia of each body need, and
-which bodies the coordinate moves. So what another load, another mass or another axis would do to the moments
-is algebra on arrays, exact and without OpenSim. The sum is that of ``InverseDynamicsSolver``: constraints
-are left out of account, coupled coordinates move as their couplers say.
+The joint moment about a coordinate is the power, per unit speed of the coordinate, of the wrenches that the
+bodies it moves require. The arrays hold the screw of each coordinate, the wrenches required by mass and by
+rotational inertia of each body, and which bodies a coordinate moves. The effect of other loads, masses or
+axes on the joint moments then follows by algebra, exactly and without OpenSim. The result equals that of
+``InverseDynamicsSolver``: constraints are ignored, and coupled coordinates follow their couplers.
 """
 
 from __future__ import annotations
@@ -23,35 +23,35 @@ from wrapjax.osim.loading import import_opensim, initial_state, load_model
 from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.motion import Motion, Mover
 
-#: Where the entries of a tensor stand among OpenSim's six numbers, xx yy zz xy xz yz.
+# Index of each entry of an inertia tensor among OpenSim's six numbers xx, yy, zz, xy, xz, yz.
 _TENSOR = ((0, 3, 4), (3, 1, 5), (4, 5, 2))
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Bodies of a model along a motion, in ground's frame.
+    """Terms of inverse dynamics along a motion, in ground's frame.
 
-    Wrenches are a moment about ground's origin (N m), then a force (N).
+    Wrenches consist of a moment about ground's origin (N m) and a force (N), in this order.
 
     Parameters
     ----------
     bodies, parents
-        Names of all bodies, in the model's order, and of the body that carries each.
+        Names of all bodies in the model's order, and of each body's parent.
     coordinates
-        Those whose moments are asked for.
+        Names of the coordinates of the joint moments.
     moves
         Whether a coordinate moves a body.
     screw
-        Motion by unit speed of a coordinate: angular velocity (rad/rad), then the velocity of the point
-        at ground's origin were it fixed to the bodies that move (m/rad).
+        Motion per unit speed of a coordinate: angular velocity (rad/rad), then the velocity of the body-fixed
+        point at ground's origin (m/rad).
     joint_center
-        Where the joint of each coordinate is: the origin of its frame in the child body, m.
+        Origin of the child frame of each coordinate's joint, m.
     rotation, origin
-        Of each body; columns are its axes; m.
-    of_mass
-        Wrench that carries a body's mass and accelerates it.
-    of_inertia
-        Wrench that turns a body about its center of mass.
+        Rotation matrix of each body, whose columns are its axes, and its origin (m).
+    mass_wrench
+        Wrench required by a body's mass, against gravity and for the acceleration of its center of mass.
+    inertia_wrench
+        Wrench required by a body's rotational inertia about its center of mass.
     """
 
     bodies: tuple[str, ...]
@@ -62,39 +62,53 @@ class Mechanics:
     joint_center: Float[np.ndarray, "coordinate 3 pose"]
     rotation: Float[np.ndarray, "body 3 3 pose"]
     origin: Float[np.ndarray, "body 3 pose"]
-    of_mass: Float[np.ndarray, "body 6 pose"]
-    of_inertia: Float[np.ndarray, "body 6 pose"]
+    mass_wrench: Float[np.ndarray, "body 6 pose"]
+    inertia_wrench: Float[np.ndarray, "body 6 pose"]
 
     def transmitted(
         self, loaded: Sequence[str], wrench: Float[np.ndarray, "load 6 pose"]
     ) -> Float[np.ndarray, "coordinate 6 pose"]:
-        """Sum up what a joint hands on to all that it moves: what bodies need less what acts on them."""
-        needed = np.einsum("kb,bwp->kwp", self.moves, self.of_mass + self.of_inertia)
-        return needed - np.einsum("kl,lwp->kwp", self.moved(loaded), wrench)
+        """Compute the wrench that each coordinate's joint transmits to the bodies that it moves.
 
-    def moved(self, bodies: Sequence[str]) -> Bool[np.ndarray, "coordinate load"]:
-        """Say whether a coordinate moves each of these bodies."""
+        Parameters
+        ----------
+        loaded
+            Names of bodies with external loads.
+        wrench
+            External load on each of them.
+
+        Returns
+        -------
+        Array
+            Wrenches required by the bodies less the external loads on them.
+        """
+        required = np.einsum("kb,bwp->kwp", self.moves, self.mass_wrench + self.inertia_wrench)
+        return required - np.einsum("kl,lwp->kwp", self.moves_bodies(loaded), wrench)
+
+    def moves_bodies(self, bodies: Sequence[str]) -> Bool[np.ndarray, "coordinate load"]:
+        """Select the columns of ``moves`` of the given bodies."""
         return self.moves[:, [self.bodies.index(name) for name in bodies]]
 
     def moments(self, wrench: Float[np.ndarray, "coordinate 6 pose"]) -> Float[np.ndarray, "coordinate pose"]:
-        """Give the moment (N m; N about a translation) that a joint's wrench is about its coordinate."""
+        """Compute the moment (N m; N along a translation) of each joint's wrench about its coordinate."""
         return np.einsum("kwp,kwp->kp", self.screw, wrench)
 
 
 @dataclass(frozen=True)
 class JointShift:
-    """A joint that is elsewhere than a model has it; at its coordinates' zero nothing has moved but that.
+    """Change of a joint's center and axes relative to the model.
 
-    A joint without frames of its own, which OpenSim writes for every joint, stays where it is.
+    The rotation of the axes moves no body at zero of the joint's coordinates. A joint without offset frames
+    is left unchanged; OpenSim writes them for every joint.
 
     Parameters
     ----------
     coordinate
-        One of the joint's.
+        Name of a coordinate of the joint.
     displacement
-        Of both bodies' frames of the joint, with all that hangs on it, m.
+        Displacement of the joint and of all bodies below it, in axes of the parent body, m.
     turn
-        Of its axes, rad, small; about its center, which stays. Both in axes of the body that carries it.
+        Small rotation vector of the joint's axes about its center, in axes of the parent body, rad.
     """
 
     coordinate: str
@@ -108,27 +122,27 @@ def analyse_mechanics(
     motion: Motion,
     shift: JointShift | None = None,
 ) -> Mechanics:
-    """Move a model as recorded and read what inverse dynamics need.
+    """Compute the terms of inverse dynamics of a model along a recorded motion.
 
     Parameters
     ----------
     model_file
         OpenSim model (.osim).
     coordinates
-        Whose moments are wanted.
+        Names of the coordinates of the joint moments.
     motion
-        How it moved.
+        Recorded motion.
     shift
-        A joint that is elsewhere.
+        Change of a joint; None for the model as it is.
 
     Raises
     ------
     InputError
-        If the model cannot be loaded or does not know a coordinate.
+        If the model cannot be loaded or has no such coordinate.
 
     Notes
     -----
-    About 0.3 ms a pose.
+    Takes about 0.3 ms a pose.
     """
     opensim = import_opensim()
     model, state = load_model(model_file)
@@ -149,19 +163,19 @@ def analyse_mechanics(
     rows = [index[names.index(child[name])] for name in coordinates]
 
     count = motion.values.shape[1]
+    system_jacobian, accelerated = opensim.Matrix(), opensim.VectorOfSpatialVec()
     jacobian = np.zeros((count, len(coordinates), 6))
     center = np.zeros((count, len(coordinates), 3))
     rotation, origin = np.zeros((count, len(bodies), 3, 3)), np.zeros((count, len(bodies), 3))
     spin, accelerations = np.zeros((count, len(bodies), 3)), np.zeros((count, len(bodies), 6))
-    found, accelerated = opensim.Matrix(), opensim.VectorOfSpatialVec()
     matter = model.getMatterSubsystem()
     for pose in range(count):
         rates = mover.move(motion.values[:, pose], motion.speeds[:, pose], motion.accelerations[:, pose])
-        matter.calcSystemJacobian(state, found)
-        whole = found.to_numpy()
+        matter.calcSystemJacobian(state, system_jacobian)
+        all_rows = system_jacobian.to_numpy()
         matter.calcBodyAccelerationFromUDot(state, rates, accelerated)
         for place, (row, column) in enumerate(zip(rows, columns, strict=True)):
-            jacobian[pose, place] = whole[6 * row : 6 * row + 6, column]
+            jacobian[pose, place] = all_rows[6 * row : 6 * row + 6, column]
         for place, name in enumerate(coordinates):
             center[pose, place] = joints[name].getChildFrame().getPositionInGround(state).to_numpy()
         for place, body in enumerate(bodies):
@@ -177,8 +191,8 @@ def analyse_mechanics(
     turning = jacobian[..., :3]
     screw = np.concatenate([turning, jacobian[..., 3:] - np.cross(turning, at)], axis=-1)
     gravity = model.getGravity().to_numpy()
-    of_mass, of_inertia = _needed(bodies, rotation, origin, spin, accelerations, gravity)
-    moves = [[child[name] in _carriers(body, parents) for body in names] for name in coordinates]
+    mass_wrench, inertia_wrench = _required_wrenches(bodies, rotation, origin, spin, accelerations, gravity)
+    moves = [[child[name] in _chain(body, parents) for body in names] for name in coordinates]
     return Mechanics(
         bodies=names,
         parents=tuple(parents[name] for name in names),
@@ -188,46 +202,51 @@ def analyse_mechanics(
         joint_center=np.moveaxis(center, 0, -1),
         rotation=np.moveaxis(rotation, 0, -1),
         origin=np.moveaxis(origin, 0, -1),
-        of_mass=np.moveaxis(of_mass, 0, -1),
-        of_inertia=np.moveaxis(of_inertia, 0, -1),
+        mass_wrench=np.moveaxis(mass_wrench, 0, -1),
+        inertia_wrench=np.moveaxis(inertia_wrench, 0, -1),
     )
 
 
 def _with_shifted_joint(opensim: Any, model: Any, state: Any, shift: JointShift) -> Any:
-    """Put a joint elsewhere in a model and build its system anew; give its state."""
+    """Change a joint of a model and rebuild its system; return the new state."""
     joint = model.getCoordinateSet().get(shift.coordinate).getJoint()
     paths = [frame.getAbsolutePathString() for frame in (joint.getParentFrame(), joint.getChildFrame())]
-    near, far = (opensim.PhysicalOffsetFrame.safeDownCast(model.updComponent(path)) for path in paths)
-    if near is None or far is None:
+    in_parent, in_child = (
+        opensim.PhysicalOffsetFrame.safeDownCast(model.updComponent(path)) for path in paths
+    )
+    if in_parent is None or in_child is None:
         return state
-    before, own = (Rotation.from_euler("XYZ", frame.get_orientation().to_numpy()) for frame in (near, far))
+    parent, child = (
+        Rotation.from_euler("XYZ", frame.get_orientation().to_numpy()) for frame in (in_parent, in_child)
+    )
     turn = Rotation.from_rotvec(shift.turn)
-    # The far body's axes at zero, in those of the near one.
-    at_zero = before * own.inv()
-    for frame, turned in ((near, turn * before), (far, at_zero.inv() * turn * at_zero * own)):
-        frame.set_orientation(opensim.Vec3(*turned.as_euler("XYZ").tolist()))
-    near.set_translation(opensim.Vec3(*(near.get_translation().to_numpy() + shift.displacement).tolist()))
+    # Axes of the child body at zero of the coordinates, in those of the parent body.
+    at_zero = parent * child.inv()
+    for frame, rotated in ((in_parent, turn * parent), (in_child, at_zero.inv() * turn * at_zero * child)):
+        frame.set_orientation(opensim.Vec3(*rotated.as_euler("XYZ").tolist()))
+    translation = in_parent.get_translation().to_numpy() + shift.displacement
+    in_parent.set_translation(opensim.Vec3(*translation.tolist()))
     return initial_state(model)
 
 
 def _parents(model: Any) -> dict[str, str]:
-    """Name the body that carries each body."""
+    """Find the name of each body's parent."""
     return {
         joint.getChildFrame().findBaseFrame().getName(): joint.getParentFrame().findBaseFrame().getName()
         for joint in elements(model.getJointSet())
     }
 
 
-def _carriers(body: str, parents: dict[str, str]) -> set[str]:
-    """Name the body and all between it and ground."""
-    found = set()
+def _chain(body: str, parents: dict[str, str]) -> set[str]:
+    """Find the names of a body and of all bodies between it and ground."""
+    chain = set()
     while body in parents:
-        found.add(body)
+        chain.add(body)
         body = parents[body]
-    return found
+    return chain
 
 
-def _needed(
+def _required_wrenches(
     bodies: Sequence[Any],
     rotation: Float[np.ndarray, "pose body 3 3"],
     origin: Float[np.ndarray, "pose body 3"],
@@ -235,7 +254,7 @@ def _needed(
     accelerations: Float[np.ndarray, "pose body 6"],
     gravity: Float[np.ndarray, " 3"],
 ) -> tuple[Float[np.ndarray, "pose body 6"], Float[np.ndarray, "pose body 6"]]:
-    """Newton's and Euler's equations of each body, as wrenches about ground's origin."""
+    """Compute the wrenches about ground's origin that each body requires by the Newton-Euler equations."""
     mass = np.array([body.getMass() for body in bodies])
     center = np.array([body.getMassCenter().to_numpy() for body in bodies])
     vectors = [[body.get_inertia().get(row) for row in range(6)] for body in bodies]
@@ -245,9 +264,9 @@ def _needed(
     turning = accelerations[..., :3]
     of_center = accelerations[..., 3:] + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
     force = mass[:, None] * (of_center - gravity)
-    of_mass = np.concatenate([np.cross(origin + arm, force), force], axis=-1)
+    mass_wrench = np.concatenate([np.cross(origin + arm, force), force], axis=-1)
 
     tensor = np.einsum("pbij,bjk,pblk->pbil", rotation, inertia, rotation)
     momentum = np.einsum("pbij,pbj->pbi", tensor, spin)
     moment = np.einsum("pbij,pbj->pbi", tensor, turning) + np.cross(spin, momentum)
-    return of_mass, np.concatenate([moment, np.zeros_like(moment)], axis=-1)
+    return mass_wrench, np.concatenate([moment, np.zeros_like(moment)], axis=-1)

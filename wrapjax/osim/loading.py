@@ -1,4 +1,4 @@
-"""Load an OpenSim model quietly, or say why it cannot be loaded."""
+"""Import of OpenSim and loading of its models, with errors of one sentence in place of OpenSim's output."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.xml import read_xml_file
 
-#: What OpenSim and Simbody wrap round the sentence that matters.
-_WRAPPING = re.compile(
+# What OpenSim and Simbody put before and after the message proper.
+_PREFIX = re.compile(
     r"std::exception in '.*?': "
     r"|SimTK Exception thrown at \S+:\d+:"
     r"|Error detected by Simbody method \w+(::\w+)*\(\): "
@@ -19,10 +19,10 @@ _PLACE_IN_SOURCE = re.compile(r"\s*(Thrown at \S+ in .*\.|\(Required condition .
 
 
 def import_opensim() -> Any:
-    """Import OpenSim and silence it.
+    """Import OpenSim with its logger switched off.
 
-    Its logger warns of every bone mesh that is not beside the model, and would open ``opensim.log``
-    in the working folder; what is really wrong arrives as an exception anyway.
+    The logger would warn of every bone mesh that is not in the model's folder, and write ``opensim.log`` in
+    the working folder. Errors are raised as exceptions in any case.
     """
     import opensim
 
@@ -32,7 +32,7 @@ def import_opensim() -> Any:
 
 
 def check_is_file(model_file: Path | str) -> Path:
-    """Return the path of a model's file, or raise `InputError` if there is none."""
+    """Return the path of an existing file; raise `InputError` if there is none."""
     path = Path(model_file)
     if not path.is_file():
         raise InputError(Problem(str(path), "is not a file; an OpenSim model (.osim) was expected"))
@@ -42,16 +42,22 @@ def check_is_file(model_file: Path | str) -> Path:
 def load_model(model_file: Path | str) -> tuple[Any, Any]:
     """Load a model and build its system.
 
+    Parameters
+    ----------
+    model_file
+        OpenSim model (.osim).
+
     Returns
     -------
     model, state
-        ``opensim.Model`` and its ``State``, every coordinate at its default. Hold on to the model as
-        long as to the state.
+        ``opensim.Model`` and its ``State`` with every coordinate at its default. The state is valid only as
+        long as the model exists.
 
     Raises
     ------
     InputError
-        If the file is not there, is no XML, holds no model, or holds one that cannot be put together.
+        If the file does not exist, is not XML, contains no model, or contains a model that OpenSim cannot
+        build.
     """
     path = check_is_file(model_file)
     _check_outermost_element(path)
@@ -63,15 +69,15 @@ def load_model(model_file: Path | str) -> tuple[Any, Any]:
         reason = failure_reason(error)
         raise InputError(Problem(str(path), f"OpenSim cannot load it as a model ({reason})")) from error
     if model.getBodySet().getSize() == 0:
-        # OpenSim takes any of its XML files, a tool's settings for example, as an empty model.
+        # OpenSim loads any of its XML files, such as a tool's settings, as an empty model.
         raise InputError(Problem(str(path), "holds no bodies; an OpenSim model (.osim) was expected"))
     return model, state
 
 
 def initial_state(model: Any) -> Any:
-    """Build a model's system; give its state with every coordinate at its default."""
+    """Build a model's system, and return its state with every coordinate at its default."""
     state = model.initSystem()
-    # While it assembled the model, OpenSim may have moved coordinates a little.
+    # Assembly by OpenSim may have changed coordinates slightly.
     for index in range(model.getCoordinateSet().getSize()):
         coordinate = model.getCoordinateSet().get(index)
         coordinate.setValue(state, coordinate.getDefaultValue(), False)
@@ -79,7 +85,7 @@ def initial_state(model: Any) -> Any:
 
 
 def _check_outermost_element(path: Path) -> None:
-    """Say in plain words what OpenSim says of a file that is not even its kind of XML."""
+    """Raise `InputError` if the file is not an OpenSim document."""
     root = read_xml_file(path)
     if root.tag != "OpenSimDocument":
         message = f"has <{root.tag}> as its outermost element, where <OpenSimDocument> was expected"
@@ -87,6 +93,6 @@ def _check_outermost_element(path: Path) -> None:
 
 
 def failure_reason(error: RuntimeError) -> str:
-    """What OpenSim complains of, on one line, without where in its source it did so."""
-    text = _PLACE_IN_SOURCE.sub("", _WRAPPING.sub("", str(error)))
+    """Return OpenSim's error message on one line, without the place in its source code."""
+    text = _PLACE_IN_SOURCE.sub("", _PREFIX.sub("", str(error)))
     return " ".join(text.split()).rstrip(".")

@@ -1,9 +1,4 @@
-"""Read what an OpenSim model holds: muscle paths, coordinates, joints, wrap objects.
-
-Read OpenSim's functions of one variable as plain data.
-
-Read the joints of an OpenSim model as plain data.
-"""
+"""Reader of OpenSim models: muscle paths, coordinates, joints, functions and wrap objects as plain data."""
 
 from __future__ import annotations
 
@@ -32,43 +27,9 @@ from wrapjax.geometry.model_description import (
 )
 from wrapjax.osim.loading import import_opensim, load_model
 
-
-def read_function(opensim: Any, function: Any) -> Function | None:
-    """Read a function, or return None for a kind that is not known here.
-
-    Known are Constant, LinearFunction, PolynomialFunction, SimmSpline, and a MultiplierFunction of them.
-    """
-    kind = function.getConcreteClassName()
-    if kind == "MultiplierFunction":
-        multiplier = opensim.MultiplierFunction.safeDownCast(function)
-        inner = read_function(opensim, multiplier.getFunction())
-        return None if inner is None else inner.scaled(multiplier.getScale())
-    if kind == "Constant":
-        return Polynomial((opensim.Constant.safeDownCast(function).getValue(),))
-    if kind == "LinearFunction":
-        line = opensim.LinearFunction.safeDownCast(function)
-        return Polynomial((line.getSlope(), line.getIntercept()))
-    if kind == "PolynomialFunction":
-        coefficients = opensim.PolynomialFunction.safeDownCast(function).getCoefficients()
-        return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
-    if kind == "SimmSpline":
-        return _spline(opensim, opensim.SimmSpline.safeDownCast(function))
-    return None
-
-
-def _spline(opensim: Any, spline: Any) -> Spline:
-    knots = [spline.getX(index) for index in range(spline.getSize())]
-    first = opensim.StdVectorInt([0])
-    slopes = []
-    for knot in knots:
-        at = opensim.Vector(1, float(knot))
-        slopes.append(spline.calcDerivative(first, at))
-    return Spline(tuple(knots), tuple(spline.getY(index) for index in range(len(knots))), tuple(slopes))
-
-
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
-#: Joints whose movements are fixed by their kind, in the order of their coordinates.
+# Axes of joints that are determined by the joint's class, in the order of its coordinates.
 _MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
     "WeldJoint": (),
     "PinJoint": (("rotation", _Z),),
@@ -79,73 +40,22 @@ _MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
 }
 
 
-def read_joint(opensim: Any, joint: Any, state: Any) -> Joint:
-    """Read a joint; ``state`` is the model's default one, realized to positions."""
-    parent, child = joint.getParentFrame(), joint.getChildFrame()
-    coordinates = tuple(joint.get_coordinates(i).getName() for i in range(joint.numCoordinates()))
-    return Joint(
-        name=joint.getName(),
-        kind=joint.getConcreteClassName(),
-        parent_body=parent.findBaseFrame().getName(),
-        child_body=child.findBaseFrame().getName(),
-        coordinates=coordinates,
-        in_parent=read_pose(parent.findTransformInBaseFrame()),
-        in_child=read_pose(child.findTransformInBaseFrame()),
-        axes=_axes(opensim, joint, coordinates),
-        default=read_pose(child.findTransformBetween(state, parent)),
-    )
-
-
-def read_pose(transform: Any) -> Pose:
-    """Read a transform."""
-    rotation = transform.R().asMat33()
-    rows: Matrix = tuple(tuple(rotation.get(i, j) for j in range(3)) for i in range(3))  # type: ignore[assignment]
-    origin = transform.p()
-    return Pose(rows, (origin.get(0), origin.get(1), origin.get(2)))
-
-
-def _axes(opensim: Any, joint: Any, coordinates: tuple[str, ...]) -> tuple[Axis, ...] | None:
-    kind = joint.getConcreteClassName()
-    if kind in _MOVEMENTS:
-        return tuple(
-            Axis(movement, direction, coordinate, IDENTITY)
-            for (movement, direction), coordinate in zip(_MOVEMENTS[kind], coordinates, strict=True)
-        )
-    if kind != "CustomJoint":
-        return None
-    transform = opensim.CustomJoint.safeDownCast(joint).getSpatialTransform()
-    axes = []
-    for movement in ("rotation", "translation"):
-        for number in (1, 2, 3):
-            axis = _custom_axis(opensim, movement, getattr(transform, f"get_{movement}{number}")())
-            if axis is None:
-                return None
-            axes.append(axis)
-    return tuple(axes)
-
-
-def _custom_axis(opensim: Any, movement: str, axis: Any) -> Axis | None:
-    names = axis.getCoordinateNamesInArray()
-    if names.getSize() > 1:
-        return None
-    function = read_function(opensim, axis.getFunction()) if axis.hasFunction() else CONSTANT_ZERO
-    if function is None:
-        return None
-    direction = axis.getAxis()
-    # OpenSim takes the direction as a unit vector, whatever length the file gives it.
-    parts = [direction.get(index) for index in range(3)]
-    norm = sum(part * part for part in parts) ** 0.5
-    unit = (parts[0] / norm, parts[1] / norm, parts[2] / norm)
-    return Axis(movement, unit, names.get(0) if names.getSize() else None, function)
+#: Independent coordinates, and function of them if supported, by the name of the dependent coordinate.
+Couplers = dict[str, tuple[tuple[str, ...], Function | None]]
 
 
 def describe_model(model_file: Path | str) -> ModelDescription:
-    """Read what a model holds.
+    """Read the description of a model from its file.
 
     Parameters
     ----------
     model_file
         OpenSim model (.osim).
+
+    Returns
+    -------
+    ModelDescription
+        Muscle paths, coordinates, joints, wrap objects and constraints, in SI units and radians.
 
     Raises
     ------
@@ -164,14 +74,14 @@ def describe_model(model_file: Path | str) -> ModelDescription:
         name=model.getName(),
         muscles=tuple(_muscle(opensim, muscle, state) for muscle in elements(model.getMuscles())),
         coordinates=tuple(_coordinate(entry, couplers) for entry in elements(model.getCoordinateSet())),
-        joints=tuple(read_joint(opensim, joint, state) for joint in elements(model.getJointSet())),
+        joints=tuple(_read_joint(opensim, joint, state) for joint in elements(model.getJointSet())),
         wraps=tuple(_wraps(opensim, model)),
         constraints=constraints,
     )
 
 
 def spanned_coordinates(model_file: Path | str, muscles: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Name the independent coordinates that each muscle's length depends on.
+    """Find the independent coordinates that each muscle's length depends on.
 
     Parameters
     ----------
@@ -183,7 +93,7 @@ def spanned_coordinates(model_file: Path | str, muscles: Sequence[str]) -> dict[
     Returns
     -------
     dict
-        Muscle name to coordinate names, in the model's order; see `ModelDescription.spanned_by`.
+        Coordinate names in the model's order, by muscle name; see `ModelDescription.spanned_by`.
 
     Raises
     ------
@@ -201,7 +111,19 @@ def spanned_coordinates(model_file: Path | str, muscles: Sequence[str]) -> dict[
 def unknown_names(
     model_file: Path | str, what: str, names: Iterable[str], known: Sequence[str]
 ) -> list[Problem]:
-    """List a problem for each name that the model does not know."""
+    """Return a problem for each name that is not in the model.
+
+    Parameters
+    ----------
+    model_file
+        OpenSim model (.osim), named in the problems.
+    what
+        Kind of the named parts, such as ``muscle``.
+    names
+        Names to check.
+    known
+        Names in the model.
+    """
     return [
         Problem(str(model_file), f"the model has no such {what}", place=name, hint=nearest_name(name, known))
         for name in names
@@ -210,13 +132,13 @@ def unknown_names(
 
 
 def elements(opensim_set: Any) -> Iterator[Any]:
-    """Iterate over an OpenSim ``Set``, which Python cannot do by itself."""
+    """Iterate over an OpenSim ``Set``, which is not iterable in Python."""
     for index in range(opensim_set.getSize()):
         yield opensim_set.get(index)
 
 
 def couplers_of(opensim: Any, model: Any) -> Iterator[Any]:
-    """Iterate over the enforced couplers, those that compute another's input first."""
+    """Iterate over enforced couplers, those first whose dependent coordinate is another's input."""
     waiting = []
     for constraint in elements(model.getConstraintSet()):
         coupler = opensim.CoordinateCouplerConstraint.safeDownCast(constraint)
@@ -229,7 +151,7 @@ def couplers_of(opensim: Any, model: Any) -> Iterator[Any]:
             raise InputError(
                 Problem(
                     model.getInputFileName(),
-                    f"coupled coordinates follow each other in a circle: {', '.join(sorted(dependent))}",
+                    f"coupled coordinates depend on each other in a circle: {', '.join(sorted(dependent))}",
                 )
             )
         yield from ready
@@ -237,32 +159,9 @@ def couplers_of(opensim: Any, model: Any) -> Iterator[Any]:
 
 
 def independent_names(coupler: Any) -> tuple[str, ...]:
-    """Name the coordinates that a coupler computes another from."""
+    """Names of the independent coordinates of a coupler."""
     names = coupler.getIndependentCoordinateNames()
     return tuple(names.get(index) for index in range(names.getSize()))
-
-
-Couplers = dict[str, tuple[tuple[str, ...], Function | None]]
-
-
-def _constraints(opensim: Any, model: Any) -> tuple[Couplers, tuple[tuple[str, str], ...]]:
-    couplers: Couplers = {}
-    for coupler in couplers_of(opensim, model):
-        names = independent_names(coupler)
-        function = read_function(opensim, coupler.getFunction()) if len(names) == 1 else None
-        scale = float(coupler.getPropertyByName("scale_factor").toString())
-        known = None if function is None else function.scaled(scale)
-        couplers[coupler.getDependentCoordinateName()] = (names, known)
-    others = tuple(
-        (constraint.getName(), constraint.getConcreteClassName())
-        for constraint in elements(model.getConstraintSet())
-        if constraint.get_isEnforced() and constraint.getConcreteClassName() != "CoordinateCouplerConstraint"
-    )
-    return couplers, others
-
-
-def _triple(vector: Any) -> Triple:
-    return (float(vector.get(0)), float(vector.get(1)), float(vector.get(2)))
 
 
 def _muscle(opensim: Any, muscle: Any, state: Any) -> Muscle:
@@ -290,7 +189,7 @@ def _point(opensim: Any, point: Any, state: Any) -> PathPoint:
         body=frame.findBaseFrame().getName(),
         location=_triple(in_body),
         motion=_motion(opensim, point),
-        frame=read_pose(frame.findTransformInBaseFrame()),
+        frame=_read_pose(frame.findTransformInBaseFrame()),
         active_range=_active_range(opensim, point),
     )
 
@@ -299,11 +198,11 @@ def _motion(opensim: Any, point: Any) -> tuple[tuple[str, Function | None], ...]
     moving = opensim.MovingPathPoint.safeDownCast(point)
     if moving is None:
         return None
-    along = []
+    motion = []
     for axis in "XYZ":
         name = getattr(moving, f"get{axis}Coordinate")().getName()
-        along.append((name, read_function(opensim, getattr(moving, f"get_{axis.lower()}_location")())))
-    return tuple(along)
+        motion.append((name, _read_function(opensim, getattr(moving, f"get_{axis.lower()}_location")())))
+    return tuple(motion)
 
 
 def _active_range(opensim: Any, point: Any) -> tuple[str, float, float] | None:
@@ -330,6 +229,76 @@ def _coordinate(coordinate: Any, couplers: Couplers) -> Coordinate:
     )
 
 
+def _constraints(opensim: Any, model: Any) -> tuple[Couplers, tuple[tuple[str, str], ...]]:
+    """Read the enforced couplers, and the names and classes of other enforced constraints."""
+    couplers: Couplers = {}
+    for coupler in couplers_of(opensim, model):
+        names = independent_names(coupler)
+        function = _read_function(opensim, coupler.getFunction()) if len(names) == 1 else None
+        scale = float(coupler.getPropertyByName("scale_factor").toString())
+        known = None if function is None else function.scaled(scale)
+        couplers[coupler.getDependentCoordinateName()] = (names, known)
+    others = tuple(
+        (constraint.getName(), constraint.getConcreteClassName())
+        for constraint in elements(model.getConstraintSet())
+        if constraint.get_isEnforced() and constraint.getConcreteClassName() != "CoordinateCouplerConstraint"
+    )
+    return couplers, others
+
+
+def _read_joint(opensim: Any, joint: Any, state: Any) -> Joint:
+    """Read a joint; ``state`` is the model's default state, realized to positions."""
+    parent, child = joint.getParentFrame(), joint.getChildFrame()
+    coordinates = tuple(joint.get_coordinates(i).getName() for i in range(joint.numCoordinates()))
+    return Joint(
+        name=joint.getName(),
+        kind=joint.getConcreteClassName(),
+        parent_body=parent.findBaseFrame().getName(),
+        child_body=child.findBaseFrame().getName(),
+        coordinates=coordinates,
+        in_parent=_read_pose(parent.findTransformInBaseFrame()),
+        in_child=_read_pose(child.findTransformInBaseFrame()),
+        axes=_axes(opensim, joint, coordinates),
+        default=_read_pose(child.findTransformBetween(state, parent)),
+    )
+
+
+def _axes(opensim: Any, joint: Any, coordinates: tuple[str, ...]) -> tuple[Axis, ...] | None:
+    """Read the axes of a joint, or return None if its class or a function of it is unsupported."""
+    kind = joint.getConcreteClassName()
+    if kind in _MOVEMENTS:
+        return tuple(
+            Axis(movement, direction, coordinate, IDENTITY)
+            for (movement, direction), coordinate in zip(_MOVEMENTS[kind], coordinates, strict=True)
+        )
+    if kind != "CustomJoint":
+        return None
+    transform = opensim.CustomJoint.safeDownCast(joint).getSpatialTransform()
+    axes = []
+    for movement in ("rotation", "translation"):
+        for number in (1, 2, 3):
+            axis = _custom_axis(opensim, movement, getattr(transform, f"get_{movement}{number}")())
+            if axis is None:
+                return None
+            axes.append(axis)
+    return tuple(axes)
+
+
+def _custom_axis(opensim: Any, movement: str, axis: Any) -> Axis | None:
+    names = axis.getCoordinateNamesInArray()
+    if names.getSize() > 1:
+        return None
+    function = _read_function(opensim, axis.getFunction()) if axis.hasFunction() else CONSTANT_ZERO
+    if function is None:
+        return None
+    direction = axis.getAxis()
+    # OpenSim normalizes the direction given in the file.
+    parts = [direction.get(index) for index in range(3)]
+    norm = sum(part * part for part in parts) ** 0.5
+    unit = (parts[0] / norm, parts[1] / norm, parts[2] / norm)
+    return Axis(movement, unit, names.get(0) if names.getSize() else None, function)
+
+
 def _wraps(opensim: Any, model: Any) -> Iterator[WrapObject]:
     for component in model.getComponentsList():
         wrap = opensim.WrapObject.safeDownCast(component)
@@ -349,3 +318,49 @@ def _wraps(opensim: Any, model: Any) -> Iterator[WrapObject]:
             quadrant=wrap.get_quadrant(),
             active=wrap.get_active(),
         )
+
+
+def _read_function(opensim: Any, function: Any) -> Function | None:
+    """Read a function of one variable, or return None for an unsupported kind.
+
+    Supported are Constant, LinearFunction, PolynomialFunction, SimmSpline, and a
+    MultiplierFunction of any of these.
+    """
+    kind = function.getConcreteClassName()
+    if kind == "MultiplierFunction":
+        multiplier = opensim.MultiplierFunction.safeDownCast(function)
+        inner = _read_function(opensim, multiplier.getFunction())
+        return None if inner is None else inner.scaled(multiplier.getScale())
+    if kind == "Constant":
+        return Polynomial((opensim.Constant.safeDownCast(function).getValue(),))
+    if kind == "LinearFunction":
+        line = opensim.LinearFunction.safeDownCast(function)
+        return Polynomial((line.getSlope(), line.getIntercept()))
+    if kind == "PolynomialFunction":
+        coefficients = opensim.PolynomialFunction.safeDownCast(function).getCoefficients()
+        return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
+    if kind == "SimmSpline":
+        return _spline(opensim, opensim.SimmSpline.safeDownCast(function))
+    return None
+
+
+def _spline(opensim: Any, spline: Any) -> Spline:
+    knots = [spline.getX(index) for index in range(spline.getSize())]
+    first = opensim.StdVectorInt([0])
+    slopes = []
+    for knot in knots:
+        at = opensim.Vector(1, float(knot))
+        slopes.append(spline.calcDerivative(first, at))
+    return Spline(tuple(knots), tuple(spline.getY(index) for index in range(len(knots))), tuple(slopes))
+
+
+def _read_pose(transform: Any) -> Pose:
+    """Convert an OpenSim ``Transform``."""
+    rotation = transform.R().asMat33()
+    rows: Matrix = tuple(tuple(rotation.get(i, j) for j in range(3)) for i in range(3))  # type: ignore[assignment]
+    origin = transform.p()
+    return Pose(rows, (origin.get(0), origin.get(1), origin.get(2)))
+
+
+def _triple(vector: Any) -> Triple:
+    return (float(vector.get(0)), float(vector.get(1)), float(vector.get(2)))

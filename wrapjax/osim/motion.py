@@ -1,4 +1,4 @@
-"""A recorded motion, and an OpenSim model that is put through it pose by pose."""
+"""Recorded motions, and OpenSim models in their poses with velocities and accelerations."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from wrapjax.osim.model import couplers_of, elements, independent_names
 
 @dataclass(frozen=True)
 class Motion:
-    """How a model moved, as OpenSim is told.
+    """Motion of a model as values and derivatives of its coordinates.
 
     Parameters
     ----------
     coordinates
-        Independent ones. The others stay at the model's defaults, locked ones where they are held; those
-        coupled to one other follow it.
+        Names of independent coordinates. Others stay at the model's defaults, and locked ones where the model
+        holds them; coordinates coupled to a single other one follow it.
     values, speeds, accelerations
-        rad (or m), and per s and s^2.
+        Values (rad or m) and their first and second time derivatives (per s and s^2).
     """
 
     coordinates: tuple[str, ...]
@@ -32,11 +32,21 @@ class Motion:
 
 
 class Mover:
-    """Sets a state's coordinates, their speeds, and gives their accelerations in Simbody's order."""
+    """Sets values and speeds of a state's coordinates, and orders accelerations as Simbody does.
+
+    Parameters
+    ----------
+    opensim
+        The imported package.
+    model, state
+        OpenSim's model and its state.
+    moving
+        OpenSim's coordinates to be set, in the order of the arguments of `move`.
+    """
 
     def __init__(self, opensim: Any, model: Any, state: Any, moving: Sequence[Any]):
         self._opensim, self._model, self._state = opensim, model, state
-        # Locked coordinates stay where the model holds them, and refuse to be set.
+        # Locked coordinates stay where the model holds them; OpenSim raises an error if they are set.
         self._moving = [(row, entry) for row, entry in enumerate(moving) if not entry.get_locked()]
         entries = model.getCoordinateSet()
         self._couplers = [
@@ -52,7 +62,7 @@ class Mover:
         self._columns = {entry.getName(): self.column(entry) for entry in elements(entries)}
 
     def column(self, coordinate: Any) -> int:
-        """Find a coordinate's place among the system's mobilities, which are in an order of their own."""
+        """Find the index of a coordinate among the system's mobilities, whose order is not the model's."""
         before = self._state.getU().to_numpy()
         self._state.setU(self._opensim.Vector(self._state.getNU(), 0.0))
         coordinate.setSpeedValue(self._state, 1.0)
@@ -66,23 +76,29 @@ class Mover:
         speeds: Float[np.ndarray, " coordinate"],
         accelerations: Float[np.ndarray, " coordinate"],
     ) -> Any:
-        """Put the state there, realized to velocities, and return all accelerations."""
+        """Set the state, realized to velocities, and return all accelerations in the order of mobilities.
+
+        Parameters
+        ----------
+        values, speeds, accelerations
+            Value (rad or m), speed and acceleration of each coordinate in ``moving``.
+        """
         state, opensim = self._state, self._opensim
         rates = np.zeros(state.getNU())
         for row, coordinate in self._moving:
-            # False: neither clamped to its range nor assembled.
+            # False: the value is not clamped to its range, and the model is not assembled.
             coordinate.setValue(state, float(values[row]), False)
             coordinate.setSpeedValue(state, float(speeds[row]))
             rates[self._columns[coordinate.getName()]] = accelerations[row]
-        for dependent, leader, function, scale in self._couplers:
-            at = opensim.Vector(1, leader.getValue(state))
-            speed = leader.getSpeedValue(state)
-            slope = scale * function.calcDerivative(opensim.StdVectorInt([0]), at)
-            bend = scale * function.calcDerivative(opensim.StdVectorInt([0, 0]), at)
+        for dependent, independent, function, scale in self._couplers:
+            at = opensim.Vector(1, independent.getValue(state))
+            speed = independent.getSpeedValue(state)
+            first = scale * function.calcDerivative(opensim.StdVectorInt([0]), at)
+            second = scale * function.calcDerivative(opensim.StdVectorInt([0, 0]), at)
             dependent.setValue(state, scale * function.calcValue(at), False)
-            dependent.setSpeedValue(state, slope * speed)
+            dependent.setSpeedValue(state, first * speed)
             rates[self._columns[dependent.getName()]] = (
-                slope * rates[self._columns[leader.getName()]] + bend * speed**2
+                first * rates[self._columns[independent.getName()]] + second * speed**2
             )
         self._model.realizeVelocity(state)
         return opensim.Vector.createFromMat(rates)

@@ -1,4 +1,4 @@
-"""Muscle lengths and moment arms by OpenSim at many poses: checked, parallel, and remembered."""
+"""Muscle lengths and moment arms by OpenSim at many poses, in parallel and with cached results."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.workers import analyse_chunks
 from wrapjax.progress import progress_bar
 
-#: Poses analysed, and remembered, at a time: about half a second of work for 34 muscles.
+#: Poses that are analyzed and cached at a time, about half a second of work for 34 muscles.
 CHUNK = 512
-#: Part of every cache key: raise it when the same question would get another answer.
+# Part of every cache key; to be increased when results for the same inputs change.
 _FORMAT = 1
-#: How far (rad or m) a pose may be from where a locked coordinate is held.
+# Largest difference (rad or m) of a pose from the value at which a coordinate is locked.
 _LOCKED_TOLERANCE = 1e-6
 
 
@@ -40,8 +40,8 @@ class PathGeometry:
     length
         Muscle-tendon length, m.
     moment_arm
-        OpenSim's moment arm, m, of the sign of -d(length)/d(coordinate); per rad, so dimensionless
-        about a translational coordinate. Zero where a muscle does not span a coordinate.
+        OpenSim's moment arm, m (m/rad; dimensionless about a translational coordinate), with the sign of
+        -d(length)/d(coordinate). Zero where a muscle does not span a coordinate.
     """
 
     muscles: tuple[str, ...]
@@ -61,9 +61,9 @@ def analyse_muscles(
 ) -> PathGeometry:
     """Compute muscle-tendon lengths and moment arms with OpenSim.
 
-    Coordinates that are not given stay at the model's defaults; coupled ones (a patella, say) follow
-    their couplers. Results are kept in the user's cache, some hundred poses a file, so that the same
-    question is answered at once and interrupted work goes on where it stopped.
+    Coordinates that are not given stay at the model's defaults; coupled ones, such as a patella's, follow
+    their couplers. Results are stored in the user's cache, some hundred poses in a file. An interrupted
+    analysis continues from there.
 
     Parameters
     ----------
@@ -74,30 +74,32 @@ def analyse_muscles(
     coordinates
         Names of independent coordinates of the model.
     poses
-        Coordinate values, rad (m for translations). A value outside a coordinate's range is used as
-        it is, clamped or not. A locked coordinate must be given where the model holds it.
+        Coordinate values, rad (m for translations). A value outside a coordinate's range is used unchanged,
+        whether clamped or not. A locked coordinate must have the value at which the model holds it.
     processes
-        Number of worker processes; 1 for none. By default as many as there are cores, at most
-        eight, and none where so little is left to do that starting them would take longer.
+        Number of worker processes; 1 for none. By default the number of cores, at most eight, and none if
+        starting them would take longer than the remaining work.
     quiet
-        Show no progress.
+        Whether to show no progress.
 
     Returns
     -------
     PathGeometry
+        Lengths and moment arms in the order of the arguments.
 
     Raises
     ------
     InputError
-        If the model cannot be loaded, does not know a name, or cannot be put into such poses.
-    RuntimeError
-        If a worker process dies. What was finished until then is kept.
+        If the model cannot be loaded, has no part of a given name, or cannot be set to a pose.
+    WorkError
+        If a worker process dies. Results finished before that are kept.
 
     Notes
     -----
-    The moment arm is OpenSim's: that of unit tension along the path. On a wrapped path it differs
-    from -dL/dq by some tenths of a millimeter, as OpenSim's path over one cylinder is not quite the
-    shortest, and by centimeters at worst where a path has two cylinders (OpenSim 4.6).
+    The moment arm is OpenSim's, the generalized force of unit tension along the path. On a wrapped path it
+    differs from -dL/dq: by some tenths of a millimeter round one cylinder, because OpenSim's path is not
+    exactly the shortest, and by up to centimeters round two cylinders (OpenSim 4.6), because of stale wrap
+    points.
 
     Examples
     --------
@@ -108,16 +110,16 @@ def analyse_muscles(
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
-    question = content_hash(path, repr(muscles), repr(coordinates), version("opensim"), _FORMAT)
+    key = content_hash(path, repr(muscles), repr(coordinates), version("opensim"), _FORMAT)
     chunks = {start: poses[start : start + CHUNK] for start in range(0, len(poses), CHUNK)}
-    files = {start: _cache_file(question, chunk) for start, chunk in chunks.items()}
+    files = {start: _cache_file(key, chunk) for start, chunk in chunks.items()}
     length = np.zeros((len(poses), len(muscles)))
     moment_arm = np.zeros((len(poses), len(coordinates), len(muscles)))
 
     missing = {}
     for start, chunk in chunks.items():
-        here = slice(start, start + CHUNK)
-        if not _read_cache(files[start], length[here], moment_arm[here]):
+        rows = slice(start, start + CHUNK)
+        if not _read_cache(files[start], length[rows], moment_arm[rows]):
             missing[start] = chunk
     if missing or not chunks:
         spans = check_names_and_poses(path, muscles, coordinates, poses)
@@ -127,10 +129,10 @@ def analyse_muscles(
             closing(analyse_chunks(path, coordinates, spans, missing, processes)) as results,
         ):
             for start, *found in results:
-                here = slice(start, start + CHUNK)
-                length[here], moment_arm[here] = found
-                _check_finite(path, muscles, poses[here], length[here], moment_arm[here])
-                _write_cache(files[start], length[here], moment_arm[here])
+                rows = slice(start, start + CHUNK)
+                length[rows], moment_arm[rows] = found
+                _check_finite(path, muscles, poses[rows], length[rows], moment_arm[rows])
+                _write_cache(files[start], length[rows], moment_arm[rows])
                 done += len(chunks[start])
                 advance(done)
     return PathGeometry(muscles, coordinates, length, moment_arm)
@@ -142,9 +144,9 @@ def touching_muscles(
     coordinates: Sequence[str],
     poses: Float[np.ndarray, "pose coordinate"],
 ) -> tuple[str, ...]:
-    """Find the muscles whose path lies on a wrapping surface in at least one pose.
+    """Find the muscles whose path touches a wrapping surface in at least one pose.
 
-    Parameters, and what is refused, are as for `analyse_muscles`.
+    Parameters and errors are those of `analyse_muscles`.
 
     Returns
     -------
@@ -162,7 +164,15 @@ def touching_muscles(
 def check_poses(
     path: Path, coordinates: tuple[str, ...], poses: Float[np.ndarray, "pose coordinate"]
 ) -> None:
-    """Refuse poses that are not finite or do not fit the coordinates."""
+    """Check that poses are finite and have one value for each coordinate.
+
+    Raises
+    ------
+    ValueError
+        If the number of values differs from the number of coordinates.
+    InputError
+        If a value is not finite.
+    """
     if poses.shape[1:] != (len(coordinates),):
         raise ValueError(f"poses of shape {poses.shape} do not fit {len(coordinates)} coordinates")
     bad = np.argwhere(~np.isfinite(poses))
@@ -179,26 +189,35 @@ def check_names_and_poses(
     coordinates: tuple[str, ...],
     poses: Float[np.ndarray, "pose coordinate"],
 ) -> dict[str, tuple[str, ...]]:
-    """Check every name against the model, and return what each muscle spans."""
+    """Check names and poses against the model, and find the coordinates that each muscle spans.
+
+    Raises
+    ------
+    InputError
+        If the model cannot be loaded, has no part of a given name, or cannot be set to a pose.
+    """
     model = describe_model(path)
     problems = unknown_names(path, "muscle", muscles, [muscle.name for muscle in model.muscles])
     problems += unknown_names(path, "coordinate", coordinates, [entry.name for entry in model.coordinates])
     if not problems:
-        problems += _cannot_be_posed(str(path), model, muscles, coordinates, poses)
+        problems += _unsupported_parts(str(path), model, muscles, coordinates, poses)
     if problems:
         raise InputError(problems)
     return {name: model.spanned_by(name) for name in muscles}
 
 
-def _cannot_be_posed(
+def _unsupported_parts(
     file: str,
     model: ModelDescription,
     muscles: tuple[str, ...],
     coordinates: tuple[str, ...],
     poses: Float[np.ndarray, "pose coordinate"],
 ) -> Iterator[Problem]:
+    """Find constraints, paths and coordinates that prevent an analysis."""
     for name, kind in model.constraints:
-        yield Problem(file, f"is a {kind}; only coordinate couplers can be followed", place=name)
+        yield Problem(
+            file, f"is a {kind}; coordinate couplers are the only supported constraints", place=name
+        )
     for name in muscles:
         kind = model.muscle(name).path_kind
         if kind != "GeometryPath":
@@ -230,8 +249,8 @@ def _check_finite(
         raise InputError(Problem(str(path), message, place=muscles[muscle]))
 
 
-def _cache_file(question: str, poses: Float[np.ndarray, "pose coordinate"]) -> Path:
-    return cache_folder("muscle_analysis") / f"{content_hash(question, poses)}.npz"
+def _cache_file(key: str, poses: Float[np.ndarray, "pose coordinate"]) -> Path:
+    return cache_folder("muscle_analysis") / f"{content_hash(key, poses)}.npz"
 
 
 def _read_cache(
@@ -239,10 +258,10 @@ def _read_cache(
     length: Float[np.ndarray, "pose muscle"],
     moment_arm: Float[np.ndarray, "pose coordinate muscle"],
 ) -> bool:
-    """Fill in what the cache remembers; say whether it does. A damaged file counts as absent."""
+    """Fill in cached results, and return whether there are any. A damaged file counts as absent."""
     try:
-        remembered = load_arrays(file)
-        length[:], moment_arm[:] = remembered["length"], remembered["moment_arm"]
+        cached = load_arrays(file)
+        length[:], moment_arm[:] = cached["length"], cached["moment_arm"]
     except (OSError, KeyError, ValueError):
         return False
     return True
@@ -253,6 +272,6 @@ def _write_cache(
     length: Float[np.ndarray, "pose muscle"],
     moment_arm: Float[np.ndarray, "pose coordinate muscle"],
 ) -> None:
-    # A full disk costs the memory, not the result.
+    # The analysis does not fail if the cache cannot be written.
     with suppress(OSError):
         write_atomically(file, lambda whole: np.savez(whole, length=length, moment_arm=moment_arm))

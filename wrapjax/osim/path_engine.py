@@ -1,15 +1,14 @@
-"""Put a loaded OpenSim model into poses and read its muscles' lengths and moment arms.
+"""Muscle lengths and moment arms of a loaded OpenSim model, with wrap cylinders as in its file or changed.
 
-Two things here are many times faster than the obvious way and give the same numbers:
+Two shortcuts give the same numbers as the usual calls of OpenSim in much less time:
 
-- coupled coordinates are set from their couplers' functions instead of by ``Model.assemble`` (40 times);
-- a muscle's moment arm about a coordinate is minus its lengthening speed while that coordinate moves
-  at unit speed and coupled ones follow. One velocity stage serves all muscles and wraps nothing anew
-  (50 times). ``computeMomentArm`` agrees to 1e-15 m for paths of fixed points with at most one
-  cylinder. With two it does not: OpenSim 4.6 then keeps stale wrap points, and differently in either
-  function. Those paths, and any with moving points, go through ``computeMomentArm``, the judge.
-
-Move, turn and scale the wrap cylinders of a loaded model.
+- Coupled coordinates are set from their couplers' functions instead of by ``Model.assemble`` (40 times
+faster). - A muscle's moment arm about a coordinate is minus its lengthening speed while that coordinate moves
+at unit speed
+  and coupled ones follow. One velocity stage serves all muscles, and paths are not wrapped again (50 times
+  faster). ``computeMomentArm`` agrees to 1e-15 m for paths of fixed points with at most one cylinder. With
+  two cylinders it does not, because OpenSim 4.6 keeps stale wrap points, differently in the two functions.
+  For those paths, and for any with moving points, ``computeMomentArm`` is used.
 """
 
 from __future__ import annotations
@@ -25,25 +24,25 @@ from jaxtyping import Float
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import couplers_of, elements, independent_names
 
-#: Six of a cylinder, as `NominalCylinder.place` takes them.
+#: Six wrap parameters of a cylinder, in the order of `NominalCylinder.place`.
 WrapParameters = Sequence[float] | Float[np.ndarray, " wrap_parameter"]
 
-#: Wrap parameters that leave a cylinder where its model has it.
+#: Wrap parameters of a cylinder as the model has it.
 NOMINAL = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
 class NominalCylinder:
-    """One of OpenSim's cylinders, and where the model's file has it.
+    """Cylinder of a loaded OpenSim model with its nominal pose and radius.
 
     Parameters
     ----------
     cylinder
-        ``opensim.WrapCylinder``; lives as long as its model.
+        ``opensim.WrapCylinder``, valid as long as its model exists.
     pose
-        ``opensim.Transform`` in the frame that carries it, be that a body or an offset frame.
+        Nominal ``opensim.Transform`` in the frame that carries the cylinder, a body or an offset frame.
     radius
-        m.
+        Nominal radius, m.
     """
 
     cylinder: Any
@@ -51,54 +50,56 @@ class NominalCylinder:
     radius: float
 
     def place(self, opensim: Any, parameters: WrapParameters) -> None:
-        """Move, turn and scale it from where the file has it, not from where it is now.
+        """Set pose and radius by wrap parameters, relative to the nominal pose and radius.
 
         Parameters
         ----------
+        opensim
+            The imported package.
         parameters
-            Translation (m) along the nominal frame's axes, turns (rad) about its x and then its own y
-            axis, and the factor of the radius.
+            Translation (m) along the nominal frame's axes, rotation (rad) about its x axis and then about the
+            rotated y axis, and radius as a multiple of the nominal radius.
         """
         x, y, z, turn_x, turn_y, factor = map(float, parameters)
-        turn = opensim.Rotation(
+        rotation = opensim.Rotation(
             opensim.BodyRotationSequence,
             turn_x,
             opensim.CoordinateAxis(0),
             turn_y,
             opensim.CoordinateAxis(1),
         )
-        moved = self.pose.compose(opensim.Transform(turn, opensim.Vec3(x, y, z)))
+        moved = self.pose.compose(opensim.Transform(rotation, opensim.Vec3(x, y, z)))
         self.cylinder.set_translation(moved.p())
         self.cylinder.set_xyz_body_rotation(moved.R().convertRotationToBodyFixedXYZ())
         self.cylinder.set_radius(self.radius * factor)
 
 
 def nominal_cylinders(opensim: Any, model: Any) -> dict[str, NominalCylinder]:
-    """Find the cylinders of a model as it was loaded, by name."""
-    found = {}
+    """Find the wrap cylinders of a newly loaded model, by name."""
+    cylinders = {}
     for component in model.getComponentsList():
         cylinder = opensim.WrapCylinder.safeDownCast(component)
         if cylinder is not None:
             nominal = cylinder.getTransform()
-            # A copy: the cylinder's own transform follows it.
+            # Copied, because the cylinder's own transform changes with the cylinder.
             pose = opensim.Transform(nominal.R(), nominal.p())
-            found[cylinder.getName()] = NominalCylinder(cylinder, pose, cylinder.get_radius())
-    return found
+            cylinders[cylinder.getName()] = NominalCylinder(cylinder, pose, cylinder.get_radius())
+    return cylinders
 
 
 class PathEngine:
-    """One loaded model, ready to be posed again and again.
+    """Loaded OpenSim model whose muscle paths are computed in poses.
 
-    Holds OpenSim's own objects: it cannot be pickled, and belongs to one process.
+    It holds OpenSim objects, and can therefore be neither pickled nor shared by processes.
 
     Parameters
     ----------
     model_file
         OpenSim model (.osim).
     coordinates
-        Independent, unlocked coordinates that poses are given in. The others stay at their defaults.
+        Names of the independent, unlocked coordinates of poses. Others stay at their defaults.
     spans
-        The muscles, and the coordinates that each one's length depends on.
+        Names of the coordinates that each muscle's length depends on, by muscle name.
     """
 
     def __init__(self, model_file: Path | str, coordinates: Sequence[str], spans: dict[str, tuple[str, ...]]):
@@ -118,16 +119,16 @@ class PathEngine:
         ]
         self._muscles = [self._model.getMuscles().get(name) for name in spans]
         self._cylinders = nominal_cylinders(opensim, self._model)
-        # For each coordinate the muscles (by number) that span it: quick ones and those that need the judge.
-        quick = [_has_a_plain_path(muscle) for muscle in self._muscles]
+        # For each coordinate the numbers of the muscles that span it, by the method for their moment arms.
+        by_speed = [_has_simple_path(muscle) for muscle in self._muscles]
         spanning = [[i for i, span in enumerate(spans.values()) if name in span] for name in coordinates]
-        self._quick = [[i for i in row if quick[i]] for row in spanning]
-        self._judged = [[i for i in row if not quick[i]] for row in spanning]
+        self._by_speed = [[i for i in row if by_speed[i]] for row in spanning]
+        self._by_opensim = [[i for i in row if not by_speed[i]] for row in spanning]
 
     def analyse(
         self, poses: Float[np.ndarray, "pose coordinate"]
     ) -> tuple[Float[np.ndarray, "pose muscle"], Float[np.ndarray, "pose coordinate muscle"]]:
-        """Return lengths (m) and moment arms (m, zero where not spanned) at the poses (rad or m)."""
+        """Compute lengths (m) and moment arms (m, zero where not spanned) at poses (rad or m)."""
         length = np.zeros((len(poses), len(self._muscles)))
         moment_arm = np.zeros((len(poses), len(self._coordinates), len(self._muscles)))
         for pose, length_row, arm_rows in zip(poses, length, moment_arm, strict=True):
@@ -135,11 +136,11 @@ class PathEngine:
             self._model.realizePosition(self._state)
             length_row[:] = [muscle.getLength(self._state) for muscle in self._muscles]
             for index, coordinate in enumerate(self._coordinates):
-                for muscle in self._judged[index]:
+                for muscle in self._by_opensim[index]:
                     arm_rows[index, muscle] = self._muscles[muscle].computeMomentArm(self._state, coordinate)
-                if self._quick[index]:
-                    self._move_alone(coordinate)
-                    for muscle in self._quick[index]:
+                if self._by_speed[index]:
+                    self._set_unit_speed(coordinate)
+                    for muscle in self._by_speed[index]:
                         arm_rows[index, muscle] = -self._muscles[muscle].getLengtheningSpeed(self._state)
         return length, moment_arm
 
@@ -148,22 +149,30 @@ class PathEngine:
     ) -> tuple[
         Float[np.ndarray, "placement pose muscle"], Float[np.ndarray, "placement pose coordinate muscle"]
     ]:
-        """Do the same with cylinders moved, once for each placement (see `place`)."""
-        found = []
+        """Compute lengths (m) and moment arms (m) at poses for each placement of cylinders.
+
+        Parameters
+        ----------
+        placements
+            Wrap parameters by cylinder name for each placement (see `place`).
+        poses
+            Coordinate values, rad or m.
+        """
+        results = []
         for wraps in placements:
             self.place(wraps)
-            found.append(self.analyse(poses))
-        length, moment_arm = zip(*found, strict=True)
+            results.append(self.analyse(poses))
+        length, moment_arm = zip(*results, strict=True)
         return np.stack(length), np.stack(moment_arm)
 
     def place(self, wraps: Mapping[str, WrapParameters]) -> None:
-        """Move, turn and scale cylinders, each from where the model's file has it.
+        """Set the parameters of cylinders.
 
         Parameters
         ----------
         wraps
-            By name, the parameters that `NominalCylinder.place` takes. Others go back to where the file
-            has them.
+            Wrap parameters by cylinder name, in the order of `NominalCylinder.place`. Other cylinders become
+            nominal.
         """
         for name, cylinder in self._cylinders.items():
             cylinder.place(self._opensim, wraps.get(name, NOMINAL))
@@ -172,18 +181,18 @@ class PathEngine:
             coordinate.setValue(self._state, coordinate.getDefaultValue(), False)
 
     def touching(self, poses: Float[np.ndarray, "pose coordinate"]) -> set[int]:
-        """Find the muscles (by number) that lie on a wrapping surface in at least one of the poses."""
-        found: set[int] = set()
+        """Find the numbers of the muscles that touch a wrapping surface in at least one of the poses."""
+        touching: set[int] = set()
         for pose in poses:
             self._set_pose(pose)
             self._model.realizePosition(self._state)
             for number, muscle in enumerate(self._muscles):
-                if number not in found and self._touches(muscle):
-                    found.add(number)
-        return found
+                if number not in touching and self._touches(muscle):
+                    touching.add(number)
+        return touching
 
     def _touches(self, muscle: Any) -> bool:
-        # A path that leaves a surface has no wrap points any more.
+        # OpenSim removes the wrap points of a path that leaves a surface.
         points = muscle.getGeometryPath().getCurrentPath(self._state)
         wrapping = self._opensim.PathWrapPoint.safeDownCast
         return any(wrapping(points.get(place)) is not None for place in range(points.getSize()))
@@ -191,14 +200,14 @@ class PathEngine:
     def _set_pose(self, pose: Float[np.ndarray, " coordinate"]) -> None:
         state = self._state
         for coordinate, value in zip(self._coordinates, pose, strict=True):
-            # False: neither clamped to its range nor assembled.
+            # False: the value is not clamped to its range, and the model is not assembled.
             coordinate.setValue(state, float(value), False)
         for dependent, independent, function, scale in self._couplers:
             inputs = self._vector([coordinate.getValue(state) for coordinate in independent])
             dependent.setValue(state, scale * function.calcValue(inputs), False)
 
-    def _move_alone(self, moving: Any) -> None:
-        """Give one coordinate unit speed, those coupled to it the speed that follows, others none."""
+    def _set_unit_speed(self, moving: Any) -> None:
+        """Set unit speed of one coordinate and the resulting speeds of coupled ones; others are at rest."""
         state = self._state
         state.setU(self._vector([0.0] * state.getNU()))
         moving.setSpeedValue(state, 1.0)
@@ -218,8 +227,8 @@ class PathEngine:
         return vector
 
 
-def _has_a_plain_path(muscle: Any) -> bool:
-    """Say whether lengthening speed and moment arm are the same thing in OpenSim for this path."""
+def _has_simple_path(muscle: Any) -> bool:
+    """Whether OpenSim's moment arm of this path equals minus its lengthening speed."""
     path = muscle.getGeometryPath()
     fixed = all(point.getConcreteClassName() == "PathPoint" for point in elements(path.getPathPointSet()))
     return fixed and path.getWrapSet().getSize() <= 1

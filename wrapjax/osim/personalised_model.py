@@ -1,7 +1,7 @@
-"""Write a model with other wrap cylinders and other muscle constants, and nothing else changed.
+"""Writer of personalized models: a model's file with changed wrap cylinders and muscle constants.
 
-OpenSim computes where the cylinders go; the file itself is edited as XML. Had OpenSim written it, every
-default would be spelled out, old documents upgraded and comments replaced.
+OpenSim computes the cylinders' new poses, but the file is edited as XML, so that nothing else in it changes.
+A file written by OpenSim would contain all defaults, a newer document version and other comments.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import elements, unknown_names
 from wrapjax.osim.path_engine import NOMINAL, NominalCylinder, WrapParameters, nominal_cylinders
 
-#: What is to be written: an element's class and name, and the text of its properties.
+# Class and name of an element, and new texts of its properties.
 _Edit = tuple[str, str, dict[str, str]]
 
 
 class MuscleConstants(NamedTuple):
-    """What makes one muscle's force beside its path, by OpenSim's names.
+    """Constants of a muscle besides its path, by OpenSim's names.
 
     Parameters
     ----------
     optimal_fiber_length, tendon_slack_length
-        m, above 0.
+        Lengths, m, above 0.
     max_isometric_force
-        N, above 0.
+        Force, N, above 0.
     pennation_angle_at_optimal
-        rad, from 0 and below a right angle.
+        Angle at optimal fiber length, rad, from 0 to below a right angle.
     """
 
     optimal_fiber_length: float
@@ -42,8 +42,8 @@ class MuscleConstants(NamedTuple):
     pennation_angle_at_optimal: float
 
     @property
-    def possible(self) -> bool:
-        """Whether a muscle can have them."""
+    def valid(self) -> bool:
+        """Whether all constants are finite and in their ranges."""
         *above_zero, pennation = self
         return bool(np.isfinite(self).all() and min(above_zero) > 0.0 and 0.0 <= pennation < np.pi / 2)
 
@@ -54,27 +54,26 @@ def write_personalised_model(
     wraps: Mapping[str, WrapParameters],
     muscles: Mapping[str, MuscleConstants],
 ) -> None:
-    """Write a model's file again with cylinders moved and muscle constants changed.
+    """Write a copy of a model's file with changed wrap cylinders and muscle constants.
 
     Parameters
     ----------
     model_file
-        OpenSim model (.osim).
+        OpenSim model (.osim), in which cylinders are nominal.
     out_file
-        Where to write; whole or not at all. May be ``model_file`` itself. Bone meshes are looked for
-        beside a model, so that in another folder they may not be found.
+        File to write, atomically. May be ``model_file`` itself. OpenSim looks for bone meshes in the model's
+        folder, and may not find them if this is another one.
     wraps
-        Wrap cylinder to its six parameters: translation (m) along the nominal frame's axes, turns (rad)
-        about its x and then its own y axis, and the radius as a multiple of the nominal one. What is
-        nominal, ``model_file`` says.
+        Wrap parameters by cylinder name: translation (m) along the nominal frame's axes, rotation (rad) about
+        its x axis and then about the rotated y axis, and radius as a multiple of the nominal radius.
     muscles
-        Muscle to its constants; muscles that are not named keep theirs.
+        Constants by muscle name; other muscles are unchanged.
 
     Raises
     ------
     InputError
-        If OpenSim cannot load the model, it does not have all that is named (each name but once), or a
-        radius factor or constant of a muscle is impossible.
+        If OpenSim cannot load the model, a name is missing in it or not unique, or wrap parameters or
+        constants of a muscle are invalid.
 
     Examples
     --------
@@ -92,7 +91,7 @@ def write_personalised_model(
     kinds = {muscle.getName(): muscle.getConcreteClassName() for muscle in elements(model.getMuscles())}
     problems = unknown_names(file, "wrap cylinder", wraps, list(cylinders))
     problems += unknown_names(file, "muscle", muscles, list(kinds))
-    problems += _impossible_values(file, wraps, muscles)
+    problems += _invalid_values(file, wraps, muscles)
     if problems:
         raise InputError(problems)
 
@@ -110,7 +109,7 @@ def write_personalised_model(
     write_atomically(Path(out_file), write)
 
 
-def _impossible_values(
+def _invalid_values(
     file: str, wraps: Mapping[str, WrapParameters], muscles: Mapping[str, MuscleConstants]
 ) -> Iterator[Problem]:
     for name, parameters in wraps.items():
@@ -118,7 +117,7 @@ def _impossible_values(
             message = "six finite wrap parameters, the last one positive, were expected"
             yield Problem(file, f"{message}, and '{_text(parameters)}' found", place=name)
     for name, constants in muscles.items():
-        if not constants.possible:
+        if not constants.valid:
             message = (
                 "a positive optimal fiber length, tendon slack length and maximum isometric force, and a "
                 "pennation angle from 0 to below a right angle were expected"
@@ -129,9 +128,9 @@ def _impossible_values(
 def _cylinder_edit(opensim: Any, nominal: NominalCylinder, parameters: WrapParameters) -> _Edit:
     nominal.place(opensim, parameters)
     cylinder = nominal.cylinder
-    turn, center = cylinder.get_xyz_body_rotation(), cylinder.get_translation()
+    angles, center = cylinder.get_xyz_body_rotation(), cylinder.get_translation()
     texts = {
-        "xyz_body_rotation": _text(turn.get(axis) for axis in range(3)),
+        "xyz_body_rotation": _text(angles.get(axis) for axis in range(3)),
         "translation": _text(center.get(axis) for axis in range(3)),
         "radius": _text([cylinder.get_radius()]),
     }
@@ -143,12 +142,12 @@ def _muscle_edit(kind: str, name: str, constants: MuscleConstants) -> _Edit:
 
 
 def _text(values: Iterable[float] | WrapParameters) -> str:
-    # The shortest digits that are read back as the same number.
+    # ``repr`` gives the shortest text that is read back as the same number.
     return " ".join(repr(float(value)) for value in values)
 
 
 def _apply(file: str, document: minidom.Document, edit: _Edit) -> Iterator[Problem]:
-    """Change an element's properties, or say why this cannot be done."""
+    """Change an element's properties; yield a problem if there is no unique element of its name."""
     kind, name, texts = edit
     found = [entry for entry in document.getElementsByTagName(kind) if entry.getAttribute("name") == name]
     if len(found) != 1:
@@ -159,9 +158,9 @@ def _apply(file: str, document: minidom.Document, edit: _Edit) -> Iterator[Probl
 
 
 def _set_property(document: minidom.Document, element: minidom.Element, tag: str, text: str) -> None:
-    own = [child for child in element.childNodes if child.nodeName == tag]
-    # A property at its default may be left out of a file.
-    child = own[0] if own else element.appendChild(document.createElement(tag))
+    existing = [child for child in element.childNodes if child.nodeName == tag]
+    # A property at its default may be missing in the file.
+    child = existing[0] if existing else element.appendChild(document.createElement(tag))
     while child.firstChild is not None:
         child.removeChild(child.firstChild)
     child.appendChild(document.createTextNode(text))

@@ -1,4 +1,4 @@
-"""Muscle lengths and moment arms by OpenSim with wrap cylinders moved, at many placements."""
+"""Muscle lengths and moment arms by OpenSim for many placements of wrap cylinders, stored on disk."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from wrapjax.osim.path_engine import WrapParameters
 from wrapjax.osim.workers import Placed, analyse_chunks
 from wrapjax.progress import progress_bar
 
-#: Placements analysed, and kept, at a time: some seconds of work for 20 muscles in 500 poses.
+#: Placements that are analyzed and stored at a time, some seconds of work for 20 muscles in 500 poses.
 CHUNK = 8
-# Part of every cache key: raise it when the same question would get another answer.
+# Part of every cache key; to be increased when results for the same inputs change.
 _FORMAT = 1
 
 
 @dataclass(frozen=True)
 class PlacedAnalysis:
-    """Lengths and moment arms of muscles at placements and poses, on disk.
+    """Lengths and moment arms of muscles at placements of cylinders and poses, stored on disk.
 
     Parameters
     ----------
     coordinates
-        Names.
+        Names of the coordinates of poses.
     spans
-        The muscles, and the coordinates that each one's length depends on.
+        Names of the coordinates that each muscle's length depends on, by muscle name.
     files
-        One each `CHUNK` placements: an array ``placement pose column``, with a column for the length of
-        each muscle and one for each of its moment arms.
+        One file for each `CHUNK` placements: an array ``placement pose column``, with a column for the length
+        of each muscle and one for each of its moment arms.
     """
 
     coordinates: tuple[str, ...]
@@ -48,7 +48,7 @@ class PlacedAnalysis:
     ) -> tuple[Float[np.ndarray, "placement pose"], Float[np.ndarray, "placement pose coordinate"]]:
         """Read one muscle's lengths (m) and moment arms (m, zero where not spanned)."""
         columns = [place for place, (name, _) in enumerate(_columns(self.spans)) if name == muscle]
-        # Only what is read of the files is ever in memory.
+        # Memory-mapped, so that only the selected columns are in memory.
         parts = [
             np.load(file, mmap_mode="r", allow_pickle=False)[:, :, columns].astype(np.float64)
             for file in self.files
@@ -71,31 +71,31 @@ def analyse_placements(
     processes: int | None = None,
     quiet: bool = False,
 ) -> PlacedAnalysis:
-    """Compute muscle-tendon lengths and moment arms with OpenSim, for many placements of cylinders.
+    """Compute muscle-tendon lengths and moment arms with OpenSim for many placements of cylinders.
 
     Parameters
     ----------
     model_file, muscles, coordinates, poses, processes, quiet
-        As `analyse_muscles` takes them, and with the same refusals.
+        As for `analyse_muscles`, which raises the same errors.
     placements
-        Each one wrap parameters by cylinder, as `PathEngine.place` takes them.
+        Wrap parameters by cylinder name for each placement (see `PathEngine.place`).
 
     Returns
     -------
     PlacedAnalysis
-        Kept in the user's cache, some placements a file, in single precision: lengths are rounded by
-        30 nm at most. The same question is answered at once, and interrupted work goes on where it stopped.
+        Results, stored in the user's cache in single precision, which rounds lengths by 30 nm at most. An
+        interrupted analysis continues from there.
     """
     muscles, coordinates = tuple(muscles), tuple(coordinates)
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
     spans = check_names_and_poses(path, muscles, coordinates, poses)
-    question = content_hash(path, repr(muscles), repr(coordinates), poses, version("opensim"), _FORMAT)
+    key = content_hash(path, repr(muscles), repr(coordinates), poses, version("opensim"), _FORMAT)
     starts = range(0, len(placements), CHUNK)
     chunks = {start: Placed(tuple(placements[start : start + CHUNK]), poses) for start in starts}
     folder = cache_folder("placed_analysis")
     files = {
-        start: folder / f"{content_hash(question, *_parts(chunk.placements))}.npy"
+        start: folder / f"{content_hash(key, *_parts(chunk.placements))}.npy"
         for start, chunk in chunks.items()
     }
     missing = {start: chunk for start, chunk in chunks.items() if not files[start].exists()}
@@ -108,14 +108,14 @@ def analyse_placements(
             closing(analyse_chunks(path, coordinates, spans, missing, processes)) as results,
         ):
             for start, length, moment_arm in results:
-                _keep(files[start], _table(spans, coordinates, length, moment_arm))
+                _store(files[start], _table(spans, coordinates, length, moment_arm))
                 done += len(chunks[start].placements)
                 advance(done)
     return PlacedAnalysis(coordinates, spans, tuple(files.values()))
 
 
 def _columns(spans: Mapping[str, tuple[str, ...]]) -> list[tuple[str, str | None]]:
-    """What stands in each column: a muscle's length, then its moment arms by coordinate."""
+    """List muscle and coordinate of each column; a muscle's length, of coordinate None, comes first."""
     return [(muscle, name) for muscle, span in spans.items() for name in (None, *span)]
 
 
@@ -125,6 +125,7 @@ def _table(
     length: Float[np.ndarray, "placement pose muscle"],
     moment_arm: Float[np.ndarray, "placement pose coordinate muscle"],
 ) -> Float[np.ndarray, "placement pose column"]:
+    """Arrange lengths and moment arms in columns."""
     muscles = list(spans)
     table = np.zeros((*length.shape[:2], len(_columns(spans))), dtype=np.float32)
     for place, (muscle, name) in enumerate(_columns(spans)):
@@ -136,12 +137,12 @@ def _table(
     return table
 
 
-def _keep(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
+def _store(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
     write_atomically(file, lambda whole: np.save(whole, table, allow_pickle=False))
 
 
 def _parts(placements: Sequence[Mapping[str, WrapParameters]]) -> list[str | np.ndarray]:
-    """All that makes up some placements, for a hash."""
+    """List all contents of placements, for a hash."""
     return [
         part
         for number, wraps in enumerate(placements)

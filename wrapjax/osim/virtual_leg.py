@@ -1,7 +1,4 @@
-"""Build a leg model through the OpenSim API from a plain description of its parts.
-
-The description is data without OpenSim, so that whoever holds the figures need not import it.
-"""
+"""Writer of an OpenSim leg model from a plain description of its parts, which does not need OpenSim."""
 
 from __future__ import annotations
 
@@ -17,7 +14,7 @@ from wrapjax.osim.loading import import_opensim
 
 Point = tuple[float, float, float]
 
-#: The coordinate a translation of a joint follows is the joint's first one.
+# Directions of a joint's translations, in the order of OpenSim's spatial transform.
 _TRANSLATIONS = ("x", "y", "z")
 
 
@@ -30,11 +27,11 @@ class Body:
     name
         OpenSim's name.
     mass
-        kg.
+        Mass, kg.
     mass_center
-        In the body's frame, m.
+        Center of mass in the body's frame, m.
     inertia
-        Principal moments about the mass center, along the body's axes, kg m^2.
+        Principal moments of inertia about the center of mass, along the body's axes, kg m^2.
     """
 
     name: str
@@ -45,16 +42,17 @@ class Body:
 
 @dataclass(frozen=True)
 class Hinge:
-    """One rotation of a joint.
+    """Rotation of a joint about one axis.
 
     Parameters
     ----------
     coordinate
-        Name of the angle.
+        Name of the coordinate.
     axis
-        In the parent's frame, after the joint's earlier rotations. Positive by the right-hand rule.
+        Axis in the parent's frame as rotated by the joint's earlier rotations; angles follow the right-hand
+        rule.
     range
-        Lowest and highest angle in rad; a remark to readers, not enforced.
+        Lowest and highest angle, rad; written to the file, but not enforced.
     """
 
     coordinate: str
@@ -64,19 +62,19 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint of up to three rotations, whose center may shift with the first angle.
+    """Joint of up to three rotations, whose center may move with the first angle.
 
     Parameters
     ----------
     name, parent, child
         OpenSim's names; the parent may be ``ground``.
     location
-        Joint center in the parent's frame, m. The child's frame sits on the joint.
+        Joint center in the parent's frame, m, which is the origin of the child's frame.
     hinges
-        Rotations in order; none: the child is welded on.
+        Rotations in order; none for a weld.
     shift
-        Along ``x``, ``y`` or ``z`` of the parent, m: polynomials in the first angle (rad), highest power
-        first.
+        Displacement of the center along ``x``, ``y`` or ``z`` of the parent (m), as coefficients of a
+        polynomial of the first angle (rad), that of the highest power first.
     """
 
     name: str
@@ -89,18 +87,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A wrapping surface.
+    """A wrap cylinder.
 
     Parameters
     ----------
     name, body
-        OpenSim's name, and that of the segment it is fixed to.
+        OpenSim's names of the cylinder and of the body that carries it.
     center
-        In the body's frame, m.
+        Center in the body's frame, m.
     radius, length
-        m; the axis is z of the cylinder's frame.
+        Radius and length, m; the axis is z of the cylinder's frame.
     quadrant
-        Side that paths keep to, in the cylinder's frame: ``+x``, ``-x``, ``+y``, ``-y`` or ``all``.
+        Side of the cylinder's frame on which paths pass: ``+x``, ``-x``, ``+y``, ``-y`` or ``all``.
     rotation
         Body-fixed x-y-z angles of the cylinder's frame, rad.
     """
@@ -123,15 +121,15 @@ class Muscle:
     name
         OpenSim's name.
     max_isometric_force
-        N.
+        Maximum isometric force, N.
     optimal_fiber_length, tendon_slack_length
-        m.
+        Lengths, m.
     pennation_angle
-        At optimal fiber length, rad.
+        Pennation angle at optimal fiber length, rad.
     points
-        The path from origin to insertion: body and location in its frame (m).
+        Path points from origin to insertion: body, and location in its frame (m).
     cylinder
-        Name of the surface the path wraps over; empty: none.
+        Name of the cylinder that the path wraps round; empty for none.
     """
 
     name: str
@@ -145,7 +143,7 @@ class Muscle:
 
 @dataclass(frozen=True)
 class LegModel:
-    """Everything a leg model is made of."""
+    """Parts of a leg model, its name, and the credits and publications that its file names."""
 
     name: str
     credits: str
@@ -157,14 +155,14 @@ class LegModel:
 
 
 def write_leg_model(leg: LegModel, path: Path) -> None:
-    """Write the model as an OpenSim 4 document, whole or not at all, the same bytes every time.
+    """Write a leg model atomically as an OpenSim 4 file, reproducible to the byte.
 
     Parameters
     ----------
     leg
-        Its parts.
+        Parts of the model.
     path
-        The ``.osim`` file.
+        File to write (.osim).
     """
     opensim = import_opensim()
     model = opensim.Model()
@@ -206,7 +204,7 @@ def _joint(opensim: Any, joint: Joint, bodies: dict[str, Any]) -> Any:
         rotation = transform.updTransformAxis(number)
         rotation.setAxis(_vector(opensim, axis))
         if number < len(joint.hinges):
-            rotation.setCoordinateNames(_names(opensim, joint.hinges[number].coordinate))
+            rotation.setCoordinateNames(_name_array(opensim, joint.hinges[number].coordinate))
             rotation.set_function(opensim.LinearFunction(1.0, 0.0))
         else:
             rotation.set_function(opensim.Constant(0.0))
@@ -217,7 +215,7 @@ def _joint(opensim: Any, joint: Joint, bodies: dict[str, Any]) -> Any:
             vector = opensim.Vector(len(coefficients), 0.0)
             for place, coefficient in enumerate(coefficients):
                 vector.set(place, coefficient)
-            translation.setCoordinateNames(_names(opensim, joint.hinges[0].coordinate))
+            translation.setCoordinateNames(_name_array(opensim, joint.hinges[0].coordinate))
             translation.set_function(opensim.PolynomialFunction(vector))
         else:
             translation.set_function(opensim.Constant(0.0))
@@ -232,14 +230,14 @@ def _joint(opensim: Any, joint: Joint, bodies: dict[str, Any]) -> Any:
     return built
 
 
-def _names(opensim: Any, name: str) -> Any:
+def _name_array(opensim: Any, name: str) -> Any:
     names = opensim.ArrayStr()
     names.append(name)
     return names
 
 
 def _three_axes(hinges: tuple[Hinge, ...]) -> list[Point]:
-    """Complete the axes to three independent ones, as OpenSim's spatial transform asks for."""
+    """Complete the axes to three linearly independent ones, which OpenSim's spatial transform requires."""
     axes: list[Point] = [hinge.axis for hinge in hinges]
     for candidate in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
         if len(axes) < 3 and np.linalg.matrix_rank([*axes, candidate], tol=0.3) > len(axes):

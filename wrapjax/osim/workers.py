@@ -1,4 +1,4 @@
-"""Share chunks of poses among this process and, where it pays, several others."""
+"""Parallel muscle analysis: chunks of poses are analyzed in this process or in several worker processes."""
 
 from __future__ import annotations
 
@@ -23,27 +23,29 @@ from jaxtyping import Float
 from wrapjax.errors import WorkError
 from wrapjax.osim.path_engine import PathEngine, WrapParameters
 
-#: Starting workers, each of which imports OpenSim and loads the model, costs a few seconds.
+#: Remaining work (s) above which workers are started. Each of them imports OpenSim and loads the model, which
+#: takes a few seconds.
 POOL_PAYS_AFTER_S = 6.0
-#: More workers than this gain little and hold a model each.
-MOST_WORKERS = 8
+#: Most workers. Further ones would save little time, and each holds a model in memory.
+MAX_WORKERS = 8
 
 Poses = Float[np.ndarray, "pose coordinate"]
-#: With an axis ``placement`` in front where cylinders are placed.
+#: The first axis is ``placement`` if chunks have placements of cylinders.
 Lengths = Float[np.ndarray, "*placement pose muscle"]
 MomentArms = Float[np.ndarray, "*placement pose coordinate muscle"]
 
 
 class Placed(NamedTuple):
-    """Poses to analyse once for each placement of cylinders."""
+    """Poses to analyze for each of several placements of cylinders (wrap parameters by cylinder name)."""
 
     placements: tuple[Mapping[str, WrapParameters], ...]
     poses: Poses
 
 
-#: What is analysed at a time.
+#: Poses that are analyzed at a time, with or without placements of cylinders.
 Chunk = Poses | Placed
 
+# The engine of a worker process.
 _engine: PathEngine | None = None
 
 
@@ -56,16 +58,21 @@ def analyse_chunks(
 ) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
     """Yield key, lengths (m) and moment arms (m) of each chunk, in order.
 
-    Close the generator if it is not used up: that is what dismisses the workers.
+    A generator that is not exhausted must be closed, which ends the workers.
 
     Parameters
     ----------
     model_file, coordinates, spans
-        As `PathEngine` takes them.
+        Arguments of `PathEngine`.
     chunks
-        Poses (rad or m), with cylinders placed or not, by any key.
+        Poses (rad or m), with or without placements of cylinders, by key.
     processes
-        Number of workers; 1 for none. None: start here, and call workers if much is left to do.
+        Number of workers; 1 for none. None to begin in this process, and start workers if much work remains.
+
+    Raises
+    ------
+    WorkError
+        If a worker process dies.
     """
     waiting = list(chunks)
     if processes is None or processes == 1:
@@ -73,10 +80,10 @@ def analyse_chunks(
         while waiting:
             started = time.monotonic()
             key = waiting.pop(0)
-            yield key, *_answer(engine, chunks[key])
+            yield key, *_analyse(engine, chunks[key])
             if processes is None:
-                left = (time.monotonic() - started) * len(waiting)
-                processes = min(_cores(), MOST_WORKERS) if left > POOL_PAYS_AFTER_S else 1
+                remaining = (time.monotonic() - started) * len(waiting)
+                processes = min(_cores(), MAX_WORKERS) if remaining > POOL_PAYS_AFTER_S else 1
             if processes > 1:
                 break
     if waiting:
@@ -90,7 +97,7 @@ def analyse_chunks(
 def _analyse_in_workers(
     engine_arguments: tuple, chunks: dict[int, Chunk], processes: int
 ) -> Generator[tuple[int, Lengths, MomentArms], None, None]:
-    # Not by fork: JAX has threads running, and a fork of those may hang.
+    # Spawned rather than forked, because a fork of a process with JAX's threads may hang.
     pool = ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=_start_worker, initargs=engine_arguments
     )
@@ -106,21 +113,21 @@ def _analyse_in_workers(
         broken = True
         raise WorkError(
             "a worker process of the muscle analysis died: killed, or out of memory. "
-            "What was finished is kept; run it again, or in one process (--threads 1)"
+            "Finished results are kept; run it again, or in one process (--threads 1)"
         ) from error
     finally:
-        # After Ctrl-C too: what is being analysed ends within a second or two, what is waiting is dropped.
-        with _deaf_to_interrupts():
-            # A broken pool ends its futures itself, and trips over one that is cancelled meanwhile.
+        # Also after Ctrl-C: chunks being analyzed end within a second or two, waiting ones are cancelled.
+        with _interrupts_ignored():
+            # A broken pool ends its futures itself, and fails on one that is cancelled meanwhile.
             pool.shutdown(wait=True, cancel_futures=not broken)
 
 
 @contextmanager
 def _calling_script_hidden() -> Iterator[None]:
-    """Keep workers that start now from running the caller's script first.
+    """Prevent new workers from running the caller's script.
 
-    A spawned process imports its parent's ``__main__``. The workers need nothing of it, and a script
-    without ``if __name__ == "__main__":`` would do all its work again in each of them.
+    A spawned process imports its parent's ``__main__``. The workers do not need it, and a script without
+    ``if __name__ == "__main__":`` would be run again in each of them.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -131,10 +138,10 @@ def _calling_script_hidden() -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C: a second one while workers are dismissed would have Python wait for them for ever."""
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C, because after a second one while workers end Python would wait for them forever."""
     if threading.current_thread() is not threading.main_thread():
-        # Only the main thread is interrupted, and only it may say how.
+        # Only the main thread is interrupted and may set signal handlers.
         yield
         return
     previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -148,14 +155,14 @@ def _start_worker(
     model_file: Path | str, coordinates: tuple[str, ...], spans: dict[str, tuple[str, ...]]
 ) -> None:
     global _engine
-    # Ctrl-C reaches the whole group of processes; only the parent answers it.
+    # Ctrl-C is sent to all processes of the group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     _engine = PathEngine(model_file, coordinates, spans)
 
 
 def _end_with_parent() -> None:
-    """Do not outlive a parent that was killed and could dismiss nobody."""
+    """Exit when the parent process ends, also if it was killed and could not end its workers."""
     parent = parent_process()
     if parent is not None:
         parent.join()
@@ -164,17 +171,17 @@ def _end_with_parent() -> None:
 
 def _analyse_in_worker(chunk: Chunk) -> tuple[Lengths, MomentArms]:
     assert _engine is not None, "the pool starts every worker by _start_worker"
-    return _answer(_engine, chunk)
+    return _analyse(_engine, chunk)
 
 
-def _answer(engine: PathEngine, chunk: Chunk) -> tuple[Lengths, MomentArms]:
+def _analyse(engine: PathEngine, chunk: Chunk) -> tuple[Lengths, MomentArms]:
     if isinstance(chunk, Placed):
         return engine.analyse_placed(*chunk)
     return engine.analyse(chunk)
 
 
 def _cores() -> int:
-    """Count the cores this process may use, where the system can say; else all."""
+    """Return the number of cores that this process may use or, where this is unknown, of all cores."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:

@@ -17,8 +17,8 @@ from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_derivatives import derivatives_by_model_changes
 from wrapjax.geometry.paths import PathState
 
-#: Variants of a joint in a wrong place: whether the foot stays where it is, held by markers, or is displaced with
-#: the joint, since the laboratory's angles are kept.
+#: Variants of a joint in a wrong place: whether the foot stays where it is, held by markers, or is displaced
+#: with the joint, since the laboratory's angles are kept.
 FOOT_HELD, FOOT_DISPLACED = "foot in place", "foot displaced"
 
 #: Change of a joint: model, coordinate of the joint, axis of the body that carries it, and size (m or rad).
@@ -37,8 +37,8 @@ def _paths_by_joints(
     recorded
         Recorded paths.
     changes
-        For each parameter: the change of a joint, the start of its coordinate's name, the axis, and the sign of
-        the change for a positive effect size.
+        For each parameter: the change of a joint, the start of its coordinate's name, the axis, and the sign
+        of the change for a positive effect size.
     """
     engine, names = recorded.engine, recorded.subject.trials.moment_coordinates
     if engine is None:
@@ -150,8 +150,8 @@ def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     """Compute the joint's moment about an axis that is rotated by either of the two angles that place it.
 
     One rotation is that of toes that turn out. The other is about the direction across: forward for knee and
-    ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward. Where
-    markers do not hold the foot, a bent joint also displaces it.
+    ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward.
+    Where markers do not hold the foot, a bent joint also displaces it.
     """
     mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
     held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
@@ -168,7 +168,7 @@ def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
 
 
 def _rotation_sign(column: int, outward: float) -> float:
-    """Sign of a rotation about an axis of the carrying body for a positive effect size.
+    """Give the sign of a rotation about an axis of the carrying body for a positive effect size.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def _moments_by_inertia(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     derivatives = [
         gait.mechanics.moments(np.einsum("kb,bwp->kwp", gait.mechanics.moves[:, segment], wrench[segment]))
         for segment in _bodies_of_segments(gait)
-        for wrench in (gait.mechanics.of_mass, gait.mechanics.of_inertia)
+        for wrench in (gait.mechanics.mass_wrench, gait.mechanics.inertia_wrench)
     ]
     return {"": -np.stack(derivatives)}
 
@@ -271,7 +271,7 @@ SEGMENT_INERTIA = EffectDefinition(
             unit="1",
             prior_sd=0.15,
             sign=0,
-            meaning=f"{quantity} of the {segment}: the person's less the model's, as a fraction of the model's",
+            meaning=f"{quantity} of the {segment} that the model lacks, as a fraction of the model's",
             source="10 to 20 % of anthropometric tables",
             limit=0.6,
             part=quantity,

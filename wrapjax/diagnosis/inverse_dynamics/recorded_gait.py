@@ -26,7 +26,9 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class RecordedGait:
-    """Motion and external forces of one leg, in ground's frame; all frames of all cycles are one axis ``pose``.
+    """Motion and external forces of one leg, in ground's frame.
+
+    All frames of all cycles are one axis ``pose``.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ class RecordedGait:
         self, change: Float[np.ndarray, "load 6 pose"]
     ) -> Float[np.ndarray, "coordinate pose"]:
         """Compute the change of the moments (N m) for a change of the wrenches on the leg."""
-        moved = self.mechanics.moved(self.loaded_bodies)
+        moved = self.mechanics.moves_bodies(self.loaded_bodies)
         return -self.mechanics.moments(np.einsum("kl,lwp->kwp", moved, change))
 
     @property
@@ -168,7 +170,7 @@ class RecordedGait:
     def derivative_by_joint(
         self, coordinate: str, displacement: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]
     ) -> Float[np.ndarray, "coordinate pose"]:
-        """Compute the change of the moments where the model has a joint in another place, and the leg with it.
+        """Compute the change of the moments where the model's joint is displaced, and the leg with it.
 
         Angles and external forces stay as recorded. Every second frame is evaluated.
 
