@@ -1,4 +1,4 @@
-"""A GPU calculates what the processor does: paths, derivatives, steps, people in one batch."""
+"""A GPU and the processor give the same paths, derivatives, solver steps and batches of people."""
 
 import equinox as eqx
 import jax
@@ -44,7 +44,7 @@ def test_linearizations_agree(make):
 
 
 @pytest.mark.gpu
-def test_solves_end_in_the_same_place():
+def test_solves_have_the_same_cost():
     device, problem = gpu(), small_objective()
     point = problem.start(problem.initial)
     cpu = jax.devices("cpu")[0]
@@ -73,7 +73,7 @@ def test_paths_agree(wrapping, tmp_path):
 
 
 @pytest.mark.gpu
-def test_people_in_one_program_agree():
+def test_batched_people_agree():
     device, problem = gpu(), small_objective()
     people = [perturb_problem(problem, seed) for seed in range(3)]
     points = np.stack([person.variables.start() for person in people])

@@ -1,4 +1,4 @@
-"""Sentences about bad input: complete, all at once, with the name that was probably meant."""
+"""Error messages of invalid input: complete, all together, with suggestions of similar names."""
 
 import pytest
 
@@ -23,11 +23,11 @@ from wrapjax.errors import InputError, Problem, nearest_name
         ),
     ],
 )
-def test_problem_is_one_sentence(problem, sentence):
+def test_format_of_a_problem(problem, sentence):
     assert str(problem) == sentence
 
 
-def test_input_error_carries_every_problem_in_order():
+def test_input_error_has_all_problems_in_order():
     problems = [Problem("b", "is missing"), Problem("a", "is empty")]
     error = InputError(iter(problems))
     assert error.problems == tuple(problems)
@@ -40,7 +40,7 @@ def test_input_error_takes_a_single_problem():
 
 
 def test_input_error_is_a_value_error():
-    """So that scripts which know nothing of the package can catch it."""
+    """So that scripts can catch it without importing the package."""
     with pytest.raises(ValueError, match="is empty"):
         raise InputError(Problem("a", "is empty"))
 
@@ -52,15 +52,15 @@ MUSCLES = ("soleus_l", "gasmed_l", "tibant_l")
     ("name", "meant"),
     [("soleus_r", "soleus_l"), ("Soleus_L", "soleus_l"), ("gasmedl", "gasmed_l"), ("TIBANT", "tibant_l")],
 )
-def test_a_near_name_is_suggested(name, meant):
+def test_a_similar_name_is_suggested(name, meant):
     assert nearest_name(name, MUSCLES) == f"did you mean '{meant}'?"
 
 
-def test_suggestions_keep_the_spelling_of_what_is_known():
+def test_suggestions_keep_the_spelling_of_known_names():
     assert nearest_name("recfem", ("RecFem",)) == "did you mean 'RecFem'?"
 
 
-def test_known_names_are_listed_where_none_is_near():
+def test_known_names_are_listed_where_none_is_similar():
     assert nearest_name("xyz", MUSCLES) == "known: soleus_l, gasmed_l, tibant_l"
 
 
@@ -71,5 +71,5 @@ def test_long_lists_are_cut():
     assert not nearest_name("xyz", known[:8]).endswith("...")
 
 
-def test_nothing_known():
+def test_no_known_names():
     assert nearest_name("soleus_l", ()) == "none are known"

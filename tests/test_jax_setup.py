@@ -1,4 +1,4 @@
-"""Defends: JAX is set up by what was tried, and nothing that the user has set is overruled."""
+"""Compiler options are those tested with the installed version, and options of the user are kept."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ OURS = "--xla_cpu_use_fusion_emitters"
         ("0.99.0", "--xla_dump_to=x", "--xla_dump_to=x"),
     ],
 )
-def test_options_are_added_to_the_users(monkeypatch, series, before, after):
+def test_options_are_added_to_those_of_the_user(monkeypatch, series, before, after):
     monkeypatch.setattr(wrapjax.jax_setup, "version", lambda _: series)
     monkeypatch.setenv("XLA_FLAGS", before)
     choose_compiler_options()
@@ -30,7 +30,7 @@ def test_options_are_added_to_the_users(monkeypatch, series, before, after):
 
 
 def test_the_installed_version_accepts_them():
-    """In a process of its own, where nobody has set them yet: one that is not known ends it."""
+    """In a separate process without options, which an unknown option would end."""
     code = (
         "from wrapjax.jax_setup import set_up_jax as go; go(); import jax, os; print(jax.numpy.ones(2).sum())"
     )

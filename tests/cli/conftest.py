@@ -1,4 +1,4 @@
-"""Commands run in this process, and a small subject that was fitted and calibrated by them once."""
+"""Fixtures that run commands in this process, and a small subject with its fit and calibration."""
 
 import contextlib
 import io
@@ -16,7 +16,7 @@ from wrapjax.cli.command_line import main
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command left: its exit status and what it printed."""
+    """Exit status of a command, and what it printed."""
 
     status: int
     output: str
@@ -25,7 +25,7 @@ class Outcome:
 
 @contextlib.contextmanager
 def settings_restored():
-    """Undo what a command sets for its own process: thread counts and where compiled kernels are kept."""
+    """Restore settings that a command changes in its process: thread counts and the compilation cache."""
     names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     before = {name: getattr(jax.config, name) for name in names}
     with mock.patch.dict(os.environ):
@@ -40,7 +40,7 @@ def run(*arguments: object) -> Outcome:
     with settings_restored(), contextlib.redirect_stdout(output), contextlib.redirect_stderr(progress):
         try:
             status = main([str(argument) for argument in arguments])
-        except SystemExit as stopped:  # how argparse ends after a wrong usage, or --help
+        except SystemExit as stopped:  # argparse exits after wrong usage or --help.
             status = stopped.code
     return Outcome(status, output.getvalue(), progress.getvalue())
 
@@ -52,19 +52,19 @@ def _run():
 
 @pytest.fixture(scope="session")
 def subject(tmp_path_factory) -> Path:
-    """Two muscles, two coordinates, three cycles; OpenSim opens its model. Not to be changed."""
+    """Folder of a subject with two muscles, two coordinates and three cycles. Read-only."""
     return write_subject(tmp_path_factory.mktemp("subjects") / "synthetic")
 
 
 @pytest.fixture(scope="session")
 def fitted(subject, tmp_path_factory) -> tuple[Outcome, Path]:
-    """What ``fit`` printed, and its folder. Not to be changed."""
+    """Outcome of ``fit`` and its folder. Read-only."""
     folder = tmp_path_factory.mktemp("fits") / "fit"
     return run("fit", subject, "--out", folder, "--threads", "1"), folder
 
 
 @pytest.fixture(scope="session")
 def calibrated(subject, fitted, tmp_path_factory) -> tuple[Outcome, Path]:
-    """What ``calibrate --fit`` printed, and its folder. Not to be changed."""
+    """Outcome of ``calibrate --fit`` and its folder. Read-only."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     return run("calibrate", subject, "--method", "NGA", "--fit", fitted[1], "--out", folder), folder

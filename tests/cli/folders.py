@@ -1,4 +1,4 @@
-"""What folders hold, hidden files included."""
+"""Contents of output folders, hidden files included."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Bad input or usage: a sentence, exit status 2, nothing written, nothing that was there lost."""
+"""Invalid input or usage: an error message, exit status 2, nothing written, existing files kept."""
 
 import errno
 import json
@@ -51,8 +51,8 @@ def test_broken_subject_leaves_nothing(run, tmp_path, no_work, command, name):
     ],
     ids=["muscle on no body", "joint to no frame"],
 )
-def test_model_that_only_opensim_finds_wrong_leaves_nothing(run, tmp_path, old, new):
-    """Reading checks what it needs of a model; the rest is found when OpenSim opens it."""
+def test_model_error_found_by_opensim_leaves_nothing(run, tmp_path, old, new):
+    """Loading checks only parts of a model; OpenSim finds other errors when it opens the file."""
     folder = write_subject(tmp_path / "subject")
     assert old in MODEL
     (folder / "model.osim").write_text(MODEL.replace(old, new))
@@ -65,7 +65,7 @@ def test_model_that_only_opensim_finds_wrong_leaves_nothing(run, tmp_path, old, 
     assert content(tmp_path) == before
 
 
-# ---- Where results go
+# ---- Output folders
 
 
 @pytest.mark.parametrize("command", [("fit",), ("calibrate", *METHOD)], ids=["fit", "calibrate"])
@@ -93,7 +93,7 @@ class TestOut:
         assert content(tmp_path) == {"file": b"mine"}
 
     def test_folder_in_a_read_only_place(self, run, subject, tmp_path, no_work, monkeypatch, command):
-        """The system's answers are simulated: an administrator may write anywhere."""
+        """The file system's answers are simulated, because an administrator may write anywhere."""
 
         def refuse(dir: Path) -> None:
             raise OSError(errno.EROFS, "Read-only file system")
@@ -106,8 +106,8 @@ class TestOut:
         assert content(tmp_path) == {}
 
 
-def test_full_disk_is_a_sentence(run, subject, fitted, tmp_path, monkeypatch):
-    """And leaves no part of a folder."""
+def test_full_disk_is_reported(run, subject, fitted, tmp_path, monkeypatch):
+    """A full disk leaves no partial folder."""
 
     def refuse(path, text):
         raise OSError(28, "No space left on device", str(path))
@@ -127,9 +127,7 @@ def test_full_disk_is_a_sentence(run, subject, fitted, tmp_path, monkeypatch):
         (WorkError("a worker process died: killed, or out of memory"), "a worker process died: killed"),
     ],
 )
-def test_what_is_no_fault_of_the_input_is_a_sentence_and_another_status(
-    run, subject, monkeypatch, error, words
-):
+def test_failures_on_valid_input_have_exit_status_1(run, subject, monkeypatch, error, words):
     def fail(folder):
         raise error
 
@@ -141,7 +139,7 @@ def test_what_is_no_fault_of_the_input_is_a_sentence_and_another_status(
 
 def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
     folder = write_subject(tmp_path / "subject")
-    # Another pose: the cache must not answer before it can be interrupted.
+    # Another pose, so that the fit is not in the cache.
     settings = folder / "subject.toml"
     settings.write_text(settings.read_text().replace("[0.6, 1.8]", "[0.7, 1.9]"))
     before = content(tmp_path)
@@ -156,7 +154,7 @@ def test_interrupting_a_fit_leaves_nothing(run, tmp_path, monkeypatch):
     assert content(tmp_path) == before
 
 
-# ---- Fits that do not serve
+# ---- Unusable fits
 
 
 def truncate(file: str):
@@ -225,7 +223,7 @@ def other_model(folder: Path) -> None:
 
 
 def other_muscles(folder: Path) -> None:
-    """The same model with a third muscle, which the fit does not know."""
+    """Add a third muscle, which the fit does not contain, to the model."""
     start = MODEL.index('<Millard2012EquilibriumMuscle name="semiten_l">')
     end = MODEL.index("</objects>\n<groups>")
     third = MODEL[start:end].replace("semiten_l", "bflh_l")
@@ -286,8 +284,8 @@ def test_help(run, command):
 
 
 @pytest.mark.parametrize("command", [add.__module__.rsplit(".", 1)[-1] for add in ADD_COMMANDS])
-def test_every_command_takes_what_is_common_to_all(run, command):
-    """Scripts may give these to any; where there is nothing random or unfinished they change nothing."""
+def test_every_command_takes_the_common_options(run, command):
+    """Scripts may pass these options to any command, even where they have no effect."""
     shown = run(command, "--help").output
     for option in ("--seed N", "--threads N", "--quiet", "--json", "--resume", "--force"):
         assert option in shown, option

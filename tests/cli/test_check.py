@@ -1,4 +1,4 @@
-"""``wrapjax check``: a table of what is there, or every fault as a sentence and exit status 2."""
+"""``wrapjax check``: a table of the content, or all errors and exit status 2."""
 
 import json
 import os
@@ -12,7 +12,7 @@ from tests.subject.test_broken_folders import BROKEN
 
 
 def assert_only_errors(outcome, folder) -> list[str]:
-    """Check that a refused command printed sentences, one a problem, and return them."""
+    """Check that a refused command printed only errors, one line each, and return the lines."""
     assert outcome.status == 2
     assert outcome.output == ""
     lines = outcome.progress.splitlines()
@@ -41,7 +41,7 @@ def test_json_holds_the_same_cells(run, subject):
     facts = {row["what"]: row["value"] for row in tables["Subject synthetic"]}
     assert facts["mass (kg)"] == 70.0 and facts["calibration cycles"] == 2
     assert [row["trial"] for row in tables["Trials"]] == ["walk_a", "walk_b"]
-    assert tables["Trials"][1]["speed (m/s)"] is None  # not given, and NaN would be no JSON
+    assert tables["Trials"][1]["speed (m/s)"] is None  # Not given; NaN is not valid JSON.
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -51,7 +51,7 @@ def test_broken_folder(run, tmp_path, name):
     break_it(folder)
     before = sorted(tmp_path.rglob("*"))
     lines = assert_only_errors(run("check", folder), folder)
-    # What must be said may be spread over the problems, never lost on the way to the terminal.
+    # The expected words may be in any of the lines.
     assert [word for word in words if not any(word in line for line in lines)] == []
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -63,7 +63,7 @@ def test_options_do_not_silence_errors(run, tmp_path, option):
     assert "does not exist" in outcome.progress
 
 
-def test_all_faults_are_told_at_once(run, tmp_path):
+def test_all_errors_are_reported_together(run, tmp_path):
     folder = write_subject(tmp_path / "subject")
     for name in ("mass in grams", "unknown muscle", "NaN in angles"):
         BROKEN[name][0](folder)
@@ -76,7 +76,7 @@ def wrapjax(*arguments, **options) -> subprocess.CompletedProcess:
     return subprocess.run(command, capture_output=True, text=True, **options)
 
 
-def test_as_a_process_of_its_own(subject, tmp_path):
+def test_as_a_separate_process(subject, tmp_path):
     good = wrapjax("check", subject)
     assert (good.returncode, good.stderr) == (0, "")
     assert "Subject synthetic" in good.stdout
@@ -86,8 +86,8 @@ def test_as_a_process_of_its_own(subject, tmp_path):
     assert bad.stderr.count("\n") == 1
 
 
-def test_in_a_terminal_that_knows_only_ascii(tmp_path):
-    """Batch systems and Windows consoles have narrow encodings; names do have accents."""
+def test_in_an_ascii_terminal(tmp_path):
+    """Batch systems and Windows consoles may have limited encodings, and names may have accents."""
     folder = write_subject(tmp_path / "subject")
     settings = folder / "subject.toml"
     settings.write_text(settings.read_text().replace('"synthetic"', '"Zoë"'), encoding="utf-8")

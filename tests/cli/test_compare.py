@@ -1,4 +1,4 @@
-"""``wrapjax compare``: from folders to a report of methods beside one another."""
+"""``wrapjax compare``: report of a comparison of methods, and error messages."""
 
 import json
 
@@ -15,7 +15,7 @@ METHODS = ("--methods", "NGA,SGA", "--starts", "1", "--threads", "1")
 
 @pytest.fixture(scope="module")
 def compared(run, subject, tmp_path_factory):
-    """What ``compare`` printed, and its folder. Not to be changed."""
+    """Outcome of ``compare`` and its folder. Read-only."""
     folder = tmp_path_factory.mktemp("comparisons") / "out"
     return run("compare", subject, *METHODS, "--out", folder), folder
 
@@ -28,7 +28,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr("wrapjax.comparison.comparison.calibrate", started)
 
 
-def test_table_and_place(compared):
+def test_table_and_folder(compared):
     outcome, folder = compared
     assert outcome.status == 0
     for words in ("hip_flexion", "calibration, all speeds", "NGA", "SGA", "±", "Unit of analysis: cycle"):
@@ -38,7 +38,7 @@ def test_table_and_place(compared):
     assert [path.name for path in folder.parent.iterdir()] == ["out"]
 
 
-def test_folder_keeps_its_contract(compared):
+def test_folder_has_the_documented_files(compared):
     _, folder = compared
     found = names(folder)
     for file in ("comparison.json", "means.csv", "tests.csv", "cycles.csv", "report.html"):
@@ -77,7 +77,7 @@ def test_interrupted_then_resumed(run, subject, tmp_path, monkeypatch):
 
 
 class TestRefused:
-    """A sentence, exit status 2, nothing written, nothing that was there lost."""
+    """Refused with an error message and exit status 2; nothing is written or lost."""
 
     def test_existing_folder(self, run, subject, tmp_path, no_work):
         (tmp_path / "out").mkdir()
@@ -88,7 +88,7 @@ class TestRefused:
         assert "exists already and is not overwritten; use --force" in line
         assert content(tmp_path) == before
 
-    def test_broken_subjects_are_told_all_at_once(self, run, subject, tmp_path, no_work):
+    def test_errors_of_all_subjects_are_reported_together(self, run, subject, tmp_path, no_work):
         for name, fault in (("one", "no model"), ("two", "unknown muscle")):
             BROKEN[fault][0](write_subject(tmp_path / name))
         before = content(tmp_path)
@@ -120,13 +120,13 @@ class TestRefused:
         assert outcome.status == 2 and "no interrupted work" in outcome.progress
         assert content(tmp_path) == {}
 
-    def test_nobody(self, run, tmp_path):
+    def test_no_subject(self, run, tmp_path):
         assert run("compare", "--out", tmp_path / "out").status == 2
 
 
 @pytest.mark.slow
-def test_a_full_disk_leaves_the_journal(run, subject, tmp_path, monkeypatch):
-    """Hours of work must not be lost because the last step failed."""
+def test_a_full_disk_leaves_the_checkpoints(run, subject, tmp_path, monkeypatch):
+    """Finished calibrations must not be lost if the report cannot be written."""
 
     def refuse(*arguments):
         raise OSError(28, "No space left on device", "report.html")

@@ -1,4 +1,4 @@
-"""``wrapjax contact``: from finished runs to what joints bear, or to a sentence why not."""
+"""``wrapjax contact``: contact forces of one or two runs, and error messages."""
 
 import json
 
@@ -6,8 +6,8 @@ import pytest
 
 from tests.cli.folders import content, names, read_json
 from tests.cli.test_check import assert_only_errors
-from tests.contact_forces.made_up_run import write_run
-from wrapjax.subject.subject import load_subject as load_subject
+from tests.contact_forces.synthetic_run import write_run
+from wrapjax.subject.subject import load_subject
 
 
 @pytest.fixture
@@ -18,8 +18,8 @@ def no_work(monkeypatch):
     monkeypatch.setattr("wrapjax.contact_forces.contact_force.contact", started)
 
 
-def test_two_runs_side_by_side(run, subject, tmp_path):
-    """The answer is beside the first run, a second one is not lost, and scripts can read it."""
+def test_two_runs(run, subject, tmp_path):
+    """The result is written beside the first run, compares both runs, and is available as JSON."""
     person = load_subject(subject)
     nga, pga = write_run(tmp_path / "nga", person), write_run(tmp_path / "pga", person, "PGA", factor=0.8)
     done = run("contact", nga, pga)
@@ -45,7 +45,7 @@ def test_two_runs_side_by_side(run, subject, tmp_path):
     assert json.loads(again.output)["tests"] == []
 
 
-def test_a_run_that_had_not_converged_is_told_scripts(run, subject, tmp_path):
+def test_a_run_that_did_not_converge_has_exit_status_1(run, subject, tmp_path):
     folder = write_run(tmp_path / "nga", load_subject(subject), converged=False)
     done = run("contact", folder, "--out", tmp_path / "out")
     assert done.status == 1
@@ -53,7 +53,7 @@ def test_a_run_that_had_not_converged_is_told_scripts(run, subject, tmp_path):
     assert (tmp_path / "out" / "contact.json").exists()
 
 
-def test_two_runs_by_one_method_keep_their_names_apart(run, subject, tmp_path):
+def test_two_runs_by_one_method_have_distinct_labels(run, subject, tmp_path):
     person = load_subject(subject)
     folders = [write_run(tmp_path / name, person) for name in ("one", "other")]
     done = run("contact", *folders, "--out", tmp_path / "out", "--json")
@@ -66,7 +66,7 @@ def test_bad_input_is_refused_and_leaves_nothing(run, subject, tmp_path, no_work
 
 
 @pytest.mark.parametrize("name", ["nowhere", "."])
-def test_what_is_no_run_is_a_clear_error(run, tmp_path, name):
+def test_a_folder_that_is_no_run_is_an_error(run, tmp_path, name):
     folder = tmp_path / name
     before = content(tmp_path)
     assert_only_errors(run("contact", folder), folder)

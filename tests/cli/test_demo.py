@@ -1,7 +1,7 @@
-"""The demo: a virtual person from nothing to a report and a comparison with the truth.
+"""``wrapjax demo``: calibration of a virtual person, reports, and comparison with the true parameters.
 
-Methods that change polynomials and the diagnosis take most of its time and are tested elsewhere: here they
-are left out, but for one slow test.
+Methods that change polynomials and the diagnosis take most of the demo's time and are tested elsewhere: they
+are left out here except in one slow test.
 """
 
 import json
@@ -17,25 +17,25 @@ from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, DiagnosisDemonstration, draw_effect
 
 
-def made_up_answer(folder, hidden, **options):
-    """What a diagnosis would say: the notebook about it runs one, and the slow tests do."""
+def simulated_diagnosis(folder, hidden, **options):
+    """Return a prepared diagnosis; real ones are run by a notebook and by slow tests."""
     answer = object.__new__(DiagnosisDemonstration)
     object.__setattr__(answer, "hidden", hidden)
     object.__setattr__(answer, "diagnosis", SimpleNamespace(result=named()))
     return answer
 
 
-def killed(*arguments, **options):
-    """What a diagnosis does that is stopped from outside."""
+def interrupted_diagnosis(*arguments, **options):
+    """Raise the interruption of a diagnosis."""
     raise KeyboardInterrupt
 
 
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
-    """A demo by NGA and PGA that is stopped before its diagnosis, and then goes on.
+    """Run a demo by NGA and PGA that is interrupted before its diagnosis, and resume it.
 
-    Exit statuses of the first try, of one that does not say whether to go on, and of one that does; how many
-    iterations the first and the last of them took; and the folder.
+    Returns the exit statuses of the first run, of one without ``--resume``, and of one with it; the numbers
+    of iterations of the first and the last; and the folder.
     """
     folder = tmp_path_factory.mktemp("demo") / "out"
     counts = []
@@ -52,9 +52,9 @@ def interrupted(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(wrapjax.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
         patch.setattr(wrapjax.cli.calibrate, "iteration_printer", counting)
-        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", killed)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", interrupted_diagnosis)
         statuses = [main(words), main(words)]
-        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", made_up_answer)
+        patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", simulated_diagnosis)
         statuses.append(main([*words, "--resume"]))
     return statuses, counts, folder
 
@@ -66,7 +66,7 @@ def shown(interrupted):
     return statuses[-1], folder
 
 
-def test_what_was_done_before_an_interruption_is_not_done_again(interrupted):
+def test_finished_parts_are_not_repeated_after_an_interruption(interrupted):
     statuses, iterations, folder = interrupted
     assert statuses == [1, 2, 0]
     first, *_, last = iterations
@@ -90,8 +90,8 @@ def test_everything_is_written_and_converged(shown):
         assert (folder / file).stat().st_size > 0, file
 
 
-def test_calibration_comes_closer_to_what_moments_can_tell(shown):
-    """EMG scales decide how strong muscles are: they must come nearer. Others may not: the demo says so."""
+def test_calibration_reduces_the_error_of_emg_scales(shown):
+    """EMG scales determine the strength of muscles and must improve. Other parameters need not."""
     content = json.loads((shown[1] / "demo.json").read_text())
     recovery = {row["parameter"]: row for row in content["recovery"]}
     assert recovery["emg_scale"]["median_error_after"] < 0.6 * recovery["emg_scale"]["median_error_before"]
@@ -99,8 +99,8 @@ def test_calibration_comes_closer_to_what_moments_can_tell(shown):
     assert "not an accuracy" in content["note"]
 
 
-def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
-    """What noisy moments cannot tell must not look found: the table says how much they leave open."""
+def test_true_and_calibrated_cylinders_and_moment_arms_are_reported(shown):
+    """Standard deviations due to noise are reported, so that unidentifiable arms do not look recovered."""
     content = json.loads((shown[1] / "demo.json").read_text())
     true_parameters = json.loads((shown[1] / "virtual_subject" / "truth.json").read_text())
     found = content["wrap_recovery"]
@@ -113,7 +113,7 @@ def test_cylinders_and_moment_arms_are_shown_beside_the_truth(shown):
     assert maes["PGA"] < maes["NGA"]
 
 
-def test_what_was_hidden_is_drawn_by_the_seed(shown):
+def test_the_seed_determines_the_simulated_effect(shown):
     content = json.loads((shown[1] / "demo.json").read_text())["gap"]
     assert content["hidden"] == draw_effect(3) and content["outcome"] == "named"
     drawn = {draw_effect(seed) for seed in range(40)}

@@ -1,4 +1,4 @@
-"""``wrapjax diagnose``: from a subject to an answer, or to a sentence why there is none."""
+"""``wrapjax diagnose``: result of a diagnosis, and error messages."""
 
 import json
 
@@ -21,8 +21,8 @@ def no_work(monkeypatch):
     monkeypatch.setattr("wrapjax.calibration.problem.fit_paths", started)
 
 
-def test_three_cycles_are_too_few_and_that_is_said(run, subject, fitted, tmp_path):
-    """What can be said all the same is written, and the exit status tells scripts."""
+def test_three_cycles_are_reported_as_insufficient(run, subject, fitted, tmp_path):
+    """Partial results are written, and the exit status is 1."""
     out = tmp_path / "gap"
     done = run("diagnose", subject, "--fit", fitted[1], *QUICK, "--out", out)
     assert done.status == 1
@@ -59,7 +59,7 @@ def test_no_subject_is_a_clear_error(run, tmp_path, no_work):
     assert_only_errors(outcome, "nobody")
 
 
-def test_the_catalogue_is_shown_without_a_subject(run):
+def test_the_catalogue_is_listed_without_a_subject(run):
     done = run("diagnose", "--list")
     assert done.status == 0
     shown = dict(line.split(": ", 1) for line in done.output.splitlines())

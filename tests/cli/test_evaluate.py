@@ -1,4 +1,4 @@
-"""``wrapjax evaluate``: errors on other cycles, on the terminal or in a folder."""
+"""``wrapjax evaluate``: moment errors on other cycles, printed or in a folder."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ def test_prints_errors_and_writes_nothing(run, calibrated, subject):
     assert content(folder.parent) == before
 
 
-def test_json_is_what_the_folder_holds(run, calibrated, subject, tmp_path):
+def test_json_equals_the_stored_file(run, calibrated, subject, tmp_path):
     out = tmp_path / "out"
     outcome = run("evaluate", calibrated[1], subject, "--out", out, "--json")
     assert json.loads(outcome.output) == json.loads((out / "evaluation.json").read_text())
@@ -34,7 +34,7 @@ def test_json_is_what_the_folder_holds(run, calibrated, subject, tmp_path):
     assert_only_errors(run("evaluate", calibrated[1], subject, "--out", out), out)
 
 
-def test_a_run_that_did_not_converge_is_evaluated_and_says_so(run, calibrated, subject, tmp_path):
+def test_a_run_that_did_not_converge_is_evaluated_with_exit_status_1(run, calibrated, subject, tmp_path):
     folder = shutil.copytree(calibrated[1], tmp_path / "stopped")
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"converged": False}))

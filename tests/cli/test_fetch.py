@@ -1,4 +1,4 @@
-"""``wrapjax fetch``: what there is, and a sentence where it cannot be had."""
+"""``wrapjax fetch``: list of recordings, download and error messages."""
 
 import json
 
@@ -32,7 +32,7 @@ def test_unknown_name(run, tmp_path, monkeypatch, words, said):
     assert content(tmp_path) == {}
 
 
-def test_existing_folder_is_refused_before_anything_is_asked_for(run, tmp_path, monkeypatch):
+def test_existing_folder_is_refused_before_any_request(run, tmp_path, monkeypatch):
     monkeypatch.setattr("wrapjax.datasets.download.write_public_subject", None)
     (tmp_path / "healthy_treadmill").mkdir()
     monkeypatch.chdir(tmp_path)

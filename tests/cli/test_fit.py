@@ -1,4 +1,4 @@
-"""``wrapjax fit``: what it prints, and the folder it leaves."""
+"""``wrapjax fit``: printed table and output folder."""
 
 import json
 
@@ -8,14 +8,14 @@ from tests.cli.folders import COORDINATES, MUSCLES, names, read_json
 from wrapjax.cli.fit import THRESHOLDS
 
 
-def test_fit_prints_a_table_and_says_where_it_is(fitted):
+def test_fit_prints_a_table_and_its_folder(fitted):
     outcome, folder = fitted
     assert outcome.status == 0
     assert "recfem_l" in outcome.output and f"written to {folder}" in outcome.output
     assert f"open {folder / 'report.html'} in a browser" in outcome.output
 
 
-def test_fit_folder_keeps_its_contract(fitted):
+def test_fit_folder_has_the_documented_files(fitted):
     _, folder = fitted
     assert names(folder) == ["fit.json", "fit.npz", "report.html", "settings.toml"]
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
@@ -44,7 +44,7 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
 
 
 def test_thresholds_are_settings(run, subject, fitted, tmp_path):
-    """Of what counts as physiological; the defaults that the help tells are those of the fit."""
+    """Thresholds of physiological paths are options; the defaults in the help are those of the fit."""
     defaults = read_json(fitted[1] / "fit.json")["thresholds"]
     assert list(defaults) == list(THRESHOLDS)
     assert all(f"(default: {defaults[name]:g})" in what for name, what in THRESHOLDS.items())
@@ -60,8 +60,8 @@ def test_thresholds_are_settings(run, subject, fitted, tmp_path):
     assert refused.status == 2 and "expected a number above 0, found '-1'" in refused.progress
 
 
-def test_seed_decides_the_poses(run, subject, fitted, tmp_path):
-    """Another seed is another fit; the same gives the same digits, cache or not."""
+def test_seed_determines_the_poses(run, subject, fitted, tmp_path):
+    """Another seed gives another fit; the same seed gives the same digits with and without the cache."""
     for seed, name in ((0, "same"), (1, "other")):
         arguments = ("--out", tmp_path / name, "--seed", seed, "--threads", "1", "--quiet")
         assert run("fit", subject, *arguments).status == 0
@@ -71,8 +71,8 @@ def test_seed_decides_the_poses(run, subject, fitted, tmp_path):
     assert same["muscles"] == first["muscles"] != other["muscles"]
 
 
-def test_progress_is_no_part_of_the_result(run, subject, tmp_path):
-    """A seed that nobody else uses: the cache has nothing to report."""
+def test_progress_is_not_printed_with_the_result(run, subject, tmp_path):
+    """The seed is used by no other test, so that the cache is empty."""
     arguments = ("--out", tmp_path / "fit", "--seed", "6", "--threads", "1", "--json")
     outcome = run("fit", subject, *arguments)
     assert outcome.status == 0
@@ -80,8 +80,8 @@ def test_progress_is_no_part_of_the_result(run, subject, tmp_path):
     assert json.loads(outcome.output) == read_json(tmp_path / "fit" / "fit.json")
 
 
-def test_quiet_holds_for_opensim_too(run, subject, tmp_path, capfd):
-    """OpenSim writes past Python, to the process's own streams."""
+def test_quiet_also_silences_opensim(run, subject, tmp_path, capfd):
+    """OpenSim writes directly to the process's streams, bypassing Python."""
     arguments = ("--out", tmp_path / "fit", "--seed", "5", "--threads", "1", "--quiet", "--json")
     outcome = run("fit", subject, *arguments)
     assert (outcome.status, outcome.progress) == (0, "")
@@ -89,7 +89,7 @@ def test_quiet_holds_for_opensim_too(run, subject, tmp_path, capfd):
 
 
 def test_threads_are_set_for_every_library(subject, run, monkeypatch):
-    """In time, that is before JAX is loaded, because nothing of the command line imports it."""
+    """Thread counts are set before JAX is loaded, because the command line does not import it."""
     for variable in ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         monkeypatch.setenv(variable, "7")
     seen = {}

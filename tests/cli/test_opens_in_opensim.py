@@ -1,7 +1,7 @@
-"""Whatever table, model or loads a command writes, OpenSim reads: the same columns, rows and numbers.
+"""OpenSim reads all tables, models and external loads that commands write, with the same numbers.
 
-A folder of each kind that commands leave such files in; what is promised to be there is there. PGA's model
-takes a calibration of its own, and is opened where that is checked (``tests/path_sources/test_exact.py``).
+One folder of each kind is tested. PGA's model needs a calibration of its own, and is tested in
+``tests/path_sources/test_exact.py``.
 """
 
 import shutil
@@ -13,20 +13,20 @@ import pytest
 
 from tests.cli.folders import METHOD
 from tests.cli.test_diagnose import QUICK
-from tests.contact_forces.made_up_run import write_run
+from tests.contact_forces.synthetic_run import write_run
 from tests.preprocessing import walker
 from tests.subject.synthetic import write_subject
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.io.storage import read_storage
-from wrapjax.subject.subject import load_subject as load_subject
+from wrapjax.subject.subject import load_subject
 
 TABLES = (".sto", ".mot")
 
 
 @pytest.fixture(scope="module")
-def judged(run, subject, fitted, tmp_path_factory):
-    """A calibration with bands about its moments."""
+def with_uncertainty(run, subject, fitted, tmp_path_factory):
+    """Folder of a calibration with bands about its moments."""
     folder = tmp_path_factory.mktemp("runs") / "run"
     words = ("--uncertainty", "laplace", "--starts", "1", "--fit", fitted[1], "--out", folder)
     assert run("calibrate", subject, *METHOD, *words).status == 0
@@ -34,17 +34,17 @@ def judged(run, subject, fitted, tmp_path_factory):
 
 
 def calibration(request, run, folder):
-    shutil.copytree(request.getfixturevalue("judged"), folder)
+    shutil.copytree(request.getfixturevalue("with_uncertainty"), folder)
     return 0
 
 
 def evaluation(request, run, folder):
-    judged, subject = map(request.getfixturevalue, ("judged", "subject"))
-    return run("evaluate", judged, subject, "--out", folder).status
+    calibrated, subject = map(request.getfixturevalue, ("with_uncertainty", "subject"))
+    return run("evaluate", calibrated, subject, "--out", folder).status
 
 
 def contact(request, run, folder):
-    """Of a leg with a muscle that has no electrode."""
+    """Folder of contact forces of a leg with an undriven muscle."""
     person = write_subject(folder.parent / "one_channel")
     settings = person / "subject.toml"
     settings.write_text(settings.read_text().replace('SemiTen = ["semiten_l"]\n', ""))
@@ -55,7 +55,7 @@ def contact(request, run, folder):
 
 
 def preparation(request, run, folder):
-    """Of one cycle, which is quicker."""
+    """Prepared subject folder with one cycle."""
     laboratory = folder.parent / "laboratory"
     laboratory.mkdir()
     settings = walker.write_laboratory(laboratory)
@@ -65,19 +65,19 @@ def preparation(request, run, folder):
 
 
 def diagnosis(request, run, folder):
-    """Three cycles are too few for an answer; moments are written all the same."""
+    """Folder of a diagnosis with too few cycles for a result; moments are written nevertheless."""
     subject, fitted = map(request.getfixturevalue, ("subject", "fitted"))
     return run("diagnose", subject, "--fit", fitted[1], *QUICK, "--out", folder).status - 1
 
 
 def virtual_person(request, run, folder):
-    """What ``demo`` writes first."""
+    """Subject folder of a virtual person."""
     write_virtual_subject(folder, series=(Series(1.2, 1, 0),))
     return 0
 
 
 CURVES = {"moments", "activations", "muscle_forces"}
-#: By the kind of folder: what fills it, and what it has of tables (by their folders), models and loads.
+#: For each kind of folder: function that writes it, folders of its tables, and its models and external loads.
 KINDS = {
     "calibrate": (calibration, CURVES | {"moment_bands"}, set()),
     "evaluate": (evaluation, {"moments"}, set()),
@@ -119,7 +119,7 @@ def opens_as_a_table(file):
     assert tuple(table.getColumnLabels()) == tuple(own.columns), file
     np.testing.assert_array_equal(table.getIndependentColumn(), own.time, str(file))
     np.testing.assert_array_equal(table.getMatrix().to_numpy(), own.values, str(file))
-    # What its GUI reads it with.
+    # The class by which OpenSim's GUI reads tables.
     storage = opensim.Storage(str(file))
     assert (storage.getSize(), storage.isInDegrees()) == (len(own.time), own.in_degrees), file
 

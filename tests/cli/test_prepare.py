@@ -1,6 +1,6 @@
-"""``wrapjax prepare``: a laboratory's files become a subject folder, or every fault is named with numbers.
+"""``wrapjax prepare``: a subject folder from a laboratory's files, or all errors with numbers.
 
-The walker's motion, forces and EMG are known: what comes out is compared with what went in.
+The simulated walker's motion, forces and EMG are known, and are compared with the prepared ones.
 """
 
 import json
@@ -16,12 +16,12 @@ from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.report import markup
 from wrapjax.subject.emg import compute_envelopes
-from wrapjax.subject.subject import load_subject as load_subject
+from wrapjax.subject.subject import load_subject
 
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
-    """The walker's files, a marker hidden for 0.4 s and another for 0.05 s. Not to be changed."""
+    """The walker's files, with one marker missing for 0.4 s and another for 0.05 s. Read-only."""
     folder = tmp_path_factory.mktemp("lab")
     settings = walker.write_laboratory(folder)
     lines = (folder / "walk.trc").read_text().splitlines()
@@ -45,40 +45,40 @@ def prepared(run, laboratory, tmp_path_factory):
 def test_the_folder_is_a_subject(run, prepared):
     outcome, folder = prepared
     assert outcome.status == 0, outcome.progress
-    # What OpenSim prints by itself would spoil results that others read.
+    # OpenSim must not print into the output.
     assert "MODEL" not in outcome.output and "inverse kinematics" in outcome.progress
     assert run("check", folder).status == 0
     subject = load_subject(folder)
     assert len(subject.trials.time) == 3 and subject.mass_kg == walker.MASS
 
 
-def test_what_was_asked_for_is_kept_word_for_word(laboratory, prepared):
+def test_settings_are_stored_verbatim(laboratory, prepared):
     folder = prepared[1]
     assert (folder / "prepared_from.toml").read_text() == laboratory.read_text()
     assert "from prepared_from.toml" in (folder / "subject.toml").read_text().splitlines()[0]
 
 
-def test_cycles_begin_when_the_left_foot_bears_weight(prepared):
+def test_cycles_start_at_left_foot_strikes(prepared):
     starts = load_subject(prepared[1]).trials.time[:, 0]
-    # The made-up foot bears 30 N only 16 ms after its strike.
+    # The simulated force reaches 30 N only 16 ms after the strike.
     np.testing.assert_allclose(starts, walker.STRIKES[:3], atol=0.02)
 
 
-def test_a_page_shows_forces_and_every_cycle(prepared):
+def test_the_report_shows_forces_and_all_cycles(prepared):
     page = (prepared[1] / "report.html").read_text()
     content = json.loads((prepared[1] / "preparation.json").read_text())
-    # Forces beside what motion needs, angles, moments and EMG; nothing from elsewhere.
+    # Measured and required forces, angles, moments and EMG; no external resources.
     assert page.count('<img alt="') == 4 and "http" not in page.split("base64,")[0]
     assert "3 gait cycles can be calibrated with." in page
     for check in content["trials"]["walk"]["checks"]:
         assert markup.text(check["found"]) in page
 
 
-def test_angles_are_those_walked(prepared):
+def test_angles_are_recovered(prepared):
     table = read_storage(prepared[1] / "trials" / "walk" / "angles.sto")
     truth = walker.motion(table.time)
     for name, expected in truth.items():
-        # 0.005 is 0.3 degrees or 5 mm: what a filter at 6.4 Hz takes from movements of 1.8 Hz.
+        # 0.005 is 0.3 degrees or 5 mm: the attenuation of movements of 1.8 Hz by a filter at 6.4 Hz.
         np.testing.assert_allclose(
             table.values[:, table.columns.index(name)], expected, atol=0.005, err_msg=name
         )
@@ -86,8 +86,8 @@ def test_angles_are_those_walked(prepared):
     np.testing.assert_allclose(beta, 0.7 * truth["knee_angle_l"] + 0.1, atol=0.004)
 
 
-def test_the_ankle_moment_is_what_statics_give(prepared):
-    """The foot weighs 0.84 kg, and the filter moves an ankle by up to 3 mm under 750 N."""
+def test_the_ankle_moment_agrees_with_statics(prepared):
+    """The foot has a mass of 0.84 kg, and the filter moves the ankle by up to 3 mm under 750 N."""
     folder = prepared[1] / "trials" / "walk"
     moments = read_storage(folder / "moments.sto")
     forces = read_storage(folder / "ground_forces.mot")
@@ -102,7 +102,7 @@ def test_the_ankle_moment_is_what_statics_give(prepared):
 
 
 def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
-    """Markers, plates and EMG in one file, the laboratory's axes other than OpenSim's."""
+    """Markers, plates and EMG in one file, with laboratory axes other than OpenSim's."""
     time, names, places, _, _ = walker.truth()
     pairs = walker.forces(np.minimum(np.arange(10 * time.size) / 1000.0, time[-1]))
     recordings = {"markers": places, "names": names, "channels": list(walker.CHANNELS)}
@@ -113,7 +113,7 @@ def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
     (tmp_path / "scaled.osim").write_bytes((laboratory.parent / "scaled.osim").read_bytes())
     settings = tmp_path / "prepare.toml"
     settings.write_text(walker.SETTINGS)
-    # One cycle is enough, and quicker.
+    # One cycle suffices and is faster.
     _text(
         settings,
         ('force = "left_v"\npoint = "left_p"', "plates = [1]"),
@@ -125,7 +125,7 @@ def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
     )
     outcome = run("prepare", settings, "--out", tmp_path / "out")
     assert outcome.status == 0, outcome.progress
-    # The other one lost a marker to a gap.
+    # A marker was missing in the other one.
     for name, limit in (("angles", 0.005), ("moments", 2.0)):
         found, expected = (
             read_storage(place / "trials" / "walk" / f"{name}.sto")
@@ -139,7 +139,7 @@ def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
             np.testing.assert_allclose(series[0][inside], series[1][inside], atol=limit, err_msg=label)
 
 
-def test_what_was_checked_is_told_with_numbers(prepared):
+def test_checks_are_reported_with_numbers(prepared):
     outcome, folder = prepared
     told = json.loads((folder / "preparation.json").read_text())["trials"]["walk"]
     whats = {check["what"] for check in told["checks"]}
@@ -152,7 +152,7 @@ def test_what_was_checked_is_told_with_numbers(prepared):
 
 @pytest.fixture
 def solved(laboratory, prepared, tmp_path):
-    """The same files with angles solved already: quicker than markers. To be changed at will."""
+    """The same files with precomputed angles, faster than with markers. May be modified."""
     for name in ("scaled.osim", "forces.mot", "emg.sto"):
         (tmp_path / name).write_bytes((laboratory.parent / name).read_bytes())
     angles = prepared[1] / "trials" / "walk" / "angles.sto"
@@ -225,7 +225,7 @@ def _microvolts(settings):
 
 
 def _other_leg(settings):
-    """What the other leg's calf does comes half a gait cycle later."""
+    """Shift the calf EMG by half a gait cycle, as if it were of the other leg."""
     shift = round(0.5 * walker.PERIOD * walker.EMG_RATE)
     _table(settings, "emg.sto", lambda time, c: (time, c | {"Sol": np.roll(c["Sol"], shift)}))
 
@@ -285,7 +285,7 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("fault", PLANTED)
-def test_a_planted_fault_is_named(run, solved, fault):
+def test_a_simulated_error_is_named(run, solved, fault):
     plant, words = PLANTED[fault]
     plant(solved)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
@@ -294,7 +294,7 @@ def test_a_planted_fault_is_named(run, solved, fault):
     assert not (solved.parent / "out").exists()
 
 
-def test_a_coupled_patella_in_degrees_is_told_and_mended(run, solved, prepared):
+def test_a_coupled_patella_in_degrees_is_noted_and_corrected(run, solved, prepared):
     def change(time, columns):
         return time, columns | {"knee_angle_l_beta": np.degrees(columns["knee_angle_l_beta"])}
 
@@ -309,14 +309,14 @@ def test_a_coupled_patella_in_degrees_is_told_and_mended(run, solved, prepared):
     np.testing.assert_allclose(beta[0][50:-50], beta[1][50:-50], atol=5e-3)
 
 
-def test_accepted_channels_are_used_with_their_faults(run, solved):
+def test_accepted_channels_are_used_despite_errors(run, solved):
     _copied(solved)
     _text(solved, ('unit = "V"', 'unit = "V"\naccept = ["RF", "TA"]'))
     assert run("prepare", solved, "--out", solved.parent / "out").status == 0
 
 
 def _stepped(settings, **spans):
-    """Leave of each foot what it did between two times: its other steps were beside the plates."""
+    """Keep the force of each foot between two times only: its other steps were beside the plates."""
 
     def change(time, columns):
         for foot, (start, end) in spans.items():
@@ -330,7 +330,7 @@ def _stepped(settings, **spans):
 
 
 def _left_alone(settings):
-    """Of the steps only the left foot's at 1.55 s was measured."""
+    """Keep only the left foot's step at 1.55 s."""
     _stepped(settings, left=(1.5, 2.3), right=(0.0, 0.0))
     text = settings.read_text()
     start, end = text.index("[forces.r]"), text.index("[emg]")
@@ -338,14 +338,14 @@ def _left_alone(settings):
 
 
 @pytest.mark.parametrize("right", [(2.0, 2.85), (0.9, 1.75)], ids=["left foot first", "right foot first"])
-def test_one_step_on_each_plate_is_enough(run, solved, right):
+def test_one_step_on_each_plate_suffices(run, solved, right):
     _stepped(solved, left=(1.5, 2.3), right=right)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
     assert "forces agree best with motion" in outcome.output
 
 
-def test_one_measured_foot_is_enough(run, solved):
+def test_one_measured_foot_suffices(run, solved):
     _left_alone(solved)
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 0, outcome.progress
@@ -354,7 +354,7 @@ def test_one_measured_foot_is_enough(run, solved):
 
 @pytest.mark.parametrize(("plant", "said"), [(_late, "ms late"), (_early, "ms early")])
 @pytest.mark.parametrize("measured", ["one step a plate", "one foot"])
-def test_a_shift_is_told_by_few_steps_too(run, solved, measured, plant, said):
+def test_a_time_shift_is_detected_with_few_steps(run, solved, measured, plant, said):
     if measured == "one foot":
         _left_alone(solved)
     else:
@@ -365,7 +365,7 @@ def test_a_shift_is_told_by_few_steps_too(run, solved, measured, plant, said):
     assert "timing of forces" in outcome.progress and said in outcome.progress
 
 
-def test_steps_of_the_own_foot_beside_the_plates_are_told(run, solved):
+def test_steps_of_the_leg_beside_the_plates_are_reported(run, solved):
     def change(time, columns):
         for axis in "xyz":
             columns[f"left_v{axis}"][(time > 1.5) & (time < 2.3)] = 0.0
@@ -377,8 +377,8 @@ def test_steps_of_the_own_foot_beside_the_plates_are_told(run, solved):
     assert "steps of the left foot" in outcome.progress and "list as cycles" in outcome.progress
 
 
-def test_the_way_out_of_a_light_force_is_named_and_leads_out(run, solved):
-    """The other foot's plate measured half of what it should."""
+def test_the_hint_for_a_too_small_force_solves_it(run, solved):
+    """The other foot's plate measured half of the force."""
 
     def change(time, columns):
         return time, {name: 0.5 * v if name.startswith("right_v") else v for name, v in columns.items()}
@@ -393,7 +393,7 @@ def test_the_way_out_of_a_light_force_is_named_and_leads_out(run, solved):
     assert outcome.status == 0, outcome.progress
 
 
-def test_envelopes_are_refused_as_raw_emg_and_what_that_says_of_them_works(run, solved):
+def test_envelopes_are_refused_as_raw_emg_and_the_hint_works(run, solved):
     table = read_storage(solved.parent / "emg.sto")
     envelopes = compute_envelopes(table.values.T, walker.EMG_RATE, walker.PERIOD)
     envelopes /= envelopes.max(axis=1, keepdims=True)
@@ -421,7 +421,7 @@ ENVELOPES = {
 
 
 @pytest.mark.parametrize("fault", ENVELOPES)
-def test_channels_that_are_no_envelopes_are_named(run, solved, fault):
+def test_channels_that_are_not_envelopes_are_named(run, solved, fault):
     spoil, said = ENVELOPES[fault]
 
     def change(time, columns):
@@ -440,19 +440,19 @@ def test_envelopes_have_no_unit(run, solved):
     assert outcome.status == 2 and "expected no unit and no gain of envelopes" in outcome.progress
 
 
-def test_what_emg_may_say_is_listed_whole(run, solved):
+def test_all_keys_of_emg_are_listed(run, solved):
     _text(solved, ('unit = "V"', 'unit = "V"\nrate = 5'))
     outcome = run("prepare", solved, "--out", solved.parent / "out")
     assert outcome.status == 2 and "known: kind, unit, gain, accept, channels" in outcome.progress
 
 
-def test_a_generic_model_is_scaled_on_the_way(run, solved):
-    """Somebody 2 % larger than the model stands still: the folder's model is as large as they are."""
+def test_a_generic_model_is_scaled(run, solved):
+    """A person 2 % larger than the model stands still: the scaled model has their size."""
     _, names, places, _, _ = walker.truth()
     still = np.repeat(1.02 * places[:, 60:61], 60, axis=1)
     walker.write_trc(solved.parent / "static.trc", np.arange(60) / 100.0, names, still)
     (solved.parent / "setup.xml").write_text(SETUP, encoding="utf-8")
-    # As heavy as they are, too: what the generic model weighs is no matter.
+    # The mass is also that of the person, not of the generic model.
     _heavier(solved)
     _text(solved, ('file = "scaled.osim"', 'file = "scaled.osim"\nscaling = "setup.xml"'))
     folder = solved.parent / "out"
@@ -465,7 +465,7 @@ def test_a_generic_model_is_scaled_on_the_way(run, solved):
     assert femur[1].translation[1] == pytest.approx(1.02 * femur[0].translation[1], rel=1e-3)
 
 
-def test_all_faults_of_the_settings_are_told_at_once(run, solved):
+def test_all_errors_of_the_settings_are_reported_together(run, solved):
     _text(
         solved,
         ("mass_kg = 70.0", "mass_kg = 70000"),
@@ -478,7 +478,7 @@ def test_all_faults_of_the_settings_are_told_at_once(run, solved):
         assert words in outcome.progress
 
 
-def test_left_markers_on_the_right_leg_are_told(run, laboratory, tmp_path):
+def test_swapped_markers_are_reported(run, laboratory, tmp_path):
     for file in laboratory.parent.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     lines = (tmp_path / "walk.trc").read_text().splitlines()

@@ -1,6 +1,6 @@
-"""``wrapjax prepare`` on recorded walking: accepted as it is, refused once something is planted in it.
+"""``wrapjax prepare`` on recorded walking: accepted unchanged, refused with a simulated error.
 
-Angles and forces are recorded; raw EMG is made up of the recorded envelopes.
+Angles and forces are recorded; raw EMG is simulated from the recorded envelopes.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ LABELS = {
 
 
 def write_laboratory(folder, source, cycles=""):
-    """Write what a laboratory would have had; return its settings."""
+    """Write a laboratory's files, and return its settings."""
     walk = source / "trials" / "walk"
     for name in ("angles.sto", "ground_forces.mot"):
         (folder / name).write_bytes((walk / name).read_bytes())
@@ -64,7 +64,7 @@ def test_forces_50_ms_late_are_refused_with_the_lag(run, overground):
 
 
 @pytest.mark.parametrize(("shift", "said"), [(0.0, ""), (0.05, "ms late"), (-0.05, "ms early")])
-def test_one_measured_foot_tells_a_shift_of_50_ms(run, overground, shift, said):
+def test_one_measured_foot_detects_a_shift_of_50_ms(run, overground, shift, said):
     text = overground.read_text()
     start, end = text.index("[forces.l]"), text.index("[forces.r]")
     overground.write_text(text[:start] + text[end:])
@@ -85,7 +85,7 @@ def test_swapped_legs_are_refused(run, overground):
     assert outcome.status == 2 and outcome.progress.count("the legs are swapped") == 2
 
 
-def test_recorded_walking_is_accepted_as_it_is(run, overground):
+def test_recorded_walking_is_accepted(run, overground):
     outcome = run("prepare", overground, "--out", overground.parent / "out")
     assert outcome.status == 0, outcome.progress
     assert outcome.output.count("is in degrees") == 2  # the patellae

@@ -1,4 +1,4 @@
-"""Whatever stops a calibration, it goes on where it was, and no half-written run is ever seen."""
+"""An interrupted or killed calibration is resumed from its checkpoints, and leaves no partial run."""
 
 import json
 import os
@@ -31,8 +31,8 @@ def checkpoints(run: Path) -> Path:
     return run.with_name(f".{run.name}.unfinished")
 
 
-def kill_at_work(subject: Path, run: Path) -> None:
-    """Start a calibration and kill it as soon as its second start is under way."""
+def kill_while_running(subject: Path, run: Path) -> None:
+    """Start a calibration and kill it as soon as its second start is running."""
     process = subprocess.Popen(
         [sys.executable, "-m", "wrapjax", *words(subject, run)],
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
@@ -55,7 +55,7 @@ def kill_at_work(subject: Path, run: Path) -> None:
 @pytest.fixture(scope="module")
 def killed(subject, tmp_path_factory):
     run = tmp_path_factory.mktemp("runs") / "run"
-    kill_at_work(subject, run)
+    kill_while_running(subject, run)
     return run
 
 
@@ -77,12 +77,12 @@ def test_a_killed_run_leaves_no_run_and_is_resumed_to_the_same_optimum(subject, 
 
 def test_other_settings_are_not_resumed(subject, tmp_path, capsys):
     run = tmp_path / "run"
-    kill_at_work(subject, run)
+    kill_while_running(subject, run)
     other = [word if word != "3" else "4" for word in words(subject, run, "--resume")]
     assert main(other) == 2
     assert "other data or settings" in capsys.readouterr().err
     assert checkpoints(run).exists(), "what could still be resumed was thrown away"
-    # --force begins anew, and leaves nothing behind.
+    # --force starts again and removes the checkpoints.
     short = [word if word != STARTS else "1" for word in words(subject, run, "--force")]
     assert main(short) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
@@ -95,7 +95,7 @@ def test_nothing_to_resume(subject, tmp_path, capsys):
 
 
 def test_no_muscle_touches_a_surface(subject, tmp_path, capsys):
-    """The synthetic leg has no cylinder: LSGA would be NGA under another name."""
+    """The synthetic leg has no cylinder, so LSGA would be the same as NGA."""
     run = tmp_path / "run"
     assert main(["calibrate", str(subject), "--method", "LSGA", "--out", str(run), "--quiet"]) == 2
     assert "LSGA frees nothing" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Options in a file mean what they mean on the command line, and what a folder keeps can be asked again."""
+"""Options in a settings file equal those on the command line, and stored settings can be repeated."""
 
 import pytest
 
@@ -8,8 +8,8 @@ from wrapjax.cli.common import DONE
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """Options that ``calibrate`` was asked with; it makes its folder and does nothing else."""
+def received(monkeypatch):
+    """Options that ``calibrate`` received; it only creates its folder."""
     seen = []
 
     def answer(options):
@@ -21,24 +21,24 @@ def asked(monkeypatch):
     return seen
 
 
-def test_the_command_line_goes_before_the_file(run, asked, tmp_path):
+def test_the_command_line_takes_precedence_over_the_file(run, received, tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('method = "PGA"\nstarts = 7\nfit = "fits/one"\n')
     out = tmp_path / "run"
     assert run("calibrate", "anna", "--settings", file, "--starts", "2", "--out", out).status == DONE
-    (options,) = asked
+    (options,) = received
     assert (options.method, options.starts, options.curves) == ("PGA", 2, "paper")
     assert options.tendon == "rigid"
     assert options.fit == tmp_path / "fits" / "one", "paths are relative to the file"
 
 
-def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
+def test_stored_settings_repeat_a_command(run, received, tmp_path):
     first, second = tmp_path / "first", tmp_path / "elsewhere" / "second"
     words = ("--method", "LSGA", "--fit", tmp_path / "fit", "--seed", "3", "--max-iterations", "9")
     words += ("--tendon", "compliant")
     assert run("calibrate", "anna", *words, "--out", first).status == DONE
     assert run("calibrate", "anna", "--settings", first / "settings.toml", "--out", second).status == DONE
-    one, other = (vars(options) | {"out": None, "settings": None} for options in asked)
+    one, other = (vars(options) | {"out": None, "settings": None} for options in received)
     other["fit"] = other["fit"].resolve()
     assert one == other
     kept = (second / "settings.toml").read_text()
@@ -60,15 +60,15 @@ def test_what_is_kept_asks_the_same_again(run, asked, tmp_path):
         (b"\xff\xfe", "is not text"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(run, asked, tmp_path, content, said):
+def test_errors_of_a_settings_file_are_reported(run, received, tmp_path, content, said):
     file = tmp_path / "settings.toml"
     if content is not None:
         file.write_bytes(content if isinstance(content, bytes) else content.encode())
     outcome = run("calibrate", "anna", "--settings", file, "--out", tmp_path / "run")
     assert_only_errors(outcome, tmp_path)
-    assert said in outcome.progress and not asked
+    assert said in outcome.progress and not received
 
 
-def test_without_a_file_nothing_changes(run, asked, tmp_path):
+def test_without_a_file_nothing_changes(run, received, tmp_path):
     outcome = run("calibrate", "anna", "--out", tmp_path / "run")
-    assert outcome.status == 2 and "--method" in outcome.progress and not asked
+    assert outcome.status == 2 and "--method" in outcome.progress and not received

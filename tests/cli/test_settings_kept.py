@@ -1,4 +1,4 @@
-"""Every command that takes options and writes a folder keeps them in it, and takes them from such a file."""
+"""All commands that write a result folder store their options in it, and read them from such a file."""
 
 import argparse
 
@@ -9,7 +9,7 @@ import wrapjax.cli.initialise
 from wrapjax.cli.command_line import _parser
 from wrapjax.cli.common import DONE
 
-#: Those whose folder is a subject's or an index: what they were asked for is not their options.
+#: Those whose folder is a subject's or an index: their settings are not those of a command.
 WITHOUT = {"prepare", "fetch", "report", "check"}
 
 
@@ -25,8 +25,8 @@ def test_all_commands_that_write_take_settings():
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """Options that were asked with; folders are made, and nothing else is done."""
+def received(monkeypatch):
+    """Options that the commands received; they only create their folders."""
     seen: list[argparse.Namespace] = []
 
     def answer(options):
@@ -40,15 +40,15 @@ def asked(monkeypatch):
     return seen
 
 
-def test_initialise_keeps_its_options_and_takes_them_back(run, asked, tmp_path):
+def test_initialise_stores_and_reads_its_options(run, received, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     assert run("initialise", "anna", "--curves", "opensim", "--out", first).status == DONE
     assert 'curves = "opensim"' in (first / "settings.toml").read_text()
     assert run("initialise", "bert", "--settings", first / "settings.toml", "--out", second).status == DONE
-    assert [options.curves for options in asked] == ["opensim", "opensim"]
+    assert [options.curves for options in received] == ["opensim", "opensim"]
 
 
-def test_evaluate_keeps_settings_where_it_writes(run, asked, tmp_path):
+def test_evaluate_stores_settings_in_its_folder(run, received, tmp_path):
     out = tmp_path / "out"
     assert run("evaluate", "run", "anna", "--out", out).status == DONE
     assert 'command = "evaluate"' in (out / "settings.toml").read_text()

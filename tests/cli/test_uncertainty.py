@@ -1,4 +1,4 @@
-"""``wrapjax calibrate --uncertainty``: asked for, it is in the run's folder; otherwise there is no trace."""
+"""``wrapjax calibrate --uncertainty``: uncertainty is stored in the run's folder only if requested."""
 
 import csv
 
@@ -11,14 +11,14 @@ from wrapjax.report.spread import SCHEMA
 
 
 @pytest.fixture(scope="module")
-def judged(run, subject, fitted, tmp_path_factory):
+def with_uncertainty(run, subject, fitted, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     words = ("--uncertainty", "bootstrap", "--draws", "4", "--fit", fitted[1], "--out", folder)
     return run("calibrate", subject, *METHOD, *words), folder
 
 
-def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
-    outcome, folder = judged
+def test_bootstrap_writes_intervals_of_all_parameters(with_uncertainty, calibrated):
+    outcome, folder = with_uncertainty
     assert outcome.status == 0 and "calibrating made-up moments: 4 done" in outcome.progress
     assert "4 draws (bootstrap" in outcome.output
     told = read_json(folder / "uncertainty.json")
@@ -31,7 +31,7 @@ def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
         assert float(rows[label]["value"]) == pytest.approx(own["value"], rel=1e-12)
         assert float(rows[label]["lower"]) * (1 - 1e-9) <= own["low_90"]
         assert own["high_90"] <= float(rows[label]["upper"]) * (1 + 1e-9)
-    # The calibration itself is the same.
+    # The calibration does not depend on --uncertainty.
     plain = calibrated[1]
     assert read_json(folder / "summary.json")["cost"] == pytest.approx(
         read_json(plain / "summary.json")["cost"], rel=1e-9
@@ -40,8 +40,8 @@ def test_bootstrap_leaves_intervals_of_what_was_calibrated(judged, calibrated):
     assert not list(folder.parent.glob(".*"))
 
 
-def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monkeypatch):
-    """Draws that were done are kept; the rest come out as if nothing had happened."""
+def test_interrupted_bootstrap_is_resumed(run, subject, fitted, with_uncertainty, tmp_path, monkeypatch):
+    """Finished draws are kept, and the others are the same as without an interruption."""
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
     from wrapjax.calibration.solvers.interface import Status
 
@@ -63,7 +63,9 @@ def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monke
     monkeypatch.setattr(AugmentedLagrangian, "solve", solve)
     outcome = run("calibrate", subject, *METHOD, *words, "--quiet", "--resume")
     assert outcome.status == 0 and done == 3
-    again, before = (read_json(folder / "uncertainty.json") for folder in (tmp_path / "run", judged[1]))
+    again, before = (
+        read_json(folder / "uncertainty.json") for folder in (tmp_path / "run", with_uncertainty[1])
+    )
     for label, own in before["by_parameter"].items():
         np.testing.assert_allclose(again["by_parameter"][label]["sd"], own["sd"], rtol=1e-6, atol=1e-12)
     assert not list(tmp_path.glob(".*"))
@@ -77,7 +79,7 @@ def test_stopped_bootstrap_goes_on(run, subject, fitted, judged, tmp_path, monke
         (("--uncertainty", "bootstrap", "--draws", "1"), "expected at least 2"),
     ],
 )
-def test_draws_that_make_no_sense_are_refused_before_the_work(run, subject, tmp_path, words, said):
+def test_invalid_draws_are_refused_before_the_calibration(run, subject, tmp_path, words, said):
     outcome = run("calibrate", subject, *METHOD, "--out", tmp_path / "run", *words)
     (line,) = assert_only_errors(outcome, "--draws")
     assert said in line

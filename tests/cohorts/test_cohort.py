@@ -1,4 +1,4 @@
-"""Many subjects: each whole in its folder, one that fails stops no other, what is done stays done."""
+"""Cohorts: complete folders by subject, failures that do not stop other subjects, and resuming."""
 
 import json
 import shutil
@@ -18,26 +18,26 @@ from wrapjax.cohorts.scheduling import Finished
 from wrapjax.errors import InputError, Problem
 
 
-def one_after_the_other(work, jobs, **options):
-    """Do the work here: that of other processes has tests of its own."""
+def run_sequentially(work, jobs, **options):
+    """Run jobs in this process; other processes are tested in ``test_scheduling.py``."""
     for name, job in jobs.items():
         yield Finished(name, work(job))
 
 
 @pytest.fixture
-def here(monkeypatch):
-    """Do the work in this process."""
-    stay(monkeypatch)
+def in_this_process(monkeypatch):
+    """Run jobs in this process."""
+    patch_scheduling(monkeypatch)
 
 
-def stay(patch):
-    patch.setattr("wrapjax.cohorts.cohort.run_jobs", one_after_the_other)
+def patch_scheduling(patch):
+    patch.setattr("wrapjax.cohorts.cohort.run_jobs", run_sequentially)
     patch.setattr(wrapjax.cohorts.cohort, "set_up_jax", lambda: None)
 
 
 @pytest.fixture(scope="module")
 def subjects(tmp_path_factory) -> list[Path]:
-    """Two that can be calibrated, one with stronger moments, and one between them that cannot be read."""
+    """Two subjects that can be calibrated, one of them with larger moments, and one that cannot be read."""
     place = tmp_path_factory.mktemp("subjects")
     folders = [write_subject(place / name) for name in ("anna", "broken", "ben")]
     (folders[1] / "model.osim").unlink()
@@ -48,11 +48,11 @@ def subjects(tmp_path_factory) -> list[Path]:
 @pytest.fixture(scope="module")
 def done(subjects, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        stay(patch)
+        patch_scheduling(patch)
         return cohort(subjects, tmp_path_factory.mktemp("cohorts") / "out", diagnose=True, starts=1)
 
 
-def test_one_that_cannot_be_read_stops_no_other(done, subjects):
+def test_an_unreadable_subject_does_not_stop_the_others(done, subjects):
     states = {name: own["state"] for name, own in done.content["subjects"].items()}
     assert states == {"anna": "done", "broken": "failed", "ben": "done"}
     (said,) = done.failed.values()
@@ -61,12 +61,12 @@ def test_one_that_cannot_be_read_stops_no_other(done, subjects):
     assert not done.complete
 
 
-def test_each_folder_holds_what_the_commands_write(done):
+def test_folders_have_the_files_of_the_commands(done):
     for name in ("anna", "ben"):
         own = done.content["subjects"][name]
         summary = read_json(done.folder / name / "calibration" / "summary.json")
         assert own["mae_Nm"] == summary["mae_Nm"] and own["converged"] is summary["converged"] is True
-        # Two cycles are too few to tell what repeats from what does not.
+        # Two cycles are too few to separate repeatable error from noise.
         assert own["diagnosis"]["outcome"] == "insufficient_data"
         assert read_json(done.folder / name / "diagnosis" / "gap.json")["outcome"] == "insufficient_data"
         for report in (own["report"], own["diagnosis_report"]):
@@ -79,14 +79,14 @@ def test_each_folder_holds_what_the_commands_write(done):
     ]
 
 
-def test_population_is_the_textbooks(done):
+def test_population_statistics(done):
     assert read_json(done.folder / "cohort.json") == json.loads(json.dumps(done.content))
     population = done.content["population"]
     assert (population["n"], population["converged"], population["failed"]) == (2, 2, 1)
     assert population["outcomes"] == {"insufficient_data": 2} and population["named"] == {}
     for use in ("calibration", "validation"):
         own = [done.content["subjects"][name]["mae_Nm"][use] for name in ("anna", "ben")]
-        # Left and right legs are alike: names lose their side.
+        # Left and right legs are pooled: names have no side.
         assert list(population["mae_Nm"][use]) == ["hip_flexion", "knee_angle", "mean"]
         values = np.array([one["knee_angle_l"] for one in own])
         assert population["mae_Nm"][use]["knee_angle"] == pytest.approx(
@@ -101,7 +101,7 @@ def test_population_is_the_textbooks(done):
         )
 
 
-def test_the_page_says_who_failed_and_is_drawn_again_from_numbers(done):
+def test_the_report_names_failures_and_is_rendered_again(done):
     page = (done.folder / "report.html").read_bytes()
     text = page.decode()
     assert "2 of 3 subjects done" in text and "1 subject failed:" in text and "model.osim" in text
@@ -111,9 +111,11 @@ def test_the_page_says_who_failed_and_is_drawn_again_from_numbers(done):
     assert (done.folder / "report.html").read_bytes() == page
 
 
-def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp_path, monkeypatch):
+def test_resuming_computes_only_missing_or_changed_subjects(
+    in_this_process, done, subjects, tmp_path, monkeypatch
+):
     place = shutil.copytree(done.folder, tmp_path / "out")
-    (place / ".anna-torn").mkdir()  # what a killed worker leaves
+    (place / ".anna-torn").mkdir()  # Left by a killed worker.
     moved = [Path(shutil.copytree(one, tmp_path / "moved" / one.name)) for one in subjects]
     before = content(place)
     calculated = []
@@ -130,7 +132,7 @@ def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp
         kept, own = again.content["subjects"][name], done.content["subjects"][name]
         assert kept | {"folder": ""} == own | {"folder": ""}
     assert content(place)["anna/subject.json"] == before["anna/subject.json"]
-    # Other numbers in a file, or another question, and an old answer is worth nothing.
+    # Results are not reused if a file or a setting has changed.
     scale_moments(moved[0], 1.01)
     assert list(cohort(moved, place, diagnose=True, starts=1, resume=True).failed) == ["anna", "broken"]
     assert calculated == ["anna"]
@@ -138,7 +140,7 @@ def test_resuming_does_only_what_is_missing_or_changed(here, done, subjects, tmp
     assert calculated == ["anna", "ben"]
 
 
-def test_resuming_what_is_done_starts_no_workers(done, subjects, tmp_path, monkeypatch):
+def test_resuming_a_finished_cohort_starts_no_workers(done, subjects, tmp_path, monkeypatch):
     def started(*arguments, **options):
         raise AssertionError("workers were started")
         yield
@@ -149,10 +151,10 @@ def test_resuming_what_is_done_starts_no_workers(done, subjects, tmp_path, monke
     for name in ("anna", "ben"):
         kept, own = again.content["subjects"][name], done.content["subjects"][name]
         assert kept | {"folder": ""} == own | {"folder": ""}
-    assert again.complete is False and again.failed == {}  # too few cycles, as before
+    assert again.complete is False and again.failed == {}  # Too few cycles, as before.
 
 
-def test_folders_that_are_there_are_not_touched(here, done, subjects, tmp_path):
+def test_existing_folders_are_not_changed(in_this_process, done, subjects, tmp_path):
     with pytest.raises(InputError, match="--resume, or replace all of it with --force"):
         cohort(subjects, done.folder)
     (tmp_path / "mine").mkdir()
@@ -163,14 +165,14 @@ def test_folders_that_are_there_are_not_touched(here, done, subjects, tmp_path):
     assert (tmp_path / "mine" / "precious.txt").read_text() == "mine"
 
 
-def test_names_that_meet_are_refused(here, subjects, tmp_path):
+def test_subjects_with_the_same_name_are_refused(in_this_process, subjects, tmp_path):
     null_replicate = write_subject(tmp_path / "Anna")
     with pytest.raises(InputError, match="would have the same folder in the result"):
         cohort([*subjects, null_replicate], tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_process_of_its_own_says_what_is_wrong(subjects, tmp_path):
+def test_a_worker_reports_errors(subjects, tmp_path):
     outcome = run("cohort", subjects[1], "--out", tmp_path / "out", "--workers", "1")
     assert outcome.status == 1
     assert "broken" in outcome.output and "model.osim" in outcome.output
@@ -178,7 +180,7 @@ def test_a_process_of_its_own_says_what_is_wrong(subjects, tmp_path):
     assert read_json(tmp_path / "out" / "cohort.json")["subjects"]["broken"]["state"] == "failed"
 
 
-def test_a_full_disk_says_where_and_keeps_what_is_done(here, subjects, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_results_are_kept(in_this_process, subjects, tmp_path, monkeypatch):
     from wrapjax.report import cohort_page
 
     written = []
@@ -199,7 +201,7 @@ def test_a_full_disk_says_where_and_keeps_what_is_done(here, subjects, tmp_path,
 
 
 @pytest.mark.slow
-def test_command_with_processes_of_its_own(subjects, tmp_path):
+def test_command_with_worker_processes(subjects, tmp_path):
     outcome = run("cohort", *subjects, "--out", tmp_path / "out", "--starts", "1", "--workers", "2")
     assert outcome.status == 1
     assert "anna" in outcome.output and "failed: " in outcome.output and "Traceback" not in outcome.progress

@@ -1,4 +1,4 @@
-"""Work done elsewhere comes back by name; what fails, or takes its process with it, stops nothing else."""
+"""Parallel jobs: results by name, failures and dead workers that do not stop other jobs."""
 
 import ctypes
 import math
@@ -22,7 +22,7 @@ def collected(*arguments, **options):
     return {one.name: (one.value, one.failure) for one in found}
 
 
-def test_one_failure_stops_no_other():
+def test_a_failure_does_not_stop_other_jobs():
     jobs = {"four": 4.0, "below zero": -1.0, "nine": 9.0}
     found = collected(math.sqrt, jobs, workers=1)
     assert found["four"] == (2.0, "") and found["nine"] == (3.0, "")
@@ -41,31 +41,31 @@ class Full:
 
 
 def test_a_worker_that_dies_is_replaced():
-    found = collected(operator.methodcaller("__call__"), {"dies": Death(), "lives": Life()}, workers=1)
+    found = collected(operator.methodcaller("__call__"), {"dies": Crash(), "lives": Report()}, workers=1)
     assert found["lives"][1] == ""
     assert found["dies"] == (None, f"its worker process died {RETRIES + 1} times: killed, or out of memory")
 
 
-class Death:
+class Crash:
     def __call__(self):
         os._exit(1)
 
 
-class Life:
+class Report:
     def __call__(self):
         return os.environ["OMP_NUM_THREADS"], os.getpid()
 
 
 def test_workers_are_other_processes_of_one_thread():
-    (threads, process), _ = collected(operator.methodcaller("__call__"), {"own": Life()}, workers=1)["own"]
+    (threads, process), _ = collected(operator.methodcaller("__call__"), {"own": Report()}, workers=1)["own"]
     assert threads == "1" and process != os.getpid()
 
 
 @dataclass
-class Patient:
-    """Ends when all others have said that they are done, or too late; nobody else in its process can think.
+class SlowJob:
+    """Job that ends when all others have reported, or after a timeout, and holds the interpreter until then.
 
-    Numerical libraries are like that: until they are done no message is answered.
+    Numerical libraries do so too: they answer no messages until they are done.
     """
 
     letters: Path
@@ -82,7 +82,7 @@ class Patient:
 
 
 @dataclass
-class Other:
+class FastJob:
     letters: Path
 
     def __call__(self):
@@ -92,13 +92,13 @@ class Other:
         return os.getpid()
 
 
-def test_nobody_waits_for_a_slow_one(tmp_path):
-    """What is left goes to whoever is free: a worker that is busy for long keeps none of it to itself."""
+def test_no_job_waits_for_a_slow_one(tmp_path):
+    """Waiting jobs go to free workers; a busy worker holds no other job."""
     letters = tmp_path / "letters"
     os.mkfifo(letters)
     names = [f"other {number}" for number in range(12)]
-    jobs = {"patient": Patient(letters, len(names)), **dict.fromkeys(names, Other(letters))}
-    box = os.open(letters, os.O_RDWR)  # a pipe that nobody holds forgets what is in it
+    jobs = {"patient": SlowJob(letters, len(names)), **dict.fromkeys(names, FastJob(letters))}
+    box = os.open(letters, os.O_RDWR)  # A pipe that no process holds open loses its content.
     found = collected(operator.methodcaller("__call__"), jobs, workers=2)
     os.close(box)
     assert found["patient"] == (len(names), "")
@@ -111,8 +111,8 @@ def test_no_scheduler(monkeypatch):
         collected(math.sqrt, {"four": 4.0}, scheduler="tcp://127.0.0.1:9")
 
 
-def test_workers_of_a_scheduler_that_is_there():
-    """By its address, as somebody else started it; it is still there afterwards."""
+def test_workers_of_an_existing_scheduler():
+    """The scheduler is used by its address, and still runs afterwards."""
     from distributed import Client, LocalCluster
 
     with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
@@ -125,7 +125,7 @@ def test_workers_of_a_scheduler_that_is_there():
 
 
 def test_slurm_makes_jobs_of_one_thread(monkeypatch):
-    """With a stand-in for the cluster, whose jobs are processes here."""
+    """With a substitute for the cluster, whose jobs are local processes."""
     from distributed import LocalCluster
 
     made = []
@@ -140,8 +140,8 @@ def test_slurm_makes_jobs_of_one_thread(monkeypatch):
             self.asked.append(count)
             super().scale(count)
 
-    stand_in(monkeypatch, SLURMCluster)
-    found = collected(operator.methodcaller("__call__"), {"a": Life(), "b": Life()}, scheduler=SLURM)
+    substitute_dask_jobqueue(monkeypatch, SLURMCluster)
+    found = collected(operator.methodcaller("__call__"), {"a": Report(), "b": Report()}, scheduler=SLURM)
     assert {failure for _, failure in found.values()} == {""}
     (cluster,) = made
     assert cluster.asked[0] == 2 and cluster.status.name == "closed"
@@ -152,12 +152,12 @@ def test_slurm_without_settings(monkeypatch):
     def cluster(job_script_prologue):
         raise ValueError("You must specify how many cores to use per job")
 
-    stand_in(monkeypatch, cluster)
+    substitute_dask_jobqueue(monkeypatch, cluster)
     with pytest.raises(InputError, match=r"slurm: .*how many cores.*; describe a job in ~/.config/dask"):
         collected(math.sqrt, {"four": 4.0}, scheduler=SLURM)
 
 
-def stand_in(monkeypatch, cluster):
+def substitute_dask_jobqueue(monkeypatch, cluster):
     monkeypatch.setitem(sys.modules, "dask_jobqueue", SimpleNamespace(SLURMCluster=cluster))
 
 
@@ -167,8 +167,8 @@ def test_slurm_without_its_package(monkeypatch):
         collected(math.sqrt, {"four": 4.0}, scheduler=SLURM)
 
 
-def test_another_cluster_on_this_machine_is_no_hindrance():
-    """Two at once: both have servers, and a warning of either is an error here."""
+def test_two_clusters_on_one_machine():
+    """Both have servers, and any warning is an error here."""
     outer = run_jobs(math.sqrt, {"four": 4.0, "nine": 9.0}, workers=1)
     first = next(outer)
     assert collected(math.sqrt, {"one": 1.0}, workers=1) == {"one": (1.0, "")}

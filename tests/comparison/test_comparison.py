@@ -1,4 +1,4 @@
-"""``compare`` from Python: who is calibrated, what is refused before the work, and what is saved."""
+"""Comparison of methods in Python: subjects, refused input, paths of each method, and saved files."""
 
 import inspect
 import json
@@ -16,7 +16,7 @@ from wrapjax.comparison.comparison import compare
 from wrapjax.errors import InputError
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
-from wrapjax.subject.subject import load_subject as load_subject
+from wrapjax.subject.subject import load_subject
 
 #: Where a leg touches no wrapping surface, LSGA has nothing to free.
 BOTH = ("NGA", "SGA")
@@ -25,7 +25,7 @@ WITHOUT_CYLINDERS = ("NGA", "SGA", "LSGA")
 
 @pytest.fixture(scope="module")
 def wrapped(tmp_path_factory):
-    """One of the two muscles wraps round a cylinder."""
+    """Subject with one of two muscles wrapping round a cylinder."""
     return load_subject(write_wrapped_subject(tmp_path_factory.mktemp("subjects") / "wrapped"))
 
 
@@ -50,7 +50,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr("wrapjax.comparison.comparison.calibrate", started)
 
 
-def test_it_is_what_calibrate_gives(done, wrapped):
+def test_results_equal_those_of_calibrate(done, wrapped):
     alone = calibrate(wrapped, "NGA", starts=1)
     assert done.converged and done.methods == WITHOUT_CYLINDERS and done.labels == ("synthetic",)
     np.testing.assert_allclose(done.calibrations[0][0].result.modelled, alone.result.modelled, rtol=1e-9)
@@ -76,7 +76,7 @@ def test_folder(saved, done):
             summary = json.loads((saved / run["folder"] / "summary.json").read_text(encoding="utf-8"))
             assert (summary["method"], summary["cost"]) == (method, run["cost"])
             assert (run["seconds"], run["geometry"]) == (summary["seconds"], "surrogate")
-            # The table of the comparison and the run's own summary tell the same.
+            # The table of the comparison agrees with the summary of the run.
             (row,) = [
                 row
                 for row in content["quantities"]["moment_error"]
@@ -123,12 +123,12 @@ def test_interrupted_and_resumed(wrapped, done, tmp_path):
     resumed = again(WITHOUT_CYLINDERS, resume=True, callback=lambda *_: calls.append(None))
     for ours, theirs in zip(resumed.calibrations[0], done.calibrations[0], strict=True):
         assert ours.result.solution.cost == pytest.approx(theirs.result.solution.cost, rel=1e-10)
-    # What was finished is not done again.
+    # Finished calibrations are not repeated.
     assert len(calls) - first < sum(lengths) - lengths[0] + 2
 
 
 class TestRefused:
-    """Before any calibration."""
+    """Errors before any calibration."""
 
     def test_method_that_frees_nothing(self, person, no_work):
         with pytest.raises(InputError, match="LSGA frees nothing"):
@@ -147,7 +147,7 @@ class TestRefused:
         with pytest.raises(InputError, match=words):
             compare([person], methods)
 
-    def test_nobody(self, no_work):
+    def test_no_subject(self, no_work):
         with pytest.raises(InputError, match="expected at least one"):
             compare([], BOTH)
 
@@ -156,14 +156,14 @@ class TestRefused:
             compare([person], BOTH, geometry="opensim")
 
     def test_two_legs_by_the_engine(self, no_work, tmp_path):
-        """The other leg's paths are polynomials: half of a person by each would be no comparison."""
+        """The other leg's paths are polynomials: one leg by each would be no fair comparison."""
         left = write_subject(tmp_path / "left")
         write_right_leg(tmp_path / "right")
         name_other_leg(left, "../right")
         with pytest.raises(InputError, match="calibrated together through polynomials only"):
             compare([load_subject(left)], BOTH, geometry="engine")
 
-    def test_namesakes(self, person, no_work, tmp_path):
+    def test_same_name_and_side(self, person, no_work, tmp_path):
         other = load_subject(write_subject(tmp_path / "other"))
         with pytest.raises(InputError, match=r"has the name of .*'synthetic', and the same side"):
             compare([person, other], BOTH)
@@ -174,7 +174,7 @@ class TestRefused:
 
 
 class TestNames:
-    """Of folders, whatever a person is called."""
+    """Names of folders for arbitrary names of subjects."""
 
     @pytest.fixture
     def calls(self, monkeypatch, calibrated):
@@ -193,7 +193,7 @@ class TestNames:
     def test_stay_within_the_folder(self, person, calls, name, label):
         assert compare([replace(person, name=name)], BOTH).labels == (label,)
 
-    def test_sides_tell_namesakes_apart(self, person, calls, tmp_path):
+    def test_sides_distinguish_the_same_names(self, person, calls, tmp_path):
         right = load_subject(write_right_leg(tmp_path / "right"))
         assert compare([person, right], BOTH).labels == ("synthetic_left", "synthetic_right")
 
@@ -207,15 +207,15 @@ class TestNames:
         name_other_leg(left, "../right")
         if both_point:
             name_other_leg(right, "../left")
-        # Whichever comes first.
+        # In either order.
         compare([load_subject(right), load_subject(left)], BOTH)
         assert {side for _, side, _ in calls} == ({"r"} if both_point else {"l"})
         assert len(calls) == 2
 
 
 @pytest.fixture
-def fed(calibrated, monkeypatch):
-    """What each method is given of paths; nothing is calibrated."""
+def received_paths(calibrated, monkeypatch):
+    """Record the muscle paths that each method receives; nothing is calibrated."""
     given = {}
 
     def note(subject, method, fit, **options):
@@ -226,17 +226,17 @@ def fed(calibrated, monkeypatch):
     return given
 
 
-def test_what_feeds_what(wrapped, fed):
-    """By the engine NGA and PGA have exact paths; SGA and LSGA change polynomials and must have those."""
+def test_paths_of_each_method(wrapped, received_paths):
+    """With the engine, NGA and PGA have exact paths; SGA and LSGA change polynomials and must have these."""
     compared = compare([wrapped], METHODS, geometry="engine")
-    assert {method: type(fit) for method, fit in fed.items()} == {
+    assert {method: type(fit) for method, fit in received_paths.items()} == {
         "NGA": ExactGeometry,
         "SGA": Fit,
         "LSGA": Fit,
         "PGA": ExactGeometry,
     }
-    assert fed["NGA"] is fed["PGA"] and fed["SGA"] is fed["LSGA"]
-    assert fed["SGA"].geometry == "engine", "all start from one geometry"
+    assert received_paths["NGA"] is received_paths["PGA"] and received_paths["SGA"] is received_paths["LSGA"]
+    assert received_paths["SGA"].geometry == "engine", "all start from one geometry"
     assert compared.legs[0].geometry == {
         "NGA": "engine",
         "SGA": "surrogate",
@@ -244,17 +244,17 @@ def test_what_feeds_what(wrapped, fed):
         "PGA": "engine",
     }
     compare([wrapped], WITHOUT_CYLINDERS)
-    assert {fed[method].geometry for method in WITHOUT_CYLINDERS} == {"opensim"}
+    assert {received_paths[method].geometry for method in WITHOUT_CYLINDERS} == {"opensim"}
 
 
-def test_polynomials_of_pga_serve_all_that_it_is_compared_with(wrapped, fed, monkeypatch):
-    """Or a difference between methods would be one between OpenSim's paths and the engine's."""
+def test_all_methods_use_the_polynomials_of_pga(wrapped, received_paths, monkeypatch):
+    """Otherwise differences between methods would include those between OpenSim's paths and the engine's."""
     problem = "wrapjax.calibration.problem"
     monkeypatch.setattr(f"{problem}.fit_wraps", lambda subject, fit, **_: replace(fit, key="sampled"))
     monkeypatch.setattr("wrapjax.comparison.comparison.method_freedom", lambda *_: None)
     compare([wrapped], METHODS)
-    assert {id(fit) for fit in fed.values()} == {id(fed["PGA"])}
-    assert (fed["NGA"].key, fed["NGA"].geometry) == ("sampled", "engine")
+    assert {id(fit) for fit in received_paths.values()} == {id(received_paths["PGA"])}
+    assert (received_paths["NGA"].key, received_paths["NGA"].geometry) == ("sampled", "engine")
 
 
 @pytest.mark.slow
@@ -275,7 +275,7 @@ def test_all_four_methods_by_the_engine(wrapped, tmp_path):
 
 
 def test_both_legs_are_compared(calibrated, person):
-    """The other leg has a label and a folder of its own, though it may bear the same name."""
+    """The other leg has a label and a folder of its own, even with the same name."""
     other = replace(calibrated, subject=replace(person, side="r"))
     both = replace(calibrated, other_leg=other)
     shown = wrapjax.Comparison(BOTH, ((both, both),), ("synthetic",))
@@ -286,6 +286,6 @@ def test_both_legs_are_compared(calibrated, person):
     assert [leg.label for leg in shown.legs] == ["synthetic", "right"]
 
 
-def test_every_method_is_compared_unless_told_otherwise():
-    """Whatever is added to the methods is compared, too."""
+def test_all_methods_are_compared_by_default():
+    """Including methods that are added later."""
     assert inspect.signature(compare).parameters["methods"].default is METHODS

@@ -1,4 +1,4 @@
-"""Tests between methods give what SciPy, R's manual pages and calculation by hand give."""
+"""Statistical tests agree with SciPy, examples of R's manual and calculation by hand."""
 
 import math
 
@@ -33,7 +33,7 @@ def generator():
     return np.random.default_rng(5)
 
 
-def test_spread_is_of_a_sample_not_of_a_population():
+def test_standard_deviation_is_that_of_a_sample():
     assert spread(np.array([1.0, 2.0, 6.0])).mean == 3.0
     assert spread(np.array([1.0, 2.0, 6.0])).sd == pytest.approx(math.sqrt(7.0))
     assert spread(np.array([4.0])).mean == 4.0 and math.isnan(spread(np.array([4.0])).sd)
@@ -86,13 +86,13 @@ class TestRepeatedAnova:
         assert found.f == pytest.approx((143.444 / 2) / (57.222 / 10), rel=1e-4)
         assert found.p == pytest.approx(0.0019, abs=5e-5)
 
-    def test_people_take_no_part(self, generator):
+    def test_differences_between_people_have_no_influence(self, generator):
         """That one person is fitter than another says nothing about training."""
         shifted = [group + 10.0 * np.arange(6) for group in TRAINING]
         assert repeated_anova(shifted).f == pytest.approx(repeated_anova(TRAINING).f, rel=1e-10)
         assert repeated_anova(TRAINING).p < 0.1 * anova(TRAINING).p
 
-    def test_of_two_it_is_the_paired_test(self):
+    def test_two_groups_agree_with_the_paired_test(self):
         found, paired = repeated_anova(SLEEP), paired_test(*SLEEP)
         assert found.f == pytest.approx(paired.t**2, rel=1e-12)
         assert (found.p, found.p_corrected) == pytest.approx((paired.p, paired.p), rel=1e-10)
@@ -135,8 +135,8 @@ class TestPairedTest:
         )
 
 
-class TestTooLittle:
-    """Numbers that cannot carry a test give none, and never a warning or an error."""
+class TestInsufficientSamples:
+    """Samples that are too small for a test give None, without a warning or an error."""
 
     @pytest.mark.parametrize("size", [0, 1, 2])
     def test_fewer_than_three_units(self, size):
@@ -149,7 +149,7 @@ class TestTooLittle:
 
     @pytest.mark.parametrize("shift", [0.0, 0.1])
     def test_nothing_varies_within_methods(self, shift):
-        """Rounding must not be taken for spread: a constant shift is no infinite effect."""
+        """Rounding errors must not count as variance: a constant shift is no infinite effect."""
         groups = [np.full(4, 0.3), np.full(4, 0.3 + shift)]
         one, pair = anova(groups), tukey_kramer(groups)[0, 1]
         assert math.isnan(one.f) and math.isnan(one.p)

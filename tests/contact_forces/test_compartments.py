@@ -1,4 +1,4 @@
-"""Defends: what presses a knee goes to the side that it leans on, and the two sides balance all of it."""
+"""Division of the contact force of a knee between its medial and lateral compartment."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,13 @@ from wrapjax.contact_forces.result import knee_compartments
 
 
 def on_tibia(points, forces):
-    """Moment about the center, then force, of forces (N) that act at points (m)."""
+    """Moment about the center and force of forces (N) that act at points (m)."""
     return np.concatenate([np.cross(points, forces).sum(axis=0), np.sum(forces, axis=0)])[:, None]
 
 
 @pytest.mark.parametrize(("side", "medial"), [("r", -0.02), ("l", 0.02)])
-def test_forces_at_two_points_are_found_again(side, medial):
-    """The midline is to the left of a right knee. Shear and what turns about other axes change nothing."""
+def test_forces_at_two_points_are_recovered(side, medial):
+    """Medial is to the left of a right knee. Shear and moments about other axes have no influence."""
     points = [[0.01, 0.0, medial], [-0.02, 0.0, -medial]]
     forces = [[50.0, -700.0, 30.0], [-20.0, -300.0, 10.0]]
     np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""Defends: what joints bear by a finished run is Newton's, on the right model, or refused in a sentence."""
+"""Joint contact forces of stored runs agree with Newton's laws; unusable runs are refused."""
 
 import json
 import shutil
@@ -7,7 +7,7 @@ import numpy as np
 import opensim
 import pytest
 
-from tests.contact_forces.made_up_run import MUSCLES, muscle_forces, write_run
+from tests.contact_forces.synthetic_run import MUSCLES, muscle_forces, write_run
 from tests.subject import synthetic
 from tests.subject.synthetic_forces import POINT, TORQUE, force, with_forces
 from wrapjax.cli.contact import contact_table
@@ -15,7 +15,7 @@ from wrapjax.contact_forces.contact_force import contact
 from wrapjax.contact_forces.result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
 from wrapjax.errors import InputError
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.subject.subject import load_subject as load_subject
+from wrapjax.subject.subject import load_subject
 
 #: Of both segments of the synthetic leg: kg, m, m.
 MASS, LENGTH, TO_CENTER = 5.0, 0.4, 0.2
@@ -25,14 +25,14 @@ FORWARD, BELOW = np.array([0.05, -0.05]), -0.05
 
 @pytest.fixture(scope="module")
 def subject(tmp_path_factory):
-    """With ground forces."""
+    """Subject with ground forces."""
     return with_forces(tmp_path_factory.mktemp("forces") / "person")
 
 
 @pytest.fixture(scope="module")
-def bare(tmp_path_factory):
-    """Without ground forces."""
-    return load_subject(synthetic.write_subject(tmp_path_factory.mktemp("bare") / "person"))
+def without_forces(tmp_path_factory):
+    """Subject without ground forces."""
+    return load_subject(synthetic.write_subject(tmp_path_factory.mktemp("without_forces") / "person"))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def compared(runs):
 
 
 def places(time):
-    """Angles of thigh and shank; of the knee and each muscle's end in ground, by frame."""
+    """Angles of thigh and shank; positions of the knee and of the muscles' ends in ground, by frame."""
     hip, knee = synthetic.angles(time)
     thigh, shank = hip, hip + knee
     at_knee = LENGTH * np.stack([np.sin(thigh), -np.cos(thigh), 0.0 * thigh])
@@ -66,15 +66,15 @@ def places(time):
 
 
 def pulls(time, factor=1.0):
-    """What both muscles pull the leg up with in ground, N: straight from the shank to the pelvis."""
+    """Force (N) of both muscles on the leg in ground, from the shank to the pelvis."""
     _, _, ends = places(time)
     origin = np.stack([FORWARD, 0.0 * FORWARD, 0.0 * FORWARD], axis=1)[:, :, None]
     along = (origin - ends) / np.linalg.norm(origin - ends, axis=1, keepdims=True)
     return (along * muscle_forces(time, factor)[:, None]).sum(axis=0)
 
 
-def needed(time):
-    """What both segments need to be carried and accelerated, N, by the double pendulum's formulas."""
+def required_forces(time):
+    """Forces (N) that carry and accelerate both segments, by the equations of a double pendulum."""
     turn = 2.0 * np.pi / synthetic.PERIOD
     change = -(turn**2) * (synthetic.angles(time) - np.array([0.2, 0.6])[:, None])
     rate = synthetic.angular_velocities(time)
@@ -92,14 +92,15 @@ def needed(time):
     return MASS * (both + 2.0 * np.array([0.0, GRAVITY, 0.0])[:, None])
 
 
-def test_the_hip_bears_what_newton_says(subject, compared):
+def test_the_hip_force_agrees_with_newton(subject, compared):
     result = compared.result
     assert (result.kind, result.reason) == (JOINT_REACTION, "")
     assert result.joints == {"hip": "hip_l", "knee": "knee_l"}
     for run, factor in zip(result.runs, (1.0, 1.2), strict=True):
         for trial, time in enumerate(subject.trials.time):
-            on_leg = needed(time) - force(time) - pulls(time, factor)
-            # Accelerations are those of a spline through samples, which knows the ends of cycles less well.
+            on_leg = required_forces(time) - force(time) - pulls(time, factor)
+            # Accelerations are those of a spline through samples, which is less accurate at the ends of
+            # cycles.
             inner = slice(5, -5)
             np.testing.assert_allclose(
                 run.force[trial, 0, :, inner], -on_leg[:, inner], atol=2e-3 * np.abs(on_leg).max()
@@ -111,8 +112,8 @@ def divided(runs):
     return contact(*runs, condyle_distance=0.04)
 
 
-def test_the_knee_leans_on_the_side_that_the_ground_turns_it_to(subject, divided):
-    """Muscles and masses lie in the plane of the leg: the ground alone turns the shank about its length."""
+def test_the_frontal_moment_of_the_ground_force_loads_one_compartment(subject, divided):
+    """Muscles and masses lie in the sagittal plane: only the ground force has a frontal moment."""
     result = divided.result
     for run in result.runs:
         for trial, time in enumerate(subject.trials.time):
@@ -121,16 +122,16 @@ def test_the_knee_leans_on_the_side_that_the_ground_turns_it_to(subject, divided
             turned = np.cross(POINT[:, None] - knee, force(time), axis=0) + TORQUE[:, None]
             forward = np.stack([np.cos(shank), np.sin(shank), 0.0 * shank])
             medial, lateral = run.compartments[trial]
-            # A left knee: what the femur holds against turns it the other way.
+            # A left knee: the moment of the femur has the opposite sign.
             held = -(forward * turned).sum(axis=0)
             np.testing.assert_allclose(medial - lateral, 2.0 * held / 0.04, atol=0.1)
-            # What is given along the thigh presses along the shank, turned from it by the knee's angle.
+            # Forces along the thigh are rotated into the shank by the knee's angle.
             on_thigh, bent = run.force[trial, 1], shank - thigh
             along = np.cos(bent) * on_thigh[1] - np.sin(bent) * on_thigh[0]
             np.testing.assert_allclose(medial + lateral, along, rtol=1e-6, atol=1e-2)
 
 
-def test_compartments_are_in_all_that_is_said_and_saved(divided, tmp_path):
+def test_compartments_are_in_all_outputs(divided, tmp_path):
     result = divided.result
     divided.save(tmp_path / "contact")
     content = json.loads((tmp_path / "contact" / "contact.json").read_text())
@@ -149,10 +150,10 @@ def test_compartments_are_in_all_that_is_said_and_saved(divided, tmp_path):
     assert "medial knee, peak" in contact_table(divided)
 
 
-def test_a_knee_is_not_divided_by_guess(compared, runs, bare, tmp_path):
+def test_a_knee_is_not_divided_without_a_distance(compared, runs, without_forces, tmp_path):
     assert compared.result.undivided_reason.startswith("the model's knee is one joint")
     assert compared.result.runs[0].compartments is None
-    share = contact(write_run(tmp_path / "run", bare), condyle_distance=0.04).result
+    share = contact(write_run(tmp_path / "run", without_forces), condyle_distance=0.04).result
     assert share.condyle_distance is None and "only the muscles' share" in share.undivided_reason
     for distance in (40.0, -0.04, float("nan")):
         with pytest.raises(InputError, match=r"m apart, where 0\.01 to 0\.12 m were expected"):
@@ -171,17 +172,17 @@ def test_forces_are_labelled(compared):
     assert all(dataset[name].attrs["units"] for name in dataset)
 
 
-def test_without_ground_forces_it_is_the_muscles_share(bare, tmp_path):
-    found = contact(write_run(tmp_path / "run", bare)).result
+def test_without_ground_forces_it_is_the_muscles_share(without_forces, tmp_path):
+    found = contact(write_run(tmp_path / "run", without_forces)).result
     assert found.kind == MUSCLE_SHARE
     assert "no ground reaction forces" in found.reason
-    for trial, time in enumerate(bare.trials.time):
+    for trial, time in enumerate(without_forces.trials.time):
         # Angles are those of a spline through samples.
         np.testing.assert_allclose(found.runs[0].force[trial, 0], pulls(time), atol=1e-4)
 
 
-def test_pga_pulls_along_the_model_that_it_wrote(bare, tmp_path):
-    folder = write_run(tmp_path / "run", bare, "PGA")
+def test_pga_uses_the_model_that_it_wrote(without_forces, tmp_path):
+    folder = write_run(tmp_path / "run", without_forces, "PGA")
     before = contact(folder).result.runs[0].force
     model = folder / "model_personalized.osim"
     # The semitendinosus' origin, 30 mm further back.
@@ -193,7 +194,7 @@ def test_pga_pulls_along_the_model_that_it_wrote(bare, tmp_path):
 
 
 def without_electrode(folder):
-    """A folder of a subject whose semitendinosus has no electrode."""
+    """Folder of a subject whose semitendinosus has no electrode."""
     synthetic.write_subject(folder)
     settings = folder / "subject.toml"
     settings.write_text(settings.read_text().replace('SemiTen = ["semiten_l"]\n', ""))
@@ -207,25 +208,26 @@ def partly_driven(tmp_path):
     return subject, write_run(tmp_path / "run", subject, muscles=MUSCLES[:1])
 
 
-def test_muscles_without_an_electrode_close_moments_or_do_nothing(partly_driven):
+def test_undriven_muscles_balance_moments_or_have_no_force(partly_driven):
     subject, folder = partly_driven
     closing, nothing = (
         contact(folder, undriven=treatment).result.runs[0] for treatment in ("static-optimization", "left")
     )
     assert closing.undriven.muscles == ("semiten_l",)
     assert (nothing.undriven.muscles, nothing.undriven.without_force) == ((), ("semiten_l",))
-    # What is left of the moments is what measured ones are more than modelled ones, less the muscle's.
+    # Residuals are measured less modelled moments less those of the muscle.
     np.testing.assert_allclose(nothing.undriven.residual, 0.5 * subject.trials.moments, atol=1e-9)
     assert np.square(closing.undriven.residual).sum() < np.square(nothing.undriven.residual).sum()
     assert closing.undriven.activation.max() > 0.1
-    # It pulls straight, so that it adds its force to both joints, and nothing sideways.
+    # It runs straight and in the sagittal plane: it adds its force to both joints, without a lateral
+    # component.
     added = np.linalg.norm(closing.force - nothing.force, axis=2)
     np.testing.assert_allclose(added, closing.undriven.force[0][:, None].repeat(2, axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize("method", ["NGA", "PGA"])
-def test_a_table_of_muscles_goes_before_the_model_for_those_without_an_electrode(tmp_path, method):
-    """As it does for all others: lengths that somebody found for them are not thrown away."""
+def test_muscle_parameters_take_precedence_for_undriven_muscles(tmp_path, method):
+    """As for all other muscles: the table of parameters is used instead of the model."""
     plain, listed, edited = (without_electrode(tmp_path / name) for name in ("plain", "listed", "edited"))
     synthetic.add_muscle_parameters(
         listed, ("recfem_l", 1500.0, 0.1, 0.3, 0.1), ("semiten_l", 450.0, 0.14, 0.31, 0.2)
@@ -245,7 +247,7 @@ def test_a_table_of_muscles_goes_before_the_model_for_those_without_an_electrode
     for folder in (plain, listed, edited):
         run = write_run(folder / "run", load_subject(folder), method, muscles=MUSCLES[:1])
         if method == "PGA":
-            # Parameters are the subject's, in whatever model the muscles run.
+            # Parameters are those of the subject, not of the model.
             shutil.copy(plain / "model.osim", run / "model_personalized.osim")
         found.append(contact(run).result.runs[0].undriven)
     np.testing.assert_allclose(found[1].activation, found[2].activation, rtol=1e-12)
@@ -253,7 +255,7 @@ def test_a_table_of_muscles_goes_before_the_model_for_those_without_an_electrode
     assert np.abs(found[1].force - found[0].force).max() > 10.0
 
 
-def test_peaks_are_looked_for_where_they_are_said_to_be():
+def test_peaks_are_searched_within_their_window():
     def shape(phase):
         return 2.0 * np.exp(-((phase - 20.0) ** 2) / 50.0) + 3.0 * np.exp(-((phase - 50.0) ** 2) / 50.0)
 
@@ -263,7 +265,7 @@ def test_peaks_are_looked_for_where_they_are_said_to_be():
     first = peaks(curve[None], percent[None], (10.0, 30.0))
     assert (first.phase, first.frame) == ([20.0], [20])
     np.testing.assert_allclose(first.force, 2.0, rtol=1e-3)
-    # Of a cycle that begins in the middle, the same peaks are in other frames.
+    # In a cycle that starts in the middle, the same peaks are in other frames.
     later = percent[None] + 40.0
     first = peaks(shape(later % 100.0), later, (10.0, 30.0))
     assert (first.phase, first.frame) == ([20.0], [80])
@@ -272,7 +274,7 @@ def test_peaks_are_looked_for_where_they_are_said_to_be():
 
 
 def test_phases_count_from_recorded_strikes(compared, subject):
-    """The foot meets the ground where the made-up force begins: each cycle, by the formula for it."""
+    """The foot strikes the ground where the synthetic force starts, at a known time of each cycle."""
     result = compared.result
     time = np.arange(0.0, 4.0, 1e-4)
     on = force(time)[1] > 30.0
@@ -288,7 +290,7 @@ def test_phases_count_from_recorded_strikes(compared, subject):
     assert any(phase[0] > 5.0 for phase in result.phase)
 
 
-def test_what_is_saved_is_numbers_for_programs_and_curves_for_opensim(compared, tmp_path):
+def test_saved_files(compared, tmp_path):
     out = tmp_path / "contact"
     compared.save(out)
     content = json.loads((out / "contact.json").read_text())
@@ -313,7 +315,7 @@ def test_what_is_saved_is_numbers_for_programs_and_curves_for_opensim(compared, 
 
 
 def broken(folder, subject):
-    """Ways in which a run cannot be used, and what is said."""
+    """Runs that cannot be used, with the error message."""
     other = write_run(folder / "sga", subject, "SGA")
     yield other, "was made by SGA, which adjusts polynomials"
     yield folder / "nothing", "does not exist; a RUN is what 'wrapjax calibrate' writes"
@@ -335,15 +337,15 @@ def broken(folder, subject):
     yield late, "expected the frames of cycle 'walk_b', 0.6 to 1.8 s"
 
 
-def test_what_is_no_usable_run_is_said(bare, tmp_path):
-    for folder, words in broken(tmp_path, bare):
+def test_unusable_runs_are_refused(without_forces, tmp_path):
+    for folder, words in broken(tmp_path, without_forces):
         with pytest.raises(InputError) as caught:
             contact(folder)
         assert words in str(caught.value), folder
 
 
-def test_a_subject_that_moved_is_asked_for(bare, tmp_path):
-    subject = load_subject(shutil.copytree(bare.folder, tmp_path / "person"))
+def test_a_moved_subject_is_requested(without_forces, tmp_path):
+    subject = load_subject(shutil.copytree(without_forces.folder, tmp_path / "person"))
     folder = write_run(tmp_path / "run", subject)
     shutil.move(tmp_path / "person", tmp_path / "elsewhere")
     with pytest.raises(InputError, match="name it with --subject"):
@@ -352,15 +354,15 @@ def test_a_subject_that_moved_is_asked_for(bare, tmp_path):
         assert contact(run, subject=tmp_path / "elsewhere").subject.name == "synthetic"
 
 
-def test_a_subject_with_other_cycles_is_refused(bare, tmp_path):
-    folder = write_run(tmp_path / "run", bare)
-    other = shutil.copytree(bare.folder, tmp_path / "other")
+def test_a_subject_with_other_cycles_is_refused(without_forces, tmp_path):
+    folder = write_run(tmp_path / "run", without_forces)
+    other = shutil.copytree(without_forces.folder, tmp_path / "other")
     settings = other / "subject.toml"
     settings.write_text(settings.read_text().replace('name = "walk_b"', 'name = "walk_c"'))
     with pytest.raises(InputError, match=r"to have the cycles .*walk_b, found .*walk_c"):
         contact(folder, subject=other)
 
 
-def test_runs_of_two_subjects_are_not_compared(bare, subject, tmp_path):
+def test_runs_of_two_subjects_are_not_compared(without_forces, subject, tmp_path):
     with pytest.raises(InputError, match="compare runs of one subject"):
-        contact(write_run(tmp_path / "one", bare), write_run(tmp_path / "two", subject))
+        contact(write_run(tmp_path / "one", without_forces), write_run(tmp_path / "two", subject))

@@ -1,4 +1,4 @@
-"""Defends: a healthy walker's hip bears what hips of walkers bear, and OpenSim and the engine agree on it."""
+"""Hip contact forces of a healthy walker are in the published range; OpenSim and the engine agree."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from wrapjax.osim.model import describe_model
 
 @pytest.fixture(scope="module")
 def runs(data_folder, tmp_path_factory):
-    """NGA and PGA along exact paths."""
+    """Runs by NGA and PGA with exact paths."""
     subject = wrapjax.load_subject(data_folder / "healthy_overground")
     place = tmp_path_factory.mktemp("runs")
     for method in ("NGA", "PGA"):
@@ -29,23 +29,23 @@ def run(runs):
 
 
 @pytest.mark.slow
-def test_a_walkers_hip_bears_two_to_six_bodyweights(run):
+def test_hip_forces_are_two_to_six_bodyweights(run):
     result = contact(run).result
     assert result.kind == JOINT_REACTION
     hip = result.runs[0].magnitude[0, list(result.joints).index("hip")] / result.bodyweight
-    assert 2.0 < hip[:60].max() < 6.0  # while the foot is on the ground
-    assert hip[65:].max() < 0.6 * hip[:60].max()  # and less while it swings
-    # Above all it presses up, on the pelvis.
+    assert 2.0 < hip[:60].max() < 6.0  # In stance.
+    assert hip[65:].max() < 0.6 * hip[:60].max()  # Less in swing.
+    # The largest component is upward on the pelvis.
     assert np.abs(result.runs[0].force[0, 0, 1]).max() > 0.9 * hip.max() * result.bodyweight
 
 
 @pytest.mark.slow
-def test_its_first_peak_is_early_in_stance_by_both_methods(runs):
-    """Where studies with instrumented hips have it, on the nominal model as on the personalised one."""
+def test_the_first_peak_is_early_in_stance(runs):
+    """As in studies with instrumented hips, on the nominal and on the personalised model."""
     result = contact(*runs).result
     assert [own.label for own in result.runs] == ["NGA", "PGA"]
     assert not np.array_equal(result.runs[0].force, result.runs[1].force)
-    # Of the stretch in which the peak is looked for, its ends are no peaks.
+    # The peak is not at an end of its window.
     low, high = peak_windows("hip")["first_peak"]
     for own in result.runs:
         first = peaks(result.curves(own, "hip"), result.phase, (low, high))
@@ -56,8 +56,8 @@ def test_its_first_peak_is_early_in_stance_by_both_methods(runs):
 
 
 @pytest.mark.slow
-def test_muscles_press_in_opensim_as_the_engine_says(run):
-    """Wrapped as OpenSim wraps, every muscle's line is OpenSim's."""
+def test_lines_of_action_agree_with_opensim(run):
+    """With OpenSim's wrapping, the line of action of every muscle is OpenSim's."""
     read = read_curves(run)
     subject, model = read.subject, describe_model(read.subject.model_file)
     joints = tuple(_joints(subject.model_file, subject.trials.moment_coordinates).values())

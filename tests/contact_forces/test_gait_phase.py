@@ -1,4 +1,4 @@
-"""Phases count from the strike before, whichever part of a walk a cycle was cut from, and alike for all."""
+"""Phases are counted from the preceding strike, in the same way for all cycles of a leg."""
 
 import numpy as np
 import pytest
@@ -14,28 +14,28 @@ def cycle(start, end):
     return np.linspace(start, end, 101)
 
 
-def test_a_cycle_from_strike_to_strike_is_even():
+def test_a_cycle_from_strike_to_strike_is_uniform():
     found = phase_from_strikes(cycle(0.2, 1.3), STRIKES)
     np.testing.assert_allclose(found, uniform_phases(101), atol=1e-9)
 
 
 @pytest.mark.parametrize("early", [0.5, -0.5])
-def test_a_frame_beside_the_strike_does_not_turn_the_cycle_over(early):
-    """Cycles are given to few digits."""
+def test_a_frame_just_before_the_strike_has_phase_zero(early):
+    """Limits of cycles are given with few digits."""
     step = 1.1 / 100
     found = phase_from_strikes(cycle(0.2, 1.3) - early * step, STRIKES)
     np.testing.assert_allclose(found, uniform_phases(101), atol=1.0)
 
 
-def test_a_cycle_that_begins_later_says_so_and_rises_beyond_the_next_strike():
+def test_a_cycle_that_starts_later_exceeds_100_after_the_next_strike():
     time = cycle(0.75, 1.9)
     found = phase_from_strikes(time, STRIKES)
     assert found[0] == pytest.approx(50.0) and found[-1] == pytest.approx(150.0)
     assert (np.diff(found) > 0.0).all()
 
 
-def test_beyond_recorded_strikes_the_foot_goes_on_as_before():
-    """By the median stride, however far; by the cycle's own duration where one strike alone was recorded."""
+def test_strikes_are_extrapolated():
+    """By the median stride time; by the duration of the cycle if only one strike was recorded."""
     ahead = phase_from_strikes(cycle(0.85, 1.95), WALK)
     for number in range(-5, 10):
         beyond = phase_from_strikes(cycle(0.85, 1.95) + 1.1 * number, WALK)
@@ -44,8 +44,8 @@ def test_beyond_recorded_strikes_the_foot_goes_on_as_before():
 
 
 @pytest.mark.parametrize("early", [0.02, -0.01])
-def test_listed_strikes_go_before_those_of_filtered_forces(early):
-    """Forces that were filtered rise early; the first cycle, the last and one without forces are alike."""
+def test_limits_of_cycles_take_precedence_over_filtered_forces(early):
+    """Filtered forces rise early; the first cycle, the last one and one without forces are treated alike."""
     listed = np.array([cycle(*WALK[row : row + 2]) for row in (0, 1, 3, 2)])
     forces = [WALK - early] * 3 + [np.zeros(0)]
     np.testing.assert_array_equal(gait_phases(listed, forces), np.tile(uniform_phases(101), (4, 1)))
@@ -54,34 +54,34 @@ def test_listed_strikes_go_before_those_of_filtered_forces(early):
     )
 
 
-def test_cycles_cut_elsewhere_are_counted_from_strikes_the_last_one_too():
-    """Of the last cycle no strike after it was recorded; of another none at all."""
+def test_cycles_that_start_elsewhere_are_counted_from_strikes():
+    """No strike was recorded after the last cycle, and none at all in another."""
     later = 0.4 * 1.1
     cut = np.array([cycle(*WALK[row : row + 2] + later) for row in (0, 1, 3, 2)])
     found = gait_phases(cut, [WALK[:-1]] * 3 + [np.zeros(0)])
     np.testing.assert_allclose(found, np.tile(40.0 + uniform_phases(101), (4, 1)), atol=1e-9)
 
 
-def test_one_cycle_cut_elsewhere_is_enough_to_count_all_from_strikes():
+def test_one_cycle_that_starts_elsewhere_suffices_to_use_strikes():
     listed = np.array([cycle(*WALK[:2]), cycle(*WALK[1:3] + 2.0 * AT_STRIKE)])
     first, second = gait_phases(listed, [WALK - 0.02] * 2)
     assert first[0] == pytest.approx(100.0 * 0.02 / 1.1) and second[0] == pytest.approx(100.0 * 0.08 / 1.1)
 
 
-def test_a_part_of_a_stride_is_not_taken_for_a_whole_one():
-    """It begins at a strike, and ends before the next one."""
+def test_a_partial_stride_is_not_a_complete_cycle():
+    """It starts at a strike and ends before the next one."""
     found = gait_phases(np.array([cycle(WALK[0], WALK[0] + 0.88)]), [WALK])
     np.testing.assert_allclose(found[0], 0.8 * uniform_phases(101), atol=1e-9)
 
 
-def test_starts_are_averaged_round_the_cycle():
-    """5 % late and 5 % early are at a strike on average, not half a cycle from it."""
+def test_starts_are_averaged_on_a_circle():
+    """5 % late and 5 % early average to the strike, not to half a cycle."""
     late, early = (cycle(*WALK[:2] + 1.1 * share) for share in (0.05, -0.05))
     found = gait_phases(np.array([late, early, late]), [WALK, WALK, np.zeros(0)])
     assert found[1][0] == pytest.approx(95.0)
     assert min(found[2][0], 100.0 - found[2][0]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_where_nothing_is_known_cycles_are_even():
+def test_without_strikes_phases_are_uniform():
     found = gait_phases(np.array([cycle(0.0, 1.1), cycle(2.0, 3.2)]), [np.zeros(0)] * 2)
     np.testing.assert_array_equal(found, np.tile(uniform_phases(101), (2, 1)))

@@ -1,4 +1,4 @@
-"""Defends: a muscle presses a joint together along the straight piece by which it crosses it."""
+"""Muscles load a joint along the straight segment by which they cross it."""
 
 import numpy as np
 import pytest
@@ -80,8 +80,8 @@ def unit(vector):
     return vector / np.linalg.norm(vector)
 
 
-def test_lines_are_unit_vectors_toward_the_bone_above(lines, angles):
-    """Everything in the pelvis' frame, by hand."""
+def test_lines_are_unit_vectors_toward_the_proximal_body(lines, angles):
+    """In the frame of the pelvis, by hand."""
     axes = np.array(IN_PELVIS.rotation)
     for trial, frame in np.ndindex(2, 3):
         _, hip, knee = angles[trial, :, frame]
@@ -96,14 +96,14 @@ def test_lines_are_unit_vectors_toward_the_bone_above(lines, angles):
         np.testing.assert_allclose(lines[[0, 2, 3], 1, :, trial, frame], 0.0, atol=1e-12)
 
 
-def test_shares_add_up(lines):
+def test_muscle_forces_are_summed(lines):
     force = np.random.default_rng(5).uniform(0.0, 500.0, (len(NAMES), 2, 3))
     share = sum_muscle_forces(lines, force)
     assert share.shape == (2, len(JOINTS), 3, 3)
     np.testing.assert_allclose(share[1, 0, 2], (lines[:, 0, 2, 1] * force[:, 1]).sum(axis=0))
 
 
-def test_a_joint_that_cannot_slide_is_said(angles):
+def test_an_unsupported_joint_is_refused(angles):
     with pytest.raises(InputError, match="hip_jont: the model has no such joint; did you mean 'hip_joint'"):
         lines_of_action(MODEL, NAMES, ("hip_jont",), COORDINATES, angles)
     with pytest.raises(InputError, match="odd: is a BallJoint that the path engine cannot move"):

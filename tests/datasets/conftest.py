@@ -1,4 +1,4 @@
-"""A server on this machine that stands for the public one, and answers as it is told."""
+"""A local server in place of the public one, and folders of the virtual person."""
 
 import hashlib
 import threading
@@ -17,7 +17,7 @@ from wrapjax.datasets.virtual_person.true_parameters import read_true_parameters
 
 @dataclass
 class Server:
-    """Files by path; how many requests of each are still refused; and what was asked for."""
+    """Files by path, number of requests of each still to be refused, and requests received."""
 
     files: dict[str, bytes] = field(default_factory=dict)
     refusals: dict[str, int] = field(default_factory=dict)
@@ -27,7 +27,7 @@ class Server:
 
 @pytest.fixture
 def server():
-    """Serve on any free port of this machine alone."""
+    """Serve on a free port of this machine."""
     state = Server()
 
     class Handler(BaseHTTPRequestHandler):
@@ -57,8 +57,8 @@ def server():
 
 
 @pytest.fixture(autouse=True)
-def apart(tmp_path_factory, monkeypatch):
-    """Let every test begin with an empty cache, and wait for no retry."""
+def empty_cache(tmp_path_factory, monkeypatch):
+    """Start every test with an empty cache and without waiting before retries."""
     monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path_factory.mktemp("cache")))
     monkeypatch.setattr("pooch.core.time.sleep", lambda seconds: None)
 
@@ -73,11 +73,11 @@ def checksum(content: bytes) -> str:
 
 @pytest.fixture
 def recording(server):
-    """A recording of two files, which the server has."""
+    """A recording of two files that the server provides."""
     place = "people/repository/abc123/folder/below"
     server.files |= {f"/{place}/{name}": content for name, content in CONTENT.items()}
     return PublicRecording(
-        name="healthy_overground",  # whose settings are written
+        name="healthy_overground",  # The package contains its settings.
         about="Somebody",
         place=place,
         licence="Apache-2.0",
@@ -95,7 +95,7 @@ def recording(server):
 
 @pytest.fixture(scope="session")
 def leg_file(tmp_path_factory):
-    """The virtual leg's model."""
+    """Model of the virtual leg."""
     opensim.Logger.setLevelString("Off")
     path = tmp_path_factory.mktemp("leg") / "model.osim"
     build_leg_model(path)
@@ -104,7 +104,7 @@ def leg_file(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def clean_folder(tmp_path_factory):
-    """A virtual subject without any noise: one cycle at either speed."""
+    """A virtual subject without noise: one cycle at each of two speeds."""
     folder = tmp_path_factory.mktemp("subjects") / "clean"
     series = (Series(0.8, 1, 0), Series(1.2, 0, 1))
     write_virtual_subject(folder, seed=3, emg_noise=0.0, moment_noise=0.0, series=series)

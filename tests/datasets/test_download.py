@@ -1,4 +1,4 @@
-"""What is fetched is what was published, or nothing; failures are few sentences, after trying again."""
+"""Downloads equal the published files or are refused; failures are reported after retries."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import load_subject
 
 
-def test_files_come_to_their_places_and_are_kept_for_the_next_time(server, recording, tmp_path):
+def test_files_are_written_and_cached(server, recording, tmp_path):
     write_public_subject(recording, tmp_path / "first", server=server.address)
     assert names(tmp_path / "first") == [
         "ORIGIN.txt",
@@ -27,7 +27,7 @@ def test_files_come_to_their_places_and_are_kept_for_the_next_time(server, recor
     ]
     trial = tmp_path / "first" / "trials" / "walk"
     assert (trial / "ground_forces.mot").read_bytes() == b"forces"
-    # A file that names another names it as it is called here.
+    # Names of other files within a file are replaced by the local names.
     assert (trial / "external_loads.xml").read_bytes() == b"<datafile>ground_forces.mot</datafile>"
     origin = (tmp_path / "first" / "ORIGIN.txt").read_text()
     assert "people/repository, commit abc123" in origin and "folder/below; licence Apache-2.0" in origin
@@ -45,12 +45,12 @@ def test_wrong_checksum_is_refused(server, recording, tmp_path):
         write_public_subject(recording, tmp_path / "out", server=server.address)
     assert list(tmp_path.iterdir()) == []
     assert server.asked.count(path) == 1 + RETRIES
-    # Nothing of the wrong file is kept: once the server has the right one it is had.
+    # The wrong file is not cached: it is downloaded again once the server has the right one.
     server.files[path] = b"<datafile>walk.mot</datafile>"
     write_public_subject(recording, tmp_path / "out", server=server.address)
 
 
-def test_server_that_fails_twice_is_asked_again(server, recording, tmp_path):
+def test_a_failing_request_is_repeated(server, recording, tmp_path):
     path = f"/{recording.place}/walk.mot"
     server.refusals[path] = 2
     write_public_subject(recording, tmp_path / "out", server=server.address)
@@ -65,15 +65,15 @@ def test_server_that_keeps_failing(server, recording, tmp_path):
 
 
 def test_no_server(recording, tmp_path):
-    """Port 9 of this machine: nobody listens there."""
+    """No server listens on port 9 of this machine."""
     with pytest.raises(InputError, match=r"cannot be downloaded: no answer .* is this machine online\?"):
         write_public_subject(recording, tmp_path / "out", server="http://127.0.0.1:9")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", PUBLIC_RECORDINGS)
-def test_what_is_published_makes_a_subject(name, server, data_folder, tmp_path):
-    """The recorded folders were made from these files by hand: names, checksums and settings must meet."""
+def test_published_files_make_a_subject(name, server, data_folder, tmp_path):
+    """The recorded folders were made from these files by hand: names, checksums and settings must agree."""
     recording = PUBLIC_RECORDINGS[name]
     for file in recording.files:
         content = (data_folder / name / file.target).read_bytes()
@@ -94,8 +94,8 @@ def test_what_is_published_makes_a_subject(name, server, data_folder, tmp_path):
         assert isinstance(trial.ground_forces, Path) and read_ground_loads(trial) is not None
 
 
-def test_external_loads_of_our_own_give_the_published_moments(server, data_folder, tmp_path):
-    """Which columns act on which foot nobody published."""
+def test_added_external_loads_give_the_published_moments(server, data_folder, tmp_path):
+    """The assignment of columns to feet was not published."""
     pytest.importorskip("opensim")
     from wrapjax.osim.model import describe_model
     from wrapjax.osim.tools import solve_inverse_dynamics
@@ -111,7 +111,7 @@ def test_external_loads_of_our_own_give_the_published_moments(server, data_folde
     couplers = find_coupled_coordinates(describe_model(model).coordinates)
     infos = read_model_file(model).coordinates
     read = read_motion(trial.angles, infos, couplers, ("knee_angle_l",), [])
-    # Filtered as whoever solved the published moments did; their first and last frames have not settled.
+    # Filtered as the published moments; the filter has not settled in their first and last frames.
     smooth = Motion(read.coordinates, read.time, low_pass(read.time, read.values, 6.0)).with_coupled(couplers)
     part = (read.time > 2.0) & (read.time < 5.0)
     solved = solve_inverse_dynamics(

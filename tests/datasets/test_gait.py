@@ -1,4 +1,4 @@
-"""The virtual person's gait is human, periodic, and different every cycle."""
+"""The virtual person's gait is physiological, periodic, and different in every cycle."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ def percent(cycle, count=101):
     return np.linspace(cycle.start, cycle.end, count)
 
 
-def test_key_events_are_where_they_belong():
+def test_key_events_have_physiological_phases():
     """Winter 1991: hip most extended near 50 %, knee most flexed at 70 to 75 %, push-off after 50 %."""
     cycle = normative_cycle()
     angles = dict(zip(COORDINATES, np.degrees(cycle.angles(percent(cycle))), strict=True))
@@ -32,7 +32,7 @@ def test_emg_peaks_at_its_time():
     assert peaks["SemiMemb"] >= 88
 
 
-def test_slow_walking_takes_longer_strides_smaller_and_less_emg():
+def test_slow_walking_has_longer_cycles_smaller_angles_and_less_emg():
     slow, natural = normative_cycle(0.8), normative_cycle(1.2)
     assert cycle_time(1.2) == pytest.approx(1.12, abs=0.02)
     assert slow.duration > 1.15 * natural.duration

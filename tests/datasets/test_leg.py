@@ -1,4 +1,4 @@
-"""The virtual leg opens in OpenSim, and its paths behave like muscles over a gait cycle."""
+"""The virtual leg opens in OpenSim, and its muscle paths are physiological over a gait cycle."""
 
 import numpy as np
 import opensim
@@ -16,7 +16,7 @@ HIP_FLEXION, HIP_ADDUCTION, HIP_ROTATION, KNEE, ANKLE, SUBTALAR = COORDINATES
 
 @pytest.fixture(scope="module")
 def poses():
-    """A natural gait cycle, 201 frames."""
+    """Poses of a natural gait cycle, 201 frames."""
     cycle = normative_cycle()
     return cycle.angles(np.linspace(cycle.start, cycle.end, 201)).T
 
@@ -40,7 +40,7 @@ def pose(opened, values):
     return state
 
 
-def test_model_has_the_promised_parts(opened):
+def test_model_has_the_documented_parts(opened):
     model, state = opened
     coordinates = [model.getCoordinateSet().get(i) for i in range(model.getCoordinateSet().getSize())]
     assert tuple(coordinate.getName() for coordinate in coordinates) == COORDINATES
@@ -64,7 +64,7 @@ def test_every_cylinder_is_touched_in_walking(opened, poses):
 
 
 def test_no_path_point_comes_inside_its_cylinder(opened, poses):
-    """Inside a cylinder OpenSim drops the wrap, and the path jumps."""
+    """OpenSim ignores a cylinder that contains a path point, which makes the path discontinuous."""
     model, _ = opened
     surfaces = {cylinder.name: cylinder for cylinder in CYLINDERS}
     for values in poses[::5]:
@@ -82,16 +82,16 @@ def test_no_path_point_comes_inside_its_cylinder(opened, poses):
                 assert np.hypot(*across) > surface.radius + 0.001, (muscle.name, np.degrees(values))
 
 
-def test_paths_do_not_jump(geometry):
-    """A jump or a corner shows in the second difference; smooth walking stays below 0.2 mm a frame."""
+def test_paths_are_continuous(geometry):
+    """The second difference shows discontinuities and kinks; otherwise it is below 0.2 mm per frame."""
     second = np.abs(np.diff(geometry.length, 2, axis=0)).max(axis=0)
     assert dict(zip(NAMES, second, strict=True)) == {name: pytest.approx(0.0, abs=2e-4) for name in NAMES}
     steps = np.abs(np.diff(geometry.moment_arm, axis=0)).max(axis=(0, 1))
     assert steps.max() < 0.003
 
 
-def test_moment_arms_are_the_slopes_of_length(leg_file, poses, geometry):
-    """They part where a wrapped segment ends in its cylinder's middle plane (by 25 mm at the knee)."""
+def test_moment_arms_are_the_derivatives_of_length(leg_file, poses, geometry):
+    """They differ where a wrapped segment ends in its cylinder's middle plane (by 25 mm at the knee)."""
     step = 1e-5
     for column, name in enumerate(COORDINATES):
         shift = step * (np.arange(len(COORDINATES)) == column)

@@ -1,4 +1,4 @@
-"""The left leg is the right one in a mirror, and both are legs of one person."""
+"""The left leg is the mirror image of the right one, and both are legs of one person."""
 
 import re
 
@@ -38,15 +38,15 @@ def poses():
     return walking + np.random.default_rng(1).normal(0.0, 0.05, walking.shape)
 
 
-def test_nothing_of_the_right_leg_is_left(left_file):
+def test_all_names_are_of_the_left_leg(left_file):
     text = left_file.read_text(encoding="utf-8")
     assert "soleus_l" in text
     assert not re.search(r"_r\b", text)
     assert not re.search(r"-0(?![.\d])", text), "a negative zero"
 
 
-def test_what_lies_off_the_plane_is_mirrored_too():
-    """The virtual leg has no such mass center or shift."""
+def test_out_of_plane_mass_centers_and_shifts_are_mirrored():
+    """The virtual leg has none of these."""
     leg = LegModel(
         name="made_up",
         credits="",
@@ -72,7 +72,7 @@ def test_same_lengths_and_moment_arms_at_the_same_angles(leg_file, left_file, po
 
 
 def test_same_angles_are_mirrored_poses(leg_file, left_file, poses):
-    """Mass centers and a far point of every segment, so that turns count too."""
+    """Mass centers and a distant point of every segment, so that rotations count too."""
 
     def stations(file, side, values):
         model = opensim.Model(str(file))
@@ -100,7 +100,7 @@ def legs(tmp_path_factory):
     return folder, truths
 
 
-def test_the_folders_belong_together(legs):
+def test_the_folders_name_each_other(legs):
     folder, truths = legs
     for name, side in (("right", "r"), ("left", "l")):
         subject = load_subject(folder / name)
@@ -109,7 +109,7 @@ def test_the_folders_belong_together(legs):
         assert [leg.side for leg in read_legs(subject)] == [side, "l" if side == "r" else "r"]
 
 
-def test_the_person_is_one_and_electrodes_are_two(legs):
+def test_lengths_are_shared_and_emg_scales_are_not(legs):
     right, left = legs[1]["right"], legs[1]["left"]
     assert left.muscles == on_left(right.muscles)
     for name in ("activation_time_constant", "activation_nonlinearity"):
@@ -121,7 +121,7 @@ def test_the_person_is_one_and_electrodes_are_two(legs):
 
 
 def test_the_right_leg_is_that_of_the_single_subject(legs, clean_folder):
-    """Same seed, same leg: only its name and the other leg's are new."""
+    """With the same seed only the leg's name and the other leg are different."""
     folder = legs[0] / "right"
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     assert names == {
@@ -133,22 +133,22 @@ def test_the_right_leg_is_that_of_the_single_subject(legs, clean_folder):
     assert set(new) - set(old) == {'name = "person_right"', 'other_leg = "../left"'}
 
 
-def test_a_seed_keeps_its_person(legs):
-    """Also where earlier versions knew of one leg."""
+def test_a_seed_always_gives_the_same_person(legs):
+    """Also that of earlier versions with a single leg."""
     expected = draw_true_parameters(np.random.default_rng(np.random.SeedSequence(3).spawn(3)[0]))
     np.testing.assert_array_equal(legs[1]["right"].electromechanical_delay, expected.electromechanical_delay)
 
 
-def test_the_left_leg_walks_by_itself(legs):
+def test_the_left_leg_has_its_own_cycles(legs):
     right, left = (load_subject(legs[0] / name).trials for name in ("right", "left"))
     assert not np.any(right.angles[:, :, 10] == left.angles[:, :, 10])
-    # It is as human as the right one.
+    # It is as physiological as the right one.
     for place, name in enumerate(COORDINATES):
         peaks = [np.abs(trials.moments[:, place]).max() for trials in (right, left)]
         assert max(peaks) < 2.0 * min(peaks), name
 
 
-def test_legs_appear_whole_or_not_at_all(tmp_path, monkeypatch):
+def test_legs_are_written_completely_or_not_at_all(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError("disk full")
 

@@ -1,4 +1,4 @@
-"""A virtual subject's folder is a subject folder, its moments are human, and the truth explains them."""
+"""A virtual subject's folder has physiological moments, which the true parameters explain."""
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ def subject(clean_folder):
 
 @pytest.fixture(scope="module")
 def path(subject):
-    """Paths at the angles in the files, whose first and last 8 frames are outside the cycle."""
+    """Muscle paths at the stored angles, whose first and last 8 frames are outside the cycle."""
     lengths, rates, arms = [], [], []
     for recording in subject.recordings:
         table = read_storage(recording.angles)
@@ -43,7 +43,7 @@ def path(subject):
 
 @pytest.fixture(scope="module")
 def states(subject, clean_truth, path):
-    """The forward model with the true parameters on what was read."""
+    """Forward model with the true parameters on the stored recordings."""
     trials, muscles = subject.trials, subject.muscles
     start = initial_parameters(
         jnp.asarray(muscles.max_isometric_force),
@@ -58,7 +58,7 @@ def states(subject, clean_truth, path):
     return muscle_states(HILL_CURVES["paper"], parameters, Recording(emg, fixed_path(path), trials.padding))
 
 
-def test_folder_reads_without_remarks(subject, clean_truth):
+def test_folder_is_read_without_notes(subject, clean_truth):
     assert subject.notes == ()
     assert subject.undriven_muscles == ()
     assert subject.muscles.names == clean_truth.muscles
@@ -68,14 +68,14 @@ def test_folder_reads_without_remarks(subject, clean_truth):
     assert any(set(group) == {"gaslat_r", "gasmed_r", "soleus_r"} for group in subject.fiber_length_groups)
 
 
-def test_truth_reproduces_the_moments(subject, states):
-    """Whatever is between truth and file (grids, delays, units, orders) must not cost a micronewton meter."""
+def test_true_parameters_reproduce_the_moments(subject, states):
+    """Grids, delays, units and orders of the files must not change moments by a micronewton meter."""
     modelled = np.asarray(states.moment.sum(axis=0))
     assert np.abs(modelled - subject.trials.moments).max() < 1e-6
 
 
-def test_rates_agree_with_the_chain_rule(subject, path):
-    """A calibration takes the rate from joint velocities; the truth took it from lengths over time."""
+def test_velocities_agree_with_the_chain_rule(subject, path):
+    """A calibration computes velocities from joint velocities; the simulation computes them from lengths."""
     chained = -np.einsum("mtcf,tcf->mtf", path.moment_arm, subject.trials.angular_velocities)
     error = np.abs(chained - path.velocity)
     assert np.sqrt(np.mean(error**2)) < 2e-4
@@ -83,7 +83,7 @@ def test_rates_agree_with_the_chain_rule(subject, path):
     assert error.max() < 0.01
 
 
-def test_moments_are_human(subject):
+def test_moments_are_physiological(subject):
     """Winter 1991, N m/kg: ankle -1.2 to -1.7 at push-off; hip and knee within 1.2."""
     moments = dict(zip(COORDINATES, subject.trials.moments[-1] / subject.mass_kg, strict=True))
     assert -1.7 < moments["ankle_angle_r"].min() < -1.1
@@ -117,14 +117,14 @@ def test_same_seed_same_bytes(tmp_path):
     assert {str(p) for p in one if one[p] == other[p]} == {"model.osim"}
 
 
-def test_noise_has_the_size_asked_for(tmp_path, clean_folder, subject):
+def test_noise_has_the_requested_size(tmp_path, clean_folder, subject):
     noisy_folder = tmp_path / "noisy"
     series = (Series(0.8, 1, 0), Series(1.2, 0, 1))
     write_virtual_subject(noisy_folder, seed=3, emg_noise=0.2, moment_noise=4.0, series=series)
     noisy = load_subject(noisy_folder)
     moment_error = noisy.trials.moments - subject.trials.moments
     assert moment_error.std() == pytest.approx(4.0, rel=0.25)
-    # Smooth: neighbours are alike.
+    # Noise is smooth: successive frames are similar.
     assert np.diff(moment_error, axis=-1).std() < 0.3 * moment_error.std()
     high = subject.trials.emg > 0.5
     ratio = np.log(noisy.trials.emg[high] / subject.trials.emg[high])
@@ -133,8 +133,8 @@ def test_noise_has_the_size_asked_for(tmp_path, clean_folder, subject):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_feasible_truths_are_the_rule(seed, path, subject):
-    """Any person's fibers stay where a calibration lets them (0.3 to 1.3)."""
+def test_true_parameters_are_usually_feasible(seed, path, subject):
+    """Fiber lengths of any person stay within the limits of a calibration (0.3 to 1.3)."""
     truth = draw_true_parameters(np.random.default_rng(seed))
     reach = truth.optimal_fiber_length * np.cos(subject.muscles.pennation_angle)
     fiber = (np.asarray(path.length) - truth.tendon_slack_length[:, None, None]) / reach[:, None, None]

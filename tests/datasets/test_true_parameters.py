@@ -12,7 +12,7 @@ from wrapjax.datasets.virtual_person.true_parameters import (
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_truth_is_within_its_ranges(seed):
+def test_true_parameters_are_within_their_ranges(seed):
     truth = draw_true_parameters(np.random.default_rng(seed))
     by_name = {muscle.name: muscle for muscle in MUSCLES}
     assert sorted(truth.muscles) == sorted(by_name)
@@ -31,7 +31,7 @@ def test_truth_is_within_its_ranges(seed):
         assert np.ptp(values) > 0.3 * (highest - lowest)
 
 
-def test_muscles_under_one_electrode_are_more_alike():
+def test_muscles_of_one_channel_are_more_alike():
     truths = [draw_true_parameters(np.random.default_rng(seed)) for seed in range(200)]
     delays = {
         name: np.array([truth.electromechanical_delay[truth.muscles.index(name)] for truth in truths])

@@ -1,4 +1,4 @@
-"""Hidden cylinders: the person has others than the written model, and walks as smoothly round them."""
+"""Displaced cylinders: the true ones differ from those of the written model, and paths are as smooth."""
 
 import json
 
@@ -26,8 +26,8 @@ SPREAD = 0.6
 
 
 @pytest.fixture(scope="module")
-def hidden_folder(tmp_path_factory):
-    """The clean subject once more, with hidden cylinders."""
+def displaced_folder(tmp_path_factory):
+    """The noise-free subject with displaced cylinders."""
     folder = tmp_path_factory.mktemp("hidden") / "subject"
     series = (Series(0.8, 1, 0), Series(1.2, 0, 1))
     write_virtual_subject(folder, seed=3, emg_noise=0.0, moment_noise=0.0, series=series, wrap_spread=SPREAD)
@@ -35,45 +35,45 @@ def hidden_folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def hidden(hidden_folder):
-    return read_true_parameters(hidden_folder)
+def displaced(displaced_folder):
+    return read_true_parameters(displaced_folder)
 
 
-def test_cylinders_differ_within_the_spread(hidden):
-    assert set(hidden.wraps) == {cylinder.name for cylinder in CYLINDERS}
-    changes = (np.stack(list(hidden.wraps.values())) - NOMINAL) / LARGEST_CHANGE
+def test_cylinders_differ_within_the_spread(displaced):
+    assert set(displaced.wraps) == {cylinder.name for cylinder in CYLINDERS}
+    changes = (np.stack(list(displaced.wraps.values())) - NOMINAL) / LARGEST_CHANGE
     assert np.abs(changes).max() <= SPREAD
     assert (np.ptp(changes, axis=0) > 0.5 * SPREAD).all()
 
 
-def test_nothing_else_of_the_person_changes(hidden, clean_truth, hidden_folder, clean_folder):
-    """The model that is written is nominal, muscles and walking are those of the same seed."""
+def test_nothing_else_changes(displaced, clean_truth, displaced_folder, clean_folder):
+    """The written model is nominal; muscles and walking are those of the same seed."""
     for name in parameter_names():
-        assert np.array_equal(getattr(hidden, name), getattr(clean_truth, name))
+        assert np.array_equal(getattr(displaced, name), getattr(clean_truth, name))
     assert clean_truth.wraps == {}
     same = ("model.osim", "trials/walk_0p8_1/angles.sto", "trials/walk_0p8_1/emg.sto")
     for file in same:
-        assert (hidden_folder / file).read_bytes() == (clean_folder / file).read_bytes(), file
-    moments = [load_subject(folder).trials.moments for folder in (hidden_folder, clean_folder)]
+        assert (displaced_folder / file).read_bytes() == (clean_folder / file).read_bytes(), file
+    moments = [load_subject(folder).trials.moments for folder in (displaced_folder, clean_folder)]
     assert np.abs(moments[0] - moments[1]).max() > 1.0
 
 
-def test_truth_is_read_with_and_without_cylinders(hidden_folder, hidden):
-    content = json.loads((hidden_folder / TRUE_PARAMETERS_FILE).read_text())
+def test_true_parameters_are_read_with_and_without_cylinders(displaced_folder, displaced):
+    content = json.loads((displaced_folder / TRUE_PARAMETERS_FILE).read_text())
     for name, values in content["wraps"].items():
         assert tuple(values) == WRAP_PARAMETERS
-        assert list(values.values()) == hidden.wraps[name].tolist()
+        assert list(values.values()) == displaced.wraps[name].tolist()
 
 
-def test_a_file_of_before_there_were_cylinders_is_read(hidden_folder, tmp_path):
-    content = json.loads((hidden_folder / TRUE_PARAMETERS_FILE).read_text())
+def test_a_file_of_an_earlier_version_without_cylinders_is_read(displaced_folder, tmp_path):
+    content = json.loads((displaced_folder / TRUE_PARAMETERS_FILE).read_text())
     del content["wraps"]
     (tmp_path / TRUE_PARAMETERS_FILE).write_text(json.dumps(content))
     assert read_true_parameters(tmp_path).wraps == {}
 
 
-def test_true_cylinders_are_where_a_calibration_can_get_to(tmp_path):
-    """This person's first draw does not jump, and lies beyond a wall that is kept before a jump."""
+def test_true_cylinders_are_within_the_barriers(tmp_path):
+    """This person's first placement has continuous paths, but is beyond a barrier."""
     series = (Series(0.8, 1, 0), Series(1.2, 1, 0))
     truth = write_virtual_subject(
         tmp_path / "v", seed=2, emg_noise=0.0, moment_noise=0.0, series=series, wrap_spread=SPREAD
@@ -88,12 +88,12 @@ def test_true_cylinders_are_where_a_calibration_can_get_to(tmp_path):
     assert np.isfinite(eqx.filter_jit(paths.at)(jnp.asarray(changes)).proximity).all()
 
 
-def test_true_paths_do_not_jump(hidden_folder, hidden, tmp_path):
-    """OpenSim's lengths round the true cylinders bend from frame to frame no more than round the nominal."""
-    subject = load_subject(hidden_folder)
+def test_true_paths_are_continuous(displaced_folder, displaced, tmp_path):
+    """OpenSim's lengths with the true cylinders change between frames no more than with the nominal ones."""
+    subject = load_subject(displaced_folder)
     trials = subject.trials
     assert trials.coordinates == COORDINATES
-    write_personalised_model(subject.model_file, tmp_path / "true.osim", hidden.wraps, {})
+    write_personalised_model(subject.model_file, tmp_path / "true.osim", displaced.wraps, {})
     moved = []
     bends = []
     for model in (subject.model_file, tmp_path / "true.osim"):

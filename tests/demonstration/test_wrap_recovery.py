@@ -1,4 +1,4 @@
-"""Moments find hidden cylinders where they can tell a moment arm from a muscle's gain."""
+"""Displaced cylinders are recovered where moments identify moment arms."""
 
 import pytest
 
@@ -12,8 +12,8 @@ from wrapjax.subject.subject import load_subject
 
 
 @pytest.mark.slow
-def test_cylinders_are_found_beside_everything(tmp_path):
-    """Twenty people, with every parameter of their muscles and every cylinder hidden."""
+def test_cylinders_are_recovered_with_all_parameters_unknown(tmp_path):
+    """Twenty people, with all parameters of muscles and all cylinders unknown."""
     falls = []
     for seed in range(20):
         folder = tmp_path / str(seed)

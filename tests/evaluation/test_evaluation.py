@@ -1,4 +1,4 @@
-"""A run says on other cycles what its parameters say, and on its own what it said before."""
+"""Stored runs are read exactly, and predict other cycles and their own."""
 
 import json
 import shutil
@@ -14,12 +14,12 @@ from wrapjax.evaluation.evaluation import evaluate
 from wrapjax.evaluation.stored_run import load_run
 from wrapjax.io.storage import read_storage
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.subject.subject import load_subject as load_subject
+from wrapjax.subject.subject import load_subject
 
 
 @pytest.fixture(scope="module")
 def folder(calibrated, tmp_path_factory):
-    """The folder of a run; not to be changed."""
+    """Folder of a run. Read-only."""
     run = tmp_path_factory.mktemp("runs") / "run"
     calibrated.save(run)
     return run
@@ -27,11 +27,11 @@ def folder(calibrated, tmp_path_factory):
 
 @pytest.fixture
 def damaged(folder, tmp_path):
-    """A copy of it, to be changed."""
+    """Copy of the folder that may be modified."""
     return shutil.copytree(folder, tmp_path / "run")
 
 
-def test_a_run_is_read_back_to_the_last_digit(folder, calibrated):
+def test_a_run_is_read_exactly(folder, calibrated):
     run, result = load_run(folder), calibrated.result
     assert (run.muscles, run.coordinates) == (result.muscles, result.coordinates)
     assert (run.method, run.curves, run.subject, run.geometry) == ("NGA", "paper", "synthetic", "opensim")
@@ -43,14 +43,14 @@ def test_a_run_is_read_back_to_the_last_digit(folder, calibrated):
     np.testing.assert_array_equal(run.paths.coefficients, result.paths.coefficients)
 
 
-def test_its_own_cycles_come_out_as_in_the_summary(folder, person, calibrated):
+def test_errors_of_its_own_cycles_equal_the_summary(folder, person, calibrated):
     assert_reproduces_itself(folder, person)
     for given in ((load_run(folder), person), (folder, person.folder)):
         np.testing.assert_allclose(evaluate(*given).modelled, calibrated.result.modelled, atol=1e-9)
 
 
 def test_other_cycles_of_the_same_person(folder, calibrated, tmp_path):
-    """Another recording, named and ordered in other ways: prediction goes by names, cycle by cycle."""
+    """A recording with other names and orders: prediction is by name and independent for each cycle."""
     other = write_subject(tmp_path / "later")
     text = (other / "subject.toml").read_text()
     text = text.replace('"walk_b"', '"later"').replace('name = "synthetic"', 'name = "synthetic_later"')
@@ -67,7 +67,7 @@ def test_other_cycles_of_the_same_person(folder, calibrated, tmp_path):
     np.testing.assert_allclose(done.modelled, ours, atol=1e-9)
 
 
-def test_angles_that_the_run_never_saw_are_told_of(folder, tmp_path):
+def test_angles_outside_the_fitted_range_are_noted(folder, tmp_path):
     other = write_subject(tmp_path / "bent")
     for file in other.rglob("angles.sto"):
         head, table = file.read_text().split("endheader\n")
@@ -79,7 +79,7 @@ def test_angles_that_the_run_never_saw_are_told_of(folder, tmp_path):
     assert "knee_angle_l is outside the range that the run's paths were fitted on" in note
 
 
-def test_another_model_file_is_told_of(folder, person, tmp_path):
+def test_another_model_file_is_noted(folder, person, tmp_path):
     other = write_subject(tmp_path / "other")
     model = other / "model.osim"
     model.write_text(model.read_text() + "<!-- looked at again -->\n")
@@ -87,7 +87,7 @@ def test_another_model_file_is_told_of(folder, person, tmp_path):
     assert "not the one that the run was calibrated with; muscle paths are those of the run" in note
 
 
-def test_the_folder_holds_moments_errors_and_a_report(folder, person, tmp_path):
+def test_saved_files(folder, person, tmp_path):
     done = evaluate(load_run(folder), person)
     done.save(tmp_path / "out")
     content = json.loads((tmp_path / "out" / "evaluation.json").read_text())
@@ -101,7 +101,7 @@ def test_the_folder_holds_moments_errors_and_a_report(folder, person, tmp_path):
     assert f"{content['mae_Nm']['validation']['mean']:.2f}" in page
 
 
-def test_its_report_is_drawn_again_from_the_folder(folder, person, tmp_path):
+def test_the_report_is_rendered_again(folder, person, tmp_path):
     evaluate(load_run(folder), person).save(tmp_path / "out")
     page = tmp_path / "out" / "report.html"
     before = page.read_bytes()

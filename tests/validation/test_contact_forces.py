@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.contact_forces.made_up_run import write_run
+from tests.contact_forces.synthetic_run import write_run
 from tests.subject.synthetic_forces import with_forces
 from validation.calibration.contact_forces import peak_table
 from wrapjax.contact_forces.contact_force import contact

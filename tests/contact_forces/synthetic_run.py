@@ -1,4 +1,4 @@
-"""The folder of a run, as ``wrapjax calibrate`` writes it, with forces that nobody calibrated."""
+"""Folder of a run, as ``wrapjax calibrate`` writes it, with synthetic muscle forces."""
 
 import os
 import shutil
@@ -13,13 +13,13 @@ MUSCLES = ("recfem_l", "semiten_l")
 
 
 def muscle_forces(time, factor=1.0):
-    """Forces in N that differ from cycle to cycle, one row a muscle."""
+    """Synthetic forces (N) that differ between cycles, one row per muscle."""
     wave = np.sin(5.0 * np.asarray(time))
     return factor * np.array([400.0 + 200.0 * wave, 300.0 + 50.0 * wave**2])
 
 
 def write_run(folder, subject, method="NGA", *, factor=1.0, converged=True, muscles=MUSCLES):
-    """Write a run of a subject; for PGA, with the subject's own model as the personalised one."""
+    """Write the folder of a run; for PGA, with the subject's own model as the personalised one."""
     trials = subject.trials
     stems = {name: {"file": name.replace("/", "_")} for name in trials.names}
     folder.mkdir(parents=True)
