@@ -1,4 +1,4 @@
-"""Fixtures: the calibration of a small synthetic subject, for the conftest of each folder that uses it."""
+"""Fixtures with a small synthetic subject and its calibration, for the conftest of several folders."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from wrapjax.subject.subject import load_subject as load_subject
 
 @pytest.fixture(scope="session")
 def person(tmp_path_factory):
-    """Two muscles, two coordinates, three cycles."""
+    """Subject with two muscles, two coordinates and three cycles."""
     return load_subject(write_subject(tmp_path_factory.mktemp("subjects") / "synthetic"))
 
 

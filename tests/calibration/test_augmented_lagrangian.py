@@ -1,4 +1,4 @@
-"""Limits are met exactly, at a point that SciPy cannot better, and every ending is told apart."""
+"""Augmented Lagrangian: limits are satisfied, and the optimum and each status are as expected."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ TIGHT = AugmentedLagrangian(ProjectedLevenbergMarquardt(gtol=1e-10, ftol=1e-15),
 
 @pytest.fixture(scope="module")
 def problem():
-    """Paths that may change, with limits that their best change would break."""
+    """Problem with free paths and limits that the unconstrained optimum violates."""
     return small_limited_objective(seed=1)
 
 
@@ -34,7 +34,7 @@ def solution(problem, start):
 
 
 def plain_cost(problem):
-    """The cost without limits, as a function of the variables."""
+    """Compute the cost without limits as a function of the variables."""
     free = problem.with_limits(())
     return eqx.filter_jit(lambda x: free.value(x))
 
@@ -43,19 +43,19 @@ def all_excess(problem):
     return eqx.filter_jit(lambda x: jnp.concatenate([one.ravel() for one in problem.excess(x)]))
 
 
-def test_limits_are_met_and_some_push(problem, solution):
+def test_limits_are_satisfied_and_some_are_active(problem, solution):
     assert solution.status.converged, solution.status.value
     assert solution.max_violation <= 1e-9
     pushing = {name: int((value > 0.0).sum()) for name, value in solution.multipliers.items()}
     assert pushing["moment_arm_sign"] > 0 and pushing["longest_fiber"] > 0, pushing
-    # Without limits it would go further: they are not idle.
+    # The solution without limits violates them.
     unlimited = TIGHT.solve(problem.with_limits(()), solution.variables)
     assert float(all_excess(problem)(jnp.asarray(unlimited.variables)).max()) > 1e-3
     assert unlimited.cost < float(plain_cost(problem)(jnp.asarray(solution.variables)))
 
 
-def test_conditions_of_karush_kuhn_and_tucker(problem, solution):
-    """Gradient plus multipliers times slopes of the limits vanishes, but for variables at a bound."""
+def test_solution_satisfies_the_karush_kuhn_tucker_conditions(problem, solution):
+    """Gradient plus multipliers times derivatives of the limits is zero, except for variables at a bound."""
     at = jnp.asarray(solution.variables)
     slope = jax.grad(plain_cost(problem))(at)
     slopes = jax.jacfwd(all_excess(problem))(at)
@@ -70,8 +70,8 @@ def test_conditions_of_karush_kuhn_and_tucker(problem, solution):
     np.testing.assert_allclose(multipliers * excess, 0.0, atol=1e-6)
 
 
-def test_slsqp_ends_no_lower_and_at_the_same_limits(problem, solution):
-    """SciPy gets the plain cost, exact slopes and every limit as a row of its own.
+def test_slsqp_reaches_no_lower_cost_and_the_same_active_limits(problem, solution):
+    """SciPy is given the plain cost, exact derivatives and every limit as a constraint.
 
     There are several minima, so it starts beside our end point.
     """
@@ -96,15 +96,15 @@ def test_slsqp_ends_no_lower_and_at_the_same_limits(problem, solution):
     np.testing.assert_allclose(ours, theirs.fun, rtol=1e-6)
     multipliers = np.concatenate([one.ravel() for one in solution.multipliers.values()])
     their_excess = np.asarray(excess(jnp.asarray(theirs.x)))
-    # Whatever pushes here, they meet too.
+    # Limits that are active here are active there.
     assert (their_excess[multipliers > 1e-4] > -1e-5).all()
     ours_at_bounds = (solution.variables <= problem.lower) | (solution.variables >= problem.upper)
     theirs_at_bounds = (theirs.x <= problem.lower + 1e-6) | (theirs.x >= problem.upper - 1e-6)
     np.testing.assert_array_equal(ours_at_bounds, theirs_at_bounds)
 
 
-def test_trust_constr_agrees_on_paths_alone(problem, solution):
-    """With all but the paths held where we ended, the limits are linear."""
+def test_trust_constr_agrees_for_free_paths_alone(problem, solution):
+    """With all other variables held at the solution, the limits are linear."""
     few = np.flatnonzero(["path_changes" in label for label in problem.variables.labels])
     held = jnp.asarray(solution.variables)
     cost, excess = plain_cost(problem), all_excess(problem)
@@ -127,7 +127,7 @@ def test_trust_constr_agrees_on_paths_alone(problem, solution):
     np.testing.assert_allclose(theirs.x, solution.variables[few], atol=1e-3)
 
 
-def test_without_limits_it_is_the_inner_solver():
+def test_without_limits_the_result_is_that_of_the_inner_solver():
     problem = small_objective()
     start = problem.start(problem.initial)
     inner = ProjectedLevenbergMarquardt()
@@ -137,8 +137,8 @@ def test_without_limits_it_is_the_inner_solver():
     assert ours.max_violation == 0.0 and ours.multipliers == {}
 
 
-def test_limits_that_cannot_be_met_are_said(problem, start):
-    """A fiber both longer and shorter than possible."""
+def test_infeasible_limits_are_reported(problem, start):
+    """Contradictory limits on a fiber length."""
     first = problem.limits[0]
     impossible = dataclasses.replace(first, bound=first.bound - 10.0)
     stopped = AugmentedLagrangian(max_rounds=3).solve(problem.with_limits((impossible,)), start)
@@ -153,7 +153,7 @@ def test_iterations_are_counted_over_all_rounds(problem, start):
     assert [one.number for one in stopped.history] == list(range(5))
 
 
-def test_an_interrupted_solve_goes_on_where_it_stopped(problem, start, solution):
+def test_an_interrupted_solve_is_continued(problem, start, solution):
     kept = []
 
     def stop_after(count):

@@ -1,4 +1,4 @@
-"""What ``calibrate`` and ``objective`` promise to those who call them from Python."""
+"""Python interface of ``calibrate`` and ``objective``, and inputs of the model."""
 
 import dataclasses
 import re
@@ -28,7 +28,7 @@ def start(person):
     return model_parameters(person)
 
 
-def test_objective_is_what_calibration_minimised(cost, start, calibrated):
+def test_objective_is_the_minimised_cost(cost, start, calibrated):
     result = calibrated.result
     assert float(cost(result.parameters)) == pytest.approx(result.solution.cost, rel=1e-12)
     assert sum(result.cost_by_term.values()) == pytest.approx(result.solution.cost, rel=1e-12)
@@ -36,7 +36,7 @@ def test_objective_is_what_calibration_minimised(cost, start, calibrated):
     assert result.solution.cost < float(cost(start))
 
 
-def test_objective_has_the_gradient_of_its_differences(cost, start):
+def test_gradient_of_the_objective_equals_finite_differences(cost, start):
     leaves, structure = jax.tree.flatten(start)
     keys = jax.random.split(jax.random.key(3), len(leaves))
     direction = structure.unflatten(
@@ -52,7 +52,7 @@ def test_objective_has_the_gradient_of_its_differences(cost, start):
     assert float(slope) == pytest.approx(float((sides[0] - sides[1]) / (2 * step)), rel=1e-6)
 
 
-def test_objective_maps_over_trees(cost, start):
+def test_objective_can_be_mapped_over_parameter_trees(cost, start):
     several = jax.tree.map(lambda leaf: jnp.stack([leaf, 1.01 * leaf]), start)
     both = jax.jit(jax.vmap(cost))(several)
     one_by_one = [cost(jax.tree.map(lambda leaf, row=row: leaf[row], several)) for row in range(2)]
@@ -64,7 +64,7 @@ def test_result_is_consistent(calibrated, person):
     assert calibrated.status.converged and calibrated.subject is person
     assert result.trials == trials.names and result.uses == trials.uses
     np.testing.assert_array_equal(result.measured, trials.moments)
-    # Validation cycles are modelled too, though they took no part: two of three cycles were matched.
+    # Validation cycles are modelled as well; two of three cycles were matched.
     assert result.modelled.shape == (3, 2, 101) and result.n_residuals == 2 * 2 * 101
     np.testing.assert_allclose(result.modelled, np.sum(result.states.moment, axis=0), rtol=1e-12)
     np.testing.assert_allclose(result.initial_modelled, np.sum(result.initial_states.moment, axis=0))
@@ -82,22 +82,22 @@ def test_result_is_consistent(calibrated, person):
         np.testing.assert_array_equal(getattr(result.parameters, name), getattr(result.initial, name))
 
 
-def test_results_cannot_be_changed(calibrated):
+def test_results_are_immutable(calibrated):
     with pytest.raises(dataclasses.FrozenInstanceError):
         calibrated.result = None
     with pytest.raises(dataclasses.FrozenInstanceError):
         calibrated.result.method = "PGA"
 
 
-def test_validation_cycles_do_not_touch_the_calibration(person, paths, calibrated):
-    """Moments of validation cycles may be anything."""
+def test_validation_cycles_do_not_affect_the_calibration(person, paths, calibrated):
+    """Changed moments of validation cycles give the same calibration."""
     wild = np.where(np.array(person.trials.uses)[:, None, None] == "validation", 1e3, person.trials.moments)
     other = dataclasses.replace(person, trials=dataclasses.replace(person.trials, moments=wild))
     again = calibrate(other, "NGA", paths, starts=1)
     np.testing.assert_array_equal(again.result.solution.variables, calibrated.result.solution.variables)
 
 
-def test_a_freedom_of_ones_own(person, paths, start):
+def test_custom_freedom(person, paths, start):
     freedom = nga_freedom(start).without(["emg_scale", "tendon_slack_length"])
     variables = build_objective(person, "NGA", paths, freedom).variables
     assert variables.count == 8
@@ -106,7 +106,7 @@ def test_a_freedom_of_ones_own(person, paths, start):
         np.testing.assert_array_equal(getattr(moved, name), getattr(start, name))
 
 
-def test_callback_sees_every_iteration(person, paths):
+def test_callback_is_called_every_iteration(person, paths):
     seen = []
     solver = AugmentedLagrangian(ProjectedLevenbergMarquardt(max_iterations=2))
     result = calibrate(
@@ -122,8 +122,8 @@ def test_callback_sees_every_iteration(person, paths):
         assert [one.number for one in outcome.solution.history] == [0, 1, 2]
 
 
-def test_no_cycle_to_calibrate_with(person, paths):
-    """Reading refuses such a folder; a script may still select its way there."""
+def test_missing_calibration_trials_are_refused(person, paths):
+    """Reading refuses such a folder, but a script can select no trial."""
     other = dataclasses.replace(person, trials=person.trials.used_for("validation"))
     with pytest.raises(InputError, match='no trial is marked use = "calibration"'):
         build_objective(other, "NGA", paths)
@@ -140,11 +140,11 @@ def test_single_precision_is_refused(person, call):
         call(person)
 
 
-# ---- What the model takes in
+# ---- Inputs of the model
 
 
-def test_paths_follow_the_subjects_order(person, paths):
-    """Not the fit's: muscles and coordinates may have been fitted in any."""
+def test_paths_are_in_the_order_of_the_subject(person, paths):
+    """The fit may have another order of muscles and coordinates."""
     usual = surrogate_paths(paths.surrogate, person, person.trials)
     turned = dataclasses.replace(
         person,
@@ -162,7 +162,7 @@ def test_paths_follow_the_subjects_order(person, paths):
     np.testing.assert_array_equal(other.nominal.moment_arm, usual.nominal.moment_arm[::-1, :, ::-1])
 
 
-def test_no_muscle_moves_a_coordinate_that_none_spans(person, paths):
+def test_moment_arms_are_zero_about_coordinates_that_no_muscle_spans(person, paths):
     trials = dataclasses.replace(
         person.trials,
         coordinates=(*person.trials.coordinates, "subtalar_angle_l"),
@@ -176,7 +176,7 @@ def test_no_muscle_moves_a_coordinate_that_none_spans(person, paths):
     np.testing.assert_array_equal(other.nominal.moment_arm[:, :, 1], usual.nominal.moment_arm[:, :, 1])
 
 
-def test_every_muscle_gets_the_envelope_of_its_channel(person, paths):
+def test_every_muscle_has_the_envelope_of_its_channel(person, paths):
     path = surrogate_paths(paths.surrogate, person, person.trials)
     crossed = dataclasses.replace(person, muscle_channels=(1, 0))
     usual, other = (recording(one, person.trials, path) for one in (person, crossed))
@@ -188,6 +188,6 @@ def test_every_muscle_gets_the_envelope_of_its_channel(person, paths):
     assert usual.padding == trials.padding > 0
 
 
-def test_groups_become_positions():
+def test_groups_are_converted_to_indices():
     assert group_indices((("b", "c"), ("a", "c")), ("a", "b", "c")) == ((1, 2), (0, 2))
     assert group_indices((), ("a",)) == ()

@@ -1,4 +1,4 @@
-"""Tendons that stretch, from end to end: calibrated, kept, read back, predicted by, and what joints bear."""
+"""Calibration with compliant tendons: run folder, prediction and joint contact forces."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def run(stretching, tmp_path_factory):
     return folder
 
 
-def test_a_run_read_back_has_tendons_that_stretch(stretching, run, person):
+def test_a_loaded_run_has_compliant_tendons(stretching, run, person):
     assert stretching.status.converged
     read = load_run(run)
     assert read.tendon == "compliant"
@@ -35,8 +35,8 @@ def test_a_run_read_back_has_tendons_that_stretch(stretching, run, person):
     np.testing.assert_allclose(modelled, stretching.result.modelled, atol=1e-9)
 
 
-def test_its_moments_are_not_those_of_rigid_tendons(stretching, run, person):
-    """Of the same parameters; or nothing would have been in question."""
+def test_moments_differ_from_those_of_rigid_tendons(stretching, run, person):
+    """With the same parameters; otherwise the other tests would show nothing."""
     text = (run / "settings.json").read_text()
     try:
         (run / "settings.json").write_text(text.replace('"tendon": "compliant"', '"tendon": "rigid"'))
@@ -46,15 +46,15 @@ def test_its_moments_are_not_those_of_rigid_tendons(stretching, run, person):
     assert np.abs(rigid - stretching.result.modelled).max() > 0.1
 
 
-def test_joints_bear_the_forces_of_the_tendons(stretching, run):
+def test_contact_forces_are_those_of_compliant_tendons(stretching, run):
     result = contact(run).result
     assert result.kind == MUSCLE_SHARE
     force = np.asarray(stretching.result.states.fiber.tendon_force)
-    # Both muscles press the knee with their whole force, at a small angle to each other.
+    # Both muscles compress the knee with their full force, at a small angle to each other.
     pressed = result.runs[0].magnitude[:, list(result.joints).index("knee")]
     assert (pressed <= force.sum(axis=0) + 1e-6).all() and (pressed >= 0.9 * force.sum(axis=0)).all()
 
 
-def test_a_diagnosis_does_not_start_from_it(stretching):
+def test_a_diagnosis_of_it_is_refused(stretching):
     with pytest.raises(InputError, match="the calibration of synthetic: has tendons that stretch"):
         diagnose_calibrated(stretching)

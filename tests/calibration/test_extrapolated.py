@@ -1,4 +1,4 @@
-"""Muscles without an electrode: driven within 0 and 1 by weighted commands, differentiated as all others."""
+"""Excitation of muscles without an electrode by synergy commands: values and derivatives."""
 
 import dataclasses
 
@@ -32,7 +32,7 @@ def problem(request):
 
 @pytest.fixture(scope="module")
 def point(problem):
-    """Away from the start, inside the bounds, with weights that differ."""
+    """Point away from the start, within the bounds, with different weights."""
     generator = np.random.default_rng(5)
     factor = generator.uniform(0.93, 1.07, problem.variables.count)
     weights = np.array([".synergy_" in label for label in problem.variables.labels])
@@ -51,7 +51,7 @@ def test_expansion_equals_dense_derivatives(problem, point):
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-9, atol=1e-9)
 
 
-def test_gradient_equals_differences(problem, point):
+def test_gradient_equals_finite_differences(problem, point):
     gradient = 2 * problem.linearized_at(point).gradient
     cost = problem.value_at
     step = 1e-6
@@ -70,7 +70,7 @@ def test_variables_round_trip(problem, point):
     np.testing.assert_array_equal(np.asarray(tree.synergy_weights)[measured], 0.0)
 
 
-def test_muscles_of_one_excitation_have_it_in_common():
+def test_muscles_of_one_excitation_share_its_weights():
     problem = small_extrapolated_objective(EXCITATIONS["one in common"])
     labels = [label for label in problem.variables.labels if ".synergy_" in label]
     assert labels == ["calf.synergy_weight_1", "calf.synergy_weight_2", "calf.synergy_offset"]
@@ -80,7 +80,7 @@ def test_muscles_of_one_excitation_have_it_in_common():
     )
 
 
-def test_envelope_is_the_held_sum_of_commands():
+def test_envelope_is_the_limited_sum_of_commands():
     problem = small_extrapolated_objective(EXCITATIONS["each its own"])
     weights = jnp.array([[0.0, 0.0, 0.0], [0.5, 0.3, 0.4], [3.0, 0.0, 0.0]])
     still = dataclasses.replace(
@@ -94,15 +94,15 @@ def test_envelope_is_the_held_sum_of_commands():
     assert PADDING > 0 and (excitation[2] > 0.99).any() and (excitation[2] < 0.01).any()
 
 
-def test_holding_leaves_what_is_well_inside():
+def test_smooth_clip_is_the_identity_well_inside():
     inside = jnp.linspace(0.3, 0.7, 9)
     np.testing.assert_allclose(smooth_unit_clip(inside), inside, atol=2e-4)
     far = smooth_unit_clip(jnp.array([-1e3, -1.0, 2.0, 1e3]))
     np.testing.assert_allclose(far, [0.0, 0.0, 1.0, 1.0], atol=1e-9)
 
 
-def test_measured_muscles_are_not_touched():
-    """To the last bit: their EMG is their channel's, whatever drives others."""
+def test_muscles_with_a_channel_are_unchanged():
+    """Their EMG equals that of their channel to the last bit."""
     plain = small_objective()
     problem = small_extrapolated_objective(EXCITATIONS["each its own"])
     weights = jnp.zeros((3, COMMANDS)).at[1:].set(0.4)
@@ -112,7 +112,7 @@ def test_measured_muscles_are_not_touched():
     np.testing.assert_array_equal(with_commands.moment[0], without.moment[0])
 
 
-def test_only_activation_that_no_emg_vouches_for_is_kept_small(problem, point):
+def test_only_activation_of_muscles_without_emg_is_penalised(problem, point):
     parameters = problem.variables.unpack(point)
     states = muscle_states(problem.curves, parameters, problem.recording)
     extrapolated = np.asarray(problem.recording.emg.commands.share[:, 0]) > 0.0
@@ -121,8 +121,8 @@ def test_only_activation_that_no_emg_vouches_for_is_kept_small(problem, point):
     assert found == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_hidden_excitation_is_found_again():
-    """A muscle driven by commands, without noise: its excitation is told from moments, and explains them."""
+def test_a_simulated_excitation_is_recovered():
+    """Noiseless moments determine the excitation of a muscle that commands drive."""
     problem = small_extrapolated_objective({"gasmed_l": ("gasmed_l",)})
     weights = jnp.zeros((3, COMMANDS)).at[1].set(jnp.array([0.5, 0.4, 0.45]))
     true = muscle_states(
@@ -140,6 +140,6 @@ def test_a_hidden_excitation_is_found_again():
         found = muscle_states(one.curves, one.parameters(jnp.asarray(solution.variables)), one.recording)
         errors.append(float(jnp.abs(found.moment.sum(axis=0) - one.measured).mean()))
         excitations.append(np.asarray(found.excitation[1]))
-    # Priors of an allowable error hold back the rest.
+    # The rest is due to priors.
     assert errors[0] < 0.4 * errors[1]
     assert np.corrcoef(excitations[0].ravel(), np.asarray(true.excitation[1]).ravel())[0, 1] > 0.95

@@ -1,4 +1,4 @@
-"""A muscle without an electrode: driven as asked, told of, kept in the run's folder and used afterwards."""
+"""Calibration of a muscle without an electrode by synergies, its run folder and later use."""
 
 import dataclasses
 import json
@@ -12,14 +12,14 @@ from wrapjax.contact_forces.contact_force import contact
 from wrapjax.errors import InputError
 from wrapjax.evaluation.evaluation import evaluate
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.path_sources.undriven_muscles import drive
+from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
 from wrapjax.subject.subject import load_subject as load_subject
 
 CHANNEL = 'SemiTen = ["semiten_l"]\n'
 
 
 def without_channel(folder, extra=""):
-    """A subject whose semitendinosus has no electrode."""
+    """Write a subject whose semitendinosus has no electrode."""
     settings = write_subject(folder) / "subject.toml"
     settings.write_text(settings.read_text().replace(CHANNEL, extra))
     return load_subject(folder)
@@ -42,30 +42,30 @@ def folder(driven, tmp_path_factory):
     return run
 
 
-def test_left_is_the_subject_as_it_is(bare):
-    assert drive(bare) is bare
+def test_left_returns_the_subject_unchanged(bare):
+    assert apply_undriven_strategy(bare) is bare
     with pytest.raises(ValueError, match="unknown strategy 'some'"):
-        drive(bare, "some")
+        apply_undriven_strategy(bare, "some")
 
 
 def test_muscles_without_a_channel_follow_those_with_one(bare):
-    subject = drive(bare, "synergies", 1)
+    subject = apply_undriven_strategy(bare, "synergies", 1)
     assert subject.muscles.names == ("recfem_l", "semiten_l")
     assert (subject.undriven_muscles, subject.channel_of) == ((), {"recfem_l": "RecFem"})
     assert subject.synergies.groups == {"semiten_l": ("semiten_l",)}
-    assert drive(subject, "synergies", 1) is subject
+    assert apply_undriven_strategy(subject, "synergies", 1) is subject
 
 
-def test_validation_cycles_do_not_decide_what_synergies_are(bare):
+def test_validation_cycles_do_not_affect_synergies(bare):
     trials = bare.trials
     emg = np.where(np.array(trials.uses)[:, None, None] == "validation", 7.0, trials.emg)
     other = dataclasses.replace(bare, trials=dataclasses.replace(trials, emg=emg))
-    found, again = (drive(one, "synergies", 1).synergies.basis for one in (bare, other))
+    found, again = (apply_undriven_strategy(one, "synergies", 1).synergies.basis for one in (bare, other))
     np.testing.assert_array_equal(found.components, again.components)
     np.testing.assert_array_equal(found.largest, again.largest)
 
 
-def test_it_explains_moments_that_were_left(bare, paths, driven):
+def test_the_driven_muscle_reduces_the_moment_error(bare, paths, driven):
     left = calibrate(bare, "NGA", paths, starts=1)
     assert left.result.muscles == ("recfem_l",)
     errors = [np.abs(run.result.modelled - run.result.measured)[:2].mean() for run in (left, driven)]
@@ -74,7 +74,7 @@ def test_it_explains_moments_that_were_left(bare, paths, driven):
     assert excitation.min() >= 0.0 and excitation.max() <= 1.0 and np.ptp(excitation) > 0.05
 
 
-def test_the_folder_says_what_drove_each_muscle(folder):
+def test_the_run_folder_records_the_excitation_of_each_muscle(folder):
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["drive"] == {
         "recfem_l": {"by": "electrode", "signal": "RecFem"},
@@ -85,11 +85,11 @@ def test_the_folder_says_what_drove_each_muscle(folder):
     assert "What drove the muscles" in report and "1 principal component of" in report
 
 
-def test_a_run_read_back_predicts_what_it_did(bare, driven, folder):
+def test_a_loaded_run_reproduces_its_moments(bare, driven, folder):
     np.testing.assert_allclose(evaluate(load_run(folder), bare).modelled, driven.result.modelled, atol=1e-9)
 
 
-def test_a_run_says_who_it_cannot_predict(person, folder, tmp_path):
+def test_evaluation_on_unsuitable_subjects_is_refused(person, folder, tmp_path):
     with pytest.raises(InputError, match=r"'semiten_l' without a channel.* found a channel that drives it"):
         evaluate(load_run(folder), person)
     other = without_channel(tmp_path / "other")
@@ -98,19 +98,19 @@ def test_a_run_says_who_it_cannot_predict(person, folder, tmp_path):
         evaluate(load_run(folder), dataclasses.replace(other, trials=trials))
 
 
-def test_contact_takes_calibrated_forces(driven, folder):
-    """And shares no moments among muscles that have some."""
+def test_contact_uses_calibrated_forces(driven, folder):
+    """Static optimization leaves the forces of driven muscles unchanged."""
     result = contact(folder).result
     assert result.runs[0].undriven.muscles == () and result.runs[0].undriven.left_out == ()
     force = np.asarray(driven.result.states.fiber.tendon_force)
-    # Both muscles press the knee with their whole force, one at an angle to the other.
+    # Both muscles compress the knee with their full force, one at an angle to the other.
     pressed = result.runs[0].magnitude[:, 1]
     assert (pressed <= force.sum(axis=0) + 1e-6).all() and (pressed >= 0.9 * force.sum(axis=0)).all()
 
 
-def test_settings_say_who_is_driven_alike(tmp_path):
+def test_settings_define_shared_excitations(tmp_path):
     subject = without_channel(tmp_path / "named", '[emg.extrapolated]\nback = ["semiten_l"]\n')
-    assert drive(subject, "synergies", 1).synergies.groups == {"back": ("semiten_l",)}
+    assert apply_undriven_strategy(subject, "synergies", 1).synergies.groups == {"back": ("semiten_l",)}
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_settings_say_who_is_driven_alike(tmp_path):
         ("extrapolated = 3\n", "expected a table"),
     ],
 )
-def test_unfit_settings_are_refused(tmp_path, extra, message):
+def test_invalid_settings_are_refused(tmp_path, extra, message):
     if extra.startswith("extrapolated"):
         folder = write_subject(tmp_path / "unfit")
         settings = folder / "subject.toml"
@@ -140,13 +140,13 @@ def test_unfit_settings_are_refused(tmp_path, extra, message):
         without_channel(tmp_path / "unfit", extra)
 
 
-def test_what_cannot_be_driven_is_refused(person, bare):
+def test_muscles_that_cannot_be_driven_are_refused(person, bare):
     with pytest.raises(InputError, match="2 synergies were asked for"):
-        drive(bare, "synergies", 2)
+        apply_undriven_strategy(bare, "synergies", 2)
     with pytest.raises(InputError, match="no muscle without a channel"):
-        drive(person, "synergies", 2)
+        apply_undriven_strategy(person, "synergies", 2)
     nowhere = dataclasses.replace(bare, extrapolated={"back": ("nowhere_l",)})
     with pytest.raises(InputError, match="'nowhere_l' cannot be driven"):
-        drive(nowhere, "synergies", 1)
+        apply_undriven_strategy(nowhere, "synergies", 1)
     with pytest.raises(InputError, match="expected at least one excitation"):
-        drive(dataclasses.replace(bare, extrapolated={}), "synergies", 1)
+        apply_undriven_strategy(dataclasses.replace(bare, extrapolated={}), "synergies", 1)

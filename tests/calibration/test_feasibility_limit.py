@@ -1,4 +1,4 @@
-"""Defends: a calibration that follows cylinders has the slopes of its cost, limits on cylinders included."""
+"""Derivatives of the cost with free wraps, including the limit on their feasibility."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ HALF = np.array([0.01, 0.01, 0.01, 0.35, 0.35, 0.2])
 
 @pytest.fixture(scope="module")
 def problem():
-    """Two muscles share a cylinder; the second has one of its own as well, before it."""
+    """Two muscles share a wrap; the second has another one before it."""
     generator = np.random.default_rng(2)
     held = small_objective()
     nominal = held.recording.path.nominal
@@ -70,7 +70,7 @@ def problem():
     )
 
 
-def test_slopes_are_those_of_the_cost(problem):
+def test_derivatives_equal_those_of_the_cost(problem):
     generator = np.random.default_rng(5)
     variables = problem.start(problem.initial)
     factor, shift = (
@@ -86,13 +86,13 @@ def test_slopes_are_those_of_the_cost(problem):
     np.testing.assert_allclose(found.cost, rows @ rows, rtol=1e-12)
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-8, atol=1e-8)
-    # The limit is not just there: without it the slopes by its cylinder are other ones.
+    # Without the limit the derivatives by the parameters of its wrap differ.
     free = jax.jit(jax.grad(half(problem.with_limits(()))))(point)
     assert (np.abs(found.gradient - free)[moved] > 1e-3).any()
 
 
-def test_a_nominal_cylinder_is_allowed(problem):
-    """Even where its score says otherwise: nothing may be asked that the model itself does not keep."""
+def test_nominal_wraps_satisfy_the_limit(problem):
+    """Also where the nominal feasibility score is below the margin."""
     paths = problem.recording.path
     assert (np.asarray(paths.nominal.infeasibility) > 0.0).any()
     (limit,) = feasibility_limits(paths.nominal)

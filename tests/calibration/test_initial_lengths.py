@@ -1,4 +1,4 @@
-"""Lengths come from passive moments where there are any, and from operating ranges, by the peer's terms."""
+"""Objective of the initial lengths: passive moments, operating ranges, and derivatives."""
 
 import dataclasses
 
@@ -13,13 +13,13 @@ from wrapjax.model.parameters import initial_parameters
 from wrapjax.muscle.curves import HILL_CURVES
 
 MUSCLES = 3
-#: True lengths over the model's.
+#: Ratios of the true lengths to the model's.
 TRUE = np.array([[1.12, 0.9, 1.05], [0.97, 1.03, 1.01]])
 
 
 @pytest.fixture(scope="module")
 def problem():
-    """Three muscles of which two work about both of two joints; moments of the true lengths, no noise."""
+    """Three muscles, two of which act about both of two joints; noiseless moments of the true lengths."""
     parameters = initial_parameters(
         jnp.array([3000.0, 1500.0, 900.0]),
         jnp.array([0.05, 0.06, 0.09]),
@@ -28,7 +28,7 @@ def problem():
     )
     own = [TRUE[0] * parameters.optimal_fiber_length, TRUE[1] * parameters.tendon_slack_length]
     middle = np.asarray(own[1] + own[0] * jnp.cos(parameters.pennation_angle))[:, None]
-    # With muscles at rest joints go further than in walking, each in a series of its own.
+    # Passive samples have a larger range than walking, one joint after the other.
     sweep = np.linspace(-1.0, 1.0, 60)
     both = np.concatenate([sweep, np.zeros(60)]), np.concatenate([np.zeros(60), sweep])
     arm = np.array([[-0.04, 0.0], [-0.035, 0.03], [0.04, 0.02]])
@@ -50,8 +50,8 @@ def problem():
     return dataclasses.replace(problem, moment=problem.passive_moments(true))
 
 
-def test_true_lengths_are_found_where_moments_decide(problem):
-    """With the other terms made weak, in steps: what is left is what passive moments tell."""
+def test_true_lengths_are_recovered_where_moments_determine_them(problem):
+    """The weights of the other terms are reduced in steps."""
     variables = problem.start()
     for weak in (1.0, 10.0, 100.0, 1e3, 1e4):
         errors = jax.tree.map(lambda error, by=weak: by * error, LengthErrors())
@@ -62,7 +62,7 @@ def test_true_lengths_are_found_where_moments_decide(problem):
     np.testing.assert_allclose(variables[: 2 * MUSCLES], TRUE.ravel(), rtol=2e-3)
 
 
-def test_usual_weights_come_nearer_to_moments_and_lengths(problem):
+def test_default_weights_reduce_the_errors_of_moments_and_lengths(problem):
     solution = ProjectedLevenbergMarquardt().solve(problem, problem.start())
     assert solution.status.converged
     found = jnp.asarray(solution.variables)
@@ -97,7 +97,7 @@ def test_terms_are_mean_squares_in_allowable_errors(problem):
         np.testing.assert_allclose(found[name], value, rtol=1e-10, err_msg=name)
 
 
-def test_without_passive_moments_only_ranges_act(problem):
+def test_without_passive_moments_only_operating_ranges_matter(problem):
     bare = dataclasses.replace(problem, recorded=np.zeros_like(problem.recorded))
     assert not np.any(bare.terms(bare.start())["passive_moment"])
     solution = ProjectedLevenbergMarquardt().solve(bare, bare.start())
@@ -105,7 +105,7 @@ def test_without_passive_moments_only_ranges_act(problem):
     np.testing.assert_allclose(longest, 1.0, atol=0.05)
 
 
-def test_expansion_equals_differences(problem):
+def test_expansion_equals_finite_differences(problem):
     at = problem.start() * jnp.asarray(np.random.default_rng(1).uniform(0.95, 1.05, 8))
     found = problem.linearized_at(at)
     step = 1e-6

@@ -1,4 +1,4 @@
-"""Lengths found for a subject go into a file that its settings can name; unfit passive trials are refused."""
+"""Initial lengths of a subject: result, files, and invalid passive trials."""
 
 import json
 
@@ -20,7 +20,7 @@ moments = "passive/moments.sto"
 
 
 def write_passive(folder, moments, columns=("hip_flexion_l_moment", "knee_angle_l_moment")):
-    """A subject whose knee is bent slowly with the hip at 0.3 rad."""
+    """Write a subject with a passive trial of knee flexion at a hip angle of 0.3 rad."""
     write_subject(folder)
     time = np.linspace(0.0, 10.0, 51)
     angles = np.stack([0.3 + 0.0 * time, 0.1 + 0.15 * time])
@@ -45,13 +45,13 @@ def found(folder):
     return initialise(load_subject(folder))
 
 
-def test_columns_of_zeros_are_not_recorded(folder):
+def test_columns_of_zeros_count_as_missing(folder):
     (trial,) = load_subject(folder).passive
     assert (trial.coordinates, trial.moment_coordinates) == (COORDINATES, ("knee_angle_l",))
     np.testing.assert_allclose(trial.moments[0], knee_only(np.linspace(0.0, 10.0, 51))[1])
 
 
-def test_passive_moments_are_explained_better(found):
+def test_errors_of_passive_moments_decrease(found):
     assert found.status.converged
     assert list(found.passive_mae) == ["knee_angle_l"]
     before, after = found.passive_mae["knee_angle_l"]
@@ -59,7 +59,7 @@ def test_passive_moments_are_explained_better(found):
     assert not any("No [[passive]]" in note for note in found.notes)
 
 
-def test_settings_can_name_what_it_writes(found, folder, tmp_path):
+def test_settings_can_refer_to_the_written_table(found, folder, tmp_path):
     found.save(tmp_path / "lengths")
     page = (tmp_path / "lengths" / "report.html").read_text()
     assert page.count('<img alt="') == 2 and "knee: knee_angle_l" not in page and "recfem_l" in page
@@ -74,7 +74,7 @@ def test_settings_can_name_what_it_writes(found, folder, tmp_path):
     np.testing.assert_array_equal(muscles.tendon_slack_length, found.after.tendon_slack_length)
 
 
-def test_without_passive_trials_it_says_that_only_ranges_act(person):
+def test_a_note_reports_missing_passive_trials(person):
     found = initialise(person)
     assert found.passive_mae == {} and "passive_moment" not in found.cost_by_term
     assert found.notes[0].startswith("No [[passive]] trial: only the ranges")
@@ -89,7 +89,7 @@ def test_without_passive_trials_it_says_that_only_ranges_act(person):
         (knee_only, ("a_moment", "b_moment"), "expected a moment that is not zero about one of"),
     ],
 )
-def test_unfit_moments_are_refused(tmp_path, moments, columns, message):
+def test_invalid_moments_are_refused(tmp_path, moments, columns, message):
     given = {} if columns is None else {"columns": columns}
     with pytest.raises(InputError, match=message):
         load_subject(write_passive(tmp_path / "unfit", moments, **given))
@@ -104,7 +104,7 @@ def test_unfit_moments_are_refused(tmp_path, moments, columns, message):
         ('name = "knee"', 'name = "knee"\nemg = "x.sto"', "'knee' emg: is not a known key"),
     ],
 )
-def test_unfit_settings_are_refused(tmp_path, old, new, message):
+def test_invalid_settings_are_refused(tmp_path, old, new, message):
     folder = write_passive(tmp_path / "unfit", knee_only)
     settings = folder / "subject.toml"
     settings.write_text(settings.read_text().replace(old, new))

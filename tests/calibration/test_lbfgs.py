@@ -1,4 +1,4 @@
-"""A second opinion: other arithmetic, first derivatives alone, the same optimum."""
+"""L-BFGS-B of jaxopt reaches the same optimum as Levenberg-Marquardt."""
 
 import dataclasses
 import sys
@@ -23,22 +23,22 @@ def problem():
 
 
 @pytest.fixture(scope="module")
-def ours(problem):
+def reference(problem):
     return ProjectedLevenbergMarquardt().solve(problem, problem.start(problem.initial))
 
 
-def test_it_stays_at_our_optimum(problem, ours):
-    found = BoundedLBFGS().solve(problem, ours.variables)
-    np.testing.assert_allclose(found.cost, ours.cost, rtol=1e-9)
-    np.testing.assert_allclose(found.variables, ours.variables, atol=1e-4)
+def test_it_stays_at_the_optimum(problem, reference):
+    found = BoundedLBFGS().solve(problem, reference.variables)
+    np.testing.assert_allclose(found.cost, reference.cost, rtol=1e-9)
+    np.testing.assert_allclose(found.variables, reference.variables, atol=1e-4)
 
 
-def test_it_comes_back_to_it(problem, ours):
-    """From beside it: which of several minima a solver meets from afar is luck."""
-    aside = ours.variables * np.random.default_rng(1).uniform(0.97, 1.03, ours.variables.size)
+def test_it_returns_to_the_optimum(problem, reference):
+    """From a point near the optimum, because there are several minima."""
+    aside = reference.variables * np.random.default_rng(1).uniform(0.97, 1.03, reference.variables.size)
     found = AugmentedLagrangian(BoundedLBFGS()).solve(problem, aside)
     assert found.status.converged, found.status.value
-    np.testing.assert_allclose(found.cost, ours.cost, rtol=1e-4)
+    np.testing.assert_allclose(found.cost, reference.cost, rtol=1e-4)
     assert (found.variables >= problem.lower).all() and (found.variables <= problem.upper).all()
     assert found.iterations > 10
 
@@ -57,7 +57,7 @@ def test_limit_on_iterations_and_interruption(problem):
     assert stopped.cost < float(problem.value(jnp.asarray(start)))
 
 
-def test_without_jaxopt_it_is_said(monkeypatch):
+def test_missing_jaxopt_is_reported(monkeypatch):
     monkeypatch.setattr(sys.modules["wrapjax.calibration.solvers.lbfgs"], "find_spec", lambda name: None)
     with pytest.raises(InputError, match="is not installed"):
         BoundedLBFGS()

@@ -1,4 +1,4 @@
-"""Two legs are one problem: the sum of both, over variables some of which are both legs' own."""
+"""Joint objective of two legs: shared variables, derivatives, limits and solutions of each leg."""
 
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
 
 LEFT = ("soleus_l", "gasmed_l", "tibant_l")
-#: The last muscle is the right leg's alone.
+#: The last muscle exists in the right leg alone.
 RIGHT = ("soleus_r", "gasmed_r", "tibpost_r")
 COMMON = 2
-#: What is the person's.
+#: Shared parameters.
 SHARED = (
     "activation_time_constant",
     "activation_nonlinearity",
@@ -26,7 +26,7 @@ SHARED = (
 
 
 def on_the_right(problem):
-    """The same leg with other muscles' names."""
+    """Return the same leg with the muscle names of the right side."""
     names = dict(zip(LEFT, RIGHT, strict=True))
     labels = [label.split(".") for label in problem.variables.labels]
     renamed = tuple(f"{names[muscle]}.{name}" for muscle, name in labels)
@@ -40,7 +40,7 @@ def joint():
 
 @pytest.fixture(scope="module")
 def limited():
-    """Two legs with hard limits, each pushed by multipliers of its own."""
+    """Two legs with hard limits and multipliers."""
     legs = [small_limited_objective(0), on_the_right(small_limited_objective(5))]
     for number, leg in enumerate(legs):
         generator = np.random.default_rng(number)
@@ -65,7 +65,7 @@ def somewhere(problem, seed=2):
     )
 
 
-def test_only_what_is_the_persons_is_shared(joint):
+def test_only_the_listed_parameters_are_shared(joint):
     own = [set(place.tolist()) for place in joint.places]
     assert len(own[0]) == len(own[1]) == len(joint.legs[0].lower)
     assert own[0] | own[1] == set(range(len(joint.lower)))
@@ -82,8 +82,8 @@ def test_only_what_is_the_persons_is_shared(joint):
     assert shared == expected
 
 
-def test_expansion_is_that_of_all_residuals(joint):
-    """By differences along lines that move shared and own variables of both legs at once."""
+def test_expansion_equals_finite_differences_of_all_residuals(joint):
+    """Along lines that change shared and separate variables of both legs."""
     point = somewhere(joint)
     found, rows = joint.linearized_at(point), jax.jit(lambda x: joint.residuals(x))
     np.testing.assert_allclose(found.cost, rows(point) @ rows(point), rtol=1e-12)
@@ -112,7 +112,7 @@ def test_expansion_equals_dense_derivatives(legs, request):
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
 
 
-def test_limits_are_both_legs_in_order(limited):
+def test_limits_are_those_of_both_legs_in_order(limited):
     point = somewhere(limited)
     parts = [leg.excess(point[place]) for leg, place in zip(limited.legs, limited.places, strict=True)]
     found = limited.excess(point)
@@ -133,7 +133,7 @@ def test_variables_and_trees_round_trip(joint):
         assert not np.allclose(*(getattr(tree, name)[:COMMON] for tree in trees))
 
 
-def test_shared_bounds_are_what_both_legs_allow():
+def test_shared_bounds_are_the_intersection():
     left, right = small_objective(0), on_the_right(small_objective(5))
     place = left.variables.labels.index("soleus_l.tendon_slack_length")
     own = left.variables.labels.index("soleus_l.emg_scale")
@@ -152,7 +152,7 @@ def test_shared_bounds_are_what_both_legs_allow():
         join_leg_objectives(within(left, 0.7, 0.8), within(right, 0.9, 1.3))
 
 
-def test_a_legs_part_of_a_solution(limited):
+def test_solution_of_one_leg(limited):
     solver = AugmentedLagrangian()
     joint = join_leg_objectives(*(small_limited_objective(0), on_the_right(small_limited_objective(5))))
     solution = solver.solve(joint, joint.start(joint.initial))

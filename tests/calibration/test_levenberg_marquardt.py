@@ -1,4 +1,4 @@
-"""The solver finds what SciPy finds, says honestly why it stopped, and can be stopped."""
+"""Levenberg-Marquardt: agreement with SciPy, status, interruption and convergence."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMa
 
 
 class Dense(AbstractLeastSquares):
-    """Any residual function, differentiated in the plain way."""
+    """Least-squares problem with dense derivatives of a residual function."""
 
     function: callable = eqx.field(static=True)
     bounds: Float[Array, "2 variable"]
@@ -41,7 +41,7 @@ def dense(function, lower, upper) -> Dense:
 
 
 def exponentials(seed: int, muscles: int = 5) -> tuple[Dense, np.ndarray]:
-    """Sums of saturating curves seen through arms: residuals do not vanish, some optima lie on bounds."""
+    """Build a problem of sums of saturating curves with nonzero residuals and optima on bounds."""
     generator = np.random.default_rng(seed)
     time = jnp.linspace(0, 1, 60)
     arms = jnp.asarray(generator.normal(size=(2, muscles, 60)))
@@ -57,7 +57,7 @@ def exponentials(seed: int, muscles: int = 5) -> tuple[Dense, np.ndarray]:
 
     data = jnp.zeros(120)
     data = function(jnp.asarray(truth.ravel()))[:120] + 0.05 * jnp.asarray(generator.normal(size=120))
-    # As with EMG scales, none can vanish: scale and shape both at zero would be a saddle by symmetry.
+    # Lower bounds are above zero, as for EMG scales: zero scale and shape would be a saddle point.
     bounds = jnp.tile(jnp.array([0.05, 0.0, 0.0]), muscles), jnp.ones(3 * muscles)
     return dense(function, *bounds), np.full(3 * muscles, 0.5)
 
@@ -82,11 +82,11 @@ def test_cost_and_active_set_equal_scipy(seed):
     if ours.cost >= 2 * theirs.cost * (1 - 1e-6):  # the same minimum, not a lower one
         np.testing.assert_allclose(ours.variables, theirs.x, atol=1e-4)
     stuck = (ours.variables <= problem.lower) | (ours.variables >= problem.upper)
-    assert stuck.any(), "a problem without active bounds would prove little"
+    assert stuck.any(), "a problem without active bounds would show little"
 
 
 class Linear(AbstractLeastSquares):
-    """The distance of a matrix product from a target, within the unit box."""
+    """Linear least squares within the unit box."""
 
     matrix: Float[Array, "row variable"]
     target: Float[Array, " row"]
@@ -107,7 +107,7 @@ class Linear(AbstractLeastSquares):
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10_000))
 def test_linear_problems_reach_the_bounded_optimum(seed):
-    """On a convex problem the stationarity conditions are the proof: no oracle needed."""
+    """On a convex problem the stationarity conditions are sufficient."""
     generator = np.random.default_rng(seed)
     matrix = jnp.asarray(generator.normal(size=(12, 6)))
     target = jnp.asarray(3 * generator.normal(size=12))
@@ -120,7 +120,7 @@ def test_linear_problems_reach_the_bounded_optimum(seed):
     assert (gradient[x == -1] >= 0).all() and (gradient[x == 1] <= 0).all()
 
 
-def test_cost_never_rises_and_log_is_complete():
+def test_cost_never_increases_and_the_history_is_complete():
     problem, start = exponentials(1)
     seen = []
     found = ProjectedLevenbergMarquardt().solve(
@@ -135,7 +135,7 @@ def test_cost_never_rises_and_log_is_complete():
 
 @pytest.mark.parametrize("last", [0, 2])
 def test_interrupting_returns_the_best_so_far(last):
-    """Before the first step, that is where it began."""
+    """Before the first step that is the start."""
     problem, start = exponentials(2)
 
     def stop(iteration, state):
@@ -155,13 +155,13 @@ def test_reaching_the_limit_is_not_convergence():
     assert "max_iterations" in found.status.value
 
 
-def test_start_outside_the_bounds_is_moved_inside():
+def test_start_outside_the_bounds_is_clipped():
     problem, start = exponentials(4)
     found = ProjectedLevenbergMarquardt().solve(problem, start + 10)
     assert (found.variables <= 1).all() and found.status.converged
 
 
-def test_cost_that_is_not_finite_is_said_so():
+def test_cost_that_is_not_finite_is_reported():
     problem = dense(lambda x: jnp.log(x - 2.0), jnp.zeros(1), jnp.ones(1))
     assert ProjectedLevenbergMarquardt().solve(problem, np.full(1, 0.5)).status is Status.not_finite
 
@@ -172,8 +172,8 @@ def test_starting_at_the_optimum_takes_no_iteration():
     assert found.status is Status.gradient and found.iterations == 0
 
 
-def test_exact_hessian_converges_where_gauss_newton_crawls():
-    """Large residuals: the last digits must come quadratically."""
+def test_exact_hessian_converges_fast_where_gauss_newton_is_slow():
+    """Quadratic convergence for large residuals."""
     problem = dense(
         lambda x: jnp.stack(
             [x[0] - 2 * jnp.sin(3 * x[1]) + 4, x[1] ** 2 + x[0] * x[1] - 3, 5 + jnp.cos(x[0])]
@@ -186,7 +186,7 @@ def test_exact_hessian_converges_where_gauss_newton_crawls():
 
 
 def test_steps_are_compiled_once():
-    """A state of another type than the step returns (weakly typed, say) is compiled for a second time."""
+    """A state of another type than that of the steps (weakly typed, for example) would be compiled again."""
     problem, start = exponentials(0)
     states = []
     ProjectedLevenbergMarquardt(max_iterations=2).solve(

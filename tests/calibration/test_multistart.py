@@ -1,4 +1,4 @@
-"""Starts can be made again, the best is taken, and whatever stops the work, it goes on where it was."""
+"""Multistart: reproducible starts, choice of the best result, and continuation from checkpoints."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ SOLVER = AugmentedLagrangian()
 
 @pytest.fixture(scope="module")
 def stages():
-    """Paths held, then free; few variables, so that it is quick."""
+    """Stages with held and with free paths, with few variables."""
     moving = small_limited_objective(seed=1)
     from tests.model.small import MUSCLES
     from wrapjax.model.freedom import nga_freedom
@@ -42,7 +42,7 @@ def undisturbed(stages, starts):
     return solve_from_starts(stages, starts, SOLVER)
 
 
-def test_starts_are_made_again_from_their_seed(stages):
+def test_starts_are_determined_by_their_seed(stages):
     problem = stages[0]
     first = np.asarray(problem.start(problem.initial))
     points = starting_points(problem, first, 4, seed=10)
@@ -55,19 +55,19 @@ def test_starts_are_made_again_from_their_seed(stages):
     assert len({point.tobytes() for _, point in points}) == 4
 
 
-def test_the_best_has_converged(undisturbed):
+def test_the_chosen_start_has_converged(undisturbed):
     def ended(cost, status):
         solution = dataclasses.replace(undisturbed[0].solution, cost=cost, status=status)
         return dataclasses.replace(undisturbed[0], solution=solution)
 
     low, high = ended(1.0, Status.gradient), ended(2.0, Status.cost)
-    lower_but_not_there = ended(0.5, Status.iterations)
+    lower_but_not_converged = ended(0.5, Status.iterations)
     assert best_start((high, low)) == 1 and best_start((low, high)) == 0
-    assert best_start((lower_but_not_there, high, low)) == 2
-    assert best_start((lower_but_not_there, ended(0.7, Status.damping))) == 0
+    assert best_start((lower_but_not_converged, high, low)) == 2
+    assert best_start((lower_but_not_converged, ended(0.7, Status.damping))) == 0
 
 
-def test_last_stage_begins_where_the_first_ended(stages, undisturbed):
+def test_last_stage_starts_from_the_solution_of_the_first(stages, undisturbed):
     for outcome in undisturbed:
         alone = SOLVER.solve(stages[0], outcome.start)
         history = outcome.solution.history
@@ -84,7 +84,7 @@ def _stop_at(start, number):
 
 
 @pytest.mark.parametrize(("start", "share"), [(0, 0.05), (0, 0.6), (1, 0.05), (1, 0.9)])
-def test_interrupted_work_goes_on_to_the_same_optimum(stages, starts, undisturbed, tmp_path, start, share):
+def test_interrupted_solves_continue_to_the_same_optimum(stages, starts, undisturbed, tmp_path, start, share):
     number = max(1, int(share * undisturbed[start].solution.iterations))
     book = Checkpoints.open(tmp_path / "book", "question", resume=False)
     stopped = solve_from_starts(stages, starts, SOLVER, _stop_at(start, number), book)
@@ -106,7 +106,7 @@ def test_interrupted_work_goes_on_to_the_same_optimum(stages, starts, undisturbe
         assert ours.solution.max_violation == pytest.approx(theirs.solution.max_violation, abs=1e-9)
 
 
-def test_a_damaged_entry_counts_as_absent(stages, starts, undisturbed, tmp_path):
+def test_a_damaged_checkpoint_counts_as_absent(stages, starts, undisturbed, tmp_path):
     book = Checkpoints.open(tmp_path / "book", "question", resume=False)
     solve_from_starts(stages[:1], starts[:1], SOLVER, None, book)
     assert book.read("start_0_stage_0").status.converged
@@ -116,7 +116,7 @@ def test_a_damaged_entry_counts_as_absent(stages, starts, undisturbed, tmp_path)
     assert book.read("start_7_stage_0") is None
 
 
-def test_a_journal_of_something_else_is_refused(tmp_path):
+def test_checkpoints_of_another_calibration_are_refused(tmp_path):
     Checkpoints.open(tmp_path / "book", "one question", resume=False)
     with pytest.raises(InputError, match="other data or settings"):
         Checkpoints.open(tmp_path / "book", "another", resume=True)

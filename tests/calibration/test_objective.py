@@ -1,4 +1,4 @@
-"""The block-wise derivatives are those of the cost, and the cost is the sum that the facts prescribe."""
+"""Objective: derivatives by blocks equal dense ones, and the cost is the documented sum of terms."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def point(problem):
-    """Away from the start, where penalties on changes would vanish, and inside the bounds."""
+    """Point within the bounds and away from the start, where penalties on changes are zero."""
     factor = np.random.default_rng(5).uniform(0.93, 1.07, problem.variables.count)
     return problem.variables.start() * jnp.asarray(factor)
 
@@ -43,7 +43,7 @@ def test_expansion_equals_dense_derivatives_of_all_residuals(problem, point):
     ],
 )
 def test_expansion_with_paths_and_limits(shift):
-    """Paths are differentiated frame by frame: that must be what differentiating everything gives."""
+    """Derivatives by paths, computed frame by frame, equal dense derivatives."""
     problem = small_limited_objective(seed=1)
     limits = tuple(dataclasses.replace(limit, shift=limit.shift + shift) for limit in problem.limits)
     problem = problem.with_limits(limits)
@@ -65,8 +65,8 @@ def test_expansion_with_paths_and_limits(shift):
     np.testing.assert_allclose(found.gauss_newton + found.remainder, hessian, rtol=1e-8, atol=1e-7)
 
 
-def test_expansion_with_paths_and_a_tendon_that_remembers():
-    """The stretch of a tendon holds its past: force at a frame follows the path of earlier frames too."""
+def test_expansion_with_paths_and_a_compliant_tendon():
+    """With a compliant tendon the force in a frame depends on the path in earlier frames as well."""
     plain = small_limited_objective(seed=1)
     muscles = len(plain.initial.emg_scale)
     problem = dataclasses.replace(plain, alterations=tendon_alterations("compliant", muscles))
@@ -90,7 +90,7 @@ def test_expansion_with_paths_and_a_tendon_that_remembers():
         np.testing.assert_allclose(own, difference, rtol=1e-4, atol=1e-5 * float(jnp.abs(own).max()))
 
 
-def test_gradient_equals_differences(problem, point):
+def test_gradient_equals_finite_differences(problem, point):
     gradient = 2 * problem.linearized_at(point).gradient
     cost = jax.jit(lambda x: jnp.sum(problem.residuals(x) ** 2))
     step = 1e-6
@@ -100,8 +100,8 @@ def test_gradient_equals_differences(problem, point):
         np.testing.assert_allclose(gradient[place], difference, rtol=1e-5, atol=1e-6, err_msg=label)
 
 
-def test_expansion_with_a_parameter_that_muscles_share(problem, point):
-    """Two muscles with one delay: derivatives add up, as two legs or one wrap surface will need."""
+def test_expansion_with_a_shared_parameter(problem, point):
+    """Derivatives by a delay that two muscles share are sums."""
     variables = problem.variables
     shared_index = np.array(variables.index)
     shared_index[1, 0] = shared_index[0, 0]
@@ -175,7 +175,7 @@ def test_cost_is_pure_under_grad_jit_and_vmap(problem, point):
     np.testing.assert_allclose(costs[0], jax.jit(lambda at: problem.cost(at))(parameters), rtol=1e-12)
 
 
-def test_moment_jacobian_is_the_plain_one(problem, point):
+def test_moment_jacobian_equals_the_dense_one(problem, point):
     plain = jax.jit(jax.jacfwd(lambda x: problem.terms(problem.variables.unpack(x))["joint_moment"]))(point)
     np.testing.assert_allclose(eqx.filter_jit(problem.moment_jacobian)(point), plain, rtol=1e-10, atol=1e-12)
 

@@ -1,4 +1,4 @@
-"""A mode is a change of path that costs one; limits hold what kept its sign, and nothing else."""
+"""Path modes have unit penalty, and limits apply to moment arms that keep their sign."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +13,7 @@ MUSCLES, TERMS, TRIALS, FRAMES = 2, 5, 2, 30
 
 
 def smooth(generator, *shape):
-    """Signals with a mean and a shape."""
+    """Draw smooth signals with a mean and a shape."""
     time = np.linspace(0.0, 2.0 * np.pi, FRAMES)
     level, wave, phase = generator.normal(size=(3, *shape, 1))
     return level + wave * np.sin(time + phase)
@@ -37,7 +37,7 @@ def paths():
 
 
 def penalty(nominal, length, arm, coefficients):
-    """Meyer's terms written out: mean and shape of length and arms, in allowable parts of their ranges."""
+    """Compute the terms of Meyer et al.: mean and shape of length and arms relative to their ranges."""
     total = np.sum((coefficients / 3e-3) ** 2)
     span = max(np.ptp(nominal.length), 0.01)
     total += (length.mean() / span) ** 2 + np.mean(((length - length.mean()) / (0.25 * span)) ** 2)
@@ -48,7 +48,7 @@ def penalty(nominal, length, arm, coefficients):
     return total
 
 
-def test_penalty_of_a_change_is_the_squared_length_of_its_modes(paths):
+def test_penalty_of_a_change_is_the_squared_norm_of_its_mode_coefficients(paths):
     nominal, by_coefficient, used = paths
     modes = path_modes(nominal, by_coefficient, used, COORDINATES)
     generator = np.random.default_rng(5)
@@ -68,7 +68,7 @@ def test_a_muscle_has_as_many_modes_as_coefficients(paths):
     assert np.linalg.matrix_rank(modes[1]) == 3 and np.linalg.matrix_rank(modes[0]) == 5
 
 
-def test_limits_spare_arms_that_cross_zero_or_do_not_exist():
+def test_arms_that_cross_zero_or_are_zero_have_no_limit():
     arm = np.full((3, 1, 2, 4), 0.03)
     arm[0, 0, 1] = -0.02
     arm[1, 0, 0, 2] = -0.001
@@ -78,7 +78,7 @@ def test_limits_spare_arms_that_cross_zero_or_do_not_exist():
     turned = np.where(arm == 0.0, 0.01, -arm).reshape(3, -1)
     above = np.asarray(sign.excess(jnp.asarray(turned))).reshape(3, 2, 4) > 0.0
     np.testing.assert_array_equal(above.all(axis=2), [[True, True], [False, True], [True, False]])
-    # In cm, and exactly at zero.
+    # The excess is in cm.
     np.testing.assert_allclose(np.asarray(sign.excess(jnp.asarray(turned)))[0, :4], 3.0)
     shortest, longest = FIBER_LENGTH_RANGE
     values = jnp.array([[longest], [shortest], [1.0]])

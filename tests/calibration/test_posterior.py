@@ -1,4 +1,4 @@
-"""Spreads are those of problems that can be solved by hand, and both ways to find them agree."""
+"""Posterior: agreement with exact solutions, and of Laplace approximation and bootstrap."""
 
 import functools
 from dataclasses import replace
@@ -29,11 +29,11 @@ SOLVER = AugmentedLagrangian()
 SPEEDS = [np.array([1.0, 1.0])]
 
 
-# ---- Draws within bounds
+# ---- Truncated normal distribution
 
 
-def test_draws_within_bounds_have_the_moments_of_what_is_left():
-    """Against the same distribution by throwing away what lies outside."""
+def test_truncated_draws_have_the_moments_of_rejection_sampling():
+    """Mean and covariance equal those of untruncated draws of which those outside are rejected."""
     generator = np.random.default_rng(0)
     root = generator.normal(size=(4, 4))
     covariance, mean = root @ root.T + 0.05 * np.eye(4), np.array([0.5, -1.0, 0.3, 2.0])
@@ -47,8 +47,8 @@ def test_draws_within_bounds_have_the_moments_of_what_is_left():
     np.testing.assert_allclose(np.corrcoef(draws.T), np.corrcoef(kept.T), atol=0.06)
 
 
-def test_draws_far_out_in_a_tail_are_exact():
-    """A bound thirty deviations away leaves nearly an exponential, whose logarithms must not underflow."""
+def test_draws_far_in_a_tail_are_exact():
+    """Beyond thirty deviations the distribution is nearly exponential; logarithms must not underflow."""
     mean, bound = np.array([-30.0]), np.array([0.0])
     draws = draw_truncated_normal(mean, np.eye(1), bound, np.array([np.inf]), 4000, seed=2)[:, 0]
     exact = scipy.stats.truncnorm(30.0, np.inf, loc=-30.0)
@@ -59,7 +59,7 @@ def test_draws_far_out_in_a_tail_are_exact():
 
 
 def known_noise(repeated: float) -> ResidualNoise:
-    """Two coordinates, smooth over the cycle; what three cycles of a speed share is larger by a factor."""
+    """Build noise of two coordinates, smooth over the cycle, with larger variance of means of cycles."""
     trivial = residual_noise(
         np.zeros((6, 2, 51)), np.repeat([0.8, 1.2], 3), np.zeros((6, 2, 51, 1)), np.zeros((1, 1))
     )
@@ -69,18 +69,18 @@ def known_noise(repeated: float) -> ResidualNoise:
     return replace(trivial, variance=variance)
 
 
-def test_covariance_of_drawn_noise_is_what_was_asked_for():
+def test_covariance_of_drawn_noise_is_the_given_one():
     noise = known_noise(3.0)
     generator = np.random.default_rng(3)
     draws = np.stack([noise.draw(generator) for _ in range(3000)])
     np.testing.assert_allclose(np.sqrt((draws**2).mean(axis=(0, 1, 3))), noise.deviation, rtol=0.02)
     slopes = np.random.default_rng(4).normal(size=(6, 2, 51, 3)).cumsum(axis=2)
-    seen = np.cov(np.einsum("dtcf,tcfv->dv", draws, slopes).T)
-    np.testing.assert_allclose(seen, noise.propagate(slopes), rtol=0.15, atol=0.1 * np.diag(seen).min())
+    data = np.cov(np.einsum("dtcf,tcfv->dv", draws, slopes).T)
+    np.testing.assert_allclose(data, noise.propagate(slopes), rtol=0.15, atol=0.1 * np.diag(data).min())
 
 
 @pytest.mark.parametrize("repeated", [1.0, 6.0])
-def test_noise_is_found_though_calibration_took_a_part_of_it(repeated):
+def test_noise_is_estimated_although_the_calibration_fitted_a_part(repeated):
     noise, shape = known_noise(repeated), (6, 2, 51)
     angle = 2.0 * np.pi * np.linspace(0.0, 1.0, 51)
     waves = np.stack([np.cos(turn * angle + phase) for turn in range(5) for phase in (0.0, 1.5)], axis=-1)
@@ -102,11 +102,11 @@ def test_noise_is_found_though_calibration_took_a_part_of_it(repeated):
     assert noise.independent < 0.35 * 6 * 2 * 51
 
 
-# ---- A problem that is solved by hand
+# ---- A problem with an exact solution
 
 
 class Line(AbstractCalibration):
-    """Bounds alone: the rest of a posterior is given by hand."""
+    """Problem with bounds alone; the other parts of the posterior are set explicitly."""
 
     limits: tuple
     ends: np.ndarray
@@ -139,42 +139,42 @@ class Line(AbstractCalibration):
         raise NotImplementedError
 
 
-def by_hand(lower: float, at: float, gradient: float) -> tuple[Posterior, np.ndarray]:
-    """Two variables, white noise; the posterior's precision is ``information * (seen + prior)``."""
-    seen, prior = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, 0.5])
+def exact_case(lower: float, at: float, gradient: float) -> tuple[Posterior, np.ndarray]:
+    """Build a posterior of two variables with white noise and precision ``information * (data + prior)``."""
+    data, prior = np.array([[4.0, 3.0], [3.0, 4.0]]), np.diag([1.0, 0.5])
     problem = Line(limits=(), ends=np.array([[lower, -np.inf], [np.inf, np.inf]]))
     state = SOLVER.solve(linear_objective(0), np.ones(3)).state
     state = replace(state, variables=jnp.array([at, 2.0]))
-    judged = Posterior(
+    distribution = Posterior(
         problem=problem,
         state=state,
         noise=(),
         modelled=(),
         information=10.0,
         prior_information=10.0,
-        curvature=seen + prior,
+        curvature=data + prior,
         prior_curvature=prior,
         gradient=np.array([gradient, 0.0]),
         prior_gradient=np.zeros(2),
         moment_gradient=np.zeros(2),
-        gradient_noise=seen / 10.0,
+        gradient_noise=data / 10.0,
     )
-    return judged, 10.0 * (seen + prior)
+    return distribution, 10.0 * (data + prior)
 
 
-def test_linear_problem_has_its_exact_posterior():
-    judged, precision = by_hand(-np.inf, 1.0, 0.0)
-    draws = judged.laplace(20_000, seed=0)
-    # Flat priors of variables without bounds add nothing that shows.
+def test_laplace_draws_of_a_linear_problem_are_exact():
+    distribution, precision = exact_case(-np.inf, 1.0, 0.0)
+    draws = distribution.laplace(20_000, seed=0)
+    # The small curvature for variables without bounds is negligible.
     np.testing.assert_allclose(np.cov(draws.T), np.linalg.inv(precision), rtol=0.05)
     np.testing.assert_allclose(draws.mean(axis=0), [1.0, 2.0], atol=0.01)
 
 
-def test_variable_pushed_against_its_bound_leaves_it_one_sided():
-    judged, precision = by_hand(1.0, 1.0, 0.4)
-    draws = judged.laplace(20_000, seed=0)
+def test_variable_at_a_bound_has_a_one_sided_distribution():
+    distribution, precision = exact_case(1.0, 1.0, 0.4)
+    draws = distribution.laplace(20_000, seed=0)
     assert (draws[:, 0] >= 1.0).all()
-    # The other one follows it: the marginal has the precision of the profile.
+    # The precision of its marginal is that of the profile over the other variable.
     profile = precision[0, 0] - precision[0, 1] ** 2 / precision[1, 1]
     center, width = 1.0 - 10.0 * 0.4 / profile, profile**-0.5
     exact = scipy.stats.truncnorm((1.0 - center) / width, np.inf, loc=center, scale=width)
@@ -182,13 +182,13 @@ def test_variable_pushed_against_its_bound_leaves_it_one_sided():
         np.percentile(draws[:, 0], [10, 50, 90]) - 1.0, exact.ppf([0.1, 0.5, 0.9]) - 1.0, rtol=0.12
     )
     spread = summarize_draws(
-        draws, 3.0 * draws, np.array([1.0, 2.0]), judged.at_bound, ("a.x", "b.x"), ("1", "1")
+        draws, 3.0 * draws, np.array([1.0, 2.0]), distribution.at_bound, ("a.x", "b.x"), ("1", "1")
     )
     assert spread.low[0] == 1.0 and spread.high[0] == pytest.approx(exact.ppf(0.9), rel=0.02)
     assert spread.low[1] < 2.0 < spread.high[1]
 
 
-def test_what_moments_do_not_narrow_is_said():
+def test_variables_that_moments_do_not_determine_are_reported():
     generator = np.random.default_rng(5)
     prior = generator.normal(size=(4000, 2))
     draws = prior * np.array([0.3, 0.95])
@@ -196,12 +196,12 @@ def test_what_moments_do_not_narrow_is_said():
     assert spread.identified.tolist() == [True, False]
 
 
-# ---- A model that is linear: forces of muscles alone are free
+# ---- A linear model: maximum isometric forces alone are free
 
 
 @functools.cache
 def noiseless() -> Objective:
-    """Moments are linear in the muscles' strengths."""
+    """Objective whose moments are linear in the maximum isometric forces."""
     recording, base = small_recording(0), small_parameters()
     strength = np.asarray(base.max_isometric_force)
     freed = FreedParameter(
@@ -224,7 +224,7 @@ def moments_of(problem: Objective, variables):
 
 
 def linear_objective(seed: int, noise: float = 2.0, true=(1.0, 1.0, 1.0)) -> Objective:
-    """Add noise that is smooth over a cycle and new in each to the moments of true strengths."""
+    """Add noise, smooth over a cycle and independent between cycles, to the true moments."""
     generator = np.random.default_rng(seed)
     waves = generator.normal(size=(2, 2, 7)) * noise * np.sqrt(2.0 / 7.0)
     phases = 2.0 * np.pi * np.arange(21) / 21
@@ -235,15 +235,15 @@ def linear_objective(seed: int, noise: float = 2.0, true=(1.0, 1.0, 1.0)) -> Obj
 
 
 @pytest.fixture(scope="module")
-def judged():
+def distribution():
     problem = linear_objective(1)
     solution = SOLVER.solve(problem, problem.start(problem.initial))
     assert solution.status.converged
     return posterior(solution.problem, solution.state, SPEEDS)
 
 
-def test_intervals_hold_the_truth_nine_times_in_ten():
-    """People are drawn from the prior, each with noise of its own; 24 of them know the share to some 4 %."""
+def test_intervals_cover_true_values_in_nine_of_ten_cases():
+    """Subjects are drawn from the prior with independent noise; 24 give the coverage to about 4 %."""
     people = 1.0 + 0.3 * np.random.default_rng(7).standard_normal((24, 3))
     held = []
     for seed, true in enumerate(people):
@@ -255,19 +255,19 @@ def test_intervals_hold_the_truth_nine_times_in_ten():
     assert 0.8 <= np.mean(held) <= 0.99
 
 
-def test_laplace_and_bootstrap_agree_where_the_model_is_linear(judged):
-    """Within a fifth: 200 draws know a deviation to 5 %, and noise in its own size adds some."""
-    drawn, statuses = randomized_refits(judged, SOLVER, 200, seed=0)
+def test_laplace_and_bootstrap_agree_where_the_model_is_linear(distribution):
+    """Within a fifth: the standard error of a deviation from 200 draws is 5 %, and that of the noise adds."""
+    drawn, statuses = randomized_refits(distribution, SOLVER, 200, seed=0)
     assert all(status.converged for status in statuses)
-    straight = judged.laplace(4000, seed=0)
+    straight = distribution.laplace(4000, seed=0)
     np.testing.assert_allclose(drawn.std(axis=0), straight.std(axis=0), rtol=0.2)
-    off = (drawn.mean(axis=0) - judged.solution) / straight.std(axis=0)
+    off = (drawn.mean(axis=0) - distribution.solution) / straight.std(axis=0)
     assert np.abs(off).max() < 0.25  # made-up moments are about the solution, pulled nowhere
     np.testing.assert_allclose(np.corrcoef(drawn.T), np.corrcoef(straight.T), atol=0.2)
 
 
-def test_refits_use_the_code_that_is_compiled(judged):
-    randomized_refits(judged, SOLVER, 1, seed=0)
+def test_refits_reuse_compiled_functions(distribution):
+    randomized_refits(distribution, SOLVER, 1, seed=0)
     compiled = []
 
     def note(event, seconds, **details):
@@ -276,21 +276,21 @@ def test_refits_use_the_code_that_is_compiled(judged):
 
     jax.monitoring.register_event_duration_secs_listener(note)
     try:
-        randomized_refits(judged, SOLVER, 3, seed=1)
+        randomized_refits(distribution, SOLVER, 3, seed=1)
     finally:
         jax.monitoring.clear_event_listeners()
     assert compiled == []
 
 
-def test_draws_that_are_done_are_not_done_again(judged, tmp_path):
+def test_finished_draws_are_not_repeated(distribution, tmp_path):
     class NoWork(AugmentedLagrangian):
         def solve(self, *arguments):
             raise AssertionError("a draw was done again")
 
     checkpoints = Checkpoints.open(tmp_path / "book", "question", resume=False)
-    done, _ = randomized_refits(judged, SOLVER, 3, seed=0, checkpoints=checkpoints)
-    again, statuses = randomized_refits(judged, NoWork(), 3, seed=0, checkpoints=checkpoints)
+    done, _ = randomized_refits(distribution, SOLVER, 3, seed=0, checkpoints=checkpoints)
+    again, statuses = randomized_refits(distribution, NoWork(), 3, seed=0, checkpoints=checkpoints)
     np.testing.assert_array_equal(again, done)
     assert len(statuses) == 3
-    few, _ = randomized_refits(judged, SOLVER, 2, seed=0)
+    few, _ = randomized_refits(distribution, SOLVER, 2, seed=0)
     np.testing.assert_array_equal(few, done[:2])

@@ -1,4 +1,4 @@
-"""Compiled programs serve the next person of the same shape, too: nobody waits for them twice."""
+"""Compiled functions are reused for another subject with the same shapes."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMa
 
 
 def moments_alone(seed: int):
-    """Without penalties: quicker to compile, and with the same recordings, variables and names."""
+    """Build an objective without penalties, which compiles faster."""
     return dataclasses.replace(small_objective(seed), penalties=())
 
 
@@ -30,13 +30,13 @@ def moments_alone(seed: int):
         ),
     ],
 )
-def test_second_person_of_the_same_shape_compiles_nothing(make, solver):
+def test_second_subject_with_the_same_shapes_compiles_nothing(make, solver):
     first, second = make(0), make(1)
     start, other = first.start(first.initial), second.start(second.initial)
     with counted_programs() as asked:
         solver.compile(first, start)
         solver.solve(first, start)
-    assert asked, "what is counted must be what is compiled"
+    assert asked, "the count must include compilations"
     with counted_programs() as asked:
         solver.compile(second, other)
         solver.solve(second, other)

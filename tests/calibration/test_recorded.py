@@ -1,4 +1,4 @@
-"""On recorded walking: moments, paths and optimum are as good as they must be."""
+"""Calibration to recorded walking: errors of moments and paths, and optimality."""
 
 import dataclasses
 
@@ -46,14 +46,14 @@ def calibration_mae(calibration) -> float:
 
 @pytest.mark.slow  # the next test is quicker and defends the same but for one prior
 def test_moment_error_with_the_terms_of_the_nmsm_pipeline(subject, paths):
-    """Nothing holds the delays, as in the published cost."""
+    """Without a prior on delays, as in the published cost."""
     freedom = nga_freedom(model_parameters(subject), delay_sd=np.inf)
     calibration = calibrate(subject, fit=paths, freedom=freedom, starts=1)
     assert calibration.status.converged, calibration.status.value
     assert calibration_mae(calibration) <= 6.75
 
 
-def test_moment_error_with_our_prior_on_delays(subject, paths):
+def test_moment_error_with_a_prior_on_delays(subject, paths):
     calibration = calibrate(subject, fit=paths, starts=1)
     assert calibration.status.converged, calibration.status.value
     assert calibration_mae(calibration) <= 6.9
@@ -61,7 +61,7 @@ def test_moment_error_with_our_prior_on_delays(subject, paths):
     assert len(calibration.result.solution.variables) == 204
 
 
-def test_paths_on_poses_never_used_in_fitting(subject, paths):
+def test_path_errors_in_validation_poses(subject, paths):
     """Errors of every muscle, pooled over its coordinates."""
     assert set(paths.errors) == set(subject.muscles.names)
     judged = {name: error for name, error in paths.errors.items() if not name.startswith("gas")}
@@ -73,7 +73,7 @@ def test_paths_on_poses_never_used_in_fitting(subject, paths):
 
 @pytest.fixture(scope="module")
 def reduced(subject, paths):
-    """Make problems of one slow and one fast cycle in which only the named parameters move."""
+    """Build problems of one slow and one fast cycle in which only the named parameters are free."""
     cycles = dataclasses.replace(subject, trials=subject.trials.used_for("calibration").select([0, 3]))
     everything = nga_freedom(model_parameters(cycles))
 
@@ -104,7 +104,7 @@ def test_optimum_is_that_of_scipy(reduced):
     ],
     ids="+".join,
 )
-def test_scipy_and_we_cannot_better_each_other(reduced, names):
+def test_neither_solver_improves_the_solution_of_the_other(reduced, names):
     """These have several minima, and which one a solver meets from a given start is luck.
 
     So each starts where the other ended: SciPy finds nothing lower than our optimum, and we, after
@@ -141,13 +141,13 @@ def scipy_trf(problem, start, evaluations: int | None = None) -> OptimizeResult:
 
 
 def projected_gradient(problem, variables) -> float:
-    """Largest move of projected steepest descent, by plain reverse-mode differentiation."""
+    """Compute the largest change by a projected gradient step, by reverse-mode differentiation."""
     slope = eqx.filter_jit(jax.grad(lambda x, problem: 0.5 * jnp.sum(problem.residuals(x) ** 2)))
     moved = np.clip(variables - slope(jnp.asarray(variables), problem), problem.lower, problem.upper)
     return float(np.abs(moved - variables).max())
 
 
-# ---- Paths that may change
+# ---- Free paths
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_limits_hold_on_two_cycles(subject, paths):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("method", "calibration", "validation"), [("SGA", 0.35, 0.24), ("LSGA", 0.27, 0.18)])
-def test_errors_fall_below_those_of_nga(subject, paths, nga_errors, method, calibration, validation):
+def test_errors_are_below_those_of_nga(subject, paths, nga_errors, method, calibration, validation):
     found = calibrate(subject, method, paths, starts=1)
     assert_limits_hold(found)
     errors = errors_by_use(found)
@@ -199,7 +199,7 @@ def test_errors_fall_below_those_of_nga(subject, paths, nga_errors, method, cali
     assert errors["validation"] <= (1.0 - validation) * nga_errors["validation"]
 
 
-def test_the_papers_muscles_touch_a_surface(paths):
+def test_the_published_muscles_touch_a_wrap(paths):
     adductors = {f"add{part}_l" for part in ("brev", "long", "magDist", "magIsch", "magMid", "magProx")}
     others = {
         f"{name}_l"

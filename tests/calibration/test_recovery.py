@@ -1,4 +1,4 @@
-"""Calibration finds a known truth where moments can tell it, and says where they cannot.
+"""Calibration recovers true parameters where moments determine them, and reports where they do not.
 
 Data of the model's own form, without noise: a unit test of the solver, not an accuracy.
 """
@@ -31,7 +31,7 @@ def recovered(tmp_path_factory):
     values = {name: jnp.asarray(getattr(truth, name)) for name in parameter_names()}
     true = dataclasses.replace(base, **values)
     moments = eqx.filter_jit(joint_moments)(recorded.curves, true, recorded.recording)
-    # With penalties weak from the start the nearest minimum is a poor one: they are weakened in steps.
+    # Weak penalties from the start lead to a poor local minimum; they are weakened in steps.
     variables = recorded.variables.start()
     for moment_error in (2.5, 0.5, 0.1, 0.02, 0.005, 0.0025):
         problem = dataclasses.replace(recorded, measured=moments, moment_error=np.array(moment_error))
@@ -52,7 +52,7 @@ def recovered(tmp_path_factory):
 
 
 def test_recorded_moments_are_those_of_the_true_parameters(recovered):
-    """The folder holds moments over OpenSim's own paths; the surrogate's differ where it is least exact."""
+    """The folder has moments over paths of OpenSim, from which the surrogate deviates slightly."""
     error = np.abs(recovered["recorded"] - recovered["moments"])
     assert error.mean() < 0.02 and error.max() < 0.3
 
@@ -61,15 +61,15 @@ def test_moments_are_matched(recovered):
     assert np.abs(recovered["modelled"] - recovered["moments"]).max() < 0.01
 
 
-def test_identifiable_parameters_are_found(recovered):
+def test_identifiable_parameters_are_recovered(recovered):
     true, found = recovered["true"], recovered["found"]
     identifiable = recovered["deviation"] < 0.01 * np.abs(true)
     assert identifiable.sum() >= 30
     assert (np.abs(found - true)[identifiable] <= 0.01 * np.abs(true)[identifiable]).all()
 
 
-def test_what_cannot_be_told_is_said(recovered):
-    """Weak or idle muscles leave their nonlinearity and time constant open: it must not look certain."""
+def test_parameters_that_are_not_identifiable_are_reported(recovered):
+    """Moments do not determine the nonlinearity and time constant of weak or inactive muscles."""
     error = np.abs(recovered["found"] - recovered["true"])
     far = error > 0.05 * np.abs(recovered["true"])
     assert far.any()

@@ -1,4 +1,4 @@
-"""Defends: a minute on a treadmill is calibrated as a whole, and explained alike from start to end."""
+"""Calibration to a minute of recorded treadmill walking."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import wrapjax
 
 
 @pytest.mark.slow
-def test_knee_and_ankle_of_53_cycles_are_explained_alike(data_folder):
+def test_moment_errors_of_53_cycles_are_similar(data_folder):
     subject = wrapjax.load_subject(data_folder / "healthy_treadmill")
     found = wrapjax.calibrate(subject, "NGA", wrapjax.exact_geometry(subject), starts=1).result
     assert found.solution.status.converged and found.coordinates == ("knee_angle_l", "ankle_angle_l")

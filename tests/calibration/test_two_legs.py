@@ -1,4 +1,4 @@
-"""Two legs of one person: what is the person's is shared, what is a leg's is not, and one run holds both."""
+"""Joint calibration of two legs: shared parameters, one run folder, resumption and invalid folders."""
 
 import json
 import re
@@ -21,7 +21,7 @@ from wrapjax.subject.subject import load_subject as load_subject
 
 
 def write_right_leg(folder):
-    """The same leg on the other side; it walks with stronger moments."""
+    """Write the same leg for the other side, with larger moments."""
     write_subject(folder)
     for file in folder.rglob("*.*"):
         text = re.sub(r"_l(?=\b|_|-)", "_r", file.read_text(encoding="utf-8"))
@@ -57,7 +57,7 @@ def folders(tmp_path_factory):
     left = write_subject(tmp_path_factory.mktemp("person") / "left")
     right = write_right_leg(left.parent / "right")
     name_other_leg(left, "../right")
-    # It may point back.
+    # The other leg may refer back.
     name_other_leg(right, "../left")
     return left, right
 
@@ -67,7 +67,7 @@ def both(folders):
     return calibrate(load_subject(folders[0]), "NGA", starts=1)
 
 
-def test_legs_share_what_is_the_persons(both):
+def test_legs_share_the_listed_parameters(both):
     left, right = both.result, both.other_leg.result
     assert both.status.converged and right.muscles == ("recfem_r", "semiten_r")
     for name in SHARED:
@@ -76,11 +76,11 @@ def test_legs_share_what_is_the_persons(both):
             for result in (left, right)
         )
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, err_msg=name)
-    # The right leg's moments are larger: something of its own must make up for them.
+    # Separate parameters account for the larger moments of the right leg.
     assert not np.allclose(left.parameters.emg_scale, right.parameters.emg_scale, rtol=1e-3)
 
 
-def test_uncertainty_of_what_legs_share_is_shared(both):
+def test_uncertainty_of_shared_parameters_is_shared(both):
     from wrapjax.calibration.uncertainty.uncertainty import uncertainty
 
     judged = uncertainty(both, "laplace", draws=200)
@@ -98,7 +98,7 @@ def test_uncertainty_of_what_legs_share_is_shared(both):
         assert (spread.low <= leg.result.modelled).mean() > 0.9
 
 
-def test_one_run_holds_both_legs(folders, tmp_path):
+def test_one_run_folder_has_both_legs(folders, tmp_path):
     run = tmp_path / "run"
     words = ["calibrate", str(folders[0]), "--method", "NGA", "--out", str(run), "--starts", "2", "--quiet"]
     assert main(words) == 0
@@ -119,20 +119,20 @@ def test_one_run_holds_both_legs(folders, tmp_path):
 
 
 def stop(start, iteration, state):
-    """Press Ctrl-C after the first step."""
+    """Interrupt after the first step."""
     if iteration.number:
         raise KeyboardInterrupt
 
 
-def test_one_leg_is_calibrated_alone_if_asked(folders, both):
+def test_one_leg_can_be_calibrated_alone(folders, both):
     alone = calibrate(replace(load_subject(folders[0]), other_leg=None), "NGA", starts=1)
     assert alone.other_leg is None and alone.status.converged
-    # Whoever need not share fits better.
+    # Without shared parameters the fit is better.
     assert alone.result.solution.cost < both.result.solution.cost
 
 
 @pytest.mark.slow
-def test_an_interrupted_first_stage_still_gives_both_legs(folders):
+def test_an_interrupted_first_stage_returns_both_legs(folders):
     done = calibrate(load_subject(folders[0]), "SGA", starts=1, callback=stop)
     assert done.status is Status.interrupted
     for leg in done.legs:
@@ -173,7 +173,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_legs_that_do_not_belong_together_are_refused(case, tmp_path, capsys):
+def test_incompatible_legs_are_refused(case, tmp_path, capsys):
     left = write_subject(tmp_path / "left")
     right = write_right_leg(tmp_path / "right")
     name_other_leg(left, "../right")
@@ -188,8 +188,8 @@ def test_legs_that_do_not_belong_together_are_refused(case, tmp_path, capsys):
         calibrate(load_subject(left), "NGA", starts=1)
 
 
-def test_the_other_leg_decides_what_can_be_resumed(folders, tmp_path):
-    """A journal is of both legs' data: with other recordings of the right leg it is another question."""
+def test_checkpoints_depend_on_the_other_leg(folders, tmp_path):
+    """Changed recordings of the right leg give another fingerprint."""
     left, right = (shutil.copytree(folder, tmp_path / folder.name) for folder in folders)
 
     book = tmp_path / "journal"
@@ -213,7 +213,7 @@ def test_a_broken_other_leg_is_named(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-def test_a_freedom_of_ones_own_is_for_one_leg(folders):
+def test_a_custom_freedom_is_for_one_leg(folders):
     from wrapjax.model.freedom import nga_freedom
     from wrapjax.path_sources.model_inputs import model_parameters
 
@@ -224,7 +224,7 @@ def test_a_freedom_of_ones_own_is_for_one_leg(folders):
 
 @pytest.fixture(scope="module")
 def virtual_person(tmp_path_factory):
-    """A made-up person, one noisy cycle at either speed: the truth, both legs together, and each alone."""
+    """Virtual subject, one noisy cycle per speed: true parameters, joint and separate calibrations."""
     folder = tmp_path_factory.mktemp("virtual") / "person"
     truth = write_virtual_legs(folder, seed=0, series=(Series(0.8, 1, 0), Series(1.2, 1, 0)))
     legs = [load_subject(folder / name) for name in ("right", "left")]
@@ -233,7 +233,7 @@ def virtual_person(tmp_path_factory):
     return truth["right"], together, alone
 
 
-def test_a_whole_person_is_calibrated_together(virtual_person):
+def test_both_legs_of_a_virtual_subject_are_calibrated(virtual_person):
     _, together, alone = virtual_person
     assert together.status.converged and all(leg.status.converged for leg in alone)
     for leg, single in zip(together.legs, alone, strict=True):
@@ -246,8 +246,8 @@ def test_a_whole_person_is_calibrated_together(virtual_person):
         assert error < 1.1 * best < 0.5 * before
 
 
-def test_shared_parameters_are_found_no_worse_than_by_legs_alone(virtual_person):
-    """Data of the model's own form: a unit test, not an accuracy. On average: one leg may be lucky."""
+def test_shared_parameters_are_at_least_as_accurate_as_separate_ones(virtual_person):
+    """On average over parameters. The data are generated by the same model: a unit test, not an accuracy."""
     truth, together, alone = virtual_person
 
     def error(result, name):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.path_sources.hidden_cylinders import errors_of_told_arms, hidden
+from tests.path_sources.hidden_cylinders import errors_of_identifiable_arms, hidden
 from wrapjax.calibration.problem import build_objective
 from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.subject import write_virtual_subject
@@ -26,7 +26,7 @@ def test_cylinders_are_recovered_with_all_parameters_unknown(tmp_path):
         wraps = geometry.freedom("PGA", subject).wraps
         values = {name: getattr(truth, name) for name in parameter_names()}
         problem = build_objective(subject, "PGA", geometry)
-        before, after = errors_of_told_arms(*hidden(problem, wraps, truth.wraps, **values))
+        before, after = errors_of_identifiable_arms(*hidden(problem, wraps, truth.wraps, **values))
         assert before.size, f"subject {seed}: nothing can be told apart"
         falls.append(1.0 - after.mean() / before.mean())
         print(f"subject {seed}: {before.size} arms, errors fall by {falls[-1]:.3f}", flush=True)

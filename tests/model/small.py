@@ -1,4 +1,4 @@
-"""A small model made of smooth made-up signals: three muscles, two coordinates, two cycles."""
+"""Small synthetic model with smooth signals: three muscles, two coordinates, two cycles."""
 
 import equinox as eqx
 import jax
@@ -67,12 +67,12 @@ def small_objective(seed: int = 0) -> Objective:
     )
 
 
-#: Modes of each muscle's path; the last muscle has none and its places are padding.
+#: Number of path modes of each muscle; the arrays are padded.
 MODES = (3, 2, 0)
 
 
 def small_adjustable_recording(seed: int = 0) -> Recording:
-    """The small recording with paths that may change, a different number of ways for each muscle."""
+    """Build the small recording with free paths, with a different number of modes for each muscle."""
     fixed = small_recording(seed)
     nominal = fixed.path.nominal
     generator = np.random.default_rng(seed + 7)
@@ -88,7 +88,7 @@ def small_adjustable_recording(seed: int = 0) -> Recording:
 
 
 def small_limited_objective(seed: int = 0) -> Objective:
-    """Moments that ask for paths beyond their limits: a turned moment arm and a stretched fiber."""
+    """Build an objective whose moments need paths beyond their limits: reversed arms and long fibers."""
     recording = small_adjustable_recording(seed)
     base = eqx.tree_at(lambda tree: tree.path_changes, small_parameters(), jnp.zeros((3, max(MODES))))
     free = np.arange(max(MODES))[None] < np.array(MODES)[:, None]

@@ -1,4 +1,4 @@
-"""The small model with muscles whose EMG is zero: commands drive them instead."""
+"""Small synthetic model with muscles that synergy commands drive."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ COMMANDS = 3
 
 
 def small_extrapolated_objective(excitations: dict[str, tuple[str, ...]]) -> Objective:
-    """Two commands and a constant drive the muscles of these excitations."""
+    """Build an objective in which two commands and a constant drive the muscles of the excitations."""
     plain = small_objective()
     emg = plain.recording.emg
     knots = emg.coefficients.shape[-1] + 1

@@ -1,4 +1,4 @@
-"""The forward model treats muscles and cycles alike and apart, and freedoms bound it without creeping."""
+"""Forward model: independence of muscles and cycles; bounds and priors of freedoms."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def parameters() -> ModelParameters:
-    """Another value for every muscle: with equal ones a mix-up of muscles would go unseen."""
+    """Build parameters that differ between muscles, so that an interchange is detected."""
     factor = np.random.default_rng(7).uniform(0.9, 1.1, size=3)
     return jax.tree.map(lambda leaf: leaf * factor.reshape(3, *[1] * (leaf.ndim - 1)), small_parameters())
 
@@ -45,7 +45,7 @@ def muscle(tree, row: int):
 
 
 def trials(recording: Recording, order) -> Recording:
-    """Pick cycles, in any order; the trial axis is the second of every leaf."""
+    """Select cycles in any order; the trial axis is the second of every leaf."""
     emg, path = jax.tree.map(lambda leaf: leaf[:, np.asarray(order)], (recording.emg, recording.path.nominal))
     return Recording(emg, fixed_path(path), recording.padding)
 
@@ -72,7 +72,7 @@ def test_all_muscles_at_once_equal_one_after_another(parameters, recording, stat
         assert_trees_close(muscle(states, row), alone)
 
 
-def test_a_muscle_answers_to_its_own_parameters_alone(parameters, recording, states):
+def test_a_muscle_depends_on_its_own_parameters_alone(parameters, recording, states):
     changed = jax.tree.map(lambda leaf: leaf.at[1].multiply(1.05), parameters)
     other = run_all(CURVES, changed, recording)
     difference = np.abs(np.asarray(other.moment - states.moment)).max(axis=(1, 2, 3))
@@ -101,7 +101,7 @@ def test_a_cycle_is_not_influenced_by_others(parameters, recording, states):
 
 
 def test_vmap_over_cycles_equals_the_batch(parameters, recording, states):
-    """What a user writes who has many cycles: nothing in the model may depend on the batch."""
+    """The model of a cycle does not depend on the batch."""
 
     def one_cycle(emg: EmgSpline, path: PathState):
         emg, path = jax.tree.map(lambda leaf: leaf[:, None], (emg, path))
@@ -113,7 +113,7 @@ def test_vmap_over_cycles_equals_the_batch(parameters, recording, states):
 
 
 def test_vmap_over_parameters_equals_a_loop(parameters, recording):
-    """Several starts, or draws from a posterior, at once."""
+    """Several parameter trees at once."""
     several = jax.tree.map(lambda leaf: jnp.stack([leaf, 1.02 * leaf, 0.98 * leaf]), parameters)
     mapped = eqx.filter_jit(eqx.filter_vmap(joint_moments, in_axes=(None, 0, None)))(
         CURVES, several, recording
@@ -124,7 +124,7 @@ def test_vmap_over_parameters_equals_a_loop(parameters, recording):
 
 
 def test_padding_is_trimmed_after_the_dynamics(parameters, recording, states):
-    """The first frame of a cycle must already know what happened before it."""
+    """The activation in the first frame of a cycle depends on the EMG before it."""
     before = np.arange(FRAMES + 2 * PADDING - 1) < PADDING
     silent = jnp.where(before, 0.0, np.asarray(recording.emg.coefficients))
     rested = eqx.tree_at(lambda tree: tree.emg.coefficients, recording, silent)
@@ -133,7 +133,7 @@ def test_padding_is_trimmed_after_the_dynamics(parameters, recording, states):
 
 
 def test_scale_and_delay_act_on_excitation(parameters, recording, states):
-    """Half the scale is half the excitation; a delay of one knot shifts it by a frame."""
+    """Half the scale gives half the excitation; a delay of one knot shifts it by a frame."""
     half = eqx.tree_at(lambda tree: tree.emg_scale, parameters, 0.5 * parameters.emg_scale)
     excitation = run_all(CURVES, half, recording).excitation
     np.testing.assert_allclose(excitation, 0.5 * states.excitation, rtol=1e-13)
@@ -182,7 +182,7 @@ def test_bounds_of_nga_are_as_documented():
 
 
 def test_bounds_do_not_follow_the_parameters():
-    """Two calibrations in a row, each moving lengths by 40 %, must not add up to 96 %."""
+    """Two successive calibrations, each changing lengths by 40 %, must not add up to 96 %."""
     reference = small_parameters()
     freedom = nga_freedom(reference)
     moved = eqx.tree_at(
@@ -192,7 +192,7 @@ def test_bounds_do_not_follow_the_parameters():
     np.testing.assert_array_equal(first.lower, second.lower)
     np.testing.assert_array_equal(first.upper, second.upper)
     np.testing.assert_array_equal(first.prior_mean, second.prior_mean)
-    # The moved start lies on its bound, and the same number means the same length in both.
+    # The start is on its bound, and the same variable has the same length in both.
     length = second.unpack(jnp.asarray(second.upper)).optimal_fiber_length
     np.testing.assert_allclose(length, 1.4 * reference.optimal_fiber_length, rtol=1e-14)
     np.testing.assert_allclose(second.unpack(second.start()).optimal_fiber_length, length, rtol=1e-14)
@@ -207,7 +207,7 @@ def test_bounds_depend_on_lengths_of_the_reference_alone():
     assert bounds(nga_freedom(changed)) == bounds(nga_freedom(reference))
 
 
-def test_start_outside_its_bounds_is_moved_inside():
+def test_start_outside_its_bounds_is_clipped():
     reference = small_parameters()
     outside = eqx.tree_at(
         lambda tree: [tree.emg_scale, tree.electromechanical_delay],
@@ -220,7 +220,7 @@ def test_start_outside_its_bounds_is_moved_inside():
     np.testing.assert_allclose(started.electromechanical_delay, [0.125, 0.05, 0.05], rtol=1e-14)
 
 
-def test_what_is_not_freed_keeps_its_value():
+def test_parameters_that_are_held_keep_their_values():
     base = small_parameters()
     variables = free_variables(base, nga_freedom(base).without(["tendon_slack_length"]), MUSCLES)
     assert variables.count == 15 and not any("slack" in label for label in variables.labels)
@@ -240,12 +240,12 @@ def test_unknown_parameter_is_refused():
         freed("emg_scales")
 
 
-def test_bounds_the_wrong_way_round_are_refused():
+def test_bounds_in_the_wrong_order_are_refused():
     with pytest.raises(ValueError, match="emg_scale: a lower bound is above its upper bound"):
         freed(lower=1.0, upper=0.0)
 
 
-def test_infinite_deviation_expects_nothing():
+def test_infinite_deviation_means_no_prior():
     base = small_parameters()
     variables = free_variables(base, nga_freedom(base, delay_sd=np.inf), MUSCLES)
     free = np.array([label.endswith("delay") for label in variables.labels])
@@ -253,7 +253,7 @@ def test_infinite_deviation_expects_nothing():
 
 
 def test_prior_is_in_the_units_of_the_solver():
-    """A parameter one deviation from its mean is one precision-weighted unit away."""
+    """A parameter one deviation from its mean has a precision-weighted difference of one."""
     base = small_parameters()
     variables = free_variables(base, nga_freedom(base), MUSCLES)
     late = eqx.tree_at(lambda tree: tree.electromechanical_delay, base, 0.1 * jnp.ones(3))  # 50 +- 50 ms

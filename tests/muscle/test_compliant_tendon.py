@@ -1,4 +1,4 @@
-"""A tendon that stretches is in equilibrium with its fibers, and at strain zero is the rigid one."""
+"""Compliant tendon: equilibrium with the fibers, derivatives, and the limit of a rigid tendon."""
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,7 @@ def compliant(strain, frames: int = 81) -> FiberState:
 
 
 def hill_force(activation, length, velocity, stretch, rate) -> float:
-    """Force of fibers in units of the largest, by the equations as published."""
+    """Compute the fiber force in maximum isometric forces by the published equations."""
     cosine = np.cos(SIZES["pennation_angle"])
     reach = SIZES["optimal_fiber_length"] * cosine
     fiber = (length - SIZES["tendon_slack_length"] - stretch) / reach
@@ -71,7 +71,7 @@ def hill_force(activation, length, velocity, stretch, rate) -> float:
 
 
 def integrated(strain: float, times) -> np.ndarray:
-    """Tendon force by another way: the rate of stretch at given stretch, integrated by SciPy."""
+    """Compute the tendon force by integration of the rate of stretch with SciPy."""
 
     def force_of(stretch):
         return np.expm1(stretch / (strain * SIZES["tendon_slack_length"]) * np.log(9.0)) / 8.0
@@ -89,8 +89,8 @@ def integrated(strain: float, times) -> np.ndarray:
     return SIZES["max_isometric_force"] * force_of(solved.y[0])
 
 
-def test_force_follows_the_differential_equation():
-    """Of second order in the step: 12 ms as of recorded gait leaves half a newton, half of it a quarter."""
+def test_force_satisfies_the_differential_equation():
+    """The error is of second order in the step: half a newton at 12 ms, a quarter of that at 6 ms."""
     coarse, fine = (np.asarray(compliant(0.04, frames).tendon_force[0]) for frames in (81, 161))
     expected = integrated(0.04, np.linspace(0.0, DURATION, 81))
     rigid = np.asarray(compliant(0.0).tendon_force[0])
@@ -108,7 +108,7 @@ def test_fibers_and_tendon_carry_the_same_force():
     np.testing.assert_allclose(state.normalized_length[0], left / reach, rtol=1e-11)
 
 
-def test_no_strain_is_the_rigid_tendon_to_the_last_bit():
+def test_zero_strain_equals_the_rigid_tendon_to_the_last_bit():
     found = compliant_tendon_fiber(CURVES, *signals(21), jnp.array([0.05]), jnp.array(0.0), **sizes())
     rigid = rigid_tendon_fiber(CURVES, *signals(21), **sizes())
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(rigid), strict=True):
@@ -116,7 +116,7 @@ def test_no_strain_is_the_rigid_tendon_to_the_last_bit():
 
 
 @pytest.mark.parametrize("strain", [0.0, 0.05])
-def test_first_and_second_derivatives_are_differences(strain):
+def test_first_and_second_derivatives_equal_finite_differences(strain):
     def force(strain):
         return jnp.sum(compliant(strain, 41).tendon_force ** 2) * 1e-6
 
@@ -129,8 +129,8 @@ def test_first_and_second_derivatives_are_differences(strain):
     np.testing.assert_allclose(curvature, difference, rtol=1e-4)
 
 
-def test_root_is_found_and_differentiated_where_newton_alone_is_lost():
-    """An arctangent far from its zero throws Newton's method out of every bracket."""
+def test_root_is_found_and_differentiated_where_newton_alone_fails():
+    """Newton steps for an arctangent leave the bracket far from its root."""
     ones = jnp.ones(3)
     zero = jnp.array([-3.0, 0.0, 40.0])
 
@@ -144,7 +144,7 @@ def test_root_is_found_and_differentiated_where_newton_alone_is_lost():
 
 
 def test_extreme_inputs_give_finite_forces():
-    """Off, slack, far too long, and jumping from frame to frame."""
+    """Inactive, slack, very long, and discontinuous inputs."""
     frames = 15
     generator = np.random.default_rng(0)
     activation = jnp.asarray(generator.choice([0.0, 1.0], (6, frames)))

@@ -1,4 +1,4 @@
-"""The muscle model gives a peer's own outputs from its own inputs, to round-off."""
+"""The muscle model reproduces reference outputs of the NMSM Pipeline from the same inputs, to rounding."""
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +21,7 @@ def over_muscles(function, *arrays_and_axes):
 
 
 def fibers(golden, curves):
-    def one(activation, length, velocity, force, fiber, slack, pennation):
+    def of_muscle(activation, length, velocity, force, fiber, slack, pennation):
         return rigid_tendon_fiber(
             HILL_CURVES[curves],
             activation,
@@ -35,7 +35,7 @@ def fibers(golden, curves):
         )
 
     return over_muscles(
-        one,
+        of_muscle,
         golden["activation"], 1,
         golden["muscle_tendon_length_m"], 1,
         golden["muscle_tendon_velocity_m_s"], 1,
@@ -85,6 +85,6 @@ def test_joint_moments(golden):
     )
 
 
-def test_later_curves_differ_little_but_do_differ(golden):
+def test_the_two_sets_of_curves_differ_slightly(golden):
     difference = jnp.abs(moments(golden, fibers(golden, "opensim")) - golden["model_moment_Nm"]).max()
     assert 1e-3 < difference < 0.06

@@ -1,4 +1,4 @@
-"""What every muscle must do whatever its numbers: bounds, limits, monotone curves, right derivatives."""
+"""Properties of the muscle model for all parameters: bounds, monotonicity, derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from wrapjax.muscle.curves import HILL_CURVES
 from wrapjax.muscle.excitation import fit_emg_spline
 from wrapjax.muscle.hill import rigid_tendon_fiber
 
-# One shape throughout: every new one would be compiled anew.
+# One shape for all tests: each new shape would be compiled again.
 TRIALS, FRAMES = 2, 60
 STEPS = np.array([0.010, 0.013])
 TIME = STEPS[:, None] * np.arange(FRAMES) + np.array([[0.4], [-1.0]])
@@ -27,14 +27,13 @@ mix = jax.jit(muscle_activation)
 
 
 def smooth(time: np.ndarray) -> np.ndarray:
-    """An envelope of two channels, one row a channel."""
+    """Compute smooth envelopes of two channels, one per row."""
     return np.stack([0.5 + 0.4 * np.sin(9.0 * time), 0.3 + 0.2 * np.cos(5.0 * time + 1.0)], axis=1)
 
 
 # ---- Activation dynamics
 
-#: Above full activation by no more than this: the discretisation overshoots where the frames are longer
-#: than the time constant.
+#: Largest overshoot of activation by the discretisation, where frames are longer than the time constant.
 OVERSHOOT = 0.02
 
 
@@ -43,7 +42,7 @@ OVERSHOOT = 0.02
     excitation=arrays(float, (TRIALS, FRAMES), elements=st.floats(0.0, 1.0)),
     constant=st.floats(0.0075, 0.035),
 )
-def test_activation_stays_within_what_excitation_can_do(excitation, constant):
+def test_activation_stays_within_its_bounds(excitation, constant):
     neural = activate(jnp.asarray(excitation), jnp.asarray(constant), jnp.asarray(STEPS))
     assert np.isfinite(neural).all()
     assert neural.min() >= -1e-12 and neural.max() <= 1.0 + OVERSHOOT
@@ -54,15 +53,15 @@ def test_activation_stays_within_what_excitation_can_do(excitation, constant):
     level=st.floats(0.0, 1.0),
     constant=st.floats(0.0075, 0.035),
 )
-def test_activation_settles_at_a_held_excitation(level, constant):
-    """Two seconds are 14 of the slowest time constants."""
+def test_activation_converges_to_a_constant_excitation(level, constant):
+    """Two seconds are 14 times the slowest time constant."""
     held = jnp.full((TRIALS, 200), level)
     neural = activate(held, jnp.asarray(constant), jnp.asarray(STEPS))
     np.testing.assert_allclose(neural[:, -1], level, atol=1e-4)
 
 
 def test_activation_is_the_solution_of_its_differential_equation():
-    """Against SciPy's adaptive integration of a smooth burst from rest, at short steps."""
+    """Compare with the adaptive integration of SciPy for a smooth burst, at short steps."""
     step, constant = 0.0005, 0.02
     time = step * np.arange(1200)
     burst = np.where(time < 0.01, 0.0, np.sin(np.pi * np.clip((time - 0.01) / 0.4, 0.0, 1.0)) ** 2)
@@ -81,7 +80,7 @@ def test_activation_rises_faster_than_it_falls():
     neural = np.asarray(activate(pulse, jnp.asarray(0.03), jnp.asarray(STEPS)))[0]
     rise = np.argmax(neural > 0.63) - 2
     fall = np.argmax(neural[100:] < 0.37)
-    # In frames of 10 ms, to the next whole one.
+    # In frames of 10 ms, rounded up.
     assert rise == pytest.approx(3, abs=1) and fall == pytest.approx(12, abs=1)
 
 
@@ -90,7 +89,7 @@ def test_activation_rises_faster_than_it_falls():
 
 @pytest.fixture(scope="module")
 def spline():
-    """Both channels of the envelope; the axis ``channel`` leads."""
+    """Splines of both channels; the leading axis is ``channel``."""
     return fit_emg_spline(TIME, smooth(TIME))
 
 
@@ -99,12 +98,12 @@ def shift(spline, delay):
     return jax.vmap(lambda channel: channel.at_delay(delay))(spline)
 
 
-def test_no_delay_gives_the_samples(spline):
+def test_zero_delay_gives_the_samples(spline):
     np.testing.assert_allclose(shift(spline, 0.0), np.moveaxis(smooth(TIME), 1, 0), rtol=0, atol=1e-13)
 
 
-#: Delays of whole knot steps beside others: there a frame falls on a knot, and rounding decides which
-#: of two cubics it gets.
+#: Delays, also of whole knot steps: there frames coincide with knots, and rounding selects one of two
+#: cubics.
 DELAYS = st.one_of(
     st.floats(0.0, 0.125),
     st.builds(lambda step, count: float(step * count), st.sampled_from(STEPS), st.integers(0, 9)),
@@ -125,7 +124,7 @@ def check_shift(found, delay: float) -> None:
 
 @REPEATABLE
 @given(delay=DELAYS)
-def test_delay_evaluates_the_spline_earlier(spline, delay):
+def test_delay_evaluates_the_spline_at_earlier_times(spline, delay):
     check_shift(np.asarray(shift(spline, delay)), delay)
 
 
@@ -137,7 +136,7 @@ def test_delay_longer_than_the_recording_holds_the_first_value(spline):
 @REPEATABLE
 @given(delay=st.floats(0.001, 0.12))
 def test_delay_is_differentiable(spline, delay):
-    """The slope by delay is minus the slope in time."""
+    """The derivative by the delay is minus the derivative in time."""
     _, slope = jax.jvp(lambda own: shift(spline, own), (delay,), (1.0,))
     for trial in range(TRIALS):
         earlier = TIME[trial] - delay
@@ -150,22 +149,22 @@ def test_delay_is_differentiable(spline, delay):
 
 
 @pytest.mark.parametrize("nonlinearity", [0.0, 0.1, 0.35])
-def test_nonlinearity_keeps_rest_and_full_activation(nonlinearity):
-    """The rational fit misses 0 and 1 by 2e-7."""
+def test_nonlinearity_maps_zero_and_one_to_themselves(nonlinearity):
+    """The rational fit deviates by 2e-7."""
     ends = mix(jnp.array([0.0, 1.0]), jnp.asarray(nonlinearity))
     np.testing.assert_allclose(ends, [0.0, 1.0], atol=1e-6)
 
 
 @REPEATABLE
 @given(nonlinearity=st.floats(0.0, 0.35))
-def test_nonlinearity_is_monotone_and_only_adds(nonlinearity):
+def test_nonlinearity_is_monotone_and_not_below_the_identity(nonlinearity):
     neural = jnp.linspace(0.0, 1.0, 501)
     activation = np.asarray(mix(neural, jnp.asarray(nonlinearity)))
     assert (np.diff(activation) > 0.0).all()
     assert (activation >= np.asarray(neural) - 1e-6).all() and (activation <= 1.0 + 1e-6).all()
 
 
-def test_no_nonlinearity_is_the_identity():
+def test_zero_nonlinearity_is_the_identity():
     neural = jnp.linspace(0.0, 1.0, 11)
     np.testing.assert_array_equal(mix(neural, jnp.asarray(0.0)), neural)
 
@@ -180,7 +179,7 @@ def test_active_force_is_largest_near_optimal_length(curves):
     assert force[1000] == pytest.approx(1.0, abs=1e-2)
     assert force.max() == pytest.approx(1.0, abs=1e-2)
     assert abs(length[force.argmax()] - 1.0) < 0.05
-    # 'Active' at lengths where filaments no longer overlap would be force from nothing.
+    # No active force at lengths without overlap of the filaments.
     assert (force >= 0.0).all() and force[0] < 0.1 and force[-1] < 0.05
 
 
@@ -195,7 +194,7 @@ def test_force_velocity_is_monotone_between_its_known_points(curves):
 
 
 @CURVES
-def test_passive_force_only_grows(curves):
+def test_passive_force_increases(curves):
     length = jnp.linspace(0.2, 2.0, 901)
     force = np.asarray(curves.passive_force(length))
     assert (np.diff(force) > 0.0).all()
@@ -205,8 +204,8 @@ def test_passive_force_only_grows(curves):
 
 @CURVES
 @pytest.mark.parametrize("length", [50.0, 1e4, -50.0])
-def test_passive_force_and_its_slope_survive_absurd_lengths(curves, length):
-    """A solver's trial step may go anywhere: exp(600) would end it."""
+def test_passive_force_and_its_derivative_are_finite_at_extreme_lengths(curves, length):
+    """Trial steps of a solver may give extreme lengths, where exp(600) would overflow."""
     force, slope = jax.value_and_grad(curves.passive_force)(length)
     assert np.isfinite(force) and np.isfinite(slope)
     e1, e2, e3 = curves.passive
@@ -239,7 +238,7 @@ def tendon_force(curves, parameters):
 
 @CURVES
 @pytest.mark.parametrize("name", MUSCLE)
-def test_derivatives_by_parameters_equal_differences(curves, name):
+def test_derivatives_by_parameters_equal_finite_differences(curves, name):
     exact = jax.jacfwd(lambda parameters: tendon_force(curves, parameters))(MUSCLE)[name]
     step = 1e-6 * MUSCLE[name]
     above, below = (tendon_force(curves, MUSCLE | {name: MUSCLE[name] + change}) for change in (step, -step))
@@ -249,8 +248,8 @@ def test_derivatives_by_parameters_equal_differences(curves, name):
 
 
 @CURVES
-def test_derivatives_by_the_path_equal_differences(curves):
-    """Through length and velocity, wrap surfaces and joint angles will reach the force."""
+def test_derivatives_by_the_path_equal_finite_differences(curves):
+    """Wrap parameters and joint angles affect the force through length and velocity."""
 
     def force(length, velocity):
         return fiber(curves, MUSCLE, length=length, velocity=velocity).tendon_force
@@ -269,8 +268,8 @@ def test_derivatives_by_the_path_equal_differences(curves):
 
 
 @CURVES
-def test_force_at_the_point_that_defines_it(curves):
-    """Full activation, optimal length, at rest: F0 along the fibers, its projection along the tendon."""
+def test_force_at_optimal_length_and_full_activation(curves):
+    """At zero velocity the force is F0 along the fibers, and its projection along the tendon."""
     projection = np.cos(MUSCLE["pennation_angle"])
     optimal = MUSCLE["tendon_slack_length"] + MUSCLE["optimal_fiber_length"] * projection
     one = np.ones((1, 1))

@@ -1,4 +1,4 @@
-"""A run on its own subject must predict what it ended with."""
+"""Check that the evaluation of a run on its own subject reproduces its errors."""
 
 import json
 from pathlib import Path

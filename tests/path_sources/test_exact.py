@@ -1,4 +1,4 @@
-"""PGA through the exact engine: cylinders found, kept in their boxes, and written as OpenSim has them."""
+"""PGA with the exact engine: recovery, bounds, and the personalised model in OpenSim."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 import opensim
 import pytest
 
-from tests.path_sources.hidden_cylinders import errors_of_told_arms, hidden
+from tests.path_sources.hidden_cylinders import errors_of_identifiable_arms, hidden
 from tests.path_sources.round_trip import assert_reproduces_itself
 from tests.subject.synthetic import (
     add_muscle,
@@ -30,7 +30,7 @@ from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.path_sources.exact import exact_geometry
 from wrapjax.subject.subject import load_subject as load_subject
 
-#: What the subject's table says of its muscles, none of which is as strong in its model: N, m, m, rad.
+#: Muscle parameters of the subject's table (N, m, m, rad), which differ from those of its model.
 TABLE = {
     "recfem_l": (1712.25, 0.1, 0.3, 0.34),
     "semiten_l": (812.5, 0.15, 0.25, 0.0),
@@ -48,7 +48,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def subject(folder):
-    """Three muscles, one of them over a cylinder behind the knee, another without an electrode."""
+    """Subject with three muscles, one of which wraps round a cylinder and another has no electrode."""
     return load_subject(folder)
 
 
@@ -59,14 +59,14 @@ def geometry(subject):
 
 @pytest.fixture(scope="module")
 def run(folder, tmp_path_factory):
-    """The folder that the command wrote."""
+    """Run folder of the command line."""
     out = tmp_path_factory.mktemp("runs") / "PGA"
     arguments = ["calibrate", str(folder), "--method", "PGA", "--geometry", "engine", "--starts", "1"]
     assert main([*arguments, "--out", str(out), "--quiet"]) == 0
     return out
 
 
-def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
+def test_touched_wraps_are_free_within_their_bounds(subject, geometry):
     assert geometry.touching == ("semiten_l",)
     wraps = geometry.freedom("PGA", subject).wraps
     (name,) = wraps.names
@@ -76,8 +76,8 @@ def test_touched_cylinders_are_free_within_their_boxes(subject, geometry):
     assert geometry.freedom("NGA", subject).wraps is None
 
 
-def test_what_is_compiled_for_nga_serves_the_first_stage(subject, geometry):
-    """The same leaves of the same shapes, whatever may move later."""
+def test_functions_compiled_for_nga_are_reused_by_the_first_stage(subject, geometry):
+    """Leaves and shapes do not depend on the freedom of the later stage."""
     plain, held = build_objective(subject, "NGA", geometry), build_stages(subject, "PGA", geometry)[0]
     assert jax.tree.structure(held) == jax.tree.structure(plain)
     assert [np.shape(leaf) for leaf in jax.tree.leaves(held)] == [
@@ -85,7 +85,7 @@ def test_what_is_compiled_for_nga_serves_the_first_stage(subject, geometry):
     ]
 
 
-def test_interrupted_before_paths_moved_they_are_the_models(subject, geometry):
+def test_paths_are_nominal_after_an_interrupted_first_stage(subject, geometry):
     def stop(start, iteration, state):
         if iteration.number:
             raise KeyboardInterrupt
@@ -98,13 +98,13 @@ def test_interrupted_before_paths_moved_they_are_the_models(subject, geometry):
     np.testing.assert_array_equal(result.states.path.length, result.initial_states.path.length)
 
 
-def test_the_run_evaluates_to_itself(run, subject):
-    """Cylinders are where the run put them."""
+def test_evaluation_reproduces_the_run(run, subject):
+    """With the calibrated wraps."""
     assert not (run / "paths.npz").exists()
     assert_reproduces_itself(run, subject)
 
 
-def test_command_calibrates_cylinders(run):
+def test_command_calibrates_wraps(run):
     rows = [line.split(",") for line in (run / "parameters.csv").read_text().splitlines()]
     wraps = {row[2]: [float(value) for value in (row[3], row[5], row[6])] for row in rows if row[1] == "wrap"}
     assert list(wraps) == [
@@ -116,19 +116,19 @@ def test_command_calibrates_cylinders(run):
     assert any(abs(value - nominal[name]) > 1e-3 for name, (value, _, _) in wraps.items())
 
 
-def test_a_hidden_cylinder_is_found_beside_gains(subject, geometry):
-    """Without noise, and with everything of the muscles free, too."""
+def test_true_wrap_parameters_are_recovered(subject, geometry):
+    """Without noise, with all muscle parameters free."""
     problem = build_objective(subject, "PGA", geometry)
     wraps = geometry.freedom("PGA", subject).wraps
     true_wraps = {wraps.names[0]: NOMINAL + [0.003, 0.002, 0.0, 0.05, -0.05, 0.05]}
     gains = problem.variables.base.emg_scale * np.array([0.9, 1.15])
-    before, after = errors_of_told_arms(*hidden(problem, wraps, true_wraps, emg_scale=gains))
+    before, after = errors_of_identifiable_arms(*hidden(problem, wraps, true_wraps, emg_scale=gains))
     assert before.size
     assert after.mean() < 0.4 * before.mean()
 
 
 def test_personalised_model_has_the_paths_of_the_calibration(subject, geometry, run):
-    """Lengths and moment arms of OpenSim over the recorded cycles."""
+    """Compare lengths and moment arms of OpenSim over the recorded cycles."""
     coordinates = geometry.engine.coordinates
     columns = [subject.trials.coordinates.index(name) for name in coordinates]
     poses = np.moveaxis(subject.trials.angles[:, columns], 1, -1).reshape(-1, len(coordinates))
@@ -143,13 +143,13 @@ def test_personalised_model_has_the_paths_of_the_calibration(subject, geometry, 
     np.testing.assert_allclose(written.moment_arm[:, :, 0], parity.moment_arm[0], atol=1e-6)
     assert np.sqrt(np.mean((written.length[:, 0] - shortest.length[0]) ** 2)) < 0.5e-3
     assert np.sqrt(np.mean((written.moment_arm[:, :, 0] - shortest.moment_arm[0]) ** 2)) < 1e-3
-    # And it is another model: with the nominal cylinder lengths are not these.
+    # With the nominal wrap the lengths differ.
     nominal = analyse_muscles(subject.model_file, ("semiten_l",), coordinates, poses)
     assert np.abs(nominal.length - written.length).max() > 1e-4
 
 
 def test_personalised_model_has_the_muscles_of_the_calibration(subject, run):
-    """Read by OpenSim; the table goes before the model, for muscles without an electrode too."""
+    """The table has precedence over the model, for muscles without an electrode as well."""
     model, found = opensim.Model(str(run / "model_personalized.osim")), {}
     for muscle in map(model.getMuscles().get, range(model.getMuscles().getSize())):
         found[muscle.getName()] = (
@@ -170,27 +170,27 @@ def test_personalised_model_has_the_muscles_of_the_calibration(subject, run):
     assert found == {**expected, "vasint_l": TABLE["vasint_l"]}
 
 
-def test_same_paths_as_polynomials_give_the_same_calibration(subject, geometry):
-    """NGA through either source ends alike: polynomials are fitted to the same paths."""
+def test_polynomials_of_the_same_paths_give_the_same_calibration(subject, geometry):
+    """NGA gives similar results with both sources of the same paths."""
     exact = calibrate(subject, "NGA", geometry, starts=1)
     fitted = calibrate(subject, "NGA", starts=1)
     error = np.abs(exact.result.modelled - fitted.result.modelled).mean()
     assert error < 0.05 * np.abs(exact.result.modelled).mean()
 
 
-def test_methods_of_polynomials_are_refused(subject, geometry):
+def test_methods_that_adjust_polynomials_are_refused(subject, geometry):
     with pytest.raises(InputError, match="SGA changes polynomials, and the exact engine has none"):
         calibrate(subject, "SGA", geometry)
 
 
-def test_nothing_to_wrap_round_is_said(tmp_path):
+def test_missing_wraps_are_reported(tmp_path):
     plain = load_subject(write_subject(tmp_path / "plain"))
     with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
         exact_geometry(plain).freedom("PGA", plain)
 
 
-def test_cylinders_that_nobody_touched_are_free_where_all_are(subject, geometry):
-    """In the same boxes; of those that were touched nothing changes."""
+def test_untouched_wraps_are_free_on_request(subject, geometry):
+    """Bounds of touched wraps are unchanged."""
     untouched = replace(geometry, translations={})
     with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
         untouched.freedom("PGA", subject)
@@ -203,7 +203,7 @@ def test_cylinders_that_nobody_touched_are_free_where_all_are(subject, geometry)
         calibrate(subject, "PGA", geometry, surfaces="some")
 
 
-def test_surfaces_are_for_pga(folder, tmp_path, capsys):
+def test_surfaces_are_an_option_of_pga_alone(folder, tmp_path, capsys):
     arguments = ["calibrate", str(folder), "--method", "NGA", "--surfaces", "all"]
     assert main([*arguments, "--out", str(tmp_path / "run")]) == 2
     assert "the others move no cylinders" in capsys.readouterr().err
@@ -215,7 +215,7 @@ def test_unknown_geometry_is_refused(subject):
         exact_geometry(subject, "surrogate")
 
 
-def test_a_fit_is_not_for_the_engine(folder, tmp_path, capsys):
+def test_a_fit_with_the_exact_engine_is_refused(folder, tmp_path, capsys):
     arguments = ["calibrate", str(folder), "--method", "PGA", "--geometry", "engine"]
     assert main([*arguments, "--fit", str(tmp_path), "--out", str(tmp_path / "run")]) == 2
     assert "the exact engine needs no fit" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""``fit`` replaces paths by polynomials that are as good as it says, and comes back from disk unchanged."""
+"""Polynomial fits: reported errors, storage, cache keys."""
 
 import dataclasses
 
@@ -12,11 +12,11 @@ from wrapjax.path_sources.path_fitting import fit
 from wrapjax.path_sources.polynomial_fit import load_fit
 
 
-def test_stated_errors_are_those_on_other_poses(person, paths):
-    """Against OpenSim at poses of our own, well inside the walking belt."""
+def test_reported_errors_hold_in_other_poses(person, paths):
+    """Compare with OpenSim in other poses near the recorded ones."""
     fractions = np.random.default_rng(11).uniform(0.2, 0.8, size=(60, 2))
     low, high = person.trials.angles.min(axis=(0, 2)), person.trials.angles.max(axis=(0, 2))
-    # On the recorded curve: two coordinates apart may be far outside the belt at every frame.
+    # Along the recorded curve: independent coordinates may be far from all recorded poses.
     frames = np.random.default_rng(12).integers(0, 100, size=60)
     poses = person.trials.angles[0, :, frames] + 0.02 * (fractions - 0.5)
     assert ((poses > low - 0.02) & (poses < high + 0.02)).all()
@@ -44,21 +44,21 @@ def test_round_trip(person, paths, tmp_path):
         np.testing.assert_array_equal(one, other)
 
 
-def test_saving_refuses_what_exists(paths, tmp_path):
+def test_existing_folders_are_not_overwritten(paths, tmp_path):
     paths.save(str(tmp_path / "fit"))
     with pytest.raises(InputError, match="exists already"):
         paths.save(tmp_path / "fit")
     paths.save(tmp_path / "fit", force=True)
 
 
-def test_any_subject_if_none_is_named(paths, tmp_path):
+def test_the_subject_is_checked_only_if_given(paths, tmp_path):
     paths.save(tmp_path / "fit")
     assert load_fit(tmp_path / "fit").key == paths.key
 
 
 @pytest.mark.parametrize("changed", ["angles", "time"])
-def test_other_cycles_are_another_question(person, paths, changed):
-    """The cache must not answer with the poses of others."""
+def test_other_cycles_give_another_key(person, paths, changed):
+    """The cached fit depends on the recorded poses."""
     from wrapjax.path_sources.path_fitting import _key
 
     trials = dataclasses.replace(person.trials, **{changed: getattr(person.trials, changed) + 1e-9})
@@ -67,7 +67,7 @@ def test_other_cycles_are_another_question(person, paths, changed):
     assert _key(person, "opensim", 0) == paths.key
 
 
-def test_moments_and_emg_are_no_part_of_the_question(person, paths):
+def test_moments_and_emg_are_not_part_of_the_key(person, paths):
     from wrapjax.path_sources.path_fitting import _key
 
     trials = dataclasses.replace(person.trials, moments=0.5 * person.trials.moments)

@@ -1,4 +1,4 @@
-"""Defends: a fit that has sampled its cylinders says how good it is, comes back from disk, and serves PGA."""
+"""Fits with sampled wraps: reported errors, storage, report, and use in PGA."""
 
 import json
 import os
@@ -28,7 +28,7 @@ from wrapjax.path_sources.polynomial_fit import load_fit
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import load_subject as load_subject
 
-#: The synthetic thigh with a cylinder at the knee, which the muscle in front runs over.
+#: Cylinder at the knee of the synthetic thigh, over which the anterior muscle wraps.
 CYLINDER = """<WrapObjectSet><objects><WrapCylinder name="knee_front_l">
  <quadrant>x</quadrant><translation>0 -0.4 0</translation><radius>0.055</radius><length>0.1</length>
 </WrapCylinder></objects></WrapObjectSet></Body>"""
@@ -62,8 +62,8 @@ def sampled(person, fewer_samples):
     return fit_wraps(person, fit(person, "engine"))
 
 
-def test_stated_errors_are_those_of_the_engine(person, sampled):
-    """At placements and in poses of our own, those that its limit allows."""
+def test_reported_errors_are_those_against_the_engine(person, sampled):
+    """For other wrap parameters that the classifier accepts, in other poses."""
     error, wraps = sampled.errors["recfem_l"], sampled.wraps
     assert error.wrapped and not sampled.errors["semiten_l"].wrapped
     assert 0.0 < error.length_rmse_mm < 0.2 and 0.0 < error.moment_arm_rmse_mm < 0.8
@@ -88,29 +88,29 @@ def test_stated_errors_are_those_of_the_engine(person, sampled):
     assert 1e3 * np.sqrt(np.mean(length**2)) < 2.0 * error.length_rmse_mm
 
 
-def test_errors_are_of_the_models_own_cylinders_where_no_placement_is_physiological(person, sampled):
-    """No sample at all would otherwise count as no error at all."""
+def test_errors_are_nominal_where_no_sample_is_physiological(person, sampled):
+    """Without samples the errors would otherwise be zero."""
     plain = fit(person, "engine")
     hopeless = fit_wraps(person, plain, thresholds=PhysiologicalThresholds(length_deviation=1e-12))
     assert hopeless.wraps.quality["knee_front_l"].physiological_share == 0.0
     assert hopeless.errors["recfem_l"] == plain.errors["recfem_l"] != sampled.errors["recfem_l"]
 
 
-def test_contract_of_the_folder(sampled, tmp_path):
+def test_content_of_the_folder(sampled, tmp_path):
     sampled.save(tmp_path / "fit")
     content = json.loads((tmp_path / "fit" / "fit.json").read_text())
     entry = content["wraps"]["knee_front_l"]
     assert list(content["wraps"]) == ["knee_front_l"]
     assert 0.0 <= entry["physiological_share"] <= 1.0
     assert {"balanced_accuracy", "false_physiological"} <= set(entry)
-    # Margins can only forbid more than what was learned forbids alone.
+    # Together with the margins the classifier can only reject more.
     assert entry["learned_false_physiological"] >= entry["false_physiological"]
     assert 0.5 < entry["learned_balanced_accuracy"] <= 1.0
     assert set(content["seconds"]) >= {"analysis", "fit", "boxes", "sampling", "feasibility"}
 
 
-def test_the_report_shows_paths_by_the_thresholds_of_the_fit(person, sampled, tmp_path):
-    """And a fit without cylinders has a report without them."""
+def test_the_report_uses_the_thresholds_of_the_fit(person, sampled, tmp_path):
+    """A fit without wraps has a report without sampled paths."""
     usual = sampled.wraps.thresholds
     strict = replace(sampled, wraps=replace(sampled.wraps, thresholds=replace(usual, length_deviation=0.0)))
     saved = {"usual": sampled, "strict": strict, "plain": fit(person, "engine")}
@@ -123,7 +123,7 @@ def test_the_report_shows_paths_by_the_thresholds_of_the_fit(person, sampled, tm
     assert load_fit(tmp_path / "strict", person).wraps.thresholds.length_deviation == 0.0
 
 
-def test_a_report_that_fails_leaves_no_folder(person, sampled, tmp_path, monkeypatch):
+def test_a_failed_report_leaves_no_folder(person, sampled, tmp_path, monkeypatch):
     monkeypatch.setattr("wrapjax.report.fit_page.render_fit", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         sampled.save(tmp_path / "fit")
@@ -158,27 +158,27 @@ def test_a_damaged_fit_is_refused(sampled, tmp_path, damage):
         load_fit(tmp_path / "fit")
 
 
-def test_the_same_question_is_answered_from_the_cache(person, sampled, monkeypatch):
+def test_the_same_fit_is_read_from_the_cache(person, sampled, monkeypatch):
     monkeypatch.setattr(wrap_fitting, "_fit_wraps", None)
     again = fit_wraps(person, fit(person, "engine"))
     assert again.wraps.quality == sampled.wraps.quality
     assert not list(Path(os.environ["WRAPJAX_CACHE"]).rglob("report.html"))
 
 
-def test_a_fit_without_samples_cannot_serve_pga(person):
+def test_pga_requires_sampled_wraps(person):
     with pytest.raises(InputError, match="has no samples of them"):
         fit(person, "engine").freedom("PGA", person)
 
 
-def test_all_sampled_cylinders_can_be_free(person, sampled):
+def test_all_sampled_wraps_can_be_free(person, sampled):
     untouched = replace(sampled, wraps=replace(sampled.wraps, touched=()))
     with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
         untouched.freedom("PGA", person)
     assert untouched.freedom("PGA", person, "all").wraps.names == ("knee_front_l",)
 
 
-def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled, tmp_path):
-    """And what it says of paths is what OpenSim finds in a model with the cylinder there."""
+def test_pga_adjusts_the_wrap(person, sampled, tmp_path):
+    """The calibrated polynomials agree with OpenSim on the personalised model."""
     nga, pga = (calibrate(person, method, sampled, starts=1) for method in ("NGA", "PGA"))
     assert pga.status.converged
     assert pga.result.solution.cost < nga.result.solution.cost
@@ -197,13 +197,13 @@ def test_pga_moves_the_cylinder_to_where_it_helps(person, sampled, tmp_path):
     length, _ = judge.analyse(poses)
     found = np.asarray(pga.result.states.path.length)[0, 0]
     assert np.sqrt(np.mean((found - length[:, 0]) ** 2)) < 3e-4
-    # The polynomials that its folder keeps are those that followed the cylinder.
+    # The stored polynomials are those for the calibrated wrap.
     pga.save(tmp_path / "run")
     assert_reproduces_itself(tmp_path / "run", person)
 
 
-def test_opensim_gives_what_the_engine_gives(person, sampled):
-    """One cylinder: their paths differ by micrometers."""
+def test_opensim_and_the_engine_give_the_same_fit(person, sampled):
+    """For one cylinder their paths differ by micrometers."""
     judged = fit_wraps(person, fit(person, "opensim"), processes=1)
     by_opensim, by_engine = (one.wraps.quality["knee_front_l"] for one in (judged, sampled))
     assert by_opensim.physiological_share == pytest.approx(by_engine.physiological_share, abs=0.05)
