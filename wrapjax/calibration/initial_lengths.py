@@ -21,10 +21,10 @@ from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.hill import rigid_tendon_fiber
 
 #: Bounds of the ratios of lengths to the model's, and of the largest normalised fiber length of a group.
-RATIOS = (0.5, 2.0)
-LONGEST = (1.0, 1.2)
+LENGTH_RATIO_BOUNDS = (0.5, 2.0)
+LONGEST_FIBER_BOUNDS = (1.0, 1.2)
 #: Normalised fiber length below which shortest lengths in walking are penalised.
-SHORTEST = 0.6
+SHORTEST_FIBER = 0.6
 
 
 class LengthErrors(eqx.Module):
@@ -36,7 +36,7 @@ class LengthErrors(eqx.Module):
     fiber_ratio: float = 0.3
     #: Difference from 1 of the ratio of the tendon slack length to the model's.
     slack_ratio: float = 1.0
-    #: Difference below `SHORTEST` of the shortest normalised fiber length in walking.
+    #: Difference below `SHORTEST_FIBER` of the shortest normalised fiber length in walking.
     shortest: float = 0.3
     #: Difference of the longest normalised fiber length in walking from the variable of the muscle's group.
     longest: float = 0.03
@@ -78,12 +78,18 @@ class InitialLengthObjective(AbstractLeastSquares):
     @property
     def lower(self) -> Float[np.ndarray, " variable"]:
         """Lower bounds."""
-        return np.append(np.full(2 * self.muscles, RATIOS[0]), np.full(len(self.groups), LONGEST[0]))
+        return np.append(
+            np.full(2 * self.muscles, LENGTH_RATIO_BOUNDS[0]),
+            np.full(len(self.groups), LONGEST_FIBER_BOUNDS[0]),
+        )
 
     @property
     def upper(self) -> Float[np.ndarray, " variable"]:
         """Upper bounds."""
-        return np.append(np.full(2 * self.muscles, RATIOS[1]), np.full(len(self.groups), LONGEST[1]))
+        return np.append(
+            np.full(2 * self.muscles, LENGTH_RATIO_BOUNDS[1]),
+            np.full(len(self.groups), LONGEST_FIBER_BOUNDS[1]),
+        )
 
     def start(self) -> Float[Array, " variable"]:
         """Return the variables at the initial lengths."""
@@ -128,7 +134,7 @@ class InitialLengthObjective(AbstractLeastSquares):
         terms = {
             "fiber_ratio": _rows(fiber - 1.0, errors.fiber_ratio),
             "slack_ratio": _rows(slack - 1.0, errors.slack_ratio),
-            "shortest": _rows(jnp.maximum(SHORTEST - length.min(axis=1), 0.0), errors.shortest),
+            "shortest": _rows(jnp.maximum(SHORTEST_FIBER - length.min(axis=1), 0.0), errors.shortest),
             "longest": _rows(excess, errors.longest),
             "group_longest": _rows(largest - 1.0, errors.group_longest),
             "likeness": _rows(dissimilarity, errors.likeness),
