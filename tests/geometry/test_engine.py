@@ -1,4 +1,4 @@
-"""The exact engine: OpenSim's own numbers in parity mode, the shortest path in geodesic mode."""
+"""Tests of the exact engine: OpenSim's values in parity mode, shortest paths in geodesic mode."""
 
 from dataclasses import replace
 from itertools import product
@@ -19,18 +19,18 @@ from wrapjax.osim.path_engine import PathEngine
 
 LOW = np.array([-0.4, -0.3, -0.3, 0.0, -0.4, -0.3])
 HIGH = np.array([0.8, 0.3, 0.3, 1.4, 0.4, 0.3])
-#: About 1 cm, 20 degrees and a fifth of the radius: many of these wraps are not physiological.
+#: About 1 cm, 20 degrees and a fifth of the radius: many of these samples are not physiological.
 SAMPLE_LOW = np.array([-0.01, -0.01, -0.01, -0.35, -0.35, 0.8])
 SAMPLE_HIGH = np.array([0.01, 0.01, 0.01, 0.35, 0.35, 1.2])
 RECORDED = [("s1_left", "l"), ("healthy_overground", "r"), ("healthy_treadmill", "l")]
 
 
 def coordinates_of(model, side):
-    """Of a leg; not every model has a subtalar joint that moves."""
+    """Coordinates of a leg, of which the model may lack the subtalar angle."""
     hip = ("hip_flexion", "hip_adduction", "hip_rotation")
     names = [f"{name}_{side}" for name in (*hip, "knee_angle", "ankle_angle", "subtalar_angle")]
-    known = {coordinate.name for coordinate in model.coordinates}
-    return tuple(name for name in names if name in known)
+    existing = {coordinate.name for coordinate in model.coordinates}
+    return tuple(name for name in names if name in existing)
 
 
 def wrapped_muscles(model, side):
@@ -45,13 +45,13 @@ def draw(poses, samples, seed):
 
 
 def by_opensim(file, model, muscles, coordinates, poses, samples):
-    """Every cylinder of the model moved alike: the judge's lengths and moment arms."""
-    judge = PathEngine(file, coordinates, dict.fromkeys(muscles, coordinates))
-    found = []
+    """Lengths and moment arms by OpenSim, with the same wrap parameters of all cylinders of the model."""
+    reference = PathEngine(file, coordinates, dict.fromkeys(muscles, coordinates))
+    results = []
     for sample in samples:
-        judge.place({wrap.name: tuple(sample) for wrap in model.wraps})
-        found.append(judge.analyse(poses))
-    length, arms = (np.stack(parts) for parts in zip(*found, strict=True))
+        reference.place({wrap.name: tuple(sample) for wrap in model.wraps})
+        results.append(reference.analyse(poses))
+    length, arms = (np.stack(parts) for parts in zip(*results, strict=True))
     return length, arms
 
 
@@ -69,12 +69,14 @@ def compare_with_opensim(file, side, poses, samples):
         parameters = np.repeat(samples[:, None], len(engine.wraps_of(name)), axis=1)
         found = wrap_at_samples(posed, parameters, PARITY)
         np.testing.assert_allclose(found.length, length[:, :, place], atol=1e-9, rtol=0, err_msg=name)
-        # About all coordinates: round two cylinders OpenSim's path has arms about joints that it is not at.
+        # All coordinates: with two cylinders OpenSim gives moment arms also about joints that are not
+        # spanned.
         np.testing.assert_allclose(found.moment_arm, arms[:, :, :, place], atol=1e-8, rtol=0, err_msg=name)
         touched += found.touching.any(axis=-1).sum()
         if len(engine.wraps_of(name)) == 1:
             shortest = wrap_at_samples(posed, parameters, GEODESIC)
-            # Neither path's: OpenSim's contact may slip off the end where the shortest path's does not.
+            # Margins of both paths: OpenSim's contact may be off the end where that of the shortest path is
+            # not.
             clear = clear_of_jumps(shortest.margins, 0.0) & clear_of_jumps(found.margins, 0.0)
             assert clear.mean() > 0.1, name
             assert (shortest.length - length[:, :, place])[clear].max() < 1e-9, name
@@ -90,17 +92,17 @@ def test_parity_equals_opensim(data_folder, subject, side):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("subject", "side"), RECORDED)
-def test_parity_equals_opensim_everywhere(data_folder, subject, side):
-    """500 poses times 50 placements of every wrapped muscle, non-physiological ones included."""
+def test_parity_equals_opensim_in_many_samples(data_folder, subject, side):
+    """500 poses times 50 samples of wrap parameters of every wrapped muscle, also non-physiological ones."""
     poses, samples = draw(500, 50, seed=1)
     compare_with_opensim(data_folder / subject / "model.osim", side, poses, samples)
 
 
-def test_parity_where_frames_are_offset_and_points_come_and_go(odd_model):
+def test_parity_with_offset_frames_and_conditional_points(odd_model):
     model, coordinates = describe_model(odd_model), ("hip", "knee")
     poses = np.random.default_rng(2).uniform([-1.0, 0.0], [1.0, 2.0], (100, 2))
     samples = np.random.default_rng(3).uniform(SAMPLE_LOW, SAMPLE_HIGH, (10, 6))
-    # Its path through the conditional point wraps, too.
+    # A second path through the conditional point, which wraps.
     path = replace(model.muscle("conditional"), wraps=model.muscle("flexor").wraps)
     muscles = tuple(path if entry.name == path.name else entry for entry in model.muscles)
     length, arms = by_opensim(odd_model, model, ["flexor"], coordinates, poses, samples)
@@ -109,15 +111,15 @@ def test_parity_where_frames_are_offset_and_points_come_and_go(odd_model):
     np.testing.assert_allclose(found.length, length[:, :, 0], atol=1e-12)
     np.testing.assert_allclose(found.moment_arm, arms[:, :, :, 0], atol=1e-11)
     assert 0.1 < found.touching.mean() < 1.0
-    came = ExactPaths(replace(model, muscles=muscles), ["conditional"], coordinates).posed(poses)
-    eligible = np.asarray(came["conditional"].path.eligible)
+    conditional = ExactPaths(replace(model, muscles=muscles), ["conditional"], coordinates).posed(poses)
+    eligible = np.asarray(conditional["conditional"].path.eligible)
     active = (poses[:, 1] >= 0.5) & (poses[:, 1] <= 2.0)
     np.testing.assert_array_equal(eligible, np.stack([active, np.ones(100, dtype=bool)], axis=1))
 
 
 @pytest.fixture(scope="module")
 def leg(s1_left):
-    """All wrapped muscles of a leg in some poses, and placements of their cylinders."""
+    """Engine of all wrapped muscles of a leg, some poses, and samples of wrap parameters."""
     model = describe_model(s1_left / "model.osim")
     coordinates = coordinates_of(model, "l")
     engine = ExactPaths(model, wrapped_muscles(model, "l"), coordinates)
@@ -128,8 +130,8 @@ def clear_of_jumps(margins, least=1e-3):
     return (margins.inside > least) & (margins.off_end > least) & (margins.long_wrap > least)
 
 
-def test_geodesic_moment_arm_is_minus_the_slope_of_length(leg):
-    """By every coordinate, of every muscle, the two-cylinder ones included."""
+def test_geodesic_moment_arm_is_minus_the_derivative_of_length(leg):
+    """For every coordinate and every muscle, those with two cylinders included."""
     engine, poses, samples = leg
     at, step = engine.posed(poses), 2e-6
     worst = 0.0
@@ -141,7 +143,7 @@ def test_geodesic_moment_arm_is_minus_the_slope_of_length(leg):
             here, above, below = (
                 wrap_at_samples(one, parameters) for one in (posed, ahead[name], behind[name])
             )
-            # Neither a jump nor the kink of a path that only just touches lies between the three.
+            # No discontinuity and no kink at lift-off lies between the three poses.
             smooth = clear_of_jumps(here.margins) & (above.touching == below.touching).all(axis=-1)
             kink = np.abs(above.length + below.length - 2 * here.length) > 1e-10
             slope = (above.length - below.length) / (2 * step)
@@ -153,30 +155,30 @@ def test_geodesic_moment_arm_is_minus_the_slope_of_length(leg):
 
 @pytest.mark.parametrize("wraps", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_gradients_by_wrap_parameters_equal_differences(leg, wraps):
-    """In reverse mode, of lengths, moment arms and clearances, of every muscle with so many cylinders."""
+    """Reverse mode, for lengths, moment arms and clearances of all muscles with this number of cylinders."""
     engine, poses, _ = leg
     posed = engine.posed(poses)
     muscles = [name for name in engine.muscles if len(engine.wraps_of(name)) == wraps]
     assert len(muscles) == {1: 19, 2: 2}[wraps]
-    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in muscles))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(posed[name] for name in muscles))
     generator = np.random.default_rng(6)
     start = np.stack([nominal_parameters(wraps)] * len(muscles))
     start += 0.1 * generator.uniform(-1, 1, start.shape) * (SAMPLE_HIGH - NOMINAL)
 
-    def laid(parameters):
-        return jax.vmap(lambda one, own: one.wrapped(own))(together, parameters)
+    def paths(parameters):
+        return jax.vmap(lambda one, own: one.wrapped(own))(stacked, parameters)
 
     def quantities(parameters):
-        """Lengths, moment arms and distances from every jump (``muscle pose quantity``)."""
-        path = laid(parameters)
+        """Lengths, moment arms and clearances (``muscle pose quantity``)."""
+        path = paths(parameters)
         return jnp.concatenate([path.length[..., None], path.moment_arm, path.clearances], axis=-1)
 
-    here = jax.tree.map(np.asarray, jax.jit(laid)(jnp.asarray(start)))
+    here = jax.tree.map(np.asarray, jax.jit(paths)(jnp.asarray(start)))
     values = np.asarray(jax.jit(quantities)(jnp.asarray(start)))
-    # On either side of a jump all is smooth.
+    # Paths are smooth on both sides of a discontinuity.
     clear = np.all([np.abs(margin) > 1e-3 for margin in jax.tree.leaves(here.margins)], axis=0)
     assert (clear & here.touching.any(axis=-1)).any(axis=1).sum() > 0.5 * len(muscles)
-    # What is free is no number that could have a slope.
+    # `FREE` is a constant without a derivative.
     weights = generator.normal(size=values.shape) * (clear[..., None] & (values != FREE))
     assert (weights[..., -3:] != 0.0).any()
 
@@ -207,7 +209,7 @@ def test_forward_and_reverse_mode_agree(leg):
     assert np.abs(forward).max() > 1e-2
 
 
-def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
+def test_scipy_finds_the_same_shortest_path_round_two_cylinders():
     """Two skew cylinders, both touched: SciPy solves for the four points of contact."""
     ends = np.array([[-0.2, 0.0, 0.0], [0.25, -0.005, 0.05]])
     centers = np.array([[-0.07, -0.01, 0.0], [0.1, -0.012, 0.02]])
@@ -237,7 +239,7 @@ def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
     cylinders = jax.vmap(Surface.placed)(surfaces, jnp.asarray(nominal_parameters(2)))
 
     def along(x):
-        """The three straight pieces, and the two arcs as turn and rise."""
+        """The three straight segments, and the two arcs as angle and rise."""
         contacts = [
             centers[place] + tilts[place] @ [radii[place] * np.cos(a), radii[place] * np.sin(a), z]
             for place, (angle, height, turn, rise) in enumerate(x.reshape(2, 4))
@@ -247,8 +249,8 @@ def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
         pieces = [stations[place + 1] - stations[place] for place in (0, 2, 4)]
         return pieces, [(turn, rise) for _, _, turn, rise in x.reshape(2, 4)]
 
-    def bends(x):
-        """On a shortest path straight pieces touch at a tangent and climb as steeply as the arc."""
+    def kinks(x):
+        """Zero on a shortest path, where straight segments are tangent to the surface and to the arc."""
         pieces, _ = along(x)
         found = []
         for place, (angle, _, turn, rise) in enumerate(x.reshape(2, 4)):
@@ -258,7 +260,7 @@ def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
                 found += [own @ [np.cos(at), np.sin(at), 0.0], own[2] - steepness]
         return found
 
-    solved = root(bends, [1.75, 0.01, -0.2, 0.001, 1.6, 0.01, -0.1, 0.001], tol=1e-13)
+    solved = root(kinks, [1.75, 0.01, -0.2, 0.001, 1.6, 0.01, -0.1, 0.001], tol=1e-13)
     assert solved.success and (solved.x.reshape(2, 4)[:, 2] < -0.02).all()
     pieces, arcs = along(solved.x)
     length = sum(np.linalg.norm(piece) for piece in pieces)
@@ -266,8 +268,8 @@ def test_scipy_finds_the_same_path_without_bends_round_two_cylinders():
     assert float(wrap_shortest(path, cylinders).length) == pytest.approx(length, abs=1e-12)
 
 
-def test_margins_say_where_opensims_path_jumps(leg):
-    """As a cylinder moves towards the end of a path the margin falls evenly, and at zero the path jumps."""
+def test_opensims_path_jumps_where_a_margin_is_zero(leg):
+    """The margin decreases evenly as a cylinder moves towards a path point; at zero OpenSim's path jumps."""
     engine, poses, _ = leg
     posed = engine.posed(poses[:4])["psoas_l"]
     reach = np.linspace(0.0, 0.05, 401)
@@ -281,14 +283,14 @@ def test_margins_say_where_opensims_path_jumps(leg):
         steps, shortest = (np.abs(np.diff(path.length, axis=0)) for path in paths)
         jumps = steps > 1e-3
         assert (margin[:-1] * margin[1:])[jumps].max(initial=0.0) <= 0.0
-        # The shortest path takes the end for a point of the surface and goes on.
+        # The shortest path treats the end as a point of the surface and is continuous.
         near = np.abs(margin[:-1]) < 2e-3
         assert shortest[near].max(initial=0.0) < reach[1] + 1e-12
         jumped += jumps.sum()
     assert jumped > 0
 
 
-def test_unknown_surfaces_are_refused_by_name(odd_model):
+def test_unsupported_surfaces_are_named_in_errors(odd_model):
     model = describe_model(odd_model)
     with pytest.raises(InputError, match="wrap object 'brim' is a WrapEllipsoid"):
         ExactPaths(model, ["hip_flexor", "flexor"], ("hip", "knee"))

@@ -1,4 +1,4 @@
-"""Defends: the limit that a calibration keeps to is the machine that was fitted, and a good one."""
+"""Tests of the feasibility of wrap parameters: score, probability, cross-validation and accuracy."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def samples_of(count, seed):
 
 
 def physiological_of(samples, limit=0.3):
-    """A made-up surface: too far forward, or turned while it is large."""
+    """Synthetic criterion: not too far forward, and not rotated while the radius is large."""
     x = (samples - CENTER) / HALF_RANGE
     return (x[:, 0] + 0.3 * x[:, 3] ** 2 < limit) & (x[:, 5] * x[:, 4] + 0.2 * x[:, 1] < 0.5)
 
@@ -52,7 +52,7 @@ def validation():
 
 
 def machine_of(training, gamma, penalty):
-    """Scikit-learn's machine, fitted on its own."""
+    """Support vector machine of scikit-learn, fitted separately."""
     from sklearn.svm import SVC
 
     samples, physiological = training
@@ -99,16 +99,16 @@ def test_chosen_constants_are_the_best_of_the_grid_in_cross_validation(fitted, t
     assert len(set(accuracy.values())) > 5
 
 
-def test_of_equally_good_constants_the_smallest_are_chosen(training):
+def test_ties_go_to_the_smallest_constants(training):
     samples = training[0][np.abs(training[0][:, 0]) > 0.4 * HALF_RANGE[0]]
     clear = samples, samples[:, 0] < 0.0
     found = fit_feasibility(*clear, LOWER, UPPER)
     np.testing.assert_array_equal(found.weights, machine_of(clear, GAMMAS[0], PENALTIES[0]).dual_coef_[0])
 
 
-def test_unseen_samples_are_sorted_rightly(fitted, validation):
+def test_validation_samples_are_classified_accurately(fitted, validation):
     quality = feasibility_quality(fitted, *validation)
-    # A coin would have 0.5 and 0.5.
+    # Chance gives 0.5 and 0.5.
     assert quality.balanced_accuracy > 0.9
     assert quality.false_physiological < 0.12
     physiological = validation[1]
@@ -142,7 +142,7 @@ def test_limit_of_probability_is_the_limit_of_score(fitted, validation):
     assert 0.1 < (excess <= 0.0).mean() < 0.9
 
 
-def test_sigmoid_is_fitted_to_scores_of_samples_left_out(training, fitted):
+def test_sigmoid_is_fitted_to_cross_validated_scores(training, fitted):
     from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
     samples, physiological = training
@@ -154,12 +154,12 @@ def test_sigmoid_is_fitted_to_scores_of_samples_left_out(training, fitted):
         scores = cross_val_predict(machine, scaled, ~physiological, cv=folds, method="decision_function")
         sigmoids.append(fit_sigmoid(scores, ~physiological))
     assert (float(fitted.slope), float(fitted.intercept)) in sigmoids
-    surer, _ = fit_sigmoid(scores_of(fitted, samples), ~physiological)
-    assert surer < 1.2 * fitted.slope
+    overconfident, _ = fit_sigmoid(scores_of(fitted, samples), ~physiological)
+    assert overconfident < 1.2 * fitted.slope
 
 
-def test_probability_is_that_of_unseen_samples(fitted, validation):
-    """The sigmoid knows how sure the machine is of samples that it was not fitted to."""
+def test_probability_is_calibrated_on_validation_samples(fitted, validation):
+    """Predicted probabilities equal frequencies in samples that the machine was not fitted to."""
     samples, physiological = validation
     probability = np.asarray(jax.vmap(fitted.probability)(jnp.asarray(samples)))
     assert abs(probability.mean() - (~physiological).mean()) < 0.05
@@ -181,56 +181,59 @@ def separable(seed):
 
 @pytest.mark.parametrize("make", [overlapping, separable])
 @pytest.mark.parametrize("size", [1.0, 1e4, 1e-3])
-def test_sigmoid_is_the_likeliest(make, size):
+def test_sigmoid_maximizes_the_likelihood(make, size):
     scores, positive = make(0)
     slope, intercept = fit_sigmoid(scores * size, positive)
     n, m = positive.sum(), (~positive).sum()
     target = np.where(positive, (n + 1) / (n + 2), 1 / (m + 2))
 
-    def surprise(parameters):
+    def negative_log_likelihood(parameters):
         probability = 1.0 / (1.0 + np.exp(parameters[0] * scores + parameters[1]))
         return -np.sum(target * np.log(probability) + (1 - target) * np.log(1 - probability))
 
     direct = scipy.optimize.minimize(
-        surprise, [-1.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-13, "maxiter": 5000}
+        negative_log_likelihood,
+        [-1.0, 0.0],
+        method="Nelder-Mead",
+        options={"xatol": 1e-10, "fatol": 1e-13, "maxiter": 5000},
     )
     np.testing.assert_allclose([slope * size, intercept], direct.x, rtol=1e-5, atol=1e-5)
     assert slope < 0.0
-    # Where the likelihood is highest, it has no slope.
-    missed = target - expit(-(slope * scores * size + intercept))
-    np.testing.assert_allclose([missed.sum(), missed @ scores], 0.0, atol=1e-8)
+    # The gradient of the likelihood is zero at its maximum.
+    difference = target - expit(-(slope * scores * size + intercept))
+    np.testing.assert_allclose([difference.sum(), difference @ scores], 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("rare", [False, True])
 @pytest.mark.parametrize(
-    ("share", "learns"), [(0.0, False), (0.01, False), (0.0175, False), (0.02, True), (0.1, True)]
+    ("share", "is_fitted"), [(0.0, False), (0.01, False), (0.0175, False), (0.02, True), (0.1, True)]
 )
-def test_a_rare_class_gives_no_machine(training, rare, share, learns):
+def test_a_rare_class_gives_no_machine(training, rare, share, is_fitted):
     samples, _ = training
     order = np.argsort(samples[:, 0])
     physiological = np.full(len(samples), not rare)
     physiological[order[: round(share * len(samples))]] = rare
     found = fit_feasibility(samples, physiological, LOWER, UPPER)
-    assert isinstance(found, Feasibility) == learns
+    assert isinstance(found, Feasibility) == is_fitted
     quality = feasibility_quality(found, samples, physiological)
-    assert (quality.balanced_accuracy is not None) == learns
+    assert (quality.balanced_accuracy is not None) == is_fitted
     if share == 0.0:
         assert quality.false_physiological == (1.0 if rare else None)
 
 
-def test_fewer_of_a_class_than_folds_give_no_machine(training):
+def test_fewer_samples_of_a_class_than_folds_give_no_machine(training):
     samples, physiological = training[0][:40], np.arange(40) >= FOLDS
     assert fit_feasibility(samples, physiological, LOWER, UPPER) is not None
     physiological[0] = True
     assert fit_feasibility(samples, physiological, LOWER, UPPER) is None
 
 
-def test_a_surface_without_a_machine_allows_everything(validation):
+def test_a_wrap_without_a_machine_allows_all_samples(validation):
     quality = feasibility_quality(None, *validation)
     assert (quality.balanced_accuracy, quality.false_physiological) == (0.5, 1.0)
 
 
-def test_units_of_the_box_do_not_matter(training, fitted, validation):
+def test_feasibility_does_not_depend_on_units(training, fitted, validation):
     units = np.array([1e3, 1e3, 1e3, 180.0 / np.pi, 180.0 / np.pi, 100.0])
     shift = np.array([3.0, 0.0, -1.0, 10.0, 0.0, -100.0])
     other = fit_feasibility(
@@ -243,7 +246,7 @@ def test_units_of_the_box_do_not_matter(training, fitted, validation):
     assert moved == feasibility_quality(fitted, *validation)
 
 
-def test_one_seed_gives_the_same_bits(training, fitted):
+def test_one_seed_gives_identical_results(training, fitted):
     again = fit_feasibility(*training, LOWER, UPPER, seed=3)
     for one, other in zip(jax.tree.leaves(fitted), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -251,6 +254,6 @@ def test_one_seed_gives_the_same_bits(training, fitted):
     assert float(shuffled.slope) != float(fitted.slope)
 
 
-def test_an_empty_box_is_refused(training):
+def test_an_empty_box_is_an_error(training):
     with pytest.raises(ValueError, match="the box is empty"):
         fit_feasibility(*training, UPPER, LOWER)

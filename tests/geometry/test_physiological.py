@@ -1,4 +1,4 @@
-"""Defends: each criterion catches what it is there for, and nothing else."""
+"""Tests that each criterion for physiological paths detects its fault and no other."""
 
 from dataclasses import fields
 
@@ -14,9 +14,9 @@ WAVE = np.sin(2.0 * np.pi * np.arange(POSES) / 40.0)
 
 
 def paths(samples, change=None):
-    """A nominal path that moves, lies on its cylinder, and is inside it in pose 3; and copies of it.
+    """Copies of a nominal path that touches its cylinder, with a point inside it in pose 3.
 
-    The second copy is changed.
+    The second copy is changed by a function.
     """
     parts = {
         "length": np.tile(0.3 + 0.02 * WAVE, (samples, 1)),
@@ -43,8 +43,8 @@ def another_moment_arm(moment_arm, **_):
     moment_arm[5, 1] -= 0.001
 
 
-def moves_much_more(moment_arm, **_):
-    # The change is smooth, and nowhere as large as a deviation may be.
+def varies_much_more(moment_arm, **_):
+    # The change is smooth, and smaller than the threshold of deviations.
     moment_arm[:, 0] += 0.015 * WAVE
 
 
@@ -60,15 +60,15 @@ def kinks(moment_arm, **_):
     moment_arm[30:50, 1] += 0.004
 
 
-def comes_to_lie_inside(inside, **_):
+def has_a_point_inside(inside, **_):
     inside[7] = -1e-6
 
 
-def gets_off_the_end(off_end, **_):
+def is_off_the_end(off_end, **_):
     off_end[7] = -1e-6
 
 
-def goes_round_the_long_way(long_wrap, **_):
+def wraps_the_long_way(long_wrap, **_):
     long_wrap[7] = -1e-6
 
 
@@ -79,39 +79,39 @@ def never_touches(on_surface, **_):
 FAULTS = {
     longer_everywhere: {"length_deviation"},
     another_moment_arm: {"moment_arm_deviation"},
-    moves_much_more: {"variability"},
+    varies_much_more: {"variability"},
     steps_along_the_cycle: {"length_step"},
     steps_from_the_last_frame_to_the_first: {"length_step"},
     kinks: {"moment_arm_step"},
-    comes_to_lie_inside: {"jumps"},
-    gets_off_the_end: {"jumps"},
-    goes_round_the_long_way: {"jumps"},
+    has_a_point_inside: {"jumps"},
+    is_off_the_end: {"jumps"},
+    wraps_the_long_way: {"jumps"},
     never_touches: {"never_touches"},
 }
 
 
 @pytest.mark.parametrize("change", FAULTS, ids=lambda change: change.__name__)
-def test_each_criterion_catches_its_fault(change):
-    """One of three samples has it. The nominal path itself is inside in one pose, which is no fault."""
+def test_each_criterion_detects_its_fault(change):
+    """One of three samples has the fault. A pose in which the nominal path is inside too is no fault."""
     measures = measure_paths(paths(3, change), paths(1), CYCLE)
-    caught = {name for name, failed in measures.failed_criteria().items() if failed[1]}
-    assert caught == FAULTS[change]
+    failed = {name for name, samples in measures.failed_criteria().items() if samples[1]}
+    assert failed == FAULTS[change]
     np.testing.assert_array_equal(measures.physiological(), [True, False, True])
 
 
-def test_poses_in_no_order_have_no_steps():
+def test_unordered_poses_have_no_steps():
     found = paths(3, steps_along_the_cycle)
     assert measure_paths(found, paths(1), slice(0, 0)).physiological().all()
 
 
-def changed_a_little(length, moment_arm, **_):
+def changed_slightly(length, moment_arm, **_):
     length *= 1.001
     moment_arm *= 1.001
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(PhysiologicalThresholds)])
-def test_thresholds_are_settings(name):
-    measures = measure_paths(paths(3, changed_a_little), paths(1), CYCLE)
+def test_each_threshold_can_be_set(name):
+    measures = measure_paths(paths(3, changed_slightly), paths(1), CYCLE)
     assert measures.physiological().all()
     strict = PhysiologicalThresholds(**{name: 1.0 if name == "variability" else 0.0})
     np.testing.assert_array_equal(measures.physiological(strict), [True, False, True])

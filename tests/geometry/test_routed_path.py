@@ -1,4 +1,4 @@
-"""The line that is drawn for a muscle is the path that the engine measures."""
+"""Tests that the line drawn for a muscle is the path of the exact engine."""
 
 from dataclasses import replace
 
@@ -10,9 +10,10 @@ from wrapjax.geometry.routed_path import route_path
 from wrapjax.osim.model import describe_model
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
-#: One cylinder, restricted to a side or not, with few points and many; and two at once.
+#: Muscles with one cylinder, restricted to a side or not, with few and many points; and one with two
+#: cylinders.
 MUSCLES = ("psoas_l", "iliacus_l", "glmax1_l", "bfsh_l", "addmagIsch_l", "gasmed_l")
-PLACEMENT = np.array([0.004, -0.003, 0.002, 0.12, -0.1, 0.93])
+MOVED = np.array([0.004, -0.003, 0.002, 0.12, -0.1, 0.93])
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +27,17 @@ def poses():
     return np.random.default_rng(1).uniform(low, high, (6, 5))
 
 
-def placements(engine, muscle):
+def wrap_parameters(engine, muscle):
     nominal = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     count = len(engine.wraps_of(muscle))
-    return {"nominal": np.tile(nominal, (count, 1)), "moved": np.tile(PLACEMENT, (count, 1))}
+    return {"nominal": np.tile(nominal, (count, 1)), "moved": np.tile(MOVED, (count, 1))}
 
 
 @pytest.mark.parametrize("muscle", MUSCLES)
 def test_line_is_the_engines_path(model, poses, muscle):
     engine = ExactPaths(model, (muscle,), COORDINATES)
     posed, touched = engine.posed(poses)[muscle], 0
-    for parameters in placements(engine, muscle).values():
+    for parameters in wrap_parameters(engine, muscle).values():
         wrapped = wrap_at_samples(posed, parameters[None], GEODESIC)
         for number, pose in enumerate(poses):
             route = route_path(model, muscle, COORDINATES, pose, parameters)
@@ -55,11 +56,11 @@ def test_line_is_the_engines_path(model, poses, muscle):
                         cylinder.to_cylinder_frame(route.contacts[cylinder.name])[:, :2], axis=1
                     )
                     np.testing.assert_allclose(ends, cylinder.radius, atol=1e-12)
-    assert touched, "no pose in which it wraps: nothing was tested"
+    assert touched, "the path wraps in no pose, nothing was tested"
 
 
-def test_line_has_no_bends_where_it_meets_a_cylinder(model, poses):
-    """A shortest path leaves a surface along its tangent: an arc the wrong way round would turn back."""
+def test_line_has_no_kinks_where_it_meets_a_cylinder(model, poses):
+    """A shortest path is tangent to the surface; an arc in the wrong direction would have a kink."""
     route = route_path(model, "psoas_l", COORDINATES, poses[0])
     (ends,) = route.contacts.values()
     steps = np.diff(route.line, axis=0)
@@ -71,8 +72,8 @@ def test_line_has_no_bends_where_it_meets_a_cylinder(model, poses):
     assert any(np.abs(route.line - ends[0]).sum(axis=1) < 1e-12)
 
 
-def test_points_are_the_models_own(model, poses):
-    """Between points that nothing wraps, the line is straight; a point that is not active is not on it."""
+def test_line_without_wraps_connects_the_active_path_points(model, poses):
+    """Without wraps the line is straight between path points, and inactive points are not on it."""
     path = model.muscle("tibant_l")
     route = route_path(model, "tibant_l", COORDINATES, poses[0])
     assert not path.wraps and route.cylinders == () and route.contacts == {}
@@ -86,7 +87,7 @@ def test_points_are_the_models_own(model, poses):
     np.testing.assert_array_equal(without.line, np.delete(route.line, 1, axis=0))
 
 
-def test_cylinders_are_where_parameters_put_them(model, poses):
+def test_cylinders_have_the_pose_and_radius_of_the_parameters(model, poses):
     before, after = (
         route_path(model, "psoas_l", COORDINATES, poses[0], own)
         for own in (None, np.array([[0.003, -0.004, 0.012, 0.3, 0.0, 1.1]]))

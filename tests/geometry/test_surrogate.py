@@ -1,4 +1,4 @@
-"""The surrogate recovers polynomials, prunes what is not there, and is consistent with itself."""
+"""Tests of the polynomial surrogate: recovery of polynomials, elimination of terms, derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -65,11 +65,11 @@ def test_recovers_a_polynomial_with_few_terms(surrogate):
     path = surrogate(jnp.asarray(fresh), jnp.zeros_like(fresh))
     expected = true_length(np.moveaxis(fresh, 1, -1).reshape(-1, 3)).reshape(4, 25, 2)
     np.testing.assert_allclose(jnp.moveaxis(path.length, 0, -1), expected, rtol=0, atol=3e-7)
-    # Centering spreads each true power over the lower ones, yet most of the 56 candidates are absent.
+    # Centering converts each power to a sum of lower ones, yet most of the 56 candidates are eliminated.
     assert surrogate.used.sum(axis=1)[0] <= 4 and surrogate.used.sum(axis=1)[1] <= 20
 
 
-def test_terms_are_named_by_what_they_multiply(surrogate):
+def test_names_of_terms_are_their_factors(surrogate):
     names = surrogate.term_names()
     assert [len(own) for own in names] == surrogate.used.sum(axis=1).tolist()
     assert names[0][:2] == ("1", "knee_angle_r") and "knee_angle_r^3" in names[0]
@@ -102,17 +102,17 @@ def test_velocity_is_the_rate_of_length(surrogate):
     np.testing.assert_allclose(path.velocity, difference, rtol=0, atol=1e-6)
 
 
-def test_poses_stay_in_the_belt_of_their_frame():
+def test_random_poses_are_within_the_angle_ranges_of_their_frame():
     time = np.linspace(0, 2 * np.pi, 101)
     angles = np.stack([[np.sin(time), np.cos(time)], [np.sin(time) + 0.3, np.cos(time)]])
     lower, upper = angle_ranges(angles)
-    assert np.allclose(upper[1] - lower[1], MINIMUM_ANGLE_RANGE), "a belt without width is widened"
+    assert np.allclose(upper[1] - lower[1], MINIMUM_ANGLE_RANGE), "a range of zero is widened"
     poses = random_poses(angles, 400, np.random.default_rng(0))
     frame = np.repeat(np.arange(100), 4)
     assert (poses >= lower[:, frame].T).all() and (poses <= upper[:, frame].T).all()
     assert np.ptp(poses[:4, 0]) > 0.01, "poses of one frame differ"
 
 
-def test_smooth_poses_are_the_fastest_cycle():
+def test_poses_of_the_fastest_cycle_lack_its_last_frame():
     angles = np.arange(2 * 3 * 101, dtype=float).reshape(2, 3, 101)
     np.testing.assert_array_equal(fastest_cycle_poses(angles, np.array([1.2, 1.0])), angles[1, :, :-1].T)

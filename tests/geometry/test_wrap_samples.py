@@ -1,4 +1,4 @@
-"""Defends: samples fill the boxes, validation sees others, and verdicts can be told apart."""
+"""Tests of samples of wrap parameters and of their bounds."""
 
 import numpy as np
 import pytest
@@ -29,25 +29,25 @@ def test_samples_fill_their_boxes(plans):
             lower, upper = parameter_box(TRANSLATIONS[wrap])
             scaled = (samples - lower) / (upper - lower)
             assert scaled.shape == (count, 6) and (scaled > -1e-12).all() and (scaled < 1.0 + 1e-12).all()
-            # Evenly: every tenth of every axis has about a tenth of the samples.
+            # Every tenth of every axis has about a tenth of the samples.
             shares = [np.histogram(column, 10, (0.0, 1.0))[0] / count for column in scaled.T]
             assert np.abs(np.array(shares) - 0.1).max() < 0.02
 
 
-def test_validation_sees_other_samples(plans):
+def test_validation_samples_differ_from_training_samples(plans):
     training, validation = (plan.together.moved["brim"] for plan in plans)
     nearest = np.abs(validation[:, None] - training[None]).max(axis=2).min(axis=1)
     assert nearest.min() > 1e-5
 
 
-def test_cylinders_of_one_muscle_do_not_move_in_step(plans):
+def test_parameters_of_wraps_of_one_muscle_are_uncorrelated(plans):
     parameters = plans[0].together.parameters(WRAPS["gaslat"])
-    together = np.corrcoef(parameters.reshape(1000, 12).T)
-    assert np.abs(together - np.eye(12)).max() < 0.12
+    correlation = np.corrcoef(parameters.reshape(1000, 12).T)
+    assert np.abs(correlation - np.eye(12)).max() < 0.12
 
 
-def test_alone_means_alone(plans):
-    """For the cylinders of muscles with several; the same samples, so that muscles that share agree."""
+def test_wraps_of_muscles_with_several_are_also_changed_alone(plans):
+    """The samples of a wrap are the same in all sets, so that muscles which share it are comparable."""
     for plan in plans:
         for muscle in ("gaslat", "gasmed"):
             for place, wrap in enumerate(WRAPS[muscle]):
@@ -71,12 +71,12 @@ def test_alone_means_alone(plans):
         (1e-4, 0.005),
     ],
 )
-def test_boxes_are_as_wide_as_most_of_them_is_usable(monkeypatch, reach, expected):
-    """Usable is what moves along x by less than ``reach``: the share of a box follows from its width."""
+def test_translation_bound_depends_on_the_share_of_usable_samples(monkeypatch, reach, expected):
+    """Samples are usable if they translate along x by at most ``reach``, so that a box's share is known."""
     monkeypatch.setattr(
         wrap_bounds,
         "usable_for_all_muscles",
         lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach,
     )
-    nobody = object.__new__(ExactPaths)
-    assert wrap_bounds.translation_bounds(nobody, {}, ["brim"]) == {"brim": expected}
+    engine = object.__new__(ExactPaths)
+    assert wrap_bounds.translation_bounds(engine, {}, ["brim"]) == {"brim": expected}

@@ -1,4 +1,4 @@
-"""A model that no laboratory has: one of everything that the path code must not overlook."""
+"""Synthetic model with one of every path, joint and coupler feature that the readers of models support."""
 
 import opensim
 import pytest
@@ -43,13 +43,13 @@ def _muscle(model, name, *points):
 
 
 def _via(muscle, point, body, end):
-    """Lead a muscle through a point of another kind, of which OpenSim takes a copy, to its end."""
+    """Add a point of another class, which OpenSim copies, and an end point to a muscle's path."""
     muscle.updGeometryPath().updPathPointSet().cloneAndAppend(point)
     muscle.addNewPathPoint(f"{muscle.getName()}-end", body, opensim.Vec3(*end))
 
 
 def build_odd_model():
-    """Build a leg whose patella follows the knee, and a pulley on it that follows the patella."""
+    """Build a leg with a patella coupled to the knee, and a pulley on it that is coupled to the patella."""
     opensim.Logger.setLevelString("Off")
     model = opensim.Model()
     model.setName("odd")
@@ -71,11 +71,11 @@ def build_odd_model():
     toe = _pin(model, "toe_joint", foot, (0.1, 0, 0), toes, "toe")
     toe.setDefaultValue(0.1)
     toe.setDefaultLocked(True)
-    # The later coupler comes first: order must not matter.
+    # In reverse order of dependence, which must not matter.
     _couple(model, "pulley_coupler", "patella_turn", "pulley_turn", 0.7, 0.05, 1.0)
     _couple(model, "patella_coupler", "knee", "patella_turn", 0.5, 0.1, 1.5)
 
-    # An offset frame, turned and moved, that carries a path point and a cylinder.
+    # A rotated and displaced offset frame, which carries a path point and a cylinder.
     frame = opensim.PhysicalOffsetFrame(
         "epicondyle",
         thigh,
@@ -115,24 +115,24 @@ def build_odd_model():
     condition.updSocket("parent_frame").setConnecteePath("/bodyset/thigh")
     condition.setLocation(opensim.Vec3(-0.06, -0.38, 0))
     _via(_muscle(model, "conditional", (thigh, (-0.03, -0.1, 0))), condition, shank, (-0.03, -0.2, 0))
-    glide = opensim.MovingPathPoint()
-    glide.setName("moving-via")
-    glide.updSocket("parent_frame").setConnecteePath("/bodyset/thigh")
+    moving = opensim.MovingPathPoint()
+    moving.setName("moving-via")
+    moving.updSocket("parent_frame").setConnecteePath("/bodyset/thigh")
     for axis, function in zip(
         "XYZ",
         (opensim.LinearFunction(0.02, 0.05), opensim.Constant(-0.02), opensim.Constant(0.0)),
         strict=True,
     ):
-        glide.updSocket(f"{axis.lower()}_coordinate").setConnecteePath("/jointset/knee_joint/knee")
-        getattr(glide, f"set_{axis.lower()}_location")(function)
-    _via(_muscle(model, "moving", (model.getGround(), (0.03, 1.2, 0))), glide, thigh, (0.03, -0.2, 0))
+        moving.updSocket(f"{axis.lower()}_coordinate").setConnecteePath("/jointset/knee_joint/knee")
+        getattr(moving, f"set_{axis.lower()}_location")(function)
+    _via(_muscle(model, "moving", (model.getGround(), (0.03, 1.2, 0))), moving, thigh, (0.03, -0.2, 0))
     model.finalizeConnections()
     return model
 
 
 @pytest.fixture(scope="session")
 def odd_model(tmp_path_factory):
-    """The file of the odd model."""
+    """File of the synthetic model."""
     file = tmp_path_factory.mktemp("odd") / "model.osim"
     build_odd_model().printToXML(str(file))
     return file

@@ -1,4 +1,4 @@
-"""Defends: moments put together from parts are OpenSim's, and what another load does to them is mechanics."""
+"""Tests of the terms of inverse dynamics against OpenSim's solver, and of changed external loads."""
 
 import numpy as np
 import opensim
@@ -26,12 +26,12 @@ def mechanics(odd_model, motion) -> Mechanics:
 
 @pytest.fixture(scope="module")
 def wrench():
-    """What acts on the foot: moment about ground's origin, force."""
+    """External load on the foot: moment about ground's origin, and force."""
     return np.random.default_rng(5).uniform(-100.0, 100.0, (1, 6, POSES))
 
 
-class Judge:
-    """OpenSim's own solver, on the same model put there by OpenSim's own functions."""
+class ReferenceSolver:
+    """OpenSim's solver for the same model, set to poses by OpenSim's own functions."""
 
     def __init__(self, file):
         self.model = opensim.Model(str(file))
@@ -42,13 +42,13 @@ class Judge:
     def moments(self, motion, pose, wrench):
         model, state = self.model, self.state
         value, speed, acceleration = (part[:, pose] for part in motion)
-        # Patella and pulley follow as the model's couplers say: scale (0.2 q^2 + slope q + offset).
+        # Patella and pulley follow the model's couplers: scale (0.2 q^2 + slope q + offset).
         names, rows = ["hip", "knee"], [list(part) for part in zip(value, speed, acceleration, strict=True)]
         for name, slope, offset, scale in (("patella_turn", 0.5, 0.1, 1.5), ("pulley_turn", 0.7, 0.05, 1.0)):
             q, u, a = rows[-1]
-            bend, rate = 0.4 * scale, scale * (0.4 * q + slope)
+            second, first = 0.4 * scale, scale * (0.4 * q + slope)
             names.append(name)
-            rows.append([scale * (0.2 * q**2 + slope * q + offset), rate * u, rate * a + bend * u**2])
+            rows.append([scale * (0.2 * q**2 + slope * q + offset), first * u, first * a + second * u**2])
         accelerations = opensim.Vector(state.getNU(), 0.0)
         order = {}
         for name, (q, u, a) in zip(names, rows, strict=True):
@@ -77,47 +77,47 @@ class Judge:
         )
         none = opensim.Vector(state.getNU(), 0.0)
         solver = opensim.InverseDynamicsSolver(model)
-        # Given applied forces, the solver leaves the model's own out, gravity among them.
+        # With applied forces given, the solver ignores those of the model, gravity included.
         weight = solver.solve(state, accelerations).to_numpy()
         weight = weight - solver.solve(state, accelerations, none, nothing).to_numpy()
         found = solver.solve(state, accelerations, none, applied).to_numpy() + weight
         return found[[columns["hip"], columns["knee"]]]
 
 
-def test_moments_are_opensims_own(odd_model, motion, mechanics, wrench):
+def test_moments_equal_opensims(odd_model, motion, mechanics, wrench):
     found = mechanics.moments(mechanics.transmitted(("foot",), wrench))
-    judge = Judge(odd_model)
-    expected = np.stack([judge.moments(motion, pose, wrench[0, :, pose]) for pose in range(POSES)], axis=1)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10)
-    # Inertia counts, and so does each of the two of it.
+    reference = ReferenceSolver(odd_model)
+    expected = [reference.moments(motion, pose, wrench[0, :, pose]) for pose in range(POSES)]
+    np.testing.assert_allclose(found, np.stack(expected, axis=1), rtol=1e-10, atol=1e-10)
+    # Neither the wrench of mass nor that of rotational inertia is negligible.
     assert np.abs(mechanics.mass_wrench[:, :3]).max() > 1.0 and np.abs(mechanics.inertia_wrench).max() > 0.5
 
 
-def test_moving_a_force_acts_by_its_moment_about_the_hinge(mechanics, wrench):
-    """About a hinge along a, a force F that is moved by d adds a . (d x F), which the muscles need less."""
+def test_displacement_of_a_force_changes_moments_by_its_moment_about_the_hinge(mechanics, wrench):
+    """A displacement d of a force F reduces the moment about a hinge with axis a by a . (d x F)."""
     moved = np.array([0.01, 0.0, 0.004])
     change = np.zeros_like(wrench)
     change[0, :3] = np.cross(moved, wrench[0, 3:].T).T
     before, after = (
         mechanics.moments(mechanics.transmitted(("foot",), load)) for load in (wrench, wrench + change)
     )
-    # Both hinges are along z: force and displacement in the sagittal plane count.
+    # Both hinges are along z, so that only components in the sagittal plane have an effect.
     across = moved[0] * wrench[0, 4] - moved[1] * wrench[0, 3]
     np.testing.assert_allclose(after - before, -np.stack([across, across]), atol=1e-10)
 
 
 def test_screws_and_centers_are_those_of_hinges(mechanics, motion):
-    """The knee hangs 0.4 m below a hip that is 1 m up, and turns with the thigh."""
+    """The knee is 0.4 m below a hip at a height of 1 m, and rotates with the thigh."""
     hip = motion[0][0]
     knee = np.stack([0.4 * np.sin(hip), 1.0 - 0.4 * np.cos(hip), 0.0 * hip])
     np.testing.assert_allclose(mechanics.joint_center[1], knee, atol=1e-12)
     axis = np.array([[0.0], [0.0], [1.0]]) + 0.0 * knee
     np.testing.assert_allclose(mechanics.screw[1, :3], axis, atol=1e-12)
-    # A hinge's points are at rest: ground's origin moves as turned about the knee.
+    # Points of a hinge's axis are at rest, so that ground's origin rotates about the knee.
     np.testing.assert_allclose(mechanics.screw[1, 3:], np.cross(axis, -knee, axis=0), atol=1e-12)
 
 
-def test_what_a_coordinate_moves(mechanics):
+def test_coordinates_move_the_bodies_below_their_joint(mechanics):
     moved = {
         name: {body for body, moves in zip(mechanics.bodies, row, strict=True) if moves}
         for name, row in zip(mechanics.coordinates, mechanics.moves, strict=True)
@@ -128,6 +128,6 @@ def test_what_a_coordinate_moves(mechanics):
 
 
 def test_an_unknown_coordinate_is_named(odd_model):
-    nothing = np.zeros((1, 1))
+    zeros = np.zeros((1, 1))
     with pytest.raises(InputError, match=r"kneee.*no such coordinate.*'knee'"):
-        analyse_mechanics(odd_model, ("kneee",), Motion(("hip",), nothing, nothing, nothing))
+        analyse_mechanics(odd_model, ("kneee",), Motion(("hip",), zeros, zeros, zeros))

@@ -1,4 +1,4 @@
-"""Defends: OpenSim's tools are used as a laboratory uses them, and say nothing on standard output."""
+"""Tests of inverse kinematics and inverse dynamics by OpenSim's tools, and of their output and errors."""
 
 import numpy as np
 import pytest
@@ -18,14 +18,14 @@ JOINTS = tuple(
 )
 
 
-def rerun(folder, coordinates, time, values):
-    """Root mean square differences in N m from the moments that came with the recording."""
-    # The tool's own filter at 6 Hz: how these moments were made.
+def moment_differences(folder, coordinates, time, values):
+    """Root mean square differences (N m) from the published moments of the recording."""
+    # The published moments were computed with the tool's filter at 6 Hz.
     loads = folder / "trials" / "walk" / "external_loads.xml"
     found = solve_inverse_dynamics(folder / "model.osim", coordinates, time, values, loads, 6.0)
-    given = read_storage(folder / "trials" / "walk" / "moments.sto")
+    published = read_storage(folder / "trials" / "walk" / "moments.sto")
     return {
-        name: float(np.sqrt(np.mean((found[f"{name}_moment"] - _column(given, f"{name}_moment")) ** 2)))
+        name: float(np.sqrt(np.mean((found[f"{name}_moment"] - _column(published, f"{name}_moment")) ** 2)))
         for name in JOINTS
     }
 
@@ -34,8 +34,8 @@ def _column(table, name):
     return table.values[:, table.columns.index(name)]
 
 
-def test_given_moments_are_reproduced_once_patellae_are_in_radians(data_folder, capfd):
-    """Taken as the file has them, patellae in degrees are the whole difference."""
+def test_published_moments_are_reproduced_with_patellae_in_radians(data_folder, capfd):
+    """Without conversion, patella angles in degrees would explain all differences."""
     folder = data_folder / "healthy_overground"
     file = folder / "trials" / "walk" / "angles.sto"
     infos = read_model_file(folder / "model.osim").coordinates
@@ -44,17 +44,17 @@ def test_given_moments_are_reproduced_once_patellae_are_in_radians(data_folder, 
     motion = read_motion(file, infos, couplers, JOINTS, notes)
     assert sorted(couplers) == ["knee_angle_l_beta", "knee_angle_r_beta"]
     assert len(notes) == 2 and all("is in degrees" in note for note in notes)
-    differences = rerun(folder, motion.coordinates, motion.time, motion.values)
+    differences = moment_differences(folder, motion.coordinates, motion.time, motion.values)
     assert max(differences.values()) < 0.3, differences
 
     table = read_storage(file)
     names = [label.split("/")[-2] for label in table.columns]
-    untouched = rerun(folder, names, table.time, table.values.T)
-    assert untouched["hip_flexion_r"] > 50.0 and untouched["ankle_angle_r"] < 0.3
+    unconverted = moment_differences(folder, names, table.time, table.values.T)
+    assert unconverted["hip_flexion_r"] > 50.0 and unconverted["ankle_angle_r"] < 0.3
     assert capfd.readouterr().out == ""
 
 
-def test_what_stops_a_tool_is_told(odd_model, tmp_path):
+def test_failures_of_tools_are_input_errors(odd_model, tmp_path):
     time = np.arange(20) / 100.0
     with pytest.raises(InputError, match=r"absent\.xml: OpenSim's inverse dynamics stopped"):
         solve_inverse_dynamics(odd_model, ("hip",), time, np.zeros((1, 20)), tmp_path / "absent.xml")

@@ -1,4 +1,4 @@
-"""Defends: joint reactions are what Newton and Euler ask for, and muscles add to them along their lines."""
+"""Tests of joint reactions against the Newton-Euler equations, and of the contribution of muscles."""
 
 import itertools
 
@@ -17,7 +17,7 @@ POSES = 4
 LENGTH = 0.4
 MASSES, CENTERS = (7.0, 3.0), ((0.02, -0.17, 0.01), (-0.01, -0.19, -0.02))
 HIP = np.array([0.1, 1.0, 0.2])
-#: Points of each muscle: body (0 ground, 1 thigh, 2 shank), place.
+#: Path points of each muscle: body (0 ground, 1 thigh, 2 shank) and location.
 MUSCLES = {
     "hip_flexor": ((0, (0.15, 1.1, 0.25)), (1, (0.05, -0.2, 0.01))),
     "long_flexor": ((0, (0.05, 1.05, 0.15)), (1, (-0.05, -0.3, 0.0)), (2, (-0.04, -0.1, 0.02))),
@@ -26,7 +26,7 @@ MUSCLES = {
 
 @pytest.fixture(scope="module")
 def two_links(tmp_path_factory):
-    """A thigh and a shank that hang on ground by two pins, with two muscles."""
+    """Model of a thigh and a shank with two pin joints and two muscles."""
     opensim.Logger.setLevelString("Off")
     model = opensim.Model()
     bodies = [model.getGround()]
@@ -35,11 +35,11 @@ def two_links(tmp_path_factory):
         model.addBody(body)
         bodies.append(body)
     for number, (name, where) in enumerate((("hip", HIP.tolist()), ("knee", [0.0, -LENGTH, 0.0]))):
-        # Joints' frames are turned in their bodies: forces are given along the bodies' axes all the same.
-        askew = opensim.Vec3(0, 0, 0.7)
-        ends = (bodies[number], opensim.Vec3(*where), askew)
-        child = (bodies[number + 1], opensim.Vec3(0), askew)
-        joint = opensim.PinJoint(f"{name}_joint", *ends, *child)
+        # Joint frames are rotated in their bodies, while forces are given along the bodies' axes.
+        rotation = opensim.Vec3(0, 0, 0.7)
+        parent = (bodies[number], opensim.Vec3(*where), rotation)
+        child = (bodies[number + 1], opensim.Vec3(0), rotation)
+        joint = opensim.PinJoint(f"{name}_joint", *parent, *child)
         joint.updCoordinate().setName(name)
         model.addJoint(joint)
     for name, points in MUSCLES.items():
@@ -47,7 +47,7 @@ def two_links(tmp_path_factory):
         for number, (body, where) in enumerate(points):
             muscle.addNewPathPoint(f"{name}-{number}", bodies[body], opensim.Vec3(*where))
         model.addForce(muscle)
-    # What else pulls must be left out.
+    # A force other than muscles, which must be left out.
     spring = opensim.PointToPointSpring(bodies[0], opensim.Vec3(0), bodies[2], opensim.Vec3(0), 1e4, 0.1)
     model.addForce(spring)
     model.finalizeConnections()
@@ -92,7 +92,7 @@ def newton_euler(motion, pose, load, tension):
     arms = [axes[link] @ CENTERS[link - 1] for link in (1, 2)]
 
     def carried(arm, rate, change):
-        """Acceleration of an arm that turns about z."""
+        """Acceleration of the end of an arm that rotates about z."""
         flat = arm * [1.0, 1.0, 0.0]
         return change * np.cross([0.0, 0.0, 1.0], arm) - rate**2 * flat
 
@@ -111,7 +111,7 @@ def newton_euler(motion, pose, load, tension):
                 turns += np.cross(point - origins[2], pull) * (link == 2)
     at_knee = MASSES[1] * (centers[1] - gravity) - load[3:] - pulls[2]
     at_hip = at_knee + MASSES[0] * (centers[0] - gravity) - pulls[1]
-    # Euler's equation of the shank, which turns about z alone.
+    # Euler's equation of the shank, which rotates about z only.
     spin = np.diag([0.2, 0.1, 0.2])
     rate, change = np.array([0.0, 0.0, u1 + u2]), np.array([0.0, 0.0, a1 + a2])
     about_knee = axes[2] @ (spin @ change + np.cross(rate, spin @ rate))
@@ -121,53 +121,53 @@ def newton_euler(motion, pose, load, tension):
     return on_parent, axes[2].T @ about_knee, axes[2].T @ at_knee
 
 
-def test_reactions_are_newton_and_eulers_sum(two_links, motion, wrench, forces):
+def test_reactions_satisfy_the_newton_euler_equations(two_links, motion, wrench, forces):
     joints = ("hip_joint", "knee_joint")
     found = analyse_joint_reactions(two_links, joints, motion, ("shank",), wrench, tuple(MUSCLES), forces)
     for pose in range(POSES):
         on_parent, moment, force = newton_euler(motion, pose, wrench[0, :, pose], forces[:, pose])
         np.testing.assert_allclose(found.on_parent[:, :, pose], on_parent, rtol=1e-9, atol=1e-7)
         np.testing.assert_allclose(found.on_child[1, 3:, pose], force, rtol=1e-9, atol=1e-7)
-        # About the pin's own axis coordinates close what bones need; about the others the pin itself holds.
+        # Actuators provide the moment about the pin's axis, the joint those about the other axes.
         np.testing.assert_allclose(found.on_child[1, :2, pose], moment[:2], rtol=1e-9, atol=1e-7)
 
 
-def test_a_load_acts_wherever_it_is_given(two_links, motion, wrench, forces):
-    """Where a force acts changes moments, which coordinates close, and no force in a joint."""
-    question = (two_links, ("hip_joint",), motion, ("shank",))
+def test_joint_forces_do_not_depend_on_where_a_load_acts(two_links, motion, wrench, forces):
+    """The point of application changes joint moments, which actuators provide, but no joint force."""
+    inputs = (two_links, ("hip_joint",), motion, ("shank",))
     shifted = wrench.copy()
     shifted[:, :3] += 50.0
     one, other = (
-        analyse_joint_reactions(*question, load, tuple(MUSCLES), forces) for load in (wrench, shifted)
+        analyse_joint_reactions(*inputs, load, tuple(MUSCLES), forces) for load in (wrench, shifted)
     )
     np.testing.assert_allclose(one.on_parent, other.on_parent, atol=1e-7)
 
 
-def test_muscles_that_are_not_named_do_not_pull(two_links, motion, wrench, forces):
-    question = (two_links, ("hip_joint", "knee_joint"), motion, ("shank",), wrench)
-    one = analyse_joint_reactions(*question, ("long_flexor",), forces[1:])
-    silent = forces.copy()
-    silent[0] = 0.0
-    other = analyse_joint_reactions(*question, tuple(MUSCLES), silent)
+def test_muscles_that_are_not_named_exert_no_force(two_links, motion, wrench, forces):
+    inputs = (two_links, ("hip_joint", "knee_joint"), motion, ("shank",), wrench)
+    one = analyse_joint_reactions(*inputs, ("long_flexor",), forces[1:])
+    without_first = forces.copy()
+    without_first[0] = 0.0
+    other = analyse_joint_reactions(*inputs, tuple(MUSCLES), without_first)
     np.testing.assert_allclose(one.on_parent, other.on_parent, atol=1e-7)
 
 
-def test_unknown_names_are_said(two_links, motion, wrench, forces):
+def test_unknown_names_are_reported(two_links, motion, wrench, forces):
     with pytest.raises(InputError, match="knee_jont: the model has no such joint; did you mean 'knee_joint'"):
         analyse_joint_reactions(two_links, ("knee_jont",), motion, ("shank",), wrench, tuple(MUSCLES), forces)
 
 
-def test_what_muscles_add_runs_along_their_lines(odd_model, motion):
-    """Through wraps, pulleys, conditional and moving points, and to a bone two joints further on."""
+def test_muscle_contributions_are_along_their_lines_of_action(odd_model, motion):
+    """For wraps, pulleys, conditional and moving points, and a muscle over two joints."""
     muscles, joints = (
         ("extensor", "flexor", "toe_flexor", "conditional", "moving"),
         ("hip_joint", "knee_joint"),
     )
     none = np.zeros((0, 6, POSES))
     force = np.random.default_rng(11).uniform(100.0, 900.0, (len(muscles), POSES))
-    question = (odd_model, joints, motion, (), none, muscles)
-    pulled, slack = (analyse_joint_reactions(*question, size * force).on_parent for size in (1.0, 0.0))
-    added = pulled - slack
+    inputs = (odd_model, joints, motion, (), none, muscles)
+    with_force, without = (analyse_joint_reactions(*inputs, size * force).on_parent for size in (1.0, 0.0))
+    added = with_force - without
 
     lines = lines_of_action(
         describe_model(odd_model), muscles, joints, motion.coordinates, motion.values[None], PARITY
@@ -175,5 +175,5 @@ def test_what_muscles_add_runs_along_their_lines(odd_model, motion):
     share = sum_muscle_forces(lines, force[:, None])[0]
     np.testing.assert_allclose(np.moveaxis(share, 1, 1), added, atol=1e-5)
     assert np.abs(share).max() > 100.0
-    # Its two ends are on the foot and the toes' way: it does not cross the hip.
+    # Both ends are below the hip, which the muscle does not cross.
     np.testing.assert_allclose(lines[muscles.index("toe_flexor"), 0], 0.0, atol=1e-12)

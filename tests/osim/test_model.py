@@ -1,4 +1,4 @@
-"""Defends: what is read from a model is what its file says, and bad files get one clear sentence."""
+"""Tests of the reader of models: contents of files, spanned coordinates, and errors in files."""
 
 import subprocess
 import sys
@@ -24,18 +24,18 @@ def stroke(s1_left):
     return describe_model(s1_left / "model.osim")
 
 
-def test_importing_the_package_leaves_opensim_out():
+def test_importing_the_package_does_not_import_opensim():
     code = "import sys, wrapjax, wrapjax.osim; sys.exit('opensim' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_opensim_says_nothing_and_leaves_no_log(tmp_path, odd_model):
+def test_opensim_prints_nothing_and_writes_no_log(tmp_path, odd_model):
     code = f"from wrapjax.osim.model import describe_model; describe_model({str(odd_model)!r})"
     finished = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, check=True)
     assert (finished.stdout, finished.stderr, list(tmp_path.iterdir())) == (b"", b"", [])
 
 
-def test_points_are_those_of_the_file(stroke, s1_left):
+def test_path_points_equal_those_of_the_file(stroke, s1_left):
     root = ElementTree.parse(s1_left / "model.osim").getroot()
     count = 0
     for element in root.iter("Millard2012EquilibriumMuscle"):
@@ -51,7 +51,7 @@ def test_points_are_those_of_the_file(stroke, s1_left):
     assert count == 144
 
 
-def test_cylinders_are_those_of_the_file(stroke, s1_left):
+def test_cylinders_equal_those_of_the_file(stroke, s1_left):
     root = ElementTree.parse(s1_left / "model.osim").getroot()
     listed = {element.get("name"): element for element in root.iter("WrapCylinder")}
     assert listed.keys() == {wrap.name for wrap in stroke.wraps}
@@ -70,7 +70,7 @@ def test_cylinders_are_those_of_the_file(stroke, s1_left):
     assert stroke.wrap("IL_at_brim_l").body == "pelvis"
 
 
-def test_coordinates_say_how_they_may_move(stroke):
+def test_properties_of_coordinates_equal_those_of_the_file(stroke):
     knee, patella, wrist = (
         stroke.coordinate(c) for c in ("knee_angle_l", "knee_angle_l_beta", "wrist_flex_l")
     )
@@ -99,8 +99,8 @@ def test_a_muscle_spans_the_joints_between_its_bodies(s1_left, muscle, expected)
     assert spanned_coordinates(s1_left / "model.osim", [muscle]) == {muscle: expected}
 
 
-def test_spans_are_complete_and_not_too_wide(stroke, s1_left):
-    """OpenSim's own moment arms: none outside the span, one somewhere for each coordinate inside."""
+def test_spanned_coordinates_are_those_with_moment_arms(stroke, s1_left):
+    """OpenSim's moment arms are zero outside the span, and nonzero in some pose inside it."""
     model, state = load_model(s1_left / "model.osim")
     generator = np.random.default_rng(3)
     names = [c.name for c in stroke.coordinates if not c.locked and not c.coupled_to]
@@ -120,13 +120,13 @@ def test_spans_are_complete_and_not_too_wide(stroke, s1_left):
     assert min(largest[pair] for pair in inside) > 1e-4
 
 
-def test_welded_joints_are_spanned_by_none(data_folder):
+def test_welded_joints_are_not_spanned(data_folder):
     # The subtalar joint is welded in this model.
     spans = spanned_coordinates(data_folder / "healthy_overground" / "model.osim", ["soleus_r", "gasmed_r"])
     assert spans == {"soleus_r": ("ankle_angle_r",), "gasmed_r": ("knee_angle_r", "ankle_angle_r")}
 
 
-def test_couplers_of_couplers_lead_to_the_independent_coordinate(odd):
+def test_chained_couplers_are_resolved_to_the_independent_coordinate(odd):
     assert odd.coordinate("pulley_turn").coupled_to == ("patella_turn",)
     assert odd.spanned_by("extensor") == ("knee",)
 
@@ -136,7 +136,7 @@ def test_locked_coordinates_are_not_spanned(odd):
     assert odd.spanned_by("toe_flexor") == ()
 
 
-def test_offset_frames_are_resolved_into_their_body(odd, odd_model):
+def test_positions_in_offset_frames_are_given_in_the_body_frame(odd, odd_model):
     model, state = load_model(odd_model)
     model.realizePosition(state)
     point = model.getMuscles().get("flexor").getGeometryPath().getPathPointSet().get(0)
@@ -147,7 +147,7 @@ def test_offset_frames_are_resolved_into_their_body(odd, odd_model):
     described = odd.muscle("flexor").points[0]
     assert described.body == "thigh"
     np.testing.assert_allclose(described.location, [expected.get(i) for i in range(3)], atol=1e-14)
-    # The frame is turned by 0.5 rad about z.
+    # The frame is rotated by 0.5 rad about z.
     condyles = odd.wrap("condyles")
     assert condyles.body == "thigh"
     cosine, sine = np.cos(0.5), np.sin(0.5)
@@ -155,9 +155,9 @@ def test_offset_frames_are_resolved_into_their_body(odd, odd_model):
     np.testing.assert_allclose(condyles.translation, np.array([0.01, -0.3, 0.02]) + shift, atol=1e-14)
 
 
-def test_what_is_not_a_fixed_point_or_a_cylinder_is_named(odd):
+def test_uncommon_parts_are_named(odd):
     assert odd.wrap("brim").radius is None
-    # It ends above the knee, but a point of it glides with the knee.
+    # The muscle ends above the knee, but one of its points moves with the knee.
     assert [point.body for point in odd.muscle("moving").points] == ["ground", "thigh", "thigh"]
     assert odd.muscle("moving").points[1].moved_by == ("knee",)
     assert odd.spanned_by("moving") == ("hip", "knee")
@@ -168,7 +168,7 @@ def test_what_is_not_a_fixed_point_or_a_cylinder_is_named(odd):
     )
 
 
-def test_unknown_muscles_are_all_named_at_once(odd_model):
+def test_all_unknown_muscles_are_reported_together(odd_model):
     with pytest.raises(InputError) as caught:
         spanned_coordinates(odd_model, ["Flexor_", "flexor", "masseter"])
     first, second = caught.value.problems
@@ -177,7 +177,7 @@ def test_unknown_muscles_are_all_named_at_once(odd_model):
 
 
 @pytest.mark.parametrize(
-    ("content", "sentence"),
+    ("content", "message"),
     [
         (b"", "is not well-formed XML (no element found"),
         (np.random.default_rng(0).bytes(4000), "is binary, where XML in UTF-8 was expected"),
@@ -190,18 +190,18 @@ def test_unknown_muscles_are_all_named_at_once(odd_model):
     ],
     ids=["empty", "rubbish", "other-xml", "no-model", "truncated"],
 )
-def test_a_file_that_is_no_model_is_refused(tmp_path, capfd, content, sentence):
+def test_a_file_that_is_no_model_is_an_error(tmp_path, capfd, content, message):
     file = tmp_path / "model.osim"
     file.write_bytes(content)
     with pytest.raises(InputError) as caught:
         describe_model(file)
     (problem,) = caught.value.problems
-    assert problem.file == str(file) and sentence in problem.message
+    assert problem.file == str(file) and message in problem.message
     assert "\n" not in problem.message
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_missing_file_is_refused(tmp_path):
+def test_a_missing_file_is_an_error(tmp_path):
     with pytest.raises(InputError, match="is not a file"):
         describe_model(tmp_path / "model.osim")
 
@@ -214,7 +214,7 @@ def test_a_missing_file_is_refused(tmp_path):
         ("<independent_coordinate_names>knee<", "<independent_coordinate_names>kneel<", "kneel"),
     ],
 )
-def test_a_model_that_does_not_hang_together_is_refused(tmp_path, odd_model, old, new, named):
+def test_an_inconsistent_model_is_an_error(tmp_path, odd_model, old, new, named):
     text = odd_model.read_text()
     assert old in text
     (tmp_path / "model.osim").write_text(text.replace(old, new))
@@ -224,7 +224,7 @@ def test_a_model_that_does_not_hang_together_is_refused(tmp_path, odd_model, old
     assert "cannot load it as a model" in problem.message and named in problem.message
 
 
-def test_couplers_in_a_circle_are_refused(tmp_path, odd_model):
+def test_circular_couplers_are_an_error(tmp_path, odd_model):
     old = "<independent_coordinate_names>knee<"
     text = odd_model.read_text().replace(old, "<independent_coordinate_names>pulley_turn<")
     (tmp_path / "model.osim").write_text(text)

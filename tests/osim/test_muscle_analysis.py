@@ -1,4 +1,4 @@
-"""Defends: lengths and moment arms are OpenSim's own, however they are reached, shared out or remembered."""
+"""Tests of muscle lengths and moment arms by OpenSim: accuracy, worker processes, cache, errors."""
 
 import multiprocessing
 import signal
@@ -45,15 +45,15 @@ def empty_cache(tmp_path, monkeypatch):
 
 
 def walking_poses(count, seed=0):
-    """Poses (rad) within what walking asks for."""
+    """Random poses (rad) in the range of walking."""
     low, high = (-0.4, -0.2, -0.2, 0.02, -0.3, -0.2), (0.6, 0.2, 0.2, 1.1, 0.3, 0.2)
     return np.random.default_rng(seed).uniform(low, high, (count, 6))
 
 
 def analyse_assembled(model_file, muscles, coordinates, poses):
-    """The slow way, by OpenSim's own functions alone: assemble each pose, ask for each moment arm.
+    """Compute lengths and moment arms by OpenSim's usual calls, with assembly of each pose.
 
-    Assembling moves the given coordinates too, by some 1e-7 rad: the poses reached are returned first.
+    Assembly changes the given coordinates too, by some 1e-7 rad. The resulting poses are returned first.
     """
     model, _ = load_model(model_file)
     found = [model.getCoordinateSet().get(name) for name in coordinates]
@@ -75,11 +75,11 @@ def analyse_assembled(model_file, muscles, coordinates, poses):
     return reached, length, moment_arm
 
 
-def test_agrees_with_the_geometry_that_the_laboratory_used(s1_left, muscles):
-    """Theirs is a sparse quintic fit to this model: 0.14 mm off in length, 0.02-0.37 mm in moment arm.
+def test_lengths_and_moment_arms_agree_with_the_published_polynomials(s1_left, muscles):
+    """The published paths are sparse quintic polynomials that were fitted to this model.
 
-    The largest differences are where a gluteus maximus lifts off its cylinder: OpenSim's moment arm
-    then jumps by 9 mm from one frame to the next, and a polynomial does not.
+    Mean differences are 0.14 mm in length and 0.02 to 0.37 mm in moment arm. The largest are at lift-off of
+    the gluteus maximus from its cylinder, where OpenSim's moment arm jumps by 9 mm between frames.
     """
     length_errors, arm_errors = [], []
     for trial in TRIALS:
@@ -99,18 +99,18 @@ def test_agrees_with_the_geometry_that_the_laboratory_used(s1_left, muscles):
     assert arm_error.max() < 8e-3
 
 
-def test_setting_coupled_coordinates_equals_assembling(s1_left, muscles):
+def test_coordinates_set_by_couplers_equal_assembled_ones(s1_left, muscles):
     poses = walking_poses(4)
     reached, length, moment_arm = analyse_assembled(s1_left / "model.osim", muscles, COORDINATES, poses)
     found = analyse_muscles(s1_left / "model.osim", muscles, COORDINATES, reached, processes=1, quiet=True)
     np.testing.assert_allclose(found.length, length, rtol=0, atol=1e-8)
-    # Outside their span two-cylinder paths get an arm from OpenSim's stale wrap points; here it is zero.
+    # OpenSim's stale wrap points give two-cylinder paths moment arms outside their span, which are zero here.
     model = describe_model(s1_left / "model.osim")
     spanned = np.array([[c in model.spanned_by(m) for m in muscles] for c in COORDINATES])
     np.testing.assert_allclose(found.moment_arm, np.where(spanned, moment_arm, 0.0), rtol=0, atol=1e-8)
 
 
-def test_moment_arms_are_the_slope_of_length_where_the_patella_follows(s1_left):
+def test_moment_arms_are_minus_the_derivative_of_length_with_a_coupled_patella(s1_left):
     quadriceps = ("recfem_l", "vasint_l", "vaslat_l", "vasmed_l", "bfsh_l", "tibant_l")
     poses, step = walking_poses(40), 1e-5
     model = s1_left / "model.osim"
@@ -149,7 +149,7 @@ def test_every_kind_of_path_and_coupler_equals_opensim(odd_model):
         ("healthy_treadmill", ("hip_flexion_l", "knee_angle_l", "ankle_angle_l", "subtalar_angle_l")),
     ],
 )
-def test_other_models_load_and_agree(data_folder, subject, coordinates):
+def test_other_recorded_models_agree_with_opensim(data_folder, subject, coordinates):
     model = data_folder / subject / "model.osim"
     description = describe_model(model)
     muscles = [muscle.name for muscle in description.muscles if muscle.name.endswith(coordinates[0][-2:])]
@@ -164,13 +164,13 @@ def test_other_models_load_and_agree(data_folder, subject, coordinates):
 
 
 def test_coordinates_not_given_stay_at_their_defaults(odd_model):
-    # The toe is locked at 0.1 rad, and pulls nothing.
+    # The toe is locked at 0.1 rad.
     both = analyse_muscles(odd_model, ["flexor"], ["hip", "knee"], np.array([[0.0, 0.7]]), quiet=True)
     alone = analyse_muscles(odd_model, ["flexor"], ["knee"], np.array([[0.7]]), quiet=True)
     np.testing.assert_array_equal(both.length, alone.length)
 
 
-def test_a_pose_outside_a_clamped_range_is_used_as_it_is(odd_model):
+def test_a_pose_outside_a_clamped_range_is_not_clamped(odd_model):
     assert describe_model(odd_model).coordinate("knee").range == (0.0, 2.0)
     knee = np.array([[-0.3], [0.0], [2.0], [2.2]])
     length = analyse_muscles(odd_model, ["extensor"], ["knee"], knee, quiet=True).length[:, 0]
@@ -178,19 +178,19 @@ def test_a_pose_outside_a_clamped_range_is_used_as_it_is(odd_model):
     assert abs(length[3] - length[2]) > 1e-3
 
 
-def test_several_processes_give_the_same_bits(empty_cache, monkeypatch, s1_left, muscles):
+def test_several_processes_give_identical_results(empty_cache, monkeypatch, s1_left, muscles):
     monkeypatch.setattr(muscle_analysis, "CHUNK", 16)
     model, poses = s1_left / "model.osim", walking_poses(80)
     alone = analyse_muscles(model, muscles, COORDINATES, poses, processes=1, quiet=True)
     shuffled = np.random.default_rng(5).permutation(len(poses))
     monkeypatch.setenv("WRAPJAX_CACHE", str(empty_cache / "other"))
     shared = analyse_muscles(model, muscles, COORDINATES, poses[shuffled], processes=2, quiet=True)
-    # Nor does a pose remember the one before it.
+    # Results of a pose do not depend on the pose before it.
     np.testing.assert_array_equal(shared.length, alone.length[shuffled])
     np.testing.assert_array_equal(shared.moment_arm, alone.moment_arm[shuffled])
 
 
-def test_workers_are_called_when_much_is_left(empty_cache, monkeypatch, odd_model):
+def test_workers_are_started_when_much_work_remains(empty_cache, monkeypatch, odd_model):
     monkeypatch.setattr(muscle_analysis, "CHUNK", 4)
     monkeypatch.setattr(workers, "_cores", lambda: 2)
     called = []
@@ -210,7 +210,7 @@ def test_workers_are_called_when_much_is_left(empty_cache, monkeypatch, odd_mode
 
 @pytest.fixture
 def counted(monkeypatch):
-    """The poses that were really analysed, call by call."""
+    """Number of poses that were analyzed in each call."""
     calls = []
 
     def counting(path, coordinates, spans, chunks, processes):
@@ -222,63 +222,61 @@ def counted(monkeypatch):
     return calls
 
 
-def ask(model, knee, muscles=("extensor", "flexor")):
+def analyse(model, knee, muscles=("extensor", "flexor")):
     return analyse_muscles(model, muscles, ["knee"], np.asarray(knee)[:, None], processes=1, quiet=True)
 
 
-def test_the_same_question_is_answered_from_memory(empty_cache, counted, odd_model):
+def test_results_for_the_same_inputs_are_cached(empty_cache, counted, odd_model):
     knee = np.linspace(0.1, 1.0, 10)
-    first, second = ask(odd_model, knee), ask(odd_model, knee)
+    first, second = analyse(odd_model, knee), analyse(odd_model, knee)
     assert counted == [10]
     np.testing.assert_array_equal(first.length, second.length)
     np.testing.assert_array_equal(first.moment_arm, second.moment_arm)
     assert second.muscles == ("extensor", "flexor") and second.coordinates == ("knee",)
 
 
-def test_any_other_question_is_not(empty_cache, counted, odd_model, tmp_path):
+def test_results_for_other_inputs_are_not_cached(empty_cache, counted, odd_model, tmp_path):
     knee, model = np.linspace(0.1, 1.0, 4), tmp_path / "model.osim"
     model.write_bytes(odd_model.read_bytes())
-    thin = ask(model, knee)
-    ask(model, knee + 1e-15 * (knee > 0.5))
-    ask(model, knee, muscles=("flexor", "extensor"))
+    thin = analyse(model, knee)
+    analyse(model, knee + 1e-15 * (knee > 0.5))
+    analyse(model, knee, muscles=("flexor", "extensor"))
     model.write_text(odd_model.read_text().replace("<radius>0.0299", "<radius>0.0309"))
-    thick = ask(model, knee)
+    thick = analyse(model, knee)
     assert counted == [4, 4, 4, 4]
     assert np.abs(thick.length - thin.length).max() > 1e-5
-    # Where the model lies does not matter.
-    np.testing.assert_array_equal(ask(odd_model, knee).length, thin.length)
+    # The model's folder does not matter.
+    np.testing.assert_array_equal(analyse(odd_model, knee).length, thin.length)
     assert counted == [4, 4, 4, 4]
 
 
 @pytest.mark.parametrize("damage", [b"", b"rubbish", None], ids=["empty", "rubbish", "cut"])
-def test_a_damaged_memory_is_recomputed(empty_cache, counted, odd_model, damage):
+def test_a_damaged_cache_file_is_recomputed(empty_cache, counted, odd_model, damage):
     knee = np.linspace(0.1, 1.0, 10)
-    expected = ask(odd_model, knee)
-    victim = sorted(empty_cache.glob("*.npz"))[0]
-    victim.write_bytes(victim.read_bytes()[:300] if damage is None else damage)
-    found = ask(odd_model, knee)
+    expected = analyse(odd_model, knee)
+    cached = sorted(empty_cache.glob("*.npz"))[0]
+    cached.write_bytes(cached.read_bytes()[:300] if damage is None else damage)
+    found = analyse(odd_model, knee)
     assert len(counted) == 2 and counted[1] in (2, 4)
     np.testing.assert_array_equal(found.length, expected.length)
     np.testing.assert_array_equal(found.moment_arm, expected.moment_arm)
-    ask(odd_model, knee)
+    analyse(odd_model, knee)
     assert len(counted) == 2
 
 
-def after_the_first_chunk(monkeypatch, strike):
-    """Let something happen once the first chunk has been remembered."""
-    remember = muscle_analysis._write_cache
+def after_the_first_chunk(monkeypatch, action):
+    """Call a function once the first chunk has been cached; return a function that undoes this."""
+    write_cache = muscle_analysis._write_cache
 
     def then(*arguments):
-        remember(*arguments)
-        strike()
+        write_cache(*arguments)
+        action()
 
     monkeypatch.setattr(muscle_analysis, "_write_cache", then)
-    return lambda: monkeypatch.setattr(muscle_analysis, "_write_cache", remember)
+    return lambda: monkeypatch.setattr(muscle_analysis, "_write_cache", write_cache)
 
 
-def test_interrupted_work_leaves_no_process_and_goes_on_where_it_stopped(
-    empty_cache, counted, monkeypatch, odd_model
-):
+def test_interrupted_work_leaves_no_process_and_is_continued(empty_cache, counted, monkeypatch, odd_model):
     def interrupt():
         raise KeyboardInterrupt
 
@@ -293,24 +291,24 @@ def test_interrupted_work_leaves_no_process_and_goes_on_where_it_stopped(
     assert counted == [40, 36]
 
 
-def test_a_worker_that_dies_is_reported_and_costs_only_what_it_was_doing(
+def test_a_worker_that_dies_is_reported_and_finished_results_are_kept(
     empty_cache, counted, monkeypatch, odd_model
 ):
     def kill():
         for child in multiprocessing.active_children():
             child.kill()
 
-    # Enough chunks that some are left when the first one is done.
+    # Enough chunks for some to remain when the first one is done.
     knee = np.linspace(0.1, 1.0, 4000)[:, None]
     restore = after_the_first_chunk(monkeypatch, kill)
     with pytest.raises(RuntimeError, match="worker process of the muscle analysis died"):
         analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=2, quiet=True)
     assert multiprocessing.active_children() == []
     restore()
-    kept = len(list(empty_cache.glob("*.npz")))
-    assert kept >= 1
+    cached = len(list(empty_cache.glob("*.npz")))
+    assert cached >= 1
     analyse_muscles(odd_model, ["flexor"], ["knee"], knee, processes=1, quiet=True)
-    assert counted == [4000, 4000 - 4 * kept]
+    assert counted == [4000, 4000 - 4 * cached]
 
 
 SCRIPT = """
@@ -318,40 +316,40 @@ import numpy as np, os, signal
 from wrapjax.osim import muscle_analysis
 from wrapjax.osim.muscle_analysis import analyse_muscles
 
-# Whoever runs the tests in the background may ignore interrupts, and so would this.
+# Interrupts are ignored if the tests run in the background of a shell.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-def strike(*arguments):
-    {strike}
+def action(*arguments):
+    {action}
 
-muscle_analysis._write_cache = strike
+muscle_analysis._write_cache = action
 poses = np.linspace(0.0, 1.0, 50_000)[:, None]
 found = analyse_muscles({model!r}, ["flexor"], ["knee"], poses, processes=2, quiet=True)
 print(found.length.shape)
 """
 
 
-def run_script(folder, model, strike):
-    """Run a plain script in which something happens whenever a chunk is done.
+def run_script(folder, model, action):
+    """Run a script that executes a statement whenever a chunk is done.
 
-    Its workers share its standard output, so this returns only when the last of them is gone.
+    Its workers share its standard output, so that this function returns when the last of them has ended.
     """
-    (folder / "script.py").write_text(SCRIPT.format(model=str(model), strike=strike))
+    (folder / "script.py").write_text(SCRIPT.format(model=str(model), action=action))
     return subprocess.run(
         [sys.executable, folder / "script.py"], capture_output=True, text=True, check=False, timeout=60
     )
 
 
-def test_a_plain_script_needs_no_guard_and_runs_once(empty_cache, tmp_path, odd_model):
+def test_a_script_without_main_guard_runs_once(empty_cache, tmp_path, odd_model):
     finished = run_script(tmp_path, odd_model, "pass")
     assert (finished.stdout, finished.stderr, finished.returncode) == ("(50000, 1)\n", "", 0)
 
 
 @pytest.mark.parametrize(
-    ("strike", "ending"),
+    ("action", "ending"),
     [
         ("os.kill(os.getpid(), signal.SIGINT)", -signal.SIGINT),
-        # Twice: again while the workers are being dismissed.
+        # Twice, the second time while the workers end.
         (
             "import threading; threading.Timer(0.02, os.kill, (os.getpid(), signal.SIGINT)).start();"
             "os.kill(os.getpid(), signal.SIGINT)",
@@ -361,17 +359,17 @@ def test_a_plain_script_needs_no_guard_and_runs_once(empty_cache, tmp_path, odd_
     ],
     ids=["interrupted", "interrupted-twice", "killed"],
 )
-def test_no_worker_outlives_its_parent(empty_cache, tmp_path, odd_model, strike, ending):
-    finished = run_script(tmp_path, odd_model, strike)
+def test_workers_end_with_their_parent(empty_cache, tmp_path, odd_model, action, ending):
+    finished = run_script(tmp_path, odd_model, action)
     assert finished.stdout == "" and finished.returncode == ending
 
 
-def test_a_cache_that_cannot_be_written_costs_nothing_else(empty_cache, monkeypatch, odd_model):
+def test_a_cache_that_cannot_be_written_is_no_error(empty_cache, monkeypatch, odd_model):
     def full(path, write):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(muscle_analysis, "write_atomically", full)
-    assert np.isfinite(ask(odd_model, [0.5]).length).all()
+    assert np.isfinite(analyse(odd_model, [0.5]).length).all()
     assert list(empty_cache.iterdir()) == []
 
 
@@ -395,31 +393,31 @@ def test_names_are_checked_without_poses_too(odd_model):
     assert nothing.length.shape == (0, 1) and nothing.moment_arm.shape == (0, 1, 1)
 
 
-def test_coordinates_that_cannot_be_set_are_refused(odd_model):
+def test_coordinates_that_cannot_be_set_are_errors(odd_model):
     followed, locked = problems_of(odd_model, ["flexor"], ["patella_turn", "toe"], np.array([[0.1, 0.3]]))
     assert followed.place == "patella_turn" and "follows knee" in followed.message
     assert locked.place == "toe" and "locked at 0.1, and a pose has it at 0.3" in locked.message
 
 
-def test_a_locked_coordinate_may_be_given_where_it_is_held(odd_model):
+def test_a_locked_coordinate_may_be_given_at_its_locked_value(odd_model):
     pose = np.array([[0.6, 0.1]])
     with_toe = analyse_muscles(odd_model, ["toe_flexor"], ["knee", "toe"], pose, quiet=True)
     assert with_toe.moment_arm.tolist() == [[[0.0], [0.0]]]
 
 
-def test_poses_with_gaps_are_refused(odd_model):
+def test_poses_that_are_not_finite_are_errors(odd_model):
     poses = np.array([[0.1, 0.2], [np.nan, 0.2], [np.nan, np.inf]])
     hip, knee = problems_of(odd_model, ["flexor"], ["hip", "knee"], poses)
     assert (hip.place, hip.message) == ("hip", "is nan in pose 1")
     assert (knee.place, knee.message) == ("knee", "is inf in pose 2")
 
 
-def test_poses_of_the_wrong_width_are_refused(odd_model):
+def test_poses_with_a_wrong_number_of_coordinates_are_an_error(odd_model):
     with pytest.raises(ValueError, match="do not fit 1 coordinates"):
         analyse_muscles(odd_model, ["flexor"], ["knee"], np.zeros((3, 2)), quiet=True)
 
 
-def test_a_constraint_that_cannot_be_followed_is_refused(tmp_path, odd_model):
+def test_an_unsupported_constraint_is_an_error(tmp_path, odd_model):
     model, _ = load_model(odd_model)
     tie = opensim.PointConstraint(
         model.getGround(), opensim.Vec3(0), model.getBodySet().get("foot"), opensim.Vec3(0)

@@ -1,4 +1,4 @@
-"""Defends: a personalised model is the old one with other cylinders and muscles, and nothing else."""
+"""Tests of the writer of personalized models: changed cylinders and muscles, and nothing else changed."""
 
 import resource
 from xml.etree import ElementTree
@@ -14,9 +14,9 @@ from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import NOMINAL, PathEngine
 from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
 
-#: Where the odd model's cylinder goes, which hangs on an offset frame.
+#: Wrap parameters of the synthetic model's cylinder, which is on an offset frame.
 MOVED = {"condyles": (0.004, -0.007, 0.002, 0.15, -0.22, 1.15)}
-#: The odd model's only muscle on it gets other constants, one with all the digits that a float has.
+#: Constants of the only muscle with this cylinder, one of them with all digits of a float.
 CONSTANTS = {"flexor": MuscleConstants(0.0123456789012345, 0.31, 1234.5, 0.123)}
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "hip_rotation_l", "knee_angle_l", "ankle_angle_l")
 
@@ -37,14 +37,14 @@ def cylinder_of(file, name):
 
 
 def placed(file, name, parameters):
-    """Where the six parameters are meant to bring a cylinder."""
+    """Expected pose (rotation matrix, origin), radius and length of a cylinder by its wrap parameters."""
     rotation, origin, radius, length = cylinder_of(file, name)
-    turn = Rotation.from_euler("XY", parameters[3:5]).as_matrix()
-    return rotation @ turn, origin + rotation @ parameters[:3], radius * parameters[5], length
+    change = Rotation.from_euler("XY", parameters[3:5]).as_matrix()
+    return rotation @ change, origin + rotation @ parameters[:3], radius * parameters[5], length
 
 
 def constants_of(file):
-    """Every muscle's, read by OpenSim."""
+    """Constants of all muscles, read by OpenSim."""
     model, _ = load_model(file)
     muscles = [model.getMuscles().get(index) for index in range(model.getMuscles().getSize())]
     return {
@@ -58,8 +58,8 @@ def constants_of(file):
     }
 
 
-def edited_away(file, elements, tags):
-    """The file's canonical XML without some properties of some elements."""
+def without_properties(file, elements, tags):
+    """The file's canonical XML without the texts of some properties of some elements."""
     root = ElementTree.parse(
         file, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     )
@@ -86,15 +86,15 @@ def odd_written(odd_model, tmp_path_factory):
         NOMINAL,
     ],
 )
-def test_cylinder_on_an_offset_frame_is_where_the_parameters_say(odd_model, tmp_path, parameters):
+def test_cylinder_on_an_offset_frame_has_the_pose_of_its_parameters(odd_model, tmp_path, parameters):
     write_personalised_model(odd_model, tmp_path / "new.osim", {"condyles": parameters}, {})
     expected = placed(odd_model, "condyles", np.array(parameters))
-    for found, meant in zip(cylinder_of(tmp_path / "new.osim", "condyles"), expected, strict=True):
-        np.testing.assert_allclose(found, meant, rtol=0, atol=1e-12)
+    for found, expected_value in zip(cylinder_of(tmp_path / "new.osim", "condyles"), expected, strict=True):
+        np.testing.assert_allclose(found, expected_value, rtol=0, atol=1e-12)
 
 
-def test_cylinder_turned_to_where_body_fixed_angles_are_ambiguous(tmp_path, odd_model):
-    """The file holds x-y-z angles; with the middle one at a right angle they still give the same pose."""
+def test_cylinder_pose_is_right_where_body_fixed_angles_are_singular(tmp_path, odd_model):
+    """The file's x-y-z angles give the same pose also if the middle angle is a right angle."""
     straight = tmp_path / "straight.osim"
     model = opensim.Model(str(odd_model))
     model.initSystem()
@@ -108,24 +108,24 @@ def test_cylinder_turned_to_where_body_fixed_angles_are_ambiguous(tmp_path, odd_
         np.testing.assert_allclose(rotation, expected, rtol=0, atol=1e-12)
 
 
-def test_muscle_constants_are_written_to_the_last_digit_and_others_kept(odd_model, odd_written):
+def test_muscle_constants_are_written_exactly_and_others_unchanged(odd_model, odd_written):
     before, after = constants_of(odd_model), constants_of(odd_written)
     assert not set(before.pop("flexor")) & set(CONSTANTS["flexor"])
     assert after.pop("flexor") == CONSTANTS["flexor"]
     assert after == before
 
 
-def test_everything_else_is_the_same_document(odd_model, odd_written, tmp_path):
+def test_the_rest_of_the_document_is_unchanged(odd_model, odd_written, tmp_path):
     tags = ("translation", "xyz_body_rotation", "radius", *MuscleConstants._fields)
     names = {*MOVED, *CONSTANTS}
-    assert edited_away(odd_written, names, tags) == edited_away(odd_model, names, tags)
-    assert edited_away(odd_written, (), ()) != edited_away(odd_model, (), ())
-    # With nothing to change, nothing changes.
+    assert without_properties(odd_written, names, tags) == without_properties(odd_model, names, tags)
+    assert without_properties(odd_written, (), ()) != without_properties(odd_model, (), ())
+    # Without any change the document is identical.
     write_personalised_model(odd_model, tmp_path / "same.osim", {}, {})
-    assert edited_away(tmp_path / "same.osim", (), ()) == edited_away(odd_model, (), ())
+    assert without_properties(tmp_path / "same.osim", (), ()) == without_properties(odd_model, (), ())
 
 
-def test_a_remark_before_the_model_survives(odd_model, tmp_path):
+def test_a_comment_before_the_model_is_preserved(odd_model, tmp_path):
     noted = tmp_path / "noted.osim"
     first, rest = odd_model.read_text().split("\n", 1)
     noted.write_text(f"{first}\n<!-- Measured on a Tuesday: \N{GREEK SMALL LETTER ALPHA} -->\n{rest}")
@@ -134,7 +134,7 @@ def test_a_remark_before_the_model_survives(odd_model, tmp_path):
     assert constants_of(noted)["flexor"] == CONSTANTS["flexor"]
 
 
-def test_properties_that_the_file_leaves_at_their_defaults_are_added(odd_model, tmp_path):
+def test_properties_missing_in_the_file_are_added(odd_model, tmp_path):
     sparse = tmp_path / "sparse.osim"
     document = ElementTree.parse(odd_model)
     (cylinder,) = document.getroot().iter("WrapCylinder")
@@ -143,12 +143,12 @@ def test_properties_that_the_file_leaves_at_their_defaults_are_added(odd_model, 
     document.write(sparse)
     write_personalised_model(sparse, tmp_path / "new.osim", MOVED, {})
     expected = placed(sparse, "condyles", np.array(MOVED["condyles"]))
-    for found, meant in zip(cylinder_of(tmp_path / "new.osim", "condyles"), expected, strict=True):
-        np.testing.assert_allclose(found, meant, rtol=0, atol=1e-12)
+    for found, expected_value in zip(cylinder_of(tmp_path / "new.osim", "condyles"), expected, strict=True):
+        np.testing.assert_allclose(found, expected_value, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("wraps", [MOVED, {"condyles": NOMINAL}])
-def test_paths_of_the_odd_model_are_those_of_placing(odd_model, tmp_path, wraps):
+def test_paths_equal_those_of_placed_cylinders(odd_model, tmp_path, wraps):
     write_personalised_model(odd_model, tmp_path / "new.osim", wraps, {})
     coordinates = ("hip", "knee")
     spans = {name: coordinates for name in ("flexor", "extensor", "hip_flexor")}
@@ -156,7 +156,7 @@ def test_paths_of_the_odd_model_are_those_of_placing(odd_model, tmp_path, wraps)
     assert_paths_agree(odd_model, tmp_path / "new.osim", coordinates, spans, poses, wraps)
 
 
-def test_paths_of_a_leg_are_those_of_placing(s1_left, tmp_path):
+def test_paths_of_a_leg_equal_those_of_placed_cylinders(s1_left, tmp_path):
     model_file = s1_left / "model.osim"
     description = describe_model(model_file)
     muscles = ("psoas_l", "gaslat_l", "gasmed_l", "semimem_l", "soleus_l")
@@ -184,11 +184,11 @@ def assert_paths_agree(model_file, written, coordinates, spans, poses, wraps):
     found = PathEngine(written, coordinates, spans).analyse(poses)
     moves = any(tuple(parameters) != NOMINAL for parameters in wraps.values())
     assert (np.abs(expected[0] - nominal[0]).max() > 1e-4) == moves
-    for quantity, meant in zip(found, expected, strict=True):
-        np.testing.assert_allclose(quantity, meant, rtol=0, atol=1e-9)
+    for quantity, expected_value in zip(found, expected, strict=True):
+        np.testing.assert_allclose(quantity, expected_value, rtol=0, atol=1e-9)
 
 
-def test_everything_wrong_is_named_at_once(odd_model, tmp_path):
+def test_all_errors_are_reported_together(odd_model, tmp_path):
     wraps = {"condyle": NOMINAL, "brim": NOMINAL, "condyles": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0)}
     muscles = {
         "Flexor": MuscleConstants(0.1, 0.2, 500.0, 0.1),
@@ -204,19 +204,19 @@ def test_everything_wrong_is_named_at_once(odd_model, tmp_path):
     ]
     assert problems[0].hint == "did you mean 'condyles'?"
     assert problems[2].hint == "did you mean 'flexor'?"
-    # An ellipsoid is no cylinder.
+    # An ellipsoid is not a cylinder.
     assert "no such wrap cylinder" in problems[1].message
     assert "positive" in problems[3].message and "0.1 nan" in problems[4].message
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_wrong_number_of_parameters_is_refused(odd_model, tmp_path):
+def test_a_wrong_number_of_parameters_is_an_error(odd_model, tmp_path):
     with pytest.raises(InputError, match="condyles: six finite wrap parameters"):
         write_personalised_model(odd_model, tmp_path / "new.osim", {"condyles": (0.0, 1.0)}, {})
 
 
-def test_cylinders_of_one_name_are_refused(odd_model, tmp_path):
-    """A path names its cylinder without the body: which one is meant, nobody can say."""
+def test_cylinders_with_the_same_name_are_an_error(odd_model, tmp_path):
+    """A path names its cylinder without the body, so that names must be unique."""
     double = tmp_path / "double.osim"
     document = ElementTree.parse(odd_model)
     root = document.getroot()
@@ -228,7 +228,7 @@ def test_cylinders_of_one_name_are_refused(odd_model, tmp_path):
     assert list(tmp_path.iterdir()) == [double]
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(odd_model, tmp_path):
+def test_a_full_disk_leaves_the_old_file_unchanged(odd_model, tmp_path):
     file = tmp_path / "model.osim"
     file.write_text("the old one")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

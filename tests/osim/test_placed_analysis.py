@@ -1,4 +1,4 @@
-"""Defends: placed cylinders give OpenSim's own paths, and interrupted work goes on where it stopped."""
+"""Tests of muscle analysis with placed cylinders: results, cached files, worker processes."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ MUSCLES, COORDINATES = ("flexor", "extensor"), ("hip", "knee")
 
 
 @pytest.fixture(scope="module")
-def question(odd_model):
-    """Ten placements, the first nominal: more than are kept in one file."""
+def inputs(odd_model):
+    """Ten placements, the first of them nominal, which is more than one file holds."""
     generator = np.random.default_rng(8)
     poses = generator.uniform(0.0, 1.5, (5, 2))
     low, high = np.array([-0.01, -0.01, -0.01, -0.3, -0.3, 0.8]), np.array([0.01, 0.01, 0.01, 0.3, 0.3, 1.2])
@@ -21,50 +21,50 @@ def question(odd_model):
     return odd_model, MUSCLES, COORDINATES, poses, [{}, *moved]
 
 
-def test_results_are_opensims_own(question):
-    file, _, _, poses, placements = question
-    found = analyse_placements(*question, processes=1, quiet=True)
-    judge = PathEngine(file, COORDINATES, found.spans)
+def test_results_equal_opensims(inputs):
+    file, _, _, poses, placements = inputs
+    found = analyse_placements(*inputs, processes=1, quiet=True)
+    reference = PathEngine(file, COORDINATES, found.spans)
     for row, wraps in enumerate(placements):
-        judge.place(wraps)
-        length, moment_arm = judge.analyse(poses)
+        reference.place(wraps)
+        length, moment_arm = reference.analyse(poses)
         for column, muscle in enumerate(MUSCLES):
             own_length, own_arm = found.of(muscle)
-            # Single precision is kept.
+            # Results are stored in single precision.
             np.testing.assert_allclose(own_length[row], length[:, column], atol=5e-8)
             np.testing.assert_allclose(own_arm[row], moment_arm[:, :, column], atol=5e-8)
     moved = np.abs(np.diff(found.of("flexor")[0], axis=0)).max()
     assert moved > 1e-3 and np.abs(np.diff(found.of("extensor")[0], axis=0)).max() == 0.0
 
 
-def test_only_what_is_missing_is_analysed_again(question, monkeypatch):
-    first = analyse_placements(*question, processes=1, quiet=True)
-    kept = first.of("flexor")[0]
+def test_only_missing_results_are_computed_again(inputs, monkeypatch):
+    first = analyse_placements(*inputs, processes=1, quiet=True)
+    length = first.of("flexor")[0]
     first.files[1].unlink()
-    asked = []
+    analysed = []
     analyse = placed_analysis.analyse_chunks
 
-    def watched(file, coordinates, spans, chunks, processes):
-        asked.extend(chunks)
+    def recording(file, coordinates, spans, chunks, processes):
+        analysed.extend(chunks)
         return analyse(file, coordinates, spans, chunks, processes)
 
-    monkeypatch.setattr(placed_analysis, "analyse_chunks", watched)
-    again = analyse_placements(*question, processes=1, quiet=True)
-    assert asked == [placed_analysis.CHUNK]
-    np.testing.assert_array_equal(again.of("flexor")[0], kept)
-    analyse_placements(*question, processes=1, quiet=True)
-    assert asked == [placed_analysis.CHUNK]
+    monkeypatch.setattr(placed_analysis, "analyse_chunks", recording)
+    again = analyse_placements(*inputs, processes=1, quiet=True)
+    assert analysed == [placed_analysis.CHUNK]
+    np.testing.assert_array_equal(again.of("flexor")[0], length)
+    analyse_placements(*inputs, processes=1, quiet=True)
+    assert analysed == [placed_analysis.CHUNK]
 
 
-def test_workers_give_the_same(question, monkeypatch):
+def test_workers_give_identical_results(inputs, monkeypatch):
     monkeypatch.setattr(placed_analysis, "_FORMAT", "for this test")
-    alone = analyse_placements(*question, processes=1, quiet=True).of("flexor")
+    alone = analyse_placements(*inputs, processes=1, quiet=True).of("flexor")
     monkeypatch.setattr(placed_analysis, "_FORMAT", "for this test, too")
-    shared = analyse_placements(*question, processes=2, quiet=True).of("flexor")
+    shared = analyse_placements(*inputs, processes=2, quiet=True).of("flexor")
     for one, other in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_unknown_muscle(question):
+def test_an_unknown_muscle_is_an_error(inputs):
     with pytest.raises(InputError, match="flexer"):
-        analyse_placements(question[0], ["flexer"], *question[2:], quiet=True)
+        analyse_placements(inputs[0], ["flexer"], *inputs[2:], quiet=True)

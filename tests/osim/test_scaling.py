@@ -1,4 +1,4 @@
-"""Defends: a generic model becomes as large as the person, by OpenSim's own settings and static trial."""
+"""Tests of scaling a generic model to a subject by OpenSim's scale tool."""
 
 import numpy as np
 import opensim
@@ -42,7 +42,7 @@ PLACED = SETUP.replace(
 
 @pytest.fixture
 def laboratory(tmp_path):
-    """A generic walker, and somebody a tenth larger who stands still."""
+    """Folder with a generic model, settings, and a static trial of a subject that is a tenth larger."""
     model = build_walker()
     model.printToXML(str(tmp_path / "generic.osim"))
     state = model.initSystem()
@@ -55,13 +55,13 @@ def laboratory(tmp_path):
 
 
 @pytest.mark.parametrize("setup", [SETUP, PLACED], ids=["scaled", "markers placed"])
-def test_segments_and_mass_are_the_persons(laboratory, capfd, setup):
+def test_segments_and_mass_are_those_of_the_subject(laboratory, capfd, setup):
     (laboratory / "setup.xml").write_text(setup, encoding="utf-8")
     scaled = laboratory / "out" / "scaled.osim"
     scaled.parent.mkdir()
     before = sorted(laboratory.iterdir())
     scale_model(laboratory / "generic.osim", laboratory / "setup.xml", 80.0, scaled)
-    assert sorted(laboratory.iterdir()) == before  # nothing is left beside the person's files
+    assert sorted(laboratory.iterdir()) == before  # the tool's own files are removed
     assert capfd.readouterr().out == ""
     model = opensim.Model(str(scaled))
     state = model.initSystem()
@@ -72,13 +72,13 @@ def test_segments_and_mass_are_the_persons(laboratory, capfd, setup):
     assert np.linalg.norm(hip - knee) == pytest.approx(SIZE * 0.42, rel=1e-3)
 
 
-def test_settings_of_nothing_are_refused(laboratory):
+def test_settings_without_measurements_are_an_error(laboratory):
     (laboratory / "setup.xml").write_text('<OpenSimDocument Version="40000"><ScaleTool/></OpenSimDocument>')
     with pytest.raises(InputError, match=r"setup\.xml.*measurements, found none"):
         scale_model(laboratory / "generic.osim", laboratory / "setup.xml", 80.0, laboratory / "scaled.osim")
 
 
-def test_a_static_trial_that_is_not_there_is_told(laboratory):
+def test_a_missing_static_trial_is_an_error(laboratory):
     (laboratory / "static.trc").unlink()
     with pytest.raises(InputError, match=r"marker_file.*found no .*static\.trc"):
         scale_model(laboratory / "generic.osim", laboratory / "setup.xml", 80.0, laboratory / "scaled.osim")

@@ -24,7 +24,7 @@ from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS, StraightPath, Wr
 # Largest clearance beyond a barrier (m) at which its proximity is one; less where nominal paths have less.
 _UNIT_CLEARANCE = 1e-3
 # If a nominal path has a smaller clearance (m) in any frame of a cycle, it counts as beyond the discontinuity
-# in that cycle.
+# in that cycle. A nominal path with a shorter contact (m) counts as not touching the wrap.
 _MIN_CLEARANCE = 1e-4
 # Largest distance (m) of a barrier from its discontinuity, or half of the nominal path's clearance if that is
 # less. It is a margin for other recordings, in which paths come a little nearer.
@@ -32,9 +32,10 @@ _BARRIER_DISTANCE = 1e-3
 # Largest contact length (m) at which the proximity to loss of contact is one; less where nominal paths have
 # less.
 _UNIT_CONTACT = 2e-3
-# Added to a sum of squares (m^2) to keep the derivative of its root finite far from all barriers.
+# Added to a sum of squares to keep the derivative of its root finite far from all barriers.
 _TINY = 1e-24
 _PER_WRAP = len(WRAP_PARAMETERS)
+# Relative deviation of paths from their linearization, because of kinks at lift-off.
 _RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
 
@@ -142,10 +143,11 @@ def combined_proximity(proximity: Float[Array, "_ frame"], trials: int) -> Float
 
 
 class _MuscleGroup(eqx.Module):
-    """Muscles with as many cylinders and as many pieces of path, so that one program serves all."""
+    """Muscles with the same numbers of wraps and path segments, which share compiled programs."""
 
+    #: Numbers of the muscles.
     muscles: Int[np.ndarray, " muscle"]
-    #: Leaves lead with ``muscle pose``.
+    #: The first axes of all leaves are ``muscle pose``.
     posed: PosedPath
     barriers: Barriers
 
