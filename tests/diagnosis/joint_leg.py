@@ -21,7 +21,7 @@ FINE = ProjectedLevenbergMarquardt(gtol=1e-8, ftol=1e-12, max_iterations=200)
 
 
 def effects_of(context, ids=TOGETHER) -> Effects:
-    return Effects(tuple(CATALOGUE[id].on(context) for id in ids))
+    return Effects(tuple(CATALOGUE[id].build(context) for id in ids))
 
 
 def damped_leg():

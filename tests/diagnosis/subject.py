@@ -146,7 +146,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         parameters=parameters,
         paths=paths,
         paretic=True,
-        others=UndrivenMuscles(
+        undriven_muscles=UndrivenMuscles(
             names=OTHERS,
             groups=(("hip_flexors", OTHERS),),
             curves=CURVES,
@@ -161,11 +161,15 @@ def small_recording_and_context() -> tuple[Recording, Context]:
             AtBound("tibant_l", "electromechanical_delay", -1, 0.05, "s"),
             AtBound("gasmed_l", "emg_scale", -1, 0.2, "1"),
         ),
-        path_changes={"foot_deformation, forefoot": jax.tree.map(lambda leaf: leaf[:, 2:], by_angle)},
+        path_changes={
+            "foot_deformation": {"forefoot": jax.tree.map(lambda leaf: leaf[:, 2:], by_angle)},
+        },
         measured_changes={
-            "cop_offset": Partial(_pushed, 300.0 * pattern),
-            "foot_deformation, whole foot": Partial(_pushed, 50.0 * pattern[1:]),
-            "foot_deformation, forefoot": Partial(_pushed, 50.0 * pattern[:1]),
+            "cop_offset": {"": Partial(_pushed, 300.0 * pattern)},
+            "foot_deformation": {
+                "whole foot": Partial(_pushed, 50.0 * pattern[1:]),
+                "forefoot": Partial(_pushed, 50.0 * pattern[:1]),
+            },
         },
     )
     return Recording(splines, fixed_path(paths), PADDING), context

@@ -1,20 +1,22 @@
-"""What to record next: things that exist, and that tell apart what could not be told apart."""
+"""The advised experiment is the shortest one that tells tied effects apart."""
 
 import pytest
 
 from wrapjax.diagnosis.advice import MENU, advise
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, DEFINITIONS
+from wrapjax.diagnosis.effects.experiments import EMG_AT_REST, EXPERIMENTS
 
 
-def test_the_menu_speaks_of_effects_of_the_catalogue():
-    shown = [id for experiment in MENU for id in experiment.shows]
-    assert set(shown) <= set(CATALOGUE)
-    assert len(set(shown)) == len(shown), "one experiment an effect"
+def test_every_experiment_shows_an_effect():
+    shown = [id for ids in MENU.values() for id in ids]
+    assert sorted(shown) == sorted(entry.id for entry in DEFINITIONS if entry.experiment is not None)
+    assert set(shown) <= set(CATALOGUE) and all(MENU.values())
+    assert tuple(MENU) == EXPERIMENTS
     assert all(experiment.minutes > 0 and experiment.text for experiment in MENU)
 
 
-def test_what_shows_all_members_of_a_tie_is_not_advised():
-    """Both would show on it: it says that one is there, and not which."""
+def test_an_experiment_that_shows_all_tied_effects_is_not_advised():
+    """It shows that one of them is present, but not which."""
     together = ("contracture", "passive_joint_moment")
     assert advise(together, 1.0, 8) is None
     found = advise((*together, "joint_damping"), 1.0, 8)
@@ -23,15 +25,15 @@ def test_what_shows_all_members_of_a_tie_is_not_advised():
     assert found.splits == (*together, "joint_damping")
 
 
-def test_the_cheapest_that_splits_is_advised():
+def test_the_shortest_experiment_that_separates_effects_is_advised():
     found = advise(("missing_drive", "joint_damping", "emg_offset"), 1.0, 8)
-    assert (found.minutes, found.experiment) == (1, MENU[0].text)
-    dear = advise(("missing_drive", "joint_damping"), 1.0, 8)
-    assert dear.minutes == 6
+    assert (found.minutes, found.experiment) == (1, EMG_AT_REST.text)
+    longer = advise(("missing_drive", "joint_damping"), 1.0, 8)
+    assert longer.minutes == 6
     assert advise(("no", "such"), 1.0, 8) is None
 
 
 @pytest.mark.parametrize(("apart", "cycles"), [(2.0, 24), (6.0, 8), (5.0, 10), (0.0, None)])
-def test_so_many_cycles_would_make_one_twenty_times_as_likely(apart, cycles):
-    """Differences add up over cycles, and half of six is the logarithm of 20."""
+def test_number_of_cycles_that_make_one_effect_twenty_times_as_likely(apart, cycles):
+    """Squared distances add up over cycles; half of six is the logarithm of 20."""
     assert advise(("missing_drive", "joint_damping"), apart, 8).cycles == cycles

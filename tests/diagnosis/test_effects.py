@@ -11,10 +11,9 @@ import pytest
 from jax.tree_util import Partial
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
-from wrapjax.diagnosis.context import change_id
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import FAMILIES, Effect, Effects, NotTestable, Variant
-from wrapjax.diagnosis.effects.kinematics import dragged_by
+from wrapjax.diagnosis.effects.measured_motion import neighboring_coordinates
 from wrapjax.diagnosis.prediction import finite_difference_signatures, predicted_moments, signatures
 from wrapjax.errors import InputError
 from wrapjax.geometry.paths import fixed_path
@@ -31,7 +30,9 @@ def all_at_once(number: int) -> Effects:
     """Every effect in its variant of this number; without labels, so that one program serves all."""
     unlabelled = [
         eqx.tree_at(
-            lambda one: one.variants, effect, (Variant(effect.variants[number % len(effect.variants)].form),)
+            lambda one: one.variants,
+            effect,
+            (Variant(effect.variants[number % len(effect.variants)].alteration),),
         )
         for effect in EFFECTS
     ]
@@ -178,7 +179,7 @@ def test_some_cycles_alone_are_predicted_as_among_all():
     ids += ("passive_joint_moment", "biarticular_spring", "joint_damping", "ankle_foot_orthosis")
     emg, path = jax.tree.map(lambda leaf: leaf[:, keep], (RECORDING.emg, RECORDING.path.nominal))
     some = CONTEXT.select([3, 2, 1]).select([0, 1])
-    few, whole = Effects(tuple(CATALOGUE[id].on(some) for id in CATALOGUE if id in ids)), all_at_once(0)
+    few, whole = Effects(tuple(CATALOGUE[id].build(some) for id in CATALOGUE if id in ids)), all_at_once(0)
     effect_sizes = np.zeros(whole.count)
     effect_sizes[[whole.labels.index(label) for label in few.labels]] = 0.5 * few.prior_sd
     recording = Recording(emg, fixed_path(path), RECORDING.padding)
@@ -213,19 +214,21 @@ def test_parameters_say_what_they_are(effect):
 
 
 def test_scored_amounts_have_their_names_and_physical_values():
-    def readings(id: str, *effect_sizes: float) -> dict[str, float]:
-        return {name: float(value) for name, value in ENTRIES[id].readings(jnp.array(effect_sizes)).items()}
+    def reported_values(id: str, *effect_sizes: float) -> dict[str, float]:
+        return {
+            name: float(value) for name, value in ENTRIES[id].reported_values(jnp.array(effect_sizes)).items()
+        }
 
-    assert readings("tendon_compliance", 0.05) == {"strain_at_max_force": 0.05}
-    assert readings("slow_fibers", 0.0) == {"max_velocity_factor": 1.0}
-    assert readings("slow_fibers", np.log(2.0)) == pytest.approx({"max_velocity_factor": 0.5})
-    assert readings("activation_dependent_fiber_length", 0.1) == {"length_gain": 0.1}
-    assert readings("ankle_foot_orthosis", 1.0, 0.5, 0.0)["dorsiflexion_stiffness"] == 1.0
-    assert readings("speed_dependent_delay", 0.01) == {"delay_slow_minus_fast": 0.01}
-    assert readings("emg_drift", *[0.1] * 5)["gain_change_TibAnt"] == 0.1
+    assert reported_values("tendon_compliance", 0.05) == {"strain_at_max_force": 0.05}
+    assert reported_values("slow_fibers", 0.0) == {"max_velocity_factor": 1.0}
+    assert reported_values("slow_fibers", np.log(2.0)) == pytest.approx({"max_velocity_factor": 0.5})
+    assert reported_values("activation_dependent_fiber_length", 0.1) == {"length_gain": 0.1}
+    assert reported_values("ankle_foot_orthosis", 1.0, 0.5, 0.0)["dorsiflexion_stiffness"] == 1.0
+    assert reported_values("speed_dependent_delay", 0.01) == {"delay_slow_minus_fast": 0.01}
+    assert reported_values("emg_drift", *[0.1] * 5)["gain_change_TibAnt"] == 0.1
     # Bumps of one height add up to that height.
-    assert readings("missing_drive", *[0.4] * 10) == pytest.approx({"peak_activation": 0.4})
-    assert set(readings("cop_offset", 0.01, 0.0)) == {"anterior_m", "lateral_m"}
+    assert reported_values("missing_drive", *[0.4] * 10) == pytest.approx({"peak_activation": 0.4})
+    assert set(reported_values("cop_offset", 0.01, 0.0)) == {"anterior_m", "lateral_m"}
 
 
 def change(id: str, *effect_sizes: float, number: int = 0) -> np.ndarray:
@@ -306,8 +309,8 @@ def test_controls_are_quiet_in_gait(slopes):
     [
         ({"paretic": False}, "contracture", "paretic"),
         ({"paretic": False}, "spasticity_unrecorded", "paretic"),
-        ({"others": None}, "missing_drive", "every muscle"),
-        ({"others": None}, "spasticity_unrecorded", "every muscle"),
+        ({"undriven_muscles": None}, "missing_drive", "every muscle"),
+        ({"undriven_muscles": None}, "spasticity_unrecorded", "every muscle"),
         ({"speeds": np.full(4, np.nan)}, "speed_dependent_delay", "not given"),
         ({"speeds": np.full(4, 0.8)}, "speed_dependent_delay", "one speed"),
         ({"order": np.zeros(4)}, "emg_drift", "one cycle"),
@@ -322,7 +325,7 @@ def test_controls_are_quiet_in_gait(slopes):
     ],
 )
 def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word):
-    found = CATALOGUE[id].on(dataclasses.replace(CONTEXT, **changed))
+    found = CATALOGUE[id].build(dataclasses.replace(CONTEXT, **changed))
     assert isinstance(found, NotTestable) and found.id == id
     assert word in found.reason
 
@@ -331,9 +334,9 @@ def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     """Where these are known; of each shape what is its own."""
     effect_sizes = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
     pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
-    known = {change_id("soft_tissue_artifact", "loading"): Partial(_summed, pattern)}
-    effect = CATALOGUE["soft_tissue_artifact"].on(dataclasses.replace(CONTEXT, measured_changes=known))
-    loading, swing = (variant.form(effect_sizes) for variant in effect.variants)
+    known = {"soft_tissue_artifact": {"loading": Partial(_summed, pattern)}}
+    effect = CATALOGUE["soft_tissue_artifact"].build(dataclasses.replace(CONTEXT, measured_changes=known))
+    loading, swing = (variant.alteration(effect_sizes) for variant in effect.variants)
     np.testing.assert_allclose(loading.moment, effect_sizes.sum() * pattern)
     assert swing.moment is None and swing.paths is not None
 
@@ -346,22 +349,22 @@ def test_skin_is_dragged_by_the_neighbouring_joint():
         "share_of_hip_flexion_l_in_knee_angle_l",
         "share_of_knee_angle_l_in_ankle_angle_l",
     ]
-    assert dragged_by(("hip_flexion_r", "ankle_angle_r")) == ()
+    assert neighboring_coordinates(("hip_flexion_r", "ankle_angle_r")) == ()
     alone = dataclasses.replace(CONTEXT, coordinates=("toes_l", *CONTEXT.coordinates[1:]))
-    assert len(CATALOGUE["soft_tissue_artifact"].on(alone).parameters) == 2 * len(CONTEXT.coordinates)
+    assert len(CATALOGUE["soft_tissue_artifact"].build(alone).parameters) == 2 * len(CONTEXT.coordinates)
 
 
 def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
     """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
     effect_sizes = jnp.array([0.05])
-    effect = CATALOGUE["foot_deformation"].on(CONTEXT)
+    effect = CATALOGUE["foot_deformation"].build(CONTEXT)
     assert [variant.label for variant in effect.variants] == ["whole foot", "forefoot"]
-    whole, forefoot = (variant.form(effect_sizes) for variant in effect.variants)
+    whole, forefoot = (variant.alteration(effect_sizes) for variant in effect.variants)
     assert whole.paths is None and whole.moment is not None
     np.testing.assert_array_equal(
-        forefoot.moment, CONTEXT.measured_changes["foot_deformation, forefoot"](effect_sizes)
+        forefoot.moment, CONTEXT.measured_changes["foot_deformation"]["forefoot"](effect_sizes)
     )
-    paths, slopes = forefoot.paths(CONTEXT.paths), CONTEXT.path_changes["foot_deformation, forefoot"]
+    paths, slopes = forefoot.paths(CONTEXT.paths), CONTEXT.path_changes["foot_deformation"]["forefoot"]
     for field in ("length", "velocity", "moment_arm"):
         expected = getattr(CONTEXT.paths, field) + 0.05 * getattr(slopes, field)[:, 0]
         np.testing.assert_allclose(getattr(paths, field), expected)

@@ -8,15 +8,15 @@ import opensim
 import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
-from wrapjax.diagnosis.effects.kinematics import sliding
-from wrapjax.diagnosis.effects.measurement import CHAIN
-from wrapjax.diagnosis.inverse_dynamics.measured_changes import measured_changes, recorded_walk
-from wrapjax.diagnosis.inverse_dynamics.recorded_walk import UP, Walk
-from wrapjax.diagnosis.inverse_dynamics.wrong_inputs import FOOT_DISPLACED, FOOT_HELD, foot_loads
 
 from tests.subject import synthetic
 from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
-from wrapjax.diagnosis.context import change_id
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.measured_changes import compute_measured_changes
+from wrapjax.diagnosis.effects.measured_motion import foot_loads, skin_slides
+from wrapjax.diagnosis.effects.scaled_model import FOOT_DISPLACED, FOOT_HELD
+from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
+from wrapjax.diagnosis.inverse_dynamics.recorded_gait import UP, RecordedGait
 from wrapjax.errors import InputError
 from wrapjax.osim.inverse_dynamics import Mechanics
 from wrapjax.osim.motion import Motion
@@ -33,7 +33,7 @@ def subject(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(subject):
-    return measured_changes(recorded_walk(subject)[0])
+    return compute_measured_changes(read_recorded_gait(subject)[0])
 
 
 @pytest.fixture(scope="module")
@@ -45,13 +45,13 @@ def leg(subject):
     return time, synthetic.angles(time), synthetic.angular_velocities(time), accelerations
 
 
-def change(found, id, shape="", **effect_sizes):
-    names = [row[0] for row in CHAIN[id][1]]
+def change(changes, id, variant="", **effect_sizes):
+    names = [parameter.name for parameter in CATALOGUE[id].parameters]
     vector = np.zeros(len(names))
     for name, effect_size in effect_sizes.items():
         vector[names.index(name)] = effect_size
     # Hip and knee, trials, frames.
-    return np.moveaxis(np.asarray(found[change_id(id, shape)](jnp.asarray(vector))), 1, 0)
+    return np.moveaxis(np.asarray(changes[id][variant](jnp.asarray(vector))), 1, 0)
 
 
 def close(value, expected):
@@ -144,8 +144,8 @@ def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
 def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found, leg):
     """Own force, and the other's at this foot's center of pressure, have the levers of a cross product."""
     time, (hip, _), _, _ = leg
-    walk, _ = recorded_walk(subject)
-    other = walk.other_foot()[3:].reshape(3, *time.shape)
+    gait, _ = read_recorded_gait(subject)
+    other = gait.other_foot_wrench()[3:].reshape(3, *time.shape)
     vertical = force(time)[1]
     limit = 0.05 * vertical.max()
     both = (vertical > limit) & (other[1] > limit)
@@ -191,13 +191,12 @@ def test_a_wobble_at_every_change_of_load_comes_to_its_impulse_and_back(found, l
 
 
 def test_what_is_missing_is_said(subject, found):
-    ids = {id.partition(",")[0] for id in found}
-    assert "cop_offset" in ids and {"foot_deformation", "knee_laxity"}.isdisjoint(ids)
+    assert "cop_offset" in found and {"foot_deformation", "knee_laxity"}.isdisjoint(found)
     one, *others = subject.recordings
     for key, word in (("ground_forces", "no ground reaction forces"), ("external_loads", "on what body")):
         without = dataclasses.replace(subject, recordings=(dataclasses.replace(one, **{key: None}), *others))
-        walk, reason = recorded_walk(without)
-        assert walk is None and word in reason
+        gait, reason = read_recorded_gait(without)
+        assert gait is None and word in reason
     # As if the hip belonged to a pelvis that was not recorded.
     knee = dataclasses.replace(
         subject.trials,
@@ -206,8 +205,8 @@ def test_what_is_missing_is_said(subject, found):
         angles=subject.trials.angles[:, 1:],
         angular_velocities=subject.trials.angular_velocities[:, 1:],
     )
-    walk, reason = recorded_walk(dataclasses.replace(subject, trials=knee))
-    assert walk is None and "angles of these trials lack hip_flexion_l" in reason
+    gait, reason = read_recorded_gait(dataclasses.replace(subject, trials=knee))
+    assert gait is None and "angles of these trials lack hip_flexion_l" in reason
 
 
 def test_an_unknown_body_is_named(subject, tmp_path):
@@ -215,26 +214,26 @@ def test_an_unknown_body_is_named(subject, tmp_path):
     file.write_text(LOADS.replace("tibia_l", "tibia_r"))
     wrong = tuple(dataclasses.replace(trial, external_loads=file) for trial in subject.recordings)
     with pytest.raises(InputError, match=r"loads.xml.*tibia_r.*no such body.*'tibia_l'"):
-        recorded_walk(dataclasses.replace(subject, recordings=wrong))
+        read_recorded_gait(dataclasses.replace(subject, recordings=wrong))
 
 
 @pytest.fixture(scope="module")
 def recorded(data_folder):
     """A healthy adult with full kinematics and both feet on plates."""
     subject = load_subject(data_folder / "healthy_overground")
-    walk = recorded_walk(subject)[0]
-    return subject, walk, measured_changes(walk)
+    gait = read_recorded_gait(subject)[0]
+    return subject, gait, compute_measured_changes(gait)
 
 
-def moments_of(walk):
-    found = walk.mechanics.moments(walk.transmitted()).reshape(-1, *walk.time.shape)
-    return dict(zip(walk.mechanics.coordinates, found, strict=True))
+def moments_of(gait):
+    found = gait.mechanics.moments(gait.transmitted_wrenches()).reshape(-1, *gait.time.shape)
+    return dict(zip(gait.mechanics.coordinates, found, strict=True))
 
 
 def test_a_laboratorys_own_moments_come_out_again(recorded):
     """They filtered what went in, so that what hangs on accelerations differs a little."""
-    subject, walk, _ = recorded
-    own = moments_of(walk)
+    subject, gait, _ = recorded
+    own = moments_of(gait)
     limits = {"hip_flexion_r": 6.0, "hip_adduction_r": 2.5, "knee_angle_r": 2.0, "ankle_angle_r": 0.4}
     for name, limit in limits.items():
         theirs = subject.trials.moments[:, subject.trials.moment_coordinates.index(name)]
@@ -243,9 +242,9 @@ def test_a_laboratorys_own_moments_come_out_again(recorded):
 
 def test_a_foot_bends_by_what_presses_it(recorded):
     """All of it in the middle of stance, the forefoot late in it and not at the strike."""
-    _, walk, _ = recorded
-    whole, forefoot = foot_loads(walk).values()
-    np.testing.assert_allclose(whole, (walk.force[1] / walk.force[1].max()).reshape(whole.shape))
+    _, gait, _ = recorded
+    whole, forefoot = foot_loads(gait).values()
+    np.testing.assert_allclose(whole, (gait.force[1] / gait.force[1].max()).reshape(whole.shape))
     # This cycle begins 15 % after the strike.
     assert forefoot.max() == 1.0 and 0.0 <= forefoot.min() < 0.03 and 25 < forefoot.argmax() < 50
     assert forefoot[0, :5].max() < 0.5 < whole[0, :5].min()
@@ -254,18 +253,18 @@ def test_a_foot_bends_by_what_presses_it(recorded):
 @pytest.mark.parametrize("where", ["whole foot", "forefoot"])
 def test_an_ankle_recorded_askew_gives_other_moments(recorded, where):
     """By the slope, and by inverse dynamics of the motion that bends."""
-    subject, walk, found = recorded
+    subject, gait, found = recorded
     trials = subject.trials
     askew = np.zeros_like(trials.angles)
-    askew[:, trials.coordinates.index("ankle_angle_r")] = 0.02 * foot_loads(walk)[where]
+    askew[:, trials.coordinates.index("ankle_angle_r")] = 0.02 * foot_loads(gait)[where]
     step = trials.time[0, 1] - trials.time[0, 0]
     bent = dataclasses.replace(
         trials,
         angles=trials.angles + askew,
         angular_velocities=trials.angular_velocities + np.gradient(askew, axis=-1) / step,
     )
-    moved, _ = recorded_walk(dataclasses.replace(subject, trials=bent))
-    before, after = moments_of(walk), moments_of(moved)
+    moved, _ = read_recorded_gait(dataclasses.replace(subject, trials=bent))
+    before, after = moments_of(gait), moments_of(moved)
     expected = np.stack([after[name] - before[name] for name in trials.moment_coordinates])
     slope = change(found, "foot_deformation", where, bend=0.02)
     np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
@@ -273,12 +272,12 @@ def test_an_ankle_recorded_askew_gives_other_moments(recorded, where):
 
 def test_skin_that_slides_gives_other_moments(recorded):
     """By the slope, and by inverse dynamics of the motion with as much more of it; about every coordinate."""
-    subject, walk, found = recorded
+    subject, gait, found = recorded
     trials = subject.trials
     names = trials.moment_coordinates
     knee = names.index("knee_angle_r")
     rows = [trials.coordinates.index(name) for name in names]
-    for when, (slide, by_phase) in sliding(np.linspace(0.0, 1.0, trials.time.shape[1])).items():
+    for when, (slide, by_phase) in skin_slides(np.linspace(0.0, 1.0, trials.time.shape[1])).items():
         duration = (trials.time[:, -1] - trials.time[:, 0])[:, None]
         angles, rates = trials.angles.copy(), trials.angular_velocities.copy()
         hip = rows[names.index("hip_flexion_r")]
@@ -288,19 +287,19 @@ def test_skin_that_slides_gives_other_moments(recorded):
         rates[:, rows[knee]] += 0.02 * by_phase / duration + 0.01 * trials.angular_velocities[:, rows[knee]]
         rates[:, rows[knee]] += 0.03 * trials.angular_velocities[:, hip]
         other = dataclasses.replace(trials, angles=angles, angular_velocities=rates)
-        moved, _ = recorded_walk(dataclasses.replace(subject, trials=other))
-        before, after = moments_of(walk), moments_of(moved)
+        moved, _ = read_recorded_gait(dataclasses.replace(subject, trials=other))
+        before, after = moments_of(gait), moments_of(moved)
         expected = np.stack([after[name] - before[name] for name in names])
         effect_sizes = np.zeros(3 * len(names))
         effect_sizes[knee :: len(names)] = 0.02, 0.01, 0.03
-        slope = np.asarray(found[change_id("soft_tissue_artifact", when)](jnp.asarray(effect_sizes)))
+        slope = np.asarray(found["soft_tissue_artifact"][when](jnp.asarray(effect_sizes)))
         slope = np.moveaxis(slope, 1, 0)
         assert np.abs(expected).max() > 1.0
         np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.05 * np.abs(expected).max())
 
 
 def moments_with(subject, file):
-    return moments_of(recorded_walk(dataclasses.replace(subject, model_file=file))[0])
+    return moments_of(read_recorded_gait(dataclasses.replace(subject, model_file=file))[0])
 
 
 def with_other_joint(subject, coordinate, folder, change_frames):
@@ -385,17 +384,17 @@ def test_a_joint_between_bodies_own_frames_stays_where_it_is(recorded, tmp_path)
     file = tmp_path / "bare.osim"
     bare = f"<socket_child_frame>/bodyset/{body}</socket_child_frame>"
     file.write_text(text.replace(own, bare), encoding="utf-8")
-    walk, _ = recorded_walk(dataclasses.replace(subject, model_file=file))
-    assert np.abs(walk.moments_by_joint("hip_flexion_r", np.ones(3), np.zeros(3))).max() == 0.0
-    assert np.abs(walk.moments_by_joint("knee_angle_r", np.ones(3), np.zeros(3))).max() > 0.0
+    gait, _ = read_recorded_gait(dataclasses.replace(subject, model_file=file))
+    assert np.abs(gait.derivative_by_joint("hip_flexion_r", np.ones(3), np.zeros(3))).max() == 0.0
+    assert np.abs(gait.derivative_by_joint("knee_angle_r", np.ones(3), np.zeros(3))).max() > 0.0
 
 
 def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
-    subject, walk, found = recorded
+    subject, gait, found = recorded
     names = subject.trials.moment_coordinates
     moment = change(found, "knee_laxity", lever_m=0.01)
-    expected = 0.01 * walk.force[1].reshape(walk.time.shape)
+    expected = 0.01 * gait.force[1].reshape(gait.time.shape)
     adduction = names.index("hip_adduction_r")
     np.testing.assert_allclose(moment[adduction], expected, atol=0.1 * np.abs(expected).max())
     assert np.abs(np.delete(moment, adduction, axis=0)).max() == 0.0
@@ -434,17 +433,19 @@ def test_the_other_foot_is_this_one_half_a_cycle_away():
         mass_wrench=none,
         inertia_wrench=none,
     )
-    walk = Walk(
+    gait = RecordedGait(
         side="r",
         time=phase[None],
         motion=Motion((), *(np.zeros((0, phase.size)) for _ in range(3))),
         mechanics=mechanics,
-        loaded=("foot",),
-        wrench=wrench(1)[None],
-        by_latency=wrench(1)[None],
-        other=None,
+        loaded_bodies=("foot",),
+        wrenches=wrench(1)[None],
+        wrenches_by_latency=wrench(1)[None],
+        other_wrench=None,
         analyse=lambda motion, shift: mechanics,
     )
-    np.testing.assert_allclose(walk.rightward[:, 0], right, atol=1e-12)
-    np.testing.assert_allclose(walk.other_foot(), wrench(-1), atol=1e-9)
-    np.testing.assert_array_equal(dataclasses.replace(walk, other=none[0]).other_foot(), none[0])
+    np.testing.assert_allclose(gait.rightward[:, 0], right, atol=1e-12)
+    np.testing.assert_allclose(gait.other_foot_wrench(), wrench(-1), atol=1e-9)
+    np.testing.assert_array_equal(
+        dataclasses.replace(gait, other_wrench=none[0]).other_foot_wrench(), none[0]
+    )

@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.subject.synthetic import COORDINATES, write_wrapped_subject
 from tests.subject.synthetic_forces import with_forces
-from wrapjax.diagnosis.context import change_id
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
-from wrapjax.diagnosis.inverse_dynamics.measured_changes import recorded_walk
+from wrapjax.diagnosis.effects.scaled_model import FOOT_HELD, JOINT_AXIS_ROTATION
+from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
+from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.subject_context import diagnosis_context, misplaced_joints, wrap_changes
+from wrapjax.diagnosis.subject_context import build_context, wrap_changes
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.joint_changes import with_moved_ends
 from wrapjax.muscle.curves import HILL_CURVES
@@ -31,13 +32,13 @@ def gathered(calibrated):
         undriven_muscles=without,
         undriven_parameters=calibrated.subject.muscles.select(without),
     )
-    return diagnosis_context(dataclasses.replace(calibrated, subject=subject))
+    return build_context(dataclasses.replace(calibrated, subject=subject))
 
 
 def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
     recording, context = gathered
     told = ("missing_drive", "emg_drift", "soft_tissue_artifact", "muscle_attachment")
-    effects = Effects(tuple(CATALOGUE[id].on(context) for id in told))
+    effects = Effects(tuple(CATALOGUE[id].build(context) for id in told))
     curves = HILL_CURVES[calibrated.result.curves]
     found = predicted_moments(curves, context.parameters, recording, effects, effects.zero)
     np.testing.assert_allclose(found, calibrated.result.modelled, rtol=1e-10, atol=1e-9)
@@ -67,10 +68,11 @@ def test_bounds_are_those_that_calibration_ended_on(calibrated, gathered):
 def test_muscles_without_emg_run_where_the_model_has_them(gathered):
     """Laid by the engine, against the polynomials of the same muscle, which were fitted to OpenSim."""
     _, context = gathered
-    assert context.others.names == ("semiten_l",) and context.others.groups[0][1] == ("semiten_l",)
+    undriven = context.undriven_muscles
+    assert undriven.names == ("semiten_l",) and undriven.groups[0][1] == ("semiten_l",)
     row = context.muscles.index("semiten_l")
-    np.testing.assert_allclose(context.others.path.length[0], context.paths.length[row], atol=2e-4)
-    np.testing.assert_allclose(context.others.path.moment_arm[0], context.paths.moment_arm[row], atol=2e-3)
+    np.testing.assert_allclose(undriven.path.length[0], context.paths.length[row], atol=2e-4)
+    np.testing.assert_allclose(undriven.path.moment_arm[0], context.paths.moment_arm[row], atol=2e-3)
 
 
 def test_paths_follow_changed_angles(calibrated, gathered):
@@ -143,12 +145,12 @@ def test_paths_follow_cylinders(tmp_path):
 @pytest.fixture(scope="module")
 def with_ground(calibrated, tmp_path_factory):
     subject = with_forces(tmp_path_factory.mktemp("ground") / "person")
-    return diagnosis_context(dataclasses.replace(calibrated, subject=subject))[1]
+    return build_context(dataclasses.replace(calibrated, subject=subject))[1]
 
 
 def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
     """A hip that the model has too far forward or up is behind or below: so are all ends on the leg."""
-    slopes = with_ground.path_changes["hip_center_offset"]
+    slopes = with_ground.path_changes["hip_center_offset"][FOOT_HELD]
     for row, away in enumerate(_from_insertion(with_ground)):
         np.testing.assert_allclose(slopes.length[row, 0], away[0], atol=1e-6)
         np.testing.assert_allclose(slopes.length[row, 1], away[1], atol=1e-6)
@@ -162,9 +164,8 @@ def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
     beside = ExactPaths(
         with_moved_ends(whole.model, whole.muscles, -1, 2, 0.03), whole.muscles, whole.coordinates
     )
-    walk, _ = recorded_walk(subject)
-    found = misplaced_joints(beside, subject, walk, ["joint_axis_rotation"])
-    (slopes,) = found.values()
+    gait, _ = read_recorded_gait(subject)
+    slopes = JOINT_AXIS_ROTATION.path_derivatives(RecordedPaths(subject, gait, beside))[FOOT_HELD]
     hip, knee = np.moveaxis(subject.trials.angles, 1, 0)
     forward = {"recfem_l": 0.05, "semiten_l": -0.05}
 
@@ -190,17 +191,14 @@ def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
 def test_effects_are_told_and_some_cycles_are_a_part_of_all(with_ground):
     context = with_ground
     effects = effects_in(catalogue(context))
-    sizes = {
-        id: [parameter.prior_sd for parameter in effect.parameters]
-        for effect in effects
-        for id in (effect.id, *(change_id(effect.id, variant.label) for variant in effect.variants))
-    }
+    sizes = {effect.id: effect.parameters for effect in effects}
     assert set(context.measured_changes) <= set(sizes) and "crossed_plates" in sizes
-    assert change_id("soft_tissue_artifact", "loading") in context.measured_changes
+    assert "loading" in context.measured_changes["soft_tissue_artifact"]
     part = context.select([2, 0])
-    for id, whole in context.measured_changes.items():
-        effect_sizes = jnp.array(sizes[id])
-        np.testing.assert_array_equal(
-            part.measured_changes[id](effect_sizes), whole(effect_sizes)[np.array([2, 0])]
-        )
-        assert np.abs(whole(0.0 * effect_sizes)).max() == 0.0
+    for id, changes in context.measured_changes.items():
+        effect_sizes = jnp.array([parameter.prior_sd for parameter in sizes[id]])
+        for label, change in changes.items():
+            np.testing.assert_array_equal(
+                part.measured_changes[id][label](effect_sizes), change(effect_sizes)[np.array([2, 0])]
+            )
+            assert np.abs(change(0.0 * effect_sizes)).max() == 0.0

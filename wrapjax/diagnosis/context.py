@@ -1,4 +1,4 @@
-"""What effects need to know of a subject and its recorded cycles."""
+"""Properties of a subject and its recorded cycles that effects are built from."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
 from wrapjax.geometry.paths import PathState
@@ -17,31 +18,18 @@ from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
 from wrapjax.subject.muscle_groups import standard_name
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
-#: From amounts of an effect to what it adds to the prediction of measured moments, N m.
+#: Function from effect sizes to what the effect adds to the prediction of the measured moments, N m.
 MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coordinate frame"]]
 
 
-def change_id(effect: str, shape: str) -> str:
-    """Name what a shape of an effect adds to measured moments and paths (`Context.measured_changes`).
-
-    The one shape of an effect may have no name.
-    """
-    return f"{effect}, {shape}" if shape else effect
-
-
-def known_shape(id: str, effect: str) -> str | None:
-    """Undo `change_id`: name the shape, or say by None that it is another effect's."""
-    own, _, shape = id.partition(", ")
-    return shape if own == effect else None
-
-
 class PathChanges(eqx.Module):
-    """Amounts that change paths, each of one or several muscles."""
+    """Changes of muscle paths by parameters, each of which changes one or several muscles."""
 
-    #: From every muscle's own changes to all paths (`AbstractPath.at`).
+    #: Function from the changes of every muscle to the paths (`AbstractPath.at`).
     paths: Callable[[Float[Array, "muscle mode"]], PathState]
-    #: Which amount stands at each place of a muscle's changes; -1 for none.
+    #: Number of the parameter that gives each change of a muscle; -1 for none.
     places: Int[np.ndarray, "muscle mode"]
+    #: Name, unit and prior standard deviation of each parameter.
     names: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     prior_sd: tuple[float, ...] = eqx.field(static=True)
@@ -49,20 +37,20 @@ class PathChanges(eqx.Module):
 
 @dataclass(frozen=True)
 class AtBound:
-    """A calibrated parameter that stands at a bound.
+    """Calibrated parameter that is at a bound.
 
     Parameters
     ----------
     muscle, parameter
-        Whose, and which leaf of `ModelParameters`.
+        Name of the muscle, and name of the parameter in `ModelParameters`.
     outward
         1 at the upper bound, -1 at the lower.
     prior_sd
-        How far beyond the bound it might want to be, in the leaf's unit.
+        Prior standard deviation of the distance beyond the bound, in the parameter's unit.
     unit
-        Of the leaf.
+        Unit of the parameter.
     limit
-        How far beyond the bound it may go and still make sense.
+        Largest plausible distance beyond the bound.
     """
 
     muscle: str
@@ -75,57 +63,55 @@ class AtBound:
 
 @dataclass(frozen=True)
 class Context:
-    """A subject's cycles as effects see them.
+    """Properties of a subject and its cycles that effects are built from.
 
     Parameters
     ----------
     muscles
-        Names, in the order of the model's axis ``muscle``.
+        Names of the muscles with EMG, in the order of the model's axis ``muscle``.
     channels, muscle_channels
-        Names of the EMG channels, and which of them drives each muscle.
+        Names of the EMG channels, and number of the channel that drives each muscle.
     coordinates
-        Whose moments are matched.
+        Coordinates whose moments are matched.
     trials
         Names of the cycles.
     angles, velocities
-        Of these coordinates, rad and rad/s.
+        Angles and angular velocities of these coordinates, rad and rad/s.
     step
         Time between frames of each cycle, s.
     speeds
-        Of walking, m/s; NaN where unknown.
+        Walking speed of each cycle, m/s; NaN where unknown.
     order
-        When each cycle was recorded: 0 for the first, 1 for the last.
+        Place of each cycle in the session: 0 for the first, 1 for the last.
     padding
         Frames of EMG before and after each cycle.
     parameters
-        At which effects are off: where thresholds and normalisations are read off the model.
+        Parameters of the plain model, from which effects take thresholds and normalisation.
     paths
-        As the plain model has them.
+        Paths of the plain model.
     paretic
-        Whether the leg is; None if unknown.
-    others
-        Muscles without EMG, where there are any whose paths are known.
-    no_others
-        Why there are none.
+        Whether the leg is paretic; None if unknown.
+    undriven_muscles
+        Muscles without EMG; None if there are none, or their paths are not known.
+    no_undriven_muscles
+        Reason why there are none.
     paths_by_angle
-        How paths change with each joint angle (rad), where that is known; leaves lead with
-        ``muscle coordinate``.
+        Derivatives of the paths by each joint angle (rad); leaves lead with ``muscle coordinate``. None where
+        they are not known.
     wraps, attachments
-        How paths follow their cylinders, and their muscles' ends, where that is known.
+        Changes of the paths by their wraps, and by the ends of the muscles; None where they are not known.
     at_bounds
-        Parameters at their bounds.
+        Calibrated parameters that are at a bound.
     path_changes
-        By the id of an effect on the measurement chain that misplaces joints or angles, or of one of its
-        shapes (`change_id`): what a unit of each of its amounts adds to the recorded paths to give those that
-        muscles took; leaves lead with ``muscle parameter``. An effect without them changes moments alone.
+        By identifier of an effect and label of its variant: what a unit of each effect size adds to the
+        recorded paths to give those that the person's muscles had; leaves lead with ``muscle parameter``.
     measured_changes
-        By the id of an effect on the measurement chain, or of one of its shapes (`change_id`): what its
-        amounts add to the prediction of what is measured, through the exact change of inverse dynamics (see
-        `effects.measurement`).
+        By identifier of an effect and label of its variant: what effect sizes add to the prediction of the
+        measured moments, by inverse dynamics (`effects.measured_changes`).
     no_measured_changes
-        Why there are none.
-    whole
-        The context that this one is a part of; None for one that is whole.
+        Reason why there are none.
+    all_cycles
+        Context of all cycles, of which this one is a selection; None if nothing was selected.
     """
 
     muscles: tuple[str, ...]
@@ -142,48 +128,47 @@ class Context:
     parameters: ModelParameters
     paths: PathState
     paretic: bool | None = None
-    others: UndrivenMuscles | None = None
-    no_others: str = "every muscle of this leg has an EMG channel"
+    undriven_muscles: UndrivenMuscles | None = None
+    no_undriven_muscles: str = "every muscle of this leg has an EMG channel"
     paths_by_angle: PathState | None = None
     wraps: PathChanges | None = None
     attachments: PathChanges | None = None
     at_bounds: tuple[AtBound, ...] = ()
-    path_changes: Mapping[str, PathState] = field(default_factory=dict)
-    measured_changes: Mapping[str, MeasuredChange] = field(default_factory=dict)
+    path_changes: Mapping[str, Mapping[str, PathState]] = field(default_factory=dict)
+    measured_changes: Mapping[str, Mapping[str, MeasuredChange]] = field(default_factory=dict)
     no_measured_changes: str = "no ground reaction forces are given for these trials"
-    whole: Context | None = None
+    all_cycles: Context | None = None
 
     @property
     def reference(self) -> Context:
-        """All cycles: what every effect is normalised by, so that an amount means one thing everywhere."""
-        return self if self.whole is None else self.whole
+        """Context of all cycles; effects are normalised by it, so that sizes mean the same in any selection."""
+        return self if self.all_cycles is None else self.all_cycles
 
     @property
     def duration(self) -> Float[np.ndarray, " trial"]:
-        """Time of each cycle, s."""
+        """Duration of each cycle, s."""
         return self.step * (self.angles.shape[-1] - 1)
 
     @property
     def phase(self) -> Float[np.ndarray, " frame"]:
-        """0 at the start of a cycle, 1 at its end."""
+        """Phase of each frame: 0 at the start of a cycle, 1 at its end."""
         return np.linspace(0.0, 1.0, self.angles.shape[-1])
 
     def muscle_rows(self, names: Sequence[str]) -> list[int]:
-        """Number the muscles of these names without side (see `anatomy.standard_name`) that there are."""
+        """Find the rows of muscles by their names without side (`standard_name`), of those that there are."""
         return [row for row, muscle in enumerate(self.muscles) if standard_name(muscle) in names]
 
     def coordinate(self, stem: str) -> int | None:
-        """Number the coordinate whose name starts so (``ankle_angle``); None where there is none."""
+        """Find the row of the first coordinate whose name starts with a stem; None if there is none."""
         return next((row for row, name in enumerate(self.coordinates) if name.startswith(stem)), None)
 
     def select(self, trials: Sequence[int]) -> Context:
-        """Keep some cycles; amounts of effects go on to mean what they mean of all."""
+        """Select cycles; effect sizes keep the meaning that they have for all cycles (`reference`)."""
         chosen = np.asarray(trials, dtype=int)
         keep = jnp.asarray(chosen)
-
-        def cut(paths: PathState) -> PathState:
-            return _of_trials(paths, keep)
-
+        undriven = self.undriven_muscles
+        if undriven is not None:
+            undriven = eqx.tree_at(lambda tree: tree.path, undriven, _select_paths(undriven.path, keep))
         return replace(
             self,
             trials=tuple(self.trials[number] for number in chosen),
@@ -192,53 +177,54 @@ class Context:
             step=self.step[chosen],
             speeds=self.speeds[chosen],
             order=self.order[chosen],
-            paths=cut(self.paths),
-            others=None
-            if self.others is None
-            else eqx.tree_at(lambda tree: tree.path, self.others, cut(self.others.path)),
+            paths=_select_paths(self.paths, keep),
+            undriven_muscles=undriven,
             paths_by_angle=None
             if self.paths_by_angle is None
-            else _slopes_of_trials(self.paths_by_angle, keep),
-            wraps=_cut_changes(self.wraps, keep),
-            attachments=_cut_changes(self.attachments, keep),
-            path_changes={id: _slopes_of_trials(slopes, keep) for id, slopes in self.path_changes.items()},
-            measured_changes={
-                name: jax.tree_util.Partial(_chosen_trials, change, keep)
-                for name, change in self.measured_changes.items()
+            else _select_derivatives(self.paths_by_angle, keep),
+            wraps=_select_changes(self.wraps, keep),
+            attachments=_select_changes(self.attachments, keep),
+            path_changes={
+                id: {label: _select_derivatives(derivatives, keep) for label, derivatives in variants.items()}
+                for id, variants in self.path_changes.items()
             },
-            whole=self.reference,
+            measured_changes={
+                id: {label: Partial(_selected_change, change, keep) for label, change in variants.items()}
+                for id, variants in self.measured_changes.items()
+            },
+            all_cycles=self.reference,
         )
 
 
-def _of_trials(paths: PathState, keep: Int[Array, " trial"]) -> PathState:
-    """Keep cycles of paths; the axis ``trial`` is the second."""
+def _select_paths(paths: PathState, keep: Int[Array, " trial"]) -> PathState:
+    """Select cycles of paths; the axis ``trial`` is the second."""
     return PathState(
         *(jnp.asarray(leaf)[:, keep] for leaf in (paths.length, paths.velocity, paths.moment_arm))
     )
 
 
-def _slopes_of_trials(slopes: PathState, keep: Int[Array, " trial"]) -> PathState:
-    """Keep cycles of how paths change with several things; the axis ``trial`` is the third."""
-    cut: PathState = jax.tree.map(lambda leaf: leaf[:, :, keep], slopes)
-    return cut
+def _select_derivatives(derivatives: PathState, keep: Int[Array, " trial"]) -> PathState:
+    """Select cycles of derivatives of paths; the axis ``trial`` is the third."""
+    selected: PathState = jax.tree.map(lambda leaf: leaf[:, :, keep], derivatives)
+    return selected
 
 
-def _of_trials_at(
+def _select_changes(changes: PathChanges | None, keep: Int[Array, " trial"]) -> PathChanges | None:
+    if changes is None:
+        return None
+    selected = Partial(_selected_paths, changes.paths, keep)
+    return eqx.tree_at(lambda tree: tree.paths, changes, selected)
+
+
+def _selected_paths(
     paths: Callable[[Float[Array, "muscle mode"]], PathState],
     keep: Int[Array, " trial"],
     changes: Float[Array, "muscle mode"],
 ) -> PathState:
-    return _of_trials(paths(changes), keep)
+    return _select_paths(paths(changes), keep)
 
 
-def _cut_changes(changes: PathChanges | None, keep: Int[Array, " trial"]) -> PathChanges | None:
-    if changes is None:
-        return None
-    part = jax.tree_util.Partial(_of_trials_at, changes.paths, keep)
-    return eqx.tree_at(lambda tree: tree.paths, changes, part)
-
-
-def _chosen_trials(
+def _selected_change(
     change: MeasuredChange, keep: Int[Array, " trial"], effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
     return change(effect_sizes)[keep]

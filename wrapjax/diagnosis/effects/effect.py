@@ -1,4 +1,4 @@
-"""What an effect is: something that the plain model leaves out, off at zero."""
+"""Effects of one subject: parameters with priors, variants, and several effects at once."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.model.alteration import Alteration
 
-#: Where an effect can enter, in the order in which a recording becomes moments.
+EffectSizes = Float[Array, " parameter"]
+
+#: Stages at which an effect can enter, in the order in which recordings are turned into joint moments.
 FAMILIES = (
     "measurement",
     "kinematics",
@@ -30,27 +32,34 @@ FAMILIES = (
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """One amount of an effect: zero is off.
+    """One number of an effect; the effect is off where all its parameters are zero.
 
     Parameters
     ----------
     name
-        As reports and files call it.
+        Name in reports and files, unique within the effect.
     unit
-        Of its value; ``1`` for a ratio.
+        Unit of the effect size; ``1`` for a ratio.
     prior_sd
-        How large it is expected to be, in its unit; of a half-normal distribution where it has a sign.
+        Prior standard deviation, in `unit`: of a normal distribution with mean zero, or of a half-normal
+        distribution where `sign` is 1.
     sign
-        1 where it cannot be negative, 0 where it may be either.
+        1 if the effect size cannot be negative, 0 if it can have either sign.
     meaning
-        A phrase for reports.
+        Phrase for reports.
     source
-        Where the prior comes from, with a DOI where there is one.
+        Source of the prior, with a DOI where there is one.
     limit
-        Largest amount at which the effect still makes sense.
+        Largest plausible effect size, in `unit`.
     part
-        Of several things of one kind (channels, muscles, joints) the one it belongs to: as a rule one of
-        them is amiss, not all. Empty where all amounts go together.
+        Channel, muscle or joint to which the parameter belongs. The score tests the parameters of each part
+        alone as well as all parts together, since an effect is often present in one part only. Empty where
+        all parameters belong together.
+
+    Raises
+    ------
+    ValueError
+        If `sign` is neither 0 nor 1, or `prior_sd` is not between 0 and `limit`.
     """
 
     name: str
@@ -70,126 +79,132 @@ class EffectParameter:
 
     @property
     def lower(self) -> float:
-        """Smallest amount."""
+        """Smallest effect size."""
         return 0.0 if self.sign else -self.limit
 
     @property
     def upper(self) -> float:
-        """Largest amount."""
+        """Largest effect size."""
         return self.limit
 
 
-def resized(
+def scale_prior(
     prior_sd: Float[np.ndarray, "*parameter"] | float,
     factor: float,
     limit: Float[np.ndarray, "*parameter"] | float,
 ) -> Float[np.ndarray, "*parameter"]:
-    """Expect amounts to be so many times as large, but for two standard deviations to stay within limits.
+    """Multiply prior standard deviations by a factor, but keep two standard deviations within the limits.
 
-    A prior that is wider would count amounts that make no sense as evidence for an effect.
+    A wider prior would count implausible effect sizes as evidence for an effect.
     """
     return np.asarray(np.minimum(factor * np.asarray(prior_sd), 0.5 * np.asarray(limit)))
 
 
-#: From amounts, one a parameter, to what is different in the model: a `jax.tree_util.Partial`.
-Form = Callable[[Float[Array, " parameter"]], Alteration]
+#: Function from the sizes of one effect to the change of the forward model: a `jax.tree_util.Partial`.
+AlterationFunction = Callable[[EffectSizes], Alteration]
 
 
 class Variant(eqx.Module):
-    """One shape of an effect: a threshold, a phase, a time constant that zero amounts cannot tell."""
+    """One shape of an effect, such as a threshold, a phase or a time constant.
 
-    form: Form
-    #: Tells it from the effect's other variants; empty where there is one only.
+    What distinguishes the variants cannot be a parameter, because it has no influence at effect size zero.
+    """
+
+    alteration: AlterationFunction
+    #: Distinguishes the variants of an effect in reports; empty where there is one only.
     label: str = eqx.field(static=True, default="")
 
 
-def _as_they_are(effect_sizes: Float[Array, " parameter"]) -> Float[Array, " parameter"]:
+def _unchanged(effect_sizes: EffectSizes) -> EffectSizes:
     return effect_sizes
 
 
-def _placed(
-    form: Form,
-    places: Int[Array | np.ndarray, " own"],
-    nothing: Float[Array, " parameter"],
-    effect_sizes: Float[Array, " own"],
+def _alteration_by_selected(
+    alteration: AlterationFunction,
+    selected: Int[Array | np.ndarray, " selected"],
+    zero: EffectSizes,
+    effect_sizes: Float[Array, " selected"],
 ) -> Alteration:
-    return form(nothing.at[places].set(effect_sizes))
+    return alteration(zero.at[selected].set(effect_sizes))
 
 
 class Effect(eqx.Module):
-    """A mechanism that may be missing from the model, for one subject."""
+    """Mechanism that the model may leave out, for one subject."""
 
-    #: As the catalogue and files call it.
+    #: Identifier in the catalogue and in files.
     id: str = eqx.field(static=True)
     #: One of `FAMILIES`.
     family: str = eqx.field(static=True)
     parameters: tuple[EffectParameter, ...] = eqx.field(static=True)
-    #: All take the same parameters.
+    #: All variants have the same parameters.
     variants: tuple[Variant, ...]
-    #: It must stay quiet: what it does cannot be in such a recording.
+    #: Whether the effect cannot be present in such a recording, so that it must not be named.
     negative_control: bool = eqx.field(static=True, default=False)
-    #: Allowed for in every comparison, as it passes for other effects.
+    #: Whether the effect is allowed for in every comparison and never named.
     nuisance: bool = eqx.field(static=True, default=False)
-    #: Names and units of what is reported in place of the parameters themselves; empty: them.
+    #: Names and units of the reported quantities, where these are not the parameters themselves.
     reported: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())
-    #: From amounts to what is reported, in that order.
-    reading: Callable[[Float[Array, " parameter"]], Float[Array, " reading"]] = _as_they_are
+    #: Function from effect sizes to the reported quantities.
+    to_reported: Callable[[EffectSizes], Float[Array, " quantity"]] = _unchanged
 
     def __check_init__(self):
         if self.family not in FAMILIES:
             raise ValueError(f"{self.id}: there is no family '{self.family}'")
         names = [parameter.name for parameter in self.parameters]
         if not names or not self.variants or len(set(names)) < len(names):
-            raise ValueError(f"{self.id}: expected variants, and parameters with names of their own")
+            raise ValueError(f"{self.id}: expected variants, and parameters with different names")
 
     @property
     def parts(self) -> tuple[tuple[int, ...], ...]:
-        """Numbers of the amounts that belong together, part by part."""
+        """Numbers of the parameters of each part."""
         names = [entry.part for entry in self.parameters]
         return tuple(
-            tuple(number for number, own in enumerate(names) if own == name) for name in dict.fromkeys(names)
+            tuple(number for number, part in enumerate(names) if part == name)
+            for name in dict.fromkeys(names)
         )
 
-    def only(self, effect_sizes: Sequence[int]) -> Effect:
-        """Keep some amounts, by their numbers; the others stay zero."""
-        chosen, count = np.asarray(effect_sizes, dtype=int), len(self.parameters)
+    def only(self, parameters: Sequence[int]) -> Effect:
+        """Keep the parameters with these numbers; the others stay at zero."""
+        chosen, count = np.asarray(parameters, dtype=int), len(self.parameters)
         if len(chosen) == count:
             return self
         variants = tuple(
-            Variant(Partial(_placed, variant.form, chosen, jnp.zeros(count)), variant.label)
+            Variant(
+                Partial(_alteration_by_selected, variant.alteration, chosen, jnp.zeros(count)), variant.label
+            )
             for variant in self.variants
         )
-        parameters = tuple(self.parameters[number] for number in chosen)
-        return Effect(self.id, self.family, parameters, variants, self.negative_control)
+        selected = tuple(self.parameters[number] for number in chosen)
+        return Effect(self.id, self.family, selected, variants, self.negative_control)
 
     def of_size(self, factor: float) -> Effect:
-        """Expect amounts so many times as large, within their limits; see `resized`."""
+        """Multiply the prior standard deviations by a factor, within the limits; see `scale_prior`."""
         parameters = tuple(
-            replace(entry, prior_sd=float(resized(entry.prior_sd, factor, entry.limit)))
+            replace(entry, prior_sd=float(scale_prior(entry.prior_sd, factor, entry.limit)))
             for entry in self.parameters
         )
         return replace(self, parameters=parameters)
 
-    def alteration(self, effect_sizes: Float[Array, " parameter"], variant: int = 0) -> Alteration:
-        """Say what is different in the model at these amounts."""
-        return self.variants[variant].form(effect_sizes)
+    def alteration(self, effect_sizes: EffectSizes, variant: int = 0) -> Alteration:
+        """Compute the change of the forward model at these effect sizes."""
+        return self.variants[variant].alteration(effect_sizes)
 
-    def readings(self, effect_sizes: Float[Array, " parameter"]) -> dict[str, Float[Array, ""]]:
-        """Turn amounts into what is reported, by name, in physical units."""
+    def reported_values(self, effect_sizes: EffectSizes) -> dict[str, Float[Array, ""]]:
+        """Convert effect sizes to the reported quantities, by name, in physical units."""
         names = [name for name, _ in self.reported] or [entry.name for entry in self.parameters]
-        return dict(zip(names, self.reading(effect_sizes), strict=True))
+        return dict(zip(names, self.to_reported(effect_sizes), strict=True))
 
 
 @dataclass(frozen=True)
 class NotTestable:
-    """An effect that this recording cannot show, and why.
+    """Effect that a recording cannot show, and the reason.
 
     Parameters
     ----------
     id
-        Of the effect.
+        Identifier of the effect.
     reason
-        A sentence.
+        Clause that says what is missing.
     """
 
     id: str
@@ -199,19 +214,19 @@ class NotTestable:
 def split_effect_sizes(
     effect_sizes: Float[Array, "*row amount"], counts: Sequence[int]
 ) -> tuple[Float[Array, "*row _"], ...]:
-    """Cut the amounts of several effects, or rows of them, into each effect's own."""
+    """Split the sizes of several effects into those of each effect, along the last axis."""
     ends = np.cumsum([0, *counts])
     return tuple(effect_sizes[..., first:last] for first, last in itertools.pairwise(ends))
 
 
 class Effects(eqx.Module):
-    """Several effects at once, or none, with their amounts in one vector.
+    """Several effects at once, or none, with all their sizes in one vector.
 
-    Each stage of the model is altered by one effect after the other, in this order.
+    Every stage of the model is altered by one effect after the other, in this order.
     """
 
     members: tuple[Effect, ...]
-    #: Which variant of each; the first ones where not given.
+    #: Number of the variant of each effect; the first one where not given.
     variants: tuple[int, ...] = eqx.field(static=True, default=())
 
     def __check_init__(self):
@@ -220,56 +235,59 @@ class Effects(eqx.Module):
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """``tendon_compliance.strain_at_max_force``: one an amount."""
+        """Label of each parameter: ``tendon_compliance.strain_at_max_force``."""
         return tuple(f"{effect.id}.{entry.name}" for effect in self.members for entry in effect.parameters)
 
     @property
     def count(self) -> int:
-        """Number of amounts."""
+        """Number of parameters of all effects."""
         return len(self.labels)
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """How many amounts each member has."""
+        """Number of parameters of each effect."""
         return tuple(len(effect.parameters) for effect in self.members)
 
     @property
     def prior_sd(self) -> Float[np.ndarray, " parameter"]:
-        """Expected size of each amount."""
+        """Prior standard deviation of each parameter."""
         return np.array([entry.prior_sd for entry in self.parameters])
 
     @property
     def lower(self) -> Float[np.ndarray, " parameter"]:
-        """Smallest amounts."""
+        """Smallest effect sizes."""
         return np.array([entry.lower for entry in self.parameters])
 
     @property
     def upper(self) -> Float[np.ndarray, " parameter"]:
-        """Largest amounts."""
+        """Largest effect sizes."""
         return np.array([entry.upper for entry in self.parameters])
 
     @property
     def zero(self) -> Float[Array, " parameter"]:
-        """All off."""
+        """Effect sizes at which all effects are off."""
         return jnp.zeros(self.count)
 
     @property
-    def forms(self) -> tuple[Form, ...]:
-        """From each effect's amounts to what is different in the model."""
+    def alteration_functions(self) -> tuple[AlterationFunction, ...]:
+        """Function of each effect from its sizes to the change of the forward model."""
         chosen = self.variants or (0,) * len(self.members)
         return tuple(
-            effect.variants[number].form for effect, number in zip(self.members, chosen, strict=True)
+            effect.variants[number].alteration for effect, number in zip(self.members, chosen, strict=True)
         )
 
     def alterations(self, effect_sizes: Float[Array, " parameter"]) -> tuple[Alteration, ...]:
-        """Say what is different in the model at these amounts."""
-        return tuple(form(own) for form, own in zip(self.forms, self.split(effect_sizes), strict=True))
+        """Compute the changes of the forward model at these effect sizes."""
+        return tuple(
+            alteration(sizes)
+            for alteration, sizes in zip(self.alteration_functions, self.split(effect_sizes), strict=True)
+        )
 
     def split(self, effect_sizes: Float[Array, " parameter"]) -> tuple[Float[Array, " _"], ...]:
-        """Hand each effect its own amounts."""
+        """Split effect sizes into those of each effect."""
         return split_effect_sizes(effect_sizes, self.counts)
 
     @property
     def parameters(self) -> list[EffectParameter]:
-        """One an amount."""
+        """Parameters of all effects."""
         return [entry for effect in self.members for entry in effect.parameters]

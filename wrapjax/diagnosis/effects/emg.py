@@ -1,7 +1,8 @@
-"""What EMG is: gains that drift or follow posture, offsets, crosstalk, and delays that follow speed."""
+"""Effects on the recorded EMG: gain, offset, filtering, crosstalk and electromechanical delay."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -10,26 +11,264 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
 from wrapjax.diagnosis.context import Context
-from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, NotTestable, Variant
+from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
+from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
+from wrapjax.diagnosis.effects.experiments import (
+    EMG_AT_REST,
+    ISOMETRIC_RAMPS,
+    REPEATED_FIRST_TRIAL,
+    SINGLE_MUSCLE_CONTRACTIONS,
+    SYNC_PULSE,
+)
 from wrapjax.diagnosis.effects.periodic import with_padding
+from wrapjax.diagnosis.effects.shared_alterations import delay_emg
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 from wrapjax.muscle.excitation import EmgSpline, sharpen_emg
 from wrapjax.subject.muscle_groups import are_neighbours, region_of
 
-#: Walking speeds nearer to each other than this (m/s) count as one.
+#: Walking speeds that differ by less than this (m/s) are one speed.
 _SAME_SPEED = 0.05
-#: By how much the posture at which a gain does not change with angle may differ from the angle's zero (deg).
+#: Angles (deg) at which the gain is the recorded one, from the zero of the joint's angle.
 _POSTURES = (0.0, 60.0)
-#: Of the averages that tell quick changes of EMG from slow ones (s); and what they leave at 6 Hz.
-_SMOOTHED = 0.025
-_LEFT_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _SMOOTHED) ** 2)) ** 2
-#: Which power of the knot's time stands last in a spline's coefficients.
+#: Width (s) of the averages that separate fast changes of EMG from slow ones.
+_AVERAGING_WIDTH = 0.025
+#: Share of a sine of 6 Hz that these averages take away.
+_SHARE_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _AVERAGING_WIDTH) ** 2)) ** 2
+#: Place of the constant among the coefficients of a spline's polynomials.
 _CONSTANT = 3
 
-EffectSizes = Float[Array, " parameter"]
+
+def _driving_channels(context: Context) -> tuple[str, ...]:
+    """Select the channels that drive a muscle, in their order."""
+    return tuple(name for number, name in enumerate(context.channels) if number in context.muscle_channels)
 
 
-class AlteredGain(MuscleAlteration):
+def _channel_of_muscle(context: Context) -> Int[Array, " muscle"]:
+    """Find the place among `_driving_channels` of the channel that drives each muscle."""
+    used = sorted(set(context.muscle_channels))
+    return jnp.asarray([used.index(channel) for channel in context.muscle_channels])
+
+
+def _each_channel(context: Context) -> Iterable[dict[str, str]]:
+    return [{"channel": channel} for channel in _driving_channels(context)]
+
+
+# ---- Drift
+
+
+def _emg_drift(context: Context) -> tuple[Variant, ...]:
+    middle = jnp.asarray(context.reference.order.mean())
+    return (Variant(Partial(_undo_drift, _channel_of_muscle(context), jnp.asarray(context.order), middle)),)
+
+
+def _undo_drift(
+    channel_of: Int[Array, " muscle"],
+    order: Float[Array, " trial"],
+    middle: Float[Array, ""],
+    effect_sizes: EffectSizes,
+) -> Alteration:
+    """Divide by the recorded gain of each cycle relative to that in the middle of the session."""
+    change = effect_sizes[channel_of][:, None]
+    return Alteration(emg=Partial(_multiply_emg, (1.0 + change * middle) / (1.0 + change * order[None])))
+
+
+def _multiply_emg(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
+    return replace(emg, coefficients=emg.coefficients * gain[:, :, None, None])
+
+
+# The mean gain over the cycles is unchanged: calibration determines that one.
+EMG_DRIFT = EffectDefinition(
+    id="emg_drift",
+    meaning="a channel's gain changes from the first cycle to the last",
+    family="excitation",
+    requirements=(
+        Requirement(
+            "cycles recorded at different times",
+            lambda context: (
+                "one cycle alone cannot show a gain that drifts"
+                if np.ptp(context.reference.order) == 0.0
+                else ""
+            ),
+        ),
+    ),
+    parameters=(
+        RepeatedParameter(
+            repetitions=_each_channel,
+            name="gain_change_{channel}",
+            unit="1",
+            prior_sd=0.30,
+            sign=0,
+            meaning="change of the recorded gain of {channel} from the first cycle to the last",
+            source="30 % a session",
+            limit=0.9,
+            part="{channel}",
+        ),
+    ),
+    variants=_emg_drift,
+    experiment=REPEATED_FIRST_TRIAL,
+)
+
+
+# ---- Offset
+
+
+def _emg_offset(context: Context) -> tuple[Variant, ...]:
+    return (Variant(Partial(_remove_offset, _channel_of_muscle(context))),)
+
+
+def _remove_offset(channel_of: Int[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(emg=Partial(_subtract_from_emg, effect_sizes[channel_of]))
+
+
+def _subtract_from_emg(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:
+    coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, None, None])
+    return replace(emg, coefficients=coefficients)
+
+
+# Noise and resting level, which normalisation scales with the signal.
+EMG_OFFSET = EffectDefinition(
+    id="emg_offset",
+    meaning="envelopes do not come down to zero at rest",
+    family="excitation",
+    parameters=(
+        RepeatedParameter(
+            repetitions=_each_channel,
+            name="offset_{channel}",
+            unit="1",
+            prior_sd=0.02,
+            sign=1,
+            meaning="EMG of {channel} at rest, in units of its largest",
+            source="quiet phases of normalised EMG, 0 to 0.05",
+            limit=0.2,
+            part="{channel}",
+        ),
+    ),
+    variants=_emg_offset,
+    experiment=EMG_AT_REST,
+)
+
+
+# ---- Filtering of the envelopes
+
+
+def _emg_smoothing(context: Context) -> tuple[Variant, ...]:
+    return (Variant(Partial(_undo_smoothing)),)
+
+
+def _undo_smoothing(effect_sizes: EffectSizes) -> Alteration:
+    return Alteration(emg=Partial(_sharpen, effect_sizes[0] / _SHARE_AT_6_HZ))
+
+
+def _sharpen(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
+    return sharpen_emg(emg, share, _AVERAGING_WIDTH)
+
+
+# Every laboratory filters its envelopes, and what a filter removes of the bursts resembles other effects in
+# every person: hence a nuisance effect.
+EMG_SMOOTHING = EffectDefinition(
+    id="emg_smoothing",
+    meaning="filtered envelopes lack fast changes of the muscles' excitation",
+    family="excitation",
+    parameters=(
+        EffectParameter(
+            name="share_at_6_Hz",
+            unit="1",
+            prior_sd=1.0,
+            sign=1,
+            meaning="amplitude of an envelope at 6 Hz that the filter removed, as a share of what remains",
+            source="smoothing of envelopes: Hug 2011, doi:10.1016/j.jelekin.2010.08.009",
+            limit=5.0,
+        ),
+    ),
+    variants=_emg_smoothing,
+    nuisance=True,
+)
+
+
+# ---- Crosstalk
+
+
+def _neighboring_channels(context: Context) -> list[tuple[str, str]]:
+    """Pairs of channels over neighboring muscles: the one that records, the one that it records too."""
+    regions = {
+        channel: region_of(context.muscles[first]) for channel, first in _first_muscles(context).items()
+    }
+    return [
+        (into, source)
+        for into, here in regions.items()
+        for source, there in regions.items()
+        if into != source and here is not None and there is not None and are_neighbours(here, there)
+    ]
+
+
+def _first_muscles(context: Context) -> dict[str, int]:
+    """Find the first muscle that each channel drives."""
+    channel_of = _channel_of_muscle(context).tolist()
+    return {channel: channel_of.index(number) for number, channel in enumerate(_driving_channels(context))}
+
+
+def _emg_crosstalk(context: Context) -> tuple[Variant, ...]:
+    channels, first_muscle = _driving_channels(context), _first_muscles(context)
+    pairs = _neighboring_channels(context)
+    into = jnp.asarray([channels.index(into) for into, _ in pairs])
+    source = jnp.asarray([first_muscle[source] for _, source in pairs])
+    return (Variant(Partial(_remove_crosstalk, _channel_of_muscle(context), into, source)),)
+
+
+def _remove_crosstalk(
+    channel_of: Int[Array, " muscle"],
+    into: Int[Array, " pair"],
+    source: Int[Array, " pair"],
+    effect_sizes: EffectSizes,
+) -> Alteration:
+    """Subtract shares by channel; the first muscle of each source represents its channel."""
+    shares = jnp.zeros((channel_of.size, channel_of.size)).at[into, source].add(effect_sizes)
+    return Alteration(emg=Partial(_subtract_other_channels, shares[channel_of]))
+
+
+def _subtract_other_channels(shares: Float[Array, "muscle muscle"], emg: EmgSpline) -> EmgSpline:
+    crosstalk = jnp.einsum("mn,ntpi->mtpi", shares, emg.coefficients)
+    return replace(emg, coefficients=emg.coefficients - crosstalk)
+
+
+EMG_CROSSTALK = EffectDefinition(
+    id="emg_crosstalk",
+    meaning="an electrode records a neighboring muscle as well",
+    family="excitation",
+    requirements=(
+        Requirement(
+            "two channels over neighboring muscles",
+            lambda context: (
+                ""
+                if _neighboring_channels(context)
+                else "no two channels are known to lie beside one another"
+            ),
+        ),
+    ),
+    parameters=(
+        RepeatedParameter(
+            repetitions=lambda context: [
+                {"into": into, "source": source} for into, source in _neighboring_channels(context)
+            ],
+            name="{source}_in_{into}",
+            unit="1",
+            prior_sd=0.15,
+            sign=1,
+            meaning="share of {source} that the electrode of {into} records",
+            source="0 to 0.2; Peter et al. 2019, doi:10.3389/fphys.2019.01283",
+            limit=0.6,
+            part="{source}_in_{into}",
+        ),
+    ),
+    variants=_emg_crosstalk,
+    experiment=SINGLE_MUSCLE_CONTRACTIONS,
+)
+
+
+# ---- Gain that depends on posture
+
+
+class ExcitationGain(MuscleAlteration):
     """Multiply excitation, frame by frame."""
 
     gain: Float[Array, "*muscle trial padded_frame"]
@@ -41,229 +280,101 @@ class AlteredGain(MuscleAlteration):
         return excitation * self.gain
 
 
-def emg_drift(context: Context) -> Effect | NotTestable:
-    """Let each channel's gain change from the first cycle to the last, none of it on average."""
-    if np.ptp(context.reference.order) == 0.0:
-        return NotTestable("emg_drift", "one cycle alone cannot show a gain that drifts")
-    parameters = tuple(
-        EffectParameter(
-            name=f"gain_change_{channel}",
-            unit="1",
-            prior_sd=0.30,
-            sign=0,
-            meaning=f"change of the recorded gain of {channel} from the first cycle to the last",
-            source="30 % a session",
-            limit=0.9,
-            part=channel,
-        )
-        for channel in _channels(context)
-    )
-    whole = context.reference.order
-    form = Partial(_drift, _channel_of(context), jnp.asarray(context.order), jnp.asarray(whole.mean()))
-    return Effect("emg_drift", "excitation", parameters, (Variant(form),))
-
-
-def _drift(
-    channel_of: Int[Array, " muscle"],
-    order: Float[Array, " trial"],
-    middle: Float[Array, ""],
-    effect_sizes: EffectSizes,
-) -> Alteration:
-    """Undo what the recorded gain has become since the middle of the session."""
-    change = effect_sizes[channel_of][:, None]
-    return Alteration(emg=Partial(_with_gain, (1.0 + change * middle) / (1.0 + change * order[None])))
-
-
-def _with_gain(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
-    return replace(emg, coefficients=emg.coefficients * gain[:, :, None, None])
-
-
-def emg_offset(context: Context) -> Effect:
-    """Take a constant off each channel: noise and resting level that were scaled along with it."""
-    parameters = tuple(
-        EffectParameter(
-            name=f"offset_{channel}",
-            unit="1",
-            prior_sd=0.02,
-            sign=1,
-            meaning=f"EMG of {channel} at rest, in units of its largest",
-            source="quiet phases of normalised EMG, 0 to 0.05",
-            limit=0.2,
-            part=channel,
-        )
-        for channel in _channels(context)
-    )
-    form = Partial(_offset, _channel_of(context))
-    return Effect("emg_offset", "excitation", parameters, (Variant(form),))
-
-
-def _offset(channel_of: Int[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
-    return Alteration(emg=Partial(_less, effect_sizes[channel_of]))
-
-
-def _less(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:
-    coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, None, None])
-    return replace(emg, coefficients=coefficients)
-
-
-def emg_smoothing(context: Context) -> Effect:
-    """Give quick changes of EMG back what the filter of its envelopes took: muscles were told them all.
-
-    Every laboratory's envelopes are filtered, and what that takes from bursts is like other causes in every
-    person: so it is allowed for, and never named.
-    """
-    parameter = EffectParameter(
-        name="share_at_6_Hz",
-        unit="1",
-        prior_sd=1.0,
-        sign=1,
-        meaning="what the filter took of an envelope at 6 Hz, as a share of what it left",
-        source="smoothing of envelopes: Hug 2011, doi:10.1016/j.jelekin.2010.08.009",
-        limit=5.0,
-    )
-    form = Partial(_sharper)
-    return Effect("emg_smoothing", "excitation", (parameter,), (Variant(form),), nuisance=True)
-
-
-def _sharper(effect_sizes: EffectSizes) -> Alteration:
-    return Alteration(emg=Partial(_quicker, effect_sizes[0] / _LEFT_AT_6_HZ))
-
-
-def _quicker(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
-    return sharpen_emg(emg, share, _SMOOTHED)
-
-
-def emg_crosstalk(context: Context) -> Effect | NotTestable:
-    """Take from each channel a share of those over neighbouring muscles."""
-    channels = _channels(context)
-    regions = {}
-    for number, channel in enumerate(channels):
-        first = _channel_of(context).tolist().index(number)
-        regions[channel] = (first, region_of(context.muscles[first]))
-    pairs = [
-        (into, source)
-        for into, (_, where) in regions.items()
-        for source, (_, other) in regions.items()
-        if into != source and where is not None and other is not None and are_neighbours(where, other)
-    ]
-    if not pairs:
-        return NotTestable("emg_crosstalk", "no two channels are known to lie beside one another")
-    parameters = tuple(
-        EffectParameter(
-            name=f"{source}_in_{into}",
-            unit="1",
-            prior_sd=0.15,
-            sign=1,
-            meaning=f"share of {source} that the electrode of {into} hears",
-            source="0 to 0.2; Peter et al. 2019, doi:10.3389/fphys.2019.01283",
-            limit=0.6,
-            part=f"{source}_in_{into}",
-        )
-        for into, source in pairs
-    )
-    into = jnp.asarray([channels.index(into) for into, _ in pairs])
-    source = jnp.asarray([regions[source][0] for _, source in pairs])
-    form = Partial(_crosstalk, _channel_of(context), into, source)
-    return Effect("emg_crosstalk", "excitation", parameters, (Variant(form),))
-
-
-def _crosstalk(
-    channel_of: Int[Array, " muscle"],
-    into: Int[Array, " pair"],
-    source: Int[Array, " pair"],
-    effect_sizes: EffectSizes,
-) -> Alteration:
-    """Subtract by channel; the muscle of each source stands for its channel."""
-    heard = jnp.zeros((channel_of.size, channel_of.size)).at[into, source].add(effect_sizes)
-    return Alteration(emg=Partial(_without, heard[channel_of]))
-
-
-def _without(heard: Float[Array, "muscle muscle"], emg: EmgSpline) -> EmgSpline:
-    crosstalk = jnp.einsum("mn,ntpi->mtpi", heard, emg.coefficients)
-    return replace(emg, coefficients=emg.coefficients - crosstalk)
-
-
-def posture_dependent_gain(context: Context) -> Effect:
-    """Let each channel's gain follow the angle of the joint that its muscles move most.
-
-    As skin and electrode slide over the muscle. The posture is that at the time of excitation.
-    """
-    parameters = tuple(
-        EffectParameter(
-            name=f"gain_{channel}",
-            unit="1",
-            prior_sd=0.4,
-            sign=0,
-            meaning=f"change of the gain of {channel} with the sine of its joint's angle",
-            source="0 to 0.5",
-            limit=1.0,
-            part=channel,
-        )
-        for channel in _channels(context)
-    )
-    channel_of = _channel_of(context)
+def _posture_dependent_gain(context: Context) -> tuple[Variant, ...]:
+    channel_of = _channel_of_muscle(context)
     arms = np.abs(np.asarray(context.reference.paths.moment_arm)).mean(axis=(1, 3))
     joint = np.array(
         [arms[np.asarray(channel_of) == channel_of[row]].sum(axis=0).argmax() for row in range(len(arms))]
     )
 
-    def posture(one: Context, away: float) -> Float[np.ndarray, "muscle trial frame"]:
-        return np.sin(np.moveaxis(one.angles, 1, 0) + np.deg2rad(away))[joint]
+    def posture(cycles: Context, offset: float) -> Float[np.ndarray, "muscle trial frame"]:
+        return np.sin(np.moveaxis(cycles.angles, 1, 0) + np.deg2rad(offset))[joint]
 
     variants = []
-    for away in _POSTURES:
-        level = posture(context.reference, away).mean(axis=(1, 2))[:, None, None]
-        shape = with_padding(jnp.asarray(posture(context, away) - level), context.padding)
-        variants.append(Variant(Partial(_posture, channel_of, shape), f"turned by {away:g} deg"))
-    return Effect("posture_dependent_gain", "excitation", parameters, tuple(variants))
+    for offset in _POSTURES:
+        mean = posture(context.reference, offset).mean(axis=(1, 2))[:, None, None]
+        change = with_padding(jnp.asarray(posture(context, offset) - mean), context.padding)
+        variants.append(Variant(Partial(_change_gain, channel_of, change), f"turned by {offset:g} deg"))
+    return tuple(variants)
 
 
-def _posture(
+def _change_gain(
     channel_of: Int[Array, " muscle"],
-    shape: Float[Array, "muscle trial padded_frame"],
+    change: Float[Array, "muscle trial padded_frame"],
     effect_sizes: EffectSizes,
 ) -> Alteration:
-    return Alteration(muscle=AlteredGain(1.0 + effect_sizes[channel_of][:, None, None] * shape))
+    return Alteration(muscle=ExcitationGain(1.0 + effect_sizes[channel_of][:, None, None] * change))
 
 
-def speed_dependent_delay(context: Context) -> Effect | NotTestable:
-    """Let the electromechanical delay follow walking speed; on average it is the calibrated one."""
+# Skin and electrode slide over the muscle as the joint that its muscles move most bends. The posture is that
+# at the time of the excitation. The variants differ in the angle at which the gain is the recorded one.
+POSTURE_DEPENDENT_GAIN = EffectDefinition(
+    id="posture_dependent_gain",
+    meaning="a channel's gain changes with the joint's angle",
+    family="excitation",
+    parameters=(
+        RepeatedParameter(
+            repetitions=_each_channel,
+            name="gain_{channel}",
+            unit="1",
+            prior_sd=0.4,
+            sign=0,
+            meaning="change of the gain of {channel} with the sine of its joint's angle",
+            source="0 to 0.5",
+            limit=1.0,
+            part="{channel}",
+        ),
+    ),
+    variants=_posture_dependent_gain,
+    experiment=ISOMETRIC_RAMPS,
+)
+
+
+# ---- Delay
+
+
+def _speeds_that_are_not_given(context: Context) -> str:
+    given = np.isfinite(context.reference.speeds).all()
+    return "" if given else "walking speeds are not given for every cycle"
+
+
+def _one_speed(context: Context) -> str:
+    one = np.ptp(context.reference.speeds) < _SAME_SPEED
+    return "all cycles were walked at one speed; two are needed" if one else ""
+
+
+def _speed_dependent_delay(context: Context) -> tuple[Variant, ...]:
     speeds = context.reference.speeds
-    if not np.isfinite(speeds).all():
-        return NotTestable("speed_dependent_delay", "walking speeds are not given for every cycle")
-    if np.ptp(speeds) < _SAME_SPEED:
-        return NotTestable("speed_dependent_delay", "all cycles were walked at one speed; two are needed")
-    parameter = EffectParameter(
-        name="delay_slow_minus_fast",
-        unit="s",
-        prior_sd=0.020,
-        sign=0,
-        meaning="electromechanical delay at the slowest speed less that at the fastest",
-        source="delays of 20 to 100 ms, Zhou et al. 1995",
-        limit=0.08,
-    )
     share = jnp.asarray((speeds.mean() - context.speeds) / np.ptp(speeds))
-    form = Partial(_by_cycle, jnp.ones(len(context.muscles)), share)
-    return Effect("speed_dependent_delay", "excitation", (parameter,), (Variant(form),))
+    return (Variant(Partial(_delay_by_cycle, jnp.ones(len(context.muscles)), share)),)
 
 
-def _by_cycle(
+def _delay_by_cycle(
     each: Float[Array, " muscle"], share: Float[Array, " trial"], effect_sizes: EffectSizes
 ) -> Alteration:
-    return Alteration(emg=Partial(later, effect_sizes[0] * each[:, None] * share[None]))
+    return Alteration(emg=Partial(delay_emg, effect_sizes[0] * each[:, None] * share[None]))
 
 
-def later(lag: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
-    """Delay EMG by so much more (s)."""
-    return replace(emg, lag=lag if emg.lag is None else emg.lag + lag)
-
-
-def _channels(context: Context) -> tuple[str, ...]:
-    """Name the channels that drive a muscle, in their order."""
-    return tuple(name for number, name in enumerate(context.channels) if number in context.muscle_channels)
-
-
-def _channel_of(context: Context) -> Int[Array, " muscle"]:
-    """Say which of `_channels` drives each muscle."""
-    used = sorted(set(context.muscle_channels))
-    return jnp.asarray([used.index(channel) for channel in context.muscle_channels])
+# The mean delay over the cycles is unchanged: it is the calibrated one.
+SPEED_DEPENDENT_DELAY = EffectDefinition(
+    id="speed_dependent_delay",
+    meaning="force follows EMG with another delay at another walking speed",
+    family="excitation",
+    requirements=(
+        Requirement("walking speeds of all cycles", _speeds_that_are_not_given),
+        Requirement("two walking speeds", _one_speed),
+    ),
+    parameters=(
+        EffectParameter(
+            name="delay_slow_minus_fast",
+            unit="s",
+            prior_sd=0.020,
+            sign=0,
+            meaning="electromechanical delay at the slowest speed less that at the fastest",
+            source="delays of 20 to 100 ms, Zhou et al. 1995",
+            limit=0.08,
+        ),
+    ),
+    variants=_speed_dependent_delay,
+    experiment=SYNC_PULSE,
+)

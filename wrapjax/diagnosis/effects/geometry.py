@@ -1,62 +1,102 @@
-"""Where muscles run: cylinders and attachments in other places than the model has them."""
+"""Effects on muscle paths: wrapping surfaces and attachments in other places than in the model."""
 
 from __future__ import annotations
 
-import equinox as eqx
+from collections.abc import Iterable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
-from jaxtyping import Array, Float
 
-from wrapjax.diagnosis.context import Context, PathChanges
-from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, NotTestable, Variant
-from wrapjax.geometry.paths import PathState
+from wrapjax.diagnosis.context import PathChanges
+from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
+from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
+from wrapjax.diagnosis.effects.experiments import PATHS_BY_ULTRASOUND
+from wrapjax.diagnosis.effects.shared_alterations import add_to_paths
 from wrapjax.model.alteration import Alteration
 
-#: No amount may be more than so many prior deviations.
-_MOST = 4.0
+#: Largest effect size, in prior standard deviations.
+_LIMIT_IN_SD = 4.0
 
 
-def wrap_surface(context: Context) -> Effect | NotTestable:
-    """Move, turn and resize the cylinders that muscles wrap round, each alike for all its muscles."""
-    if context.wraps is None:
-        return NotTestable(
-            "wrap_surface", "how paths follow their cylinders is not known, or none is touched"
-        )
-    return _of_changes("wrap_surface", context.wraps, "of a wrapping cylinder", "box of the cylinder")
+def _repetitions(changes: PathChanges | None) -> Iterable[dict[str, Any]]:
+    assert changes is not None, "required before parameters are built"
+    for name, unit, prior_sd in zip(changes.names, changes.units, changes.prior_sd, strict=True):
+        element, quantity = name.rsplit(".", 1)
+        yield {
+            "element": element,
+            "quantity": quantity,
+            "unit": unit,
+            "prior_sd": prior_sd,
+            "limit": _LIMIT_IN_SD * prior_sd,
+        }
 
 
-def muscle_attachment(context: Context) -> Effect | NotTestable:
-    """Move where muscles begin and end; length, rate and moment arms follow together."""
-    if context.attachments is None:
-        return NotTestable("muscle_attachment", "how paths follow their ends is not known")
-    source = "moment arms that change by 4 to 12 mm when paths are personalised"
-    return _of_changes("muscle_attachment", context.attachments, "of a muscle's end", source)
+def _variants(changes: PathChanges | None) -> tuple[Variant, ...]:
+    assert changes is not None, "required before variants are built"
+    return (Variant(Partial(_change_paths, changes)),)
 
 
-def _of_changes(id: str, changes: PathChanges, what: str, source: str) -> Effect:
-    parameters = tuple(
-        EffectParameter(name, unit, sd, 0, f"displacement {what}", source, _MOST * sd, name.rsplit(".", 1)[0])
-        for name, unit, sd in zip(changes.names, changes.units, changes.prior_sd, strict=True)
-    )
-    return Effect(id, "geometry", parameters, (Variant(Partial(_moved, changes)),))
-
-
-def _moved(changes: PathChanges, effect_sizes: Float[Array, " parameter"]) -> Alteration:
+def _change_paths(changes: PathChanges, effect_sizes: EffectSizes) -> Alteration:
     places = jnp.asarray(changes.places)
-    own = jnp.where(places >= 0, effect_sizes[places], 0.0)
-    changed, unchanged = changes.paths(own), changes.paths(jnp.zeros_like(own))
-    return Alteration(paths=Partial(added_to_paths, jax.tree.map(jnp.subtract, changed, unchanged)))
+    by_muscle = jnp.where(places >= 0, effect_sizes[places], 0.0)
+    changed, unchanged = changes.paths(by_muscle), changes.paths(jnp.zeros_like(by_muscle))
+    return Alteration(paths=Partial(add_to_paths, jax.tree.map(jnp.subtract, changed, unchanged)))
 
 
-def added_to_paths(change: PathState, paths: PathState) -> PathState:
-    """Add to lengths, rates and moment arms."""
-    return eqx.tree_at(
-        lambda tree: (tree.length, tree.velocity, tree.moment_arm),
-        paths,
-        (
-            paths.length + change.length,
-            paths.velocity + change.velocity,
-            paths.moment_arm + change.moment_arm,
+# A wrap is the same for all its muscles.
+WRAP_SURFACE = EffectDefinition(
+    id="wrap_surface",
+    meaning="cylinders that muscles wrap round have another place, orientation or radius",
+    family="geometry",
+    requirements=(
+        Requirement(
+            "a cylinder that a muscle touches, and paths that the exact engine computes",
+            lambda context: (
+                "how paths follow their cylinders is not known, or none is touched"
+                if context.wraps is None
+                else ""
+            ),
         ),
-    )
+    ),
+    parameters=(
+        RepeatedParameter(
+            repetitions=lambda context: _repetitions(context.wraps),
+            name="{element}.{quantity}",
+            sign=0,
+            meaning="displacement of a wrapping cylinder",
+            source="box of the cylinder",
+            part="{element}",
+            prior="from the bounds of the wrap parameter",
+        ),
+    ),
+    variants=lambda context: _variants(context.wraps),
+    experiment=PATHS_BY_ULTRASOUND,
+)
+
+# Length, lengthening velocity and moment arms change together.
+MUSCLE_ATTACHMENT = EffectDefinition(
+    id="muscle_attachment",
+    meaning="muscles begin or end elsewhere on the bones",
+    family="geometry",
+    requirements=(
+        Requirement(
+            "paths that the exact engine computes",
+            lambda context: "how paths follow their ends is not known" if context.attachments is None else "",
+        ),
+    ),
+    parameters=(
+        RepeatedParameter(
+            repetitions=lambda context: _repetitions(context.attachments),
+            name="{element}.{quantity}",
+            sign=0,
+            meaning="displacement of a muscle's end",
+            source="moment arms that change by 4 to 12 mm when paths are personalised",
+            part="{element}",
+            prior="0.005 m",
+        ),
+    ),
+    variants=lambda context: _variants(context.attachments),
+    experiment=PATHS_BY_ULTRASOUND,
+)

@@ -38,7 +38,7 @@ _ARTIFACT_SOURCE = "thigh 10, shank 7 degrees: PMC8631460"
 
 
 def neighboring_coordinates(coordinates: Sequence[str]) -> tuple[int, ...]:
-    """Number, for each coordinate, of the joint that moves its skin most beside the joint itself.
+    """Find, for each coordinate, the other coordinate that moves its skin most.
 
     Knee flexion moves the skin of thigh and shank, hip flexion that over the knee. Empty where either is not
     among the coordinates.
@@ -142,10 +142,10 @@ def _moments_by_soft_tissue(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     return {label: np.concatenate([by_slide, *shares]) for label, by_slide in slides.items()}
 
 
-# The error of an angle has three parts: a slide at a phase of the cycle, a share of the angle itself, and a share
-# of the angle of the neighboring joint that moves the skin. Muscles have the paths of the bones' angles, to first
-# order, moment arms included. Where ground reaction forces were recorded, inverse dynamics took the wrong angles
-# too. The variants are the phases of the slide.
+# The error of an angle has three parts: a slide at a phase of the cycle, a share of the angle itself, and a
+# share of the angle of the neighboring joint that moves the skin. Muscles have the paths of the bones'
+# angles, to first order, moment arms included. Where ground reaction forces were recorded, inverse dynamics
+# took the wrong angles too. The variants are the phases of the slide.
 SOFT_TISSUE_ARTIFACT = EffectDefinition(
     id="soft_tissue_artifact",
     meaning="skin and markers move against the bones, so that recorded angles are wrong",
@@ -237,7 +237,7 @@ def _moments_by_foot(gait: RecordedGait) -> dict[str, MomentDerivatives]:
 
 
 def _paths_by_foot(recorded: RecordedPaths) -> Mapping[str, PathState]:
-    """Compute the paths of an ankle that is less dorsiflexed than was recorded, per rad at the largest load."""
+    """Compute the paths of an ankle that is less dorsiflexed than recorded, per rad at the largest load."""
     paths, by_angle, gait = recorded.paths, recorded.by_angle, recorded.gait
     if by_angle is None or paths is None:
         return {}

@@ -1,4 +1,4 @@
-"""Signals over gait cycles, which go on as they began."""
+"""Periodic functions of the gait cycle; the last frame of a cycle is the first frame of the next."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 
 def with_padding(values: Float[Array, "*any frame"], padding: int) -> Float[Array, "*any padded_frame"]:
-    """Go on round the cycle before its start and after its end: its last frame is its first one."""
+    """Extend a signal periodically by frames before its start and after its end."""
     frames = values.shape[-1]
     return values[..., np.arange(-padding, frames + padding) % (frames - 1)]
 
@@ -20,7 +20,17 @@ def with_padding(values: Float[Array, "*any frame"], padding: int) -> Float[Arra
 def delayed(
     values: Float[Array, "trial frame"], delay: float, step: Float[Array | np.ndarray, " trial"]
 ) -> Float[Array, "trial frame"]:
-    """Look values up a delay (s) earlier, round the cycle, straight between frames."""
+    """Delay a periodic signal, by linear interpolation between frames.
+
+    Parameters
+    ----------
+    values
+        Signal over each cycle.
+    delay
+        Delay, s.
+    step
+        Time between frames of each cycle, s.
+    """
     frames = values.shape[-1]
     position = jnp.arange(float(frames))[None] - (delay / jnp.asarray(step))[:, None]
     before = jnp.floor(position)
@@ -31,15 +41,15 @@ def delayed(
     return (1.0 - share) * taken[0] + share * taken[1]
 
 
-def bumps(phase: Float[np.ndarray, " frame"], count: int) -> Float[np.ndarray, "frame bump"]:
-    """Uniform cubic B-splines round the cycle; they add up to one.
+def periodic_splines(phase: Float[np.ndarray, " frame"], count: int) -> Float[np.ndarray, "frame spline"]:
+    """Evaluate uniform periodic cubic B-splines, which add up to one.
 
     Parameters
     ----------
     phase
-        0 to 1.
+        Phase of the gait cycle, 0 to 1.
     count
-        How many, at least 4; bump k is highest at ``k / count``.
+        Number of splines, at least 4; spline k is largest at ``k / count``.
     """
     away = np.mod(phase[:, None] * count - np.arange(count)[None] + 0.5 * count, count) - 0.5 * count
     distance = np.abs(away)
@@ -48,17 +58,17 @@ def bumps(phase: Float[np.ndarray, " frame"], count: int) -> Float[np.ndarray, "
     return np.where(distance < 1.0, near, far)
 
 
-def bell(
+def periodic_bell(
     phase: Float[np.ndarray, " frame"], center: float, width: float
 ) -> tuple[Float[np.ndarray, " frame"], Float[np.ndarray, " frame"]]:
-    """Give a smooth bump round the cycle, one at its centre, and its derivative by phase.
+    """Evaluate a smooth periodic bell curve (von Mises), one at its center, and its derivative by phase.
 
     Parameters
     ----------
     phase
-        0 to 1.
+        Phase of the gait cycle, 0 to 1.
     center, width
-        In cycles; half of the height is left at about ``width`` from the centre.
+        In gait cycles; the curve is at half of its height at about ``width`` from the center.
     """
     sharpness = np.log(2.0) / (1.0 - np.cos(2.0 * np.pi * width))
     angle = 2.0 * np.pi * (phase - center)
@@ -66,20 +76,22 @@ def bell(
     return value, -2.0 * np.pi * sharpness * np.sin(angle) * value
 
 
-def round_the_cycle(advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, frames: Any) -> Any:
-    """Run a state through the cycle twice and give what it puts out in the second round.
+def periodic_scan(advance: Callable[[Any, Any], tuple[Any, Any]], start: Any, frames: Any) -> Any:
+    """Run a recurrence over the gait cycle twice and give the outputs of the second pass.
+
+    The first pass brings the state to about that of periodic motion.
 
     Parameters
     ----------
     advance
-        As of `jax.lax.scan`.
+        Step of the recurrence, as in `jax.lax.scan`.
     start
-        State at the start of the first round.
+        State at the start of the first pass.
     frames
-        What each frame puts in; leaves end with the axis ``frame``.
+        Inputs of each frame; leaves end with the axis ``frame``.
     """
-    once = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), frames)
-    # Its last frame is the first of the next round.
-    between, _ = jax.lax.scan(advance, start, jax.tree.map(lambda leaf: leaf[:-1], once))
-    _, out = jax.lax.scan(advance, between, once)
+    inputs = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), frames)
+    # The last frame is the first frame of the second pass.
+    between, _ = jax.lax.scan(advance, start, jax.tree.map(lambda leaf: leaf[:-1], inputs))
+    _, out = jax.lax.scan(advance, between, inputs)
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), out)

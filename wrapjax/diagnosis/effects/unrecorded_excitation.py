@@ -35,7 +35,7 @@ _REFLEX_SOURCE = "Falisse et al. 2018, doi:10.1371/journal.pone.0208811"
 
 MUSCLES_WITHOUT_EMG = Requirement(
     "muscles without EMG whose paths can be computed",
-    lambda context: context.no_others if context.others is None else "",
+    lambda context: context.no_undriven_muscles if context.undriven_muscles is None else "",
 )
 
 
@@ -81,12 +81,13 @@ def _speed_factor(context: Context) -> Float[np.ndarray, " trial"]:
 
 
 def _missing_drive(context: Context) -> tuple[Variant, ...]:
-    assert context.others is not None, "required before variants are built"
+    others = context.undriven_muscles
+    assert others is not None, "required before variants are built"
     splines = periodic_splines(context.phase, SPLINES)
     basis = jnp.asarray(_speed_factor(context)[:, None, None] * splines[None])
     return tuple(
-        Variant(Partial(_add_driven_muscles, _select_muscles(context.others, members), basis), group)
-        for group, members in context.others.groups
+        Variant(Partial(_add_driven_muscles, _select_muscles(others, members), basis), group)
+        for group, members in others.groups
     )
 
 
@@ -158,11 +159,11 @@ def _reflex(
 
 
 def _spasticity_unrecorded(context: Context) -> tuple[Variant, ...]:
-    assert context.others is not None, "required before variants are built"
+    assert context.undriven_muscles is not None, "required before variants are built"
     variants = []
-    for group, members in context.others.groups:
-        chosen = _select_muscles(context.others, members)
-        fastest = _select_muscles(context.reference.others, members).path.velocity.max(axis=(1, 2))
+    for group, members in context.undriven_muscles.groups:
+        chosen = _select_muscles(context.undriven_muscles, members)
+        fastest = _select_muscles(context.reference.undriven_muscles, members).path.velocity.max(axis=(1, 2))
         for threshold in _THRESHOLDS:
             reflex = _reflex(context, chosen.path.velocity, fastest, threshold)
             label = f"{group}, above {threshold:g} of the fastest stretch"

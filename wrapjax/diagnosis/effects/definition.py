@@ -1,0 +1,184 @@
+"""Definition of an effect: everything about it that holds for all subjects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.tree_util import Partial
+from jaxtyping import Array, Float
+
+from wrapjax.diagnosis.context import Context, MeasuredChange
+from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, EffectSizes, NotTestable, Variant
+from wrapjax.diagnosis.effects.experiments import Experiment
+from wrapjax.diagnosis.effects.shared_alterations import add_to_paths
+from wrapjax.diagnosis.inverse_dynamics.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths
+from wrapjax.geometry.paths import PathState
+from wrapjax.model.alteration import Alteration
+
+#: What effects need that act on the measured moments through inverse dynamics.
+GROUND_REACTION_FORCES = "ground reaction forces, external loads and the angles of all joints of the leg"
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """Something that an effect needs of the subject or the recording.
+
+    Parameters
+    ----------
+    text
+        Noun phrase for the documentation.
+    unmet
+        Function that gives the reason why a subject does not meet the requirement; empty where it does.
+    """
+
+    text: str
+    unmet: Callable[[Context], str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatedParameter:
+    """Parameter that an effect has once for each channel, muscle, joint or cycle of the subject.
+
+    The other fields are those of `EffectParameter`. Texts hold placeholders (``gain_{channel}``); numbers and
+    the unit are None where they differ between the repetitions.
+
+    Parameters
+    ----------
+    repetitions
+        Function that gives, for each repetition, the values of the placeholders and of the fields that are
+        None.
+    prior
+        Words on the prior standard deviation for the documentation, where `prior_sd` is None.
+    """
+
+    repetitions: Callable[[Context], Iterable[Mapping[str, Any]]]
+    name: str
+    unit: str | None = None
+    prior_sd: float | None = None
+    sign: int
+    meaning: str
+    source: str
+    limit: float | None = None
+    part: str = ""
+    prior: str = ""
+
+    def of(self, context: Context) -> tuple[EffectParameter, ...]:
+        """Give the parameters of a subject."""
+        return tuple(self._repetition(values) for values in self.repetitions(context))
+
+    def _repetition(self, values: Mapping[str, Any]) -> EffectParameter:
+        entries: dict[str, Any] = {}
+        for field in fields(EffectParameter):
+            entry = getattr(self, field.name)
+            if entry is None:
+                entry = values[field.name]
+            entries[field.name] = entry.format(**values) if isinstance(entry, str) else entry
+        return EffectParameter(**entries)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectDefinition:
+    """Everything about an effect that holds for all subjects.
+
+    Parameters
+    ----------
+    id
+        Identifier in the catalogue and in files.
+    meaning
+        What differs in the person or the recording: a clause for reports, without a full stop.
+    family
+        One of `FAMILIES`: the stage of the measurement or of the model at which the effect enters.
+    parameters
+        Parameters with priors, in the order of the effect sizes.
+    variants
+        Function that gives the variants for a subject. None for an effect that is nothing but a change of the
+        measured moments, and of the paths where these are known to change: it has one variant for each entry
+        of its `moment_derivatives`.
+    requirements
+        What the effect needs, in the order in which it is checked; the first unmet requirement gives the
+        reason for which an effect is not testable.
+    experiment
+        Experiment that shows by itself whether the effect is present; None if there is none.
+    negative_control, nuisance, reported
+        See `Effect`.
+    to_reported
+        Function that gives, for a subject, the function from effect sizes to the reported quantities. None
+        where the parameters themselves are reported.
+    moment_derivatives
+        Function that computes the change of the measured moments per unit of each parameter, by label of the
+        variant, where ground reaction forces were recorded. A positive effect size is an error that the
+        laboratory's input of inverse dynamics has.
+    path_derivatives
+        Function that computes the change of the recorded paths per unit of each parameter, by label of the
+        variant, from the recorded paths to those that the person's muscles had; leaves lead with ``muscle
+        parameter``. A variant that it leaves out changes moments alone.
+    """
+
+    id: str
+    meaning: str
+    family: str
+    parameters: tuple[EffectParameter | RepeatedParameter, ...]
+    variants: Callable[[Context], tuple[Variant, ...]] | None = None
+    requirements: tuple[Requirement, ...] = ()
+    experiment: Experiment | None = None
+    negative_control: bool = False
+    nuisance: bool = False
+    reported: tuple[tuple[str, str], ...] = ()
+    to_reported: Callable[[Context], Callable[[EffectSizes], Float[Array, " quantity"]]] | None = None
+    moment_derivatives: Callable[[RecordedGait], Mapping[str, MomentDerivatives]] | None = None
+    path_derivatives: Callable[[RecordedPaths], Mapping[str, PathState]] | None = None
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """What the effect needs of the subject and the recording: noun phrases."""
+        own = tuple(requirement.text for requirement in self.requirements)
+        return own if self.variants is not None else (GROUND_REACTION_FORCES, *own)
+
+    def build(self, context: Context) -> Effect | NotTestable:
+        """Build the effect for a subject, or give the reason why its recording cannot show it."""
+        for requirement in self.requirements:
+            if reason := requirement.unmet(context):
+                return NotTestable(self.id, reason)
+        variants = self._measured_variants(context) if self.variants is None else self.variants(context)
+        if not variants:
+            return NotTestable(self.id, context.no_measured_changes)
+        reported = {} if self.to_reported is None else {"to_reported": self.to_reported(context)}
+        return Effect(
+            id=self.id,
+            family=self.family,
+            parameters=self.parameters_of(context),
+            variants=variants,
+            negative_control=self.negative_control,
+            nuisance=self.nuisance,
+            reported=self.reported,
+            **reported,
+        )
+
+    def parameters_of(self, context: Context) -> tuple[EffectParameter, ...]:
+        """Give the parameters of the effect for a subject."""
+        return tuple(
+            parameter
+            for entry in self.parameters
+            for parameter in (entry.of(context) if isinstance(entry, RepeatedParameter) else (entry,))
+        )
+
+    def _measured_variants(self, context: Context) -> tuple[Variant, ...]:
+        paths = context.path_changes.get(self.id, {})
+        return tuple(
+            Variant(Partial(_change_measurement, change, paths.get(label)), label)
+            for label, change in context.measured_changes.get(self.id, {}).items()
+        )
+
+
+def _change_measurement(
+    change: MeasuredChange, derivatives: PathState | None, effect_sizes: EffectSizes
+) -> Alteration:
+    if derivatives is None:
+        return Alteration(moment=change(effect_sizes))
+    by_sizes = jax.tree.map(lambda leaf: jnp.einsum("p,mp...->m...", effect_sizes, leaf), derivatives)
+    return Alteration(moment=change(effect_sizes), paths=Partial(add_to_paths, by_sizes))
