@@ -16,7 +16,9 @@ from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 
 #: Activation at which a lag that depends on the level of activation is zero.
 _MIDDLE = 0.3
-_DYNAMICS_SOURCE = "what dynamics of other forms differ by: Rockenfeller et al. 2015, doi:10.1155/2015/585409"
+_DYNAMICS_SOURCE = (
+    "differences of published activation dynamics: Rockenfeller et al. 2015, doi:10.1155/2015/585409"
+)
 
 
 # ---- Other activation dynamics

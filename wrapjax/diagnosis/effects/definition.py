@@ -21,7 +21,7 @@ from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 
 #: What effects need that act on the measured moments through inverse dynamics.
-GROUND_REACTION_FORCES = "ground reaction forces, external loads and the angles of all joints of the leg"
+GROUND_REACTION_FORCES = "ground reaction forces"
 
 
 @dataclass(frozen=True)

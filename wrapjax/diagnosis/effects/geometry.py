@@ -20,13 +20,12 @@ from wrapjax.model.alteration import Alteration
 _LIMIT_IN_SD = 4.0
 
 
-def _repetitions(changes: PathChanges | None) -> Iterable[dict[str, Any]]:
+def _each_parameter(changes: PathChanges | None, element: str, quantity: str) -> Iterable[dict[str, Any]]:
+    """Give the parameters of path changes, with names for the placeholders of both parts of their names."""
     assert changes is not None, "required before parameters are built"
     for name, unit, prior_sd in zip(changes.names, changes.units, changes.prior_sd, strict=True):
-        element, quantity = name.rsplit(".", 1)
         yield {
-            "element": element,
-            "quantity": quantity,
+            **dict(zip((element, quantity), name.rsplit(".", 1), strict=True)),
             "unit": unit,
             "prior_sd": prior_sd,
             "limit": _LIMIT_IN_SD * prior_sd,
@@ -62,13 +61,13 @@ WRAP_SURFACE = EffectDefinition(
     ),
     parameters=(
         RepeatedParameter(
-            repetitions=lambda context: _repetitions(context.wraps),
-            name="{element}.{quantity}",
+            repetitions=lambda context: _each_parameter(context.wraps, "wrap", "wrap_parameter"),
+            name="{wrap}.{wrap_parameter}",
             sign=0,
             meaning="displacement of a wrapping cylinder",
             source="box of the cylinder",
-            part="{element}",
-            prior="from the bounds of the wrap parameter",
+            part="{wrap}",
+            prior="from the bounds of the wrap parameter; limits 4 times as large",
         ),
     ),
     variants=lambda context: _variants(context.wraps),
@@ -88,13 +87,13 @@ MUSCLE_ATTACHMENT = EffectDefinition(
     ),
     parameters=(
         RepeatedParameter(
-            repetitions=lambda context: _repetitions(context.attachments),
-            name="{element}.{quantity}",
+            repetitions=lambda context: _each_parameter(context.attachments, "muscle", "end"),
+            name="{muscle}.{end}",
             sign=0,
             meaning="displacement of a muscle's end",
             source="moment arms that change by 4 to 12 mm when paths are personalised",
-            part="{element}",
-            prior="0.005 m",
+            part="{muscle}",
+            prior="0.005 m; limits 4 times as large",
         ),
     ),
     variants=lambda context: _variants(context.attachments),

@@ -186,7 +186,7 @@ HANDRAIL_FORCE = EffectDefinition(
             prior_sd=0.5,
             sign=1,
             meaning="share of the rail's force",
-            source="negative control: inverse dynamics from the ground up do not see it",
+            source="negative control: inverse dynamics from the ground up do not depend on it",
             limit=2.0,
             part="share",
         ),
