@@ -41,7 +41,7 @@ def wrap_recovery_table(demonstration: Demonstration) -> str:
     )
     lines = [
         f"Mean absolute errors of the moment arms of {len(recovery.muscles)} muscles round displaced "
-        f"cylinders, mm.",
+        "cylinders, mm.",
         "'before': with nominal cylinders; 'after': with those of PGA. 'sd' is the standard deviation of a",
         "moment arm due to the noise of the moments; 'identifiable' counts the muscles where it is below a",
         "tenth of the error before. For the others an EMG scale or a fiber length explains the moments as",

@@ -251,7 +251,7 @@ def _process_subject(job: Job) -> dict[str, Any]:
     paths = fit_for_methods((job.method,), subject, seed=job.seed, processes=1)
     calibration = cached_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
     if calibration.status is Status.interrupted:
-        raise RuntimeError("interrupted; what was done of it is kept")
+        raise RuntimeError("interrupted; its checkpoints are kept")
     with new_folder(place, force=True) as folder:
         # Saved without `checkpoints`, which it would delete: the diagnosis reads the calibration from them.
         replace(calibration, checkpoints=None).save(folder / CALIBRATION)

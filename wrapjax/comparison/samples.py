@@ -244,9 +244,9 @@ def length_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray, " t
     before, after = result.initial_states.path.length, result.states.path.length
     changes = np.abs(np.asarray(after) - np.asarray(before)).mean(axis=-1)
     found = {
-        name_without_side(coordinate): changes[own].mean(axis=0)
-        for coordinate, own in zip(result.coordinates, _spanning(result).T, strict=True)
-        if own.any()
+        name_without_side(coordinate): changes[spans].mean(axis=0)
+        for coordinate, spans in zip(result.coordinates, _spanning(result).T, strict=True)
+        if spans.any()
     }
     return found | {MEAN: changes.mean(axis=0)}
 
@@ -257,9 +257,9 @@ def moment_arm_changes(result: CalibrationResult) -> dict[str, Float[np.ndarray,
     changes = np.abs(np.asarray(after) - np.asarray(before)).mean(axis=-1)
     spanning = _spanning(result)
     found = {
-        name_without_side(coordinate): changes[own, :, place].mean(axis=0)
-        for place, (coordinate, own) in enumerate(zip(result.coordinates, spanning.T, strict=True))
-        if own.any()
+        name_without_side(coordinate): changes[spans, :, column].mean(axis=0)
+        for column, (coordinate, spans) in enumerate(zip(result.coordinates, spanning.T, strict=True))
+        if spans.any()
     }
     return found | {MEAN: changes.transpose(0, 2, 1)[spanning].mean(axis=0)}
 
