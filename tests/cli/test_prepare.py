@@ -92,7 +92,7 @@ def test_the_ankle_moment_agrees_with_statics(prepared):
     moments = read_storage(folder / "moments.sto")
     forces = read_storage(folder / "ground_forces.mot")
     column = {name: forces.values[:, place] for place, name in enumerate(forces.columns)}
-    frames, _, _, heels, _ = walker.truth()
+    frames, _, _, heels, _ = walker.simulated_positions()
     ankle = [np.interp(forces.time, frames, heels[0][:, axis]) for axis in range(3)]
     arm = column["left_px"] - ankle[0], column["left_py"] - ankle[1]
     about = arm[0] * column["left_vy"] - arm[1] * column["left_vx"] + column["left_tz"]
@@ -103,7 +103,7 @@ def test_the_ankle_moment_agrees_with_statics(prepared):
 
 def test_one_c3d_file_gives_the_same(run, laboratory, prepared, tmp_path):
     """Markers, plates and EMG in one file, with laboratory axes other than OpenSim's."""
-    time, names, places, _, _ = walker.truth()
+    time, names, places, _, _ = walker.simulated_positions()
     pairs = walker.forces(np.minimum(np.arange(10 * time.size) / 1000.0, time[-1]))
     recordings = {"markers": places, "names": names, "channels": list(walker.CHANNELS)}
     recordings |= {"force": [pair[0] for pair in pairs], "point": [pair[1] for pair in pairs]}
@@ -448,7 +448,7 @@ def test_all_keys_of_emg_are_listed(run, solved):
 
 def test_a_generic_model_is_scaled(run, solved):
     """A person 2 % larger than the model stands still: the scaled model has their size."""
-    _, names, places, _, _ = walker.truth()
+    _, names, places, _, _ = walker.simulated_positions()
     still = np.repeat(1.02 * places[:, 60:61], 60, axis=1)
     walker.write_trc(solved.parent / "static.trc", np.arange(60) / 100.0, names, still)
     (solved.parent / "setup.xml").write_text(SETUP, encoding="utf-8")

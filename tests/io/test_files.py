@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and content is named by all that makes it what it is."""
+"""Atomic writing of files and folders, strict JSON, and content hashes."""
 
 import json
 import os
@@ -24,7 +24,7 @@ from wrapjax.io.files import (
 
 
 class Failure(Exception):
-    """Stands for whatever may go wrong while writing."""
+    """Any error while writing."""
 
 
 def names(folder: Path) -> list[str]:
@@ -45,7 +45,7 @@ def test_failing_writer_leaves_the_old_file(tmp_path):
     assert names(tmp_path) == ["result.json"]
 
 
-def test_failing_writer_leaves_nothing_where_nothing_was(tmp_path):
+def test_failing_writer_leaves_no_file(tmp_path):
     with pytest.raises(Failure):
         write_atomically(tmp_path / "result.json", write_and_fail)
     assert names(tmp_path) == []
@@ -53,31 +53,31 @@ def test_failing_writer_leaves_nothing_where_nothing_was(tmp_path):
 
 @pytest.fixture
 def full_disk():
-    """No file may grow beyond 1,000 bytes: writing fails half-way, as on a disk that is full."""
+    """Limit files to 1,000 bytes, so that writing fails as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     yield
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_leaves_the_old_file_and_no_part_of_the_new_one(tmp_path, full_disk):
+def test_full_disk_leaves_the_old_file_and_no_partial_file(tmp_path, full_disk):
     file = tmp_path / "result.json"
     write_json(file, {"kept": 1})
-    with pytest.raises(OSError) as of_text:
+    with pytest.raises(OSError) as text_error:
         write_json(file, list(range(1000)))
-    with pytest.raises(OSError) as of_arrays:
+    with pytest.raises(OSError) as array_error:
         write_atomically(tmp_path / "arrays.npz", lambda path: np.savez(path, a=np.zeros(1000)))
-    with pytest.raises(OSError) as of_folder, new_folder(tmp_path / "run") as folder:
+    with pytest.raises(OSError) as folder_error, new_folder(tmp_path / "run") as folder:
         write_text(folder / "small", "small")
         write_json(folder / "large", list(range(1000)))
-    # Errors name what was to be written, not what has gone again.
-    found = [one.value.filename for one in (of_text, of_arrays, of_folder)]
+    # Errors name the final path, not the temporary one.
+    found = [error.value.filename for error in (text_error, array_error, folder_error)]
     assert found == [str(file), str(tmp_path / "arrays.npz"), str(tmp_path / "run")]
     assert json.loads(file.read_text()) == {"kept": 1}
     assert names(tmp_path) == ["result.json"]
 
 
-def test_writing_replaces_and_makes_parents(tmp_path):
+def test_writing_replaces_files_and_creates_parents(tmp_path):
     file = tmp_path / "deep" / "er" / "result.txt"
     write_text(file, "old")
     write_text(file, "neu: ü")
@@ -85,14 +85,14 @@ def test_writing_replaces_and_makes_parents(tmp_path):
     assert names(file.parent) == ["result.txt"]
 
 
-def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
+def test_readers_see_the_old_file_until_the_new_one_is_complete(tmp_path):
     file = tmp_path / "result.txt"
     write_text(file, "old")
 
     def write(temporary: Path) -> None:
         temporary.write_text("new")
-        assert temporary.parent == file.parent  # on one file system: moving it is one step
-        assert temporary.suffix == ".txt"  # some writers choose the format, or append to the name, by it
+        assert temporary.parent == file.parent  # on the same file system, so that moving it is atomic
+        assert temporary.suffix == ".txt"  # some writers choose the format by the suffix, or append it
         assert file.read_text() == "old"
 
     write_atomically(file, write)
@@ -100,7 +100,7 @@ def test_readers_see_the_old_file_until_the_new_one_is_whole(tmp_path):
 
 
 def test_written_files_can_be_read_by_others(tmp_path):
-    """Temporary files are private; results are not."""
+    """Temporary files are readable by the owner only; results must be readable by all."""
     write_text(tmp_path / "result.txt", "text")
     with new_folder(tmp_path / "run"):
         pass
@@ -133,7 +133,7 @@ def test_json_is_strict(tmp_path):
     }
 
 
-def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
+def test_invalid_json_content_leaves_the_old_file(tmp_path):
     file = tmp_path / "result.json"
     write_json(file, {"kept": 1})
     with pytest.raises(TypeError):
@@ -156,14 +156,14 @@ def test_new_folder_appears_when_complete(tmp_path):
 
 
 @pytest.mark.parametrize("error", [Failure, KeyboardInterrupt])
-def test_new_folder_leaves_nothing_behind_a_failure(tmp_path, error):
+def test_new_folder_is_deleted_after_a_failure(tmp_path, error):
     with pytest.raises(error), new_folder(tmp_path / "run") as folder:
         (folder / "a").write_text("a")
         raise error
     assert names(tmp_path) == []
 
 
-def test_folder_that_exists_is_refused_at_once(tmp_path):
+def test_existing_folder_is_refused_before_the_work(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "old").write_text("old")
     refused = pytest.raises(InputError, match="exists already and is not overwritten; use --force")
@@ -172,7 +172,7 @@ def test_folder_that_exists_is_refused_at_once(tmp_path):
     assert (tmp_path / "run" / "old").read_text() == "old"
 
 
-def test_forcing_replaces_the_whole_folder(tmp_path):
+def test_force_replaces_the_folder(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "old").write_text("old")
     with new_folder(tmp_path / "run", force=True) as folder:
@@ -182,7 +182,7 @@ def test_forcing_replaces_the_whole_folder(tmp_path):
     assert names(tmp_path / "run") == ["new"]
 
 
-def test_forcing_keeps_the_old_folder_behind_a_failure(tmp_path):
+def test_force_keeps_the_old_folder_after_a_failure(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "old").write_text("old")
     with pytest.raises(Failure), new_folder(tmp_path / "run", force=True) as folder:
@@ -192,7 +192,7 @@ def test_forcing_keeps_the_old_folder_behind_a_failure(tmp_path):
     assert names(tmp_path / "run") == ["old"]
 
 
-def test_forcing_does_not_replace_a_file_by_a_folder(tmp_path):
+def test_force_does_not_replace_a_file_by_a_folder(tmp_path):
     (tmp_path / "run").write_text("a file")
     refused = pytest.raises(InputError, match="is a file, where a folder was expected")
     with refused, new_folder(tmp_path / "run", force=True):
@@ -200,14 +200,14 @@ def test_forcing_does_not_replace_a_file_by_a_folder(tmp_path):
     assert (tmp_path / "run").read_text() == "a file"
 
 
-def test_folder_under_a_file_is_a_sentence(tmp_path):
+def test_folder_below_a_file_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be created"), new_folder(tmp_path / "file" / "run"):
         pytest.fail("the work must not start")
 
 
-def test_folder_in_a_read_only_parent_is_a_sentence(tmp_path, monkeypatch):
-    """The operating system's refusal is simulated: an administrator may write anywhere."""
+def test_folder_in_a_read_only_parent_is_an_input_error(tmp_path, monkeypatch):
+    """The error of the operating system is simulated, as an administrator may write everywhere."""
 
     def refuse(*arguments, **options):
         raise PermissionError(13, "Permission denied")
@@ -222,7 +222,7 @@ ARRAY = np.arange(6.0)
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("first", "second"),
     [
         ([ARRAY], [ARRAY.reshape(2, 3)]),
         ([ARRAY.reshape(2, 3)], [ARRAY.reshape(3, 2)]),
@@ -231,7 +231,7 @@ ARRAY = np.arange(6.0)
         ([np.zeros(4, np.float32)], [np.zeros(2, np.float64)]),
         ([ARRAY], [ARRAY[::-1]]),
         ([ARRAY], [np.nextafter(ARRAY, 9.0)]),
-        # C order is what counts: the same bytes in memory are another matrix.
+        # The same bytes in another memory order are another matrix.
         ([ARRAY.reshape(2, 3)], [ARRAY.reshape(2, 3, order="F")]),
         (["a", "b"], ["b", "a"]),
         (["ab", "c"], ["a", "bc"]),
@@ -242,26 +242,26 @@ ARRAY = np.arange(6.0)
         ([], [""]),
     ],
 )
-def test_different_content_has_another_name(one, other):
-    assert content_hash(*one) != content_hash(*other)
+def test_different_content_has_different_hashes(first, second):
+    assert content_hash(*first) != content_hash(*second)
 
 
-def test_same_content_has_the_same_name():
+def test_same_content_has_the_same_hash():
     strided = np.repeat(ARRAY, 2)[::2]
     assert not strided.flags["C_CONTIGUOUS"]
     assert content_hash(strided, "a", 1) == content_hash(ARRAY.copy(), "a", 1)
 
 
-def test_a_path_stands_for_the_content_of_its_file(tmp_path):
-    one, other = tmp_path / "one", tmp_path / "other"
-    one.write_bytes(b"same")
-    other.write_bytes(b"same")
-    assert content_hash(one) == content_hash(other)
-    other.write_bytes(b"else")
-    assert content_hash(one) != content_hash(other)
+def test_a_path_is_hashed_by_the_content_of_its_file(tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.write_bytes(b"same")
+    second.write_bytes(b"same")
+    assert content_hash(first) == content_hash(second)
+    second.write_bytes(b"else")
+    assert content_hash(first) != content_hash(second)
 
 
-def test_cache_folder_obeys_the_environment(tmp_path, monkeypatch):
+def test_cache_folder_follows_environment_variables(tmp_path, monkeypatch):
     monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path / "own"))
     assert cache_folder("fit") == tmp_path / "own" / "fit"
     assert os.path.isdir(tmp_path / "own" / "fit")
@@ -273,7 +273,7 @@ def test_cache_folder_obeys_the_environment(tmp_path, monkeypatch):
     assert cache_folder("fit") == tmp_path / "home" / ".cache" / "wrapjax" / "fit"
 
 
-def test_code_is_named_by_all_its_sources(tmp_path, monkeypatch):
+def test_code_hash_depends_on_all_sources_and_constants(tmp_path, monkeypatch):
     """A changed line anywhere in the package must not lead to results that the earlier code cached."""
     assert Path(files.__file__).parents[1] == Path(wrapjax.__file__).parent
     package = tmp_path / "package"

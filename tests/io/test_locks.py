@@ -1,4 +1,4 @@
-"""One run at a time for one folder, whatever becomes of runs; and what killed ones left is cleared away."""
+"""Locks of output folders, and deletion of files that killed runs left."""
 
 import os
 import shutil
@@ -14,28 +14,28 @@ from wrapjax.errors import InputError
 from wrapjax.io.files import new_folder, write_text
 from wrapjax.io.locks import BusyError, lock_folder
 
-#: Holds the lock of the folder that it is given until it is killed.
+#: Program that locks a folder until it is killed.
 HOLDER = """
 import sys, time
 from pathlib import Path
 from wrapjax.io.files import new_folder
 with new_folder(Path(sys.argv[1]), force=True) as folder:
     (folder / "half").write_text("half")
-    print("at work", flush=True)
+    print("locked", flush=True)
     time.sleep(600.0)
 """
 
 
 @pytest.fixture
 def other_run(tmp_path):
-    """Another process at work on ``run``."""
+    """Start another process that writes the folder ``run``."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path / "run")],
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
         stdout=subprocess.PIPE,
         text=True,
     )
-    assert process.stdout.readline() == "at work\n"
+    assert process.stdout.readline() == "locked\n"
     yield process
     process.kill()
     process.wait()
@@ -46,7 +46,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_second_run_is_refused_while_the_first_is_at_work(other_run, tmp_path):
+def test_second_run_is_refused_while_the_first_one_writes(other_run, tmp_path):
     before = names(tmp_path)
     refused = pytest.raises(
         BusyError, match=rf"run: is being written by another run \(process {other_run.pid} "
@@ -58,16 +58,16 @@ def test_a_second_run_is_refused_while_the_first_is_at_work(other_run, tmp_path)
         pass
 
 
-def test_commands_say_so_before_they_read_anything(other_run, tmp_path, capsys):
+def test_commands_refuse_a_locked_folder_before_reading_input(other_run, tmp_path, capsys):
     before = names(tmp_path)
     for command in (["fit", "nobody"], ["calibrate", "nobody", "--method", "NGA"], ["cohort", "nobody"]):
         assert main([*command, "--out", str(tmp_path / "run"), "--force"]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1 and "is being written by another run" in said
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and "is being written by another run" in error
     assert names(tmp_path) == before
 
 
-def test_a_killed_run_bars_nobody_and_is_cleared_away(other_run, tmp_path):
+def test_lock_and_files_of_a_killed_run_do_not_remain(other_run, tmp_path):
     other_run.send_signal(signal.SIGKILL)
     other_run.wait()
     assert len(names(tmp_path)) == 2, "a lock and half a folder were expected"
@@ -76,8 +76,8 @@ def test_a_killed_run_bars_nobody_and_is_cleared_away(other_run, tmp_path):
     assert names(tmp_path) == ["run"]
 
 
-def test_what_looks_like_it_and_is_none_stays(tmp_path):
-    """Of a folder with a longer name, which another run may be at work on; of nobody; of somebody else."""
+def test_similar_names_are_not_deleted(tmp_path):
+    """Names of temporary folders of another output folder, and names that are not of temporary folders."""
     others = [".run-2-abcdefgh.part", ".run-20240101", ".runs", "run-abcdefgh.part", ".other-abcdefgh.part"]
     for name in others:
         (tmp_path / name).mkdir()
@@ -87,8 +87,8 @@ def test_what_looks_like_it_and_is_none_stays(tmp_path):
     assert names(tmp_path) == sorted([*others, "run"])
 
 
-def test_killed_while_replacing_the_old_folder_comes_back(tmp_path):
-    """Between the two steps of a replacement there is neither: the new one may not be whole."""
+def test_old_folder_is_restored_if_the_process_was_killed_while_replacing_it(tmp_path):
+    """Between the two steps of a replacement neither the old nor the new folder is at the final path."""
     kept = tmp_path / ".run-abcdefgh.old" / "run"
     kept.mkdir(parents=True)
     (kept / "mine").write_text("mine")
@@ -98,7 +98,7 @@ def test_killed_while_replacing_the_old_folder_comes_back(tmp_path):
     assert names(tmp_path) == ["run"] and (tmp_path / "run" / "mine").read_text() == "mine"
 
 
-def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
+def test_locks_of_one_process_can_be_nested_and_leave_no_files(tmp_path):
     place = tmp_path / "deep" / "er" / "run"
     with lock_folder(place), lock_folder(place):
         assert (place.parent / ".run.lock").read_text().startswith(f"process {os.getpid()} on ")
@@ -108,7 +108,7 @@ def test_it_may_be_asked_twice_by_one_process_and_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_the_same_folder_by_a_link_is_the_same_folder(tmp_path):
+def test_a_link_to_a_folder_has_the_lock_of_the_folder(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
     with lock_folder(tmp_path / "real" / "run"), lock_folder(tmp_path / "link" / "run"):
@@ -117,14 +117,14 @@ def test_the_same_folder_by_a_link_is_the_same_folder(tmp_path):
         pass
 
 
-def test_where_no_lock_can_be_made_the_work_says_why(tmp_path):
+def test_no_error_where_a_lock_cannot_be_created(tmp_path):
     (tmp_path / "file").write_text("")
     with lock_folder(tmp_path / "file" / "run"):
         pass
     assert names(tmp_path) == ["file"]
 
 
-def test_temporary_files_of_killed_writers_go_a_day_later(tmp_path):
+def test_temporary_files_of_killed_processes_are_deleted_after_a_day(tmp_path):
     old, new = tmp_path / ".result-abcdefgh.part.json", tmp_path / ".result-hgfedcba.part.json"
     for file in (old, new):
         file.write_text("half")

@@ -1,4 +1,4 @@
-"""Models of every age and muscle class are read as OpenSim reads them; others are refused."""
+"""Reading of model files of all versions and muscle classes as OpenSim does, and refusal of invalid ones."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from wrapjax.io.model_file import read_model_file
 
 MOTION_TYPES = ("undefined", "rotational", "translational", "coupled")
 
-#: A document of OpenSim 3: defaults, joints inside bodies, stated motion types, functions in <function>.
+#: Document of OpenSim 3: defaults, joints inside bodies, stated motion types, functions in <function>.
 OLD_MODEL = """<?xml version="1.0" encoding="UTF-8" ?>
 <OpenSimDocument Version="30000"><Model name="old">
 <defaults>
@@ -113,7 +113,7 @@ def test_old_document(tmp_path):
 @pytest.mark.parametrize(
     "joint", ["PinJoint", "SliderJoint", "UniversalJoint", "PlanarJoint", "FreeJoint", "BallJoint"]
 )
-def test_simple_joints_move_as_in_opensim(joint, tmp_path):
+def test_motion_types_of_simple_joints_agree_with_opensim(joint, tmp_path):
     opensim = pytest.importorskip("opensim")
     opensim.Logger.setLevelString("Off")
     model = opensim.Model()
@@ -156,7 +156,7 @@ ENTITIES = """<?xml version="1.0"?>
         (MODEL.replace("-2 2", "wide"), ["hip_flexion_l", "knee_angle_l", "range", "'wide'"]),
     ],
 )
-def test_bad_models_are_refused(content, words, tmp_path):
+def test_invalid_models_are_refused(content, words, tmp_path):
     path = tmp_path / "model.osim"
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -1,4 +1,4 @@
-"""OpenSim's tables survive a round trip, come in every dialect, and are refused when damaged."""
+"""Reading and writing of OpenSim's tables: round trip, header dialects, damaged files, column names."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def storage_fields(draw):
 
 @settings(REPEATABLE, max_examples=100)
 @given(fields=storage_fields())
-def test_writing_loses_nothing(fields, tmp_path):
+def test_writing_and_reading_preserves_all_digits(fields, tmp_path):
     storage = Storage(*fields)
     write_storage(tmp_path / "table.sto", storage)
     again = read_storage(tmp_path / "table.sto")
@@ -61,7 +61,7 @@ def test_writing_loses_nothing(fields, tmp_path):
     np.testing.assert_array_equal(again.values, storage.values)
 
 
-def test_opensim_reads_what_is_written(tmp_path):
+def test_opensim_reads_written_files(tmp_path):
     opensim = pytest.importorskip("opensim")
     values = np.random.default_rng(1).standard_normal((5, 2))
     time = np.array([0.0, 0.1, 0.25, 0.3, 1.0 / 3.0 + 1.0])
@@ -71,12 +71,12 @@ def test_opensim_reads_what_is_written(tmp_path):
     assert list(table.getColumnLabels()) == ["a", "/path/b"]
     assert table.getTableMetaDataString("inDegrees") == "yes"
     np.testing.assert_array_equal(table.getMatrix().to_numpy(), values)
-    # What the GUI opens files with.
+    # Class that the OpenSim GUI uses to open files.
     old = opensim.Storage(str(tmp_path / "table.sto"))
     assert (old.getSize(), old.getColumnLabels().getSize(), old.isInDegrees()) == (5, 3, True)
 
 
-def test_what_opensim_writes_is_read(tmp_path):
+def test_files_written_by_opensim_are_read(tmp_path):
     opensim = pytest.importorskip("opensim")
     opensim.Logger.setLevelString("Off")
     table = opensim.TimeSeriesTable()
@@ -91,7 +91,7 @@ def test_what_opensim_writes_is_read(tmp_path):
     np.testing.assert_array_equal(read.values, VALUES)
 
 
-def test_unfit_labels_are_not_written(tmp_path):
+def test_invalid_labels_are_not_written(tmp_path):
     for label in ("a\tb", "a\nb", " "):
         with pytest.raises(ValueError, match="tabs or line breaks"):
             write_storage(tmp_path / "x.sto", Storage("x", (label,), np.array([0.0, 1.0]), np.zeros((2, 1))))
@@ -148,24 +148,24 @@ def test_header_dialects(name, tmp_path):
         (".mot", "inDegrees=no", False),
         (".sto", "Angles are in degrees.", True),
         (".mot", "Angles are in radians.", False),
-        # Where a file does not say, OpenSim 4.6 takes .mot for degrees and .sto for radians.
+        # Where a file does not state it, OpenSim 4.6 assumes degrees in .mot and radians in .sto files.
         (".sto", "", False),
         (".mot", "", True),
     ],
 )
-def test_degrees_follow_opensim(suffix, line, in_degrees, tmp_path):
+def test_degrees_by_the_rule_of_opensim(suffix, line, in_degrees, tmp_path):
     path = tmp_path / f"angles{suffix}"
     path.write_text(PLAIN.replace("inDegrees=no", line))
     assert read_storage(path).in_degrees is in_degrees
 
 
-def test_labels_may_hold_spaces_between_tabs(tmp_path):
+def test_labels_may_contain_spaces(tmp_path):
     (tmp_path / "emg.sto").write_text(PLAIN.replace("hip_flexion_l", "Left Soleus"))
     assert read_storage(tmp_path / "emg.sto").columns == ("Left Soleus", "knee_angle_l")
 
 
 def test_wrong_column_count_in_the_header_is_a_remark(tmp_path):
-    """OpenSim's own example files have it wrong, and OpenSim does not look."""
+    """OpenSim ignores this number, and its example files have it wrong."""
     (tmp_path / "angles.sto").write_text(PLAIN.replace("nColumns=3", "nColumns=40"))
     storage = read_storage(tmp_path / "angles.sto")
     np.testing.assert_array_equal(storage.values, VALUES)
@@ -232,7 +232,7 @@ def test_missing_file_names_the_nearest(tmp_path):
         read_storage(tmp_path)
 
 
-def test_several_faults_of_a_file_are_named_at_once(tmp_path):
+def test_several_faults_of_a_file_are_reported_at_once(tmp_path):
     (tmp_path / "t.sto").write_text(PLAIN.replace("3.5", "nan").replace("+6", "inf").replace("0.25", "0.01"))
     with pytest.raises(InputError) as caught:
         read_storage(tmp_path / "t.sto")

@@ -1,19 +1,19 @@
-"""Writes a small C3D file of known content: ``python c3d_file.py PATH SIGN UNIT``."""
+"""Program that writes a small C3D file of known content: ``python c3d_file.py PATH SIGN UNIT``."""
 
 import sys
 
 import numpy as np
 
 RATE, FRAMES, RATIO = 100.0, 60, 10
-#: A plate of 0.6 m by 0.4 m whose middle is at (0.3, 0.2, 0) m of a laboratory with z up.
+#: Corners of a plate of 0.6 m by 0.4 m with its center at (0.3, 0.2, 0) m in a laboratory with z up, mm.
 CORNERS = np.array([[600.0, 0, 0], [600.0, 400, 0], [0.0, 400, 0], [0.0, 0, 0]]).T
 PLACES = np.array([[300.0, 100.0, 900.0], [310.0, 150.0, 50.0]])
 
 
 def write(path, sign, unit):
-    """Write two markers (mm), a plate that bears 700 N beside its middle, by either sign, and EMG.
+    """Write two markers (mm), a plate with 700 N of either sign beside its center, and EMG.
 
-    What ``unit`` says of lengths need not be true.
+    ``unit`` is the unit of length that the file states, which may be wrong.
     """
     import ezc3d
 

@@ -5,5 +5,5 @@ from tests.preprocessing.synthetic_project import write_project
 
 @pytest.fixture
 def project(tmp_path):
-    """A project's folder, without settings."""
+    """Folder of a synthetic project of the NMSM Pipeline, without settings."""
     return write_project(tmp_path)

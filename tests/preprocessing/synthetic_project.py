@@ -1,12 +1,12 @@
-"""A project of the NMSM Pipeline, made of the signals of the small subject."""
+"""Synthetic project of the NMSM Pipeline with the signals of the synthetic subject."""
 
 import numpy as np
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, MODEL, PERIOD, angles, emg, moments
 from wrapjax.io.storage import Storage, write_storage
 
-#: Frames that the project keeps beside each cycle.
-BESIDE = 20
+#: Number of additional frames before and after each cycle.
+ADDITIONAL_FRAMES = 20
 STARTS = {"gait_1": 0.5, "gait_2": 1.9}
 SETTINGS = """<?xml version="1.0" encoding="utf-8"?>
 <NMSMPipelineDocument Version="1.5.0">
@@ -53,13 +53,13 @@ def write_settings(folder, **changes):
 
 
 def write_project(folder):
-    """Write the model, two trials with frames beside their cycles, and parameters of an earlier step."""
+    """Write the model, two trials with additional frames, and muscle parameters of an earlier step."""
     (folder / "models").mkdir()
     (folder / "models" / "model.osim").write_text(with_groups(MODEL), encoding="utf-8")
     (folder / "earlier.osimx").write_text(OSIMX, encoding="utf-8")
     step = PERIOD / 100
     for name, start in STARTS.items():
-        time = start + step * np.arange(-BESIDE, 101 + BESIDE)
+        time = start + step * np.arange(-ADDITIONAL_FRAMES, 101 + ADDITIONAL_FRAMES)
         data = folder / "preprocessed"
         write_storage(data / "IKData" / f"{name}.sto", Storage("ik", COORDINATES, time, angles(time).T))
         write_storage(data / "IDData" / f"{name}.sto", Storage("id", COORDINATES, time, moments(time).T))

@@ -1,4 +1,4 @@
-"""Defends: a C3D file gives markers, analog channels and plates as they were, in OpenSim's axes."""
+"""Reading of markers, analog channels and force plates from C3D files."""
 
 import subprocess
 import sys
@@ -16,13 +16,13 @@ from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
 
 @pytest.fixture(scope="module", params=["1", "-1"], ids=["pushes", "pulls"])
 def file(request, tmp_path_factory):
-    """Two markers, the second one hidden for a while; 700 N on the plate by either sign; one EMG channel."""
+    """Two markers, one of them with a gap; 700 N of either sign on the plate; one EMG channel."""
     path = tmp_path_factory.mktemp("c3d") / "walk.c3d"
     return _written(path, request.param, "mm")
 
 
 def _written(path, sign, unit):
-    # In a process of its own: ezc3d cannot write where OpenSim has been imported.
+    # In a separate process, as ezc3d cannot write after OpenSim has been imported.
     subprocess.run([sys.executable, c3d_file.__file__, str(path), sign, unit], check=True)
     return path
 
@@ -42,30 +42,30 @@ def test_analog_channels(file):
     np.testing.assert_allclose(table.values[:, -1], np.sin(np.arange(FRAMES * RATIO)), atol=1e-6)
 
 
-def test_the_ground_pushes_up_where_the_foot_is(file):
-    """The plate's axes are the corners': x along its 0.4 m here, so 80 mm along it are 80 mm along y."""
+def test_force_is_upward_and_at_the_center_of_pressure(file):
+    """The plate's axes are given by its corners: its x axis is the laboratory's y axis here."""
     forces = read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_rotation("x", "z"))
     assert forces.wrench.shape == (1, 6, FRAMES * RATIO)
     np.testing.assert_allclose(forces.wrench[0, 3:, 5], [0.0, 700.0, 0.0], atol=1e-3)
     ahead, _, right = centers_of_pressure(forces.wrench)[0, :, 5]
-    # The laboratory's y points to the left.
+    # The y axis of the laboratory points to the left.
     np.testing.assert_allclose([abs(ahead - 0.3), abs(-right - 0.2)], [0.05, 0.08], atol=1e-4)
 
 
-def test_a_plate_that_is_not_there_is_told(file):
+def test_a_missing_plate_is_reported(file):
     with pytest.raises(InputError, match=r"force plate 2, found 1 plates"):
         read_plates(file, {"r": ForceColumns("calcn_r", plates=(2,))}, np.eye(3))
 
 
 @pytest.mark.parametrize("unit", ["", " ", "furlong"])
-def test_plates_without_a_known_unit_of_length_are_told(tmp_path, unit):
+def test_an_unknown_unit_of_length_is_reported(tmp_path, unit):
     file = _written(tmp_path / "walk.c3d", "1", unit)
     with pytest.raises(InputError, match=rf"expected m, .* as POINT:UNITS, found '{unit.strip()}'"):
         read_plates(file, {"l": ForceColumns("calcn_l", plates=(1,))}, laboratory_rotation("x", "z"))
 
 
-def test_a_plate_in_no_known_unit_of_length_is_told(tmp_path):
-    """Plates may be given a unit of their own by whoever reads the file."""
+def test_an_unknown_unit_of_a_plate_is_reported(tmp_path):
+    """The reader of C3D files may return a separate unit for each plate."""
     plate = {"unit_position": "", "unit_moment": "Nm", "unit_force": "N"}
     with pytest.raises(InputError, match="as the unit of force plates' corners, found ''"):
         _wrench(plate, np.eye(3), tmp_path)

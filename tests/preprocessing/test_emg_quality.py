@@ -1,4 +1,4 @@
-"""Defends: every planted fault of a channel is named, and nothing is said of channels that have none."""
+"""Every simulated fault of an EMG channel is reported, and channels without a fault are not."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def _envelope(volts):
     volts[2] = compute_envelopes(volts, RATE, 1.0)[2] - 1e-6
 
 
-PLANTED = {
+FAULTS = {
     "zero": (_zero, "is dead", {"vastus"}),
     "held": (_held, "is dead", {"vastus"}),
     "unplugged": (_quiet, "is dead", {"vastus"}),
@@ -63,21 +63,21 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_nothing_is_said_of_good_channels(seed):
+def test_channels_without_fault_are_not_reported(seed):
     assert list(emg_faults(NAMES, raw_emg(seed=seed)[1], RATE)) == []
 
 
-@pytest.mark.parametrize("fault", PLANTED)
-def test_a_planted_fault_is_named(fault):
-    plant, words, wrong = PLANTED[fault]
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_simulated_fault_is_reported(fault):
+    simulate, words, faulty = FAULTS[fault]
     volts = raw_emg()[1]
-    plant(volts)
+    simulate(volts)
     found = {channel: message for channel, message, _ in emg_faults(NAMES, volts, RATE)}
-    assert set(found) == wrong
+    assert set(found) == faulty
     assert all(words in message for message in found.values()), found
 
 
-def test_converters_with_few_bits_do_not_clip():
-    """Steps of 5 uV: neighbours are often equal at rest, and the highest value comes more than once."""
+def test_coarse_quantisation_is_not_reported_as_clipping():
+    """With steps of 5 uV successive samples are often equal, and the maximum occurs more than once."""
     volts = np.round(raw_emg()[1] / 5e-6) * 5e-6
     assert list(emg_faults(NAMES, volts, RATE)) == []

@@ -1,4 +1,4 @@
-"""Defends: whose force is whose, what a foot bears, and that nothing of a wrench is lost on the way."""
+"""Ground reaction forces: reading, center of pressure, filter, writing, and axes of the laboratory."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ FEET = {"l": ForceColumns("calcn_l", "l_v", "l_p", "l_t"), "r": ForceColumns("ca
 
 @pytest.fixture
 def file(tmp_path):
-    """A step of the left foot from 0.2 to 0.8 s at (0.3, 0, -0.1) m; points are wild beside it."""
+    """Stance of the left foot from 0.2 to 0.8 s at (0.3, 0, -0.1) m; the point is arbitrary otherwise."""
     on = (TIME > 0.2) & (TIME < 0.8)
     force = np.array([30.0, 700.0, -20.0])[:, None] * np.sin(np.pi * (TIME - 0.2) / 0.6) * on
     point = np.where(on, np.array([[0.3], [0.0], [-0.1]]), 9e3)
@@ -38,11 +38,11 @@ def file(tmp_path):
     return tmp_path / "forces.mot"
 
 
-def test_center_of_pressure_is_where_the_foot_was(file):
+def test_center_of_pressure_is_at_the_foot(file):
     forces = read_force_columns(file, FEET)
     centers = centers_of_pressure(forces.filtered(6.0).wrench)
     middle = (TIME > 0.3) & (TIME < 0.7)
-    # It does not follow the wild points, and stays where it was last while the foot is off the ground.
+    # Arbitrary points in the file have no effect; the last center is kept while the foot is in the air.
     np.testing.assert_allclose(centers[0][:, middle].T - [0.3, 0.0, -0.1], 0.0, atol=1e-6)
     assert np.abs(centers).max() < 0.5
     assert not centers[1].any()
@@ -61,12 +61,12 @@ def test_written_forces_are_the_same_wrench(file, tmp_path):
     np.testing.assert_allclose(read.wrench, forces.wrench, atol=1e-9)
 
 
-def test_missing_columns_are_named(file):
+def test_missing_columns_are_reported(file):
     with pytest.raises(InputError, match=r"column l_wx: is not in the file; did you mean 'l_vx'"):
         read_force_columns(file, {"l": ForceColumns("calcn_l", "l_w", "l_p")})
 
 
-def test_the_filter_halves_power_at_its_cutoff_and_delays_nothing():
+def test_gain_of_the_filter_without_delay():
     """Run twice, a second-order Butterworth filter has the gain 1 / (1 + (f / fc)^4)."""
     time = np.arange(20000) / 1000.0
     for frequency in (2.0, 6.0, 12.0):
@@ -77,7 +77,7 @@ def test_the_filter_halves_power_at_its_cutoff_and_delays_nothing():
         )
 
 
-def test_axes_of_laboratories_turn_into_opensims():
+def test_rotation_from_laboratory_axes_to_those_of_opensim():
     axes = laboratory_rotation("-y", "z")
     np.testing.assert_array_equal(axes @ [0.0, -1.0, 0.0], [1.0, 0.0, 0.0])  # forward
     np.testing.assert_array_equal(axes @ [0.0, 0.0, 1.0], [0.0, 1.0, 0.0])  # up

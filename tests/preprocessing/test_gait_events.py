@@ -1,4 +1,4 @@
-"""Defends: strikes and toe-offs are where the vertical force says, whatever the plate rings."""
+"""Gait events and cycles from the vertical ground reaction force."""
 
 import tomllib
 
@@ -12,7 +12,7 @@ RATE = 1000.0
 
 
 def force_of_steps(time, strikes, stance=0.7, weight=700.0):
-    """Two humps a step, zero between; a kilonewton a second at either end."""
+    """Compute a vertical force with two peaks per stance, zero between stances."""
     force = np.zeros_like(time)
     for strike in strikes:
         phase = (time - strike) / stance
@@ -25,29 +25,29 @@ def test_strikes_and_offs_are_found_within_a_few_samples():
     time = np.arange(6000) / RATE
     strikes = np.array([0.5, 1.61, 2.7, 3.83])
     contacts = find_contacts(time, force_of_steps(time, strikes))
-    # 30 N are reached 5 ms after contact begins here, and left as long before it ends.
+    # The threshold of 30 N is exceeded from 5 ms after the start of contact to 5 ms before its end.
     np.testing.assert_allclose(contacts.strikes, strikes, atol=6e-3)
     np.testing.assert_allclose(contacts.offs, strikes + 0.7, atol=6e-3)
     assert len(contacts.cycles()) == 3
     assert contacts.cycles(start=1.0, end=3.0) == (tuple(contacts.strikes[1:3]),)
 
 
-def test_ringing_and_brushing_are_no_steps():
+def test_short_contacts_and_gaps_are_ignored():
     time = np.arange(4000) / RATE
     force = force_of_steps(time, [0.5, 1.6])
-    force[(time > 0.52) & (time < 0.54)] = 0.0  # the plate rings after the blow
-    force[(time > 1.35) & (time < 1.38)] = 60.0  # toes brush the belt
+    force[(time > 0.52) & (time < 0.54)] = 0.0  # ringing of the plate after the impact
+    force[(time > 1.35) & (time < 1.38)] = 60.0  # toes touch the belt during swing
     contacts = find_contacts(time, force)
     assert contacts.strikes.size == contacts.offs.size == 2
 
 
-def test_a_recording_that_begins_on_the_ground_has_no_strike_there():
+def test_a_contact_at_the_start_of_the_recording_has_no_strike():
     time = np.arange(2000) / RATE
     contacts = find_contacts(time, force_of_steps(time, [-0.3, 0.8]))
     assert contacts.strikes.size == 1 and contacts.offs.size == 2
 
 
-def test_a_step_beside_the_plate_is_no_cycle():
+def test_an_interval_with_an_unmeasured_step_is_not_a_cycle():
     time = np.arange(9000) / RATE
     contacts = find_contacts(time, force_of_steps(time, [0.5, 1.6, 7.0]))
     assert len(contacts.cycles()) == 1
@@ -60,7 +60,7 @@ def test_all_cycles_of_a_treadmill_recording_are_found_within_a_frame(data_folde
     with (folder / "subject.toml").open("rb") as stream:
         listed = [cycle for trial in tomllib.load(stream)["trial"] for cycle in trial["cycles"]]
     forces = read_storage(folder / "trials" / "walk" / "ground_forces.mot", trust_row_count=False)
-    # The second plate lies under the left foot.
+    # The second plate is under the left foot.
     vertical = forces.values[:, forces.columns.index("1_ground_force_vy")]
     found = find_contacts(forces.time, vertical, threshold).cycles()
     assert len(found) == len(listed) == 53

@@ -1,10 +1,10 @@
-"""Defends: markers are read as written, in any unit, gaps included, and files that are none are refused."""
+"""Reading, writing and filtering of markers, and refusal of invalid files."""
 
 import numpy as np
 import opensim
 import pytest
 
-from tests.preprocessing.walker import write_trc as write_as_cameras_do
+from tests.preprocessing.walker import write_trc as write_as_camera_software
 from wrapjax.errors import InputError
 from wrapjax.preprocessing.markers import Markers, match_markers, read_trc, write_trc
 
@@ -14,23 +14,23 @@ NAMES = ("HEEL", "TOE", "KNEE")
 
 @pytest.fixture
 def places():
-    """Slow movements a meter apart, m."""
+    """Slow movements of three markers, m."""
     phase = 2.0 * np.pi * TIME[None, :, None] / 1.1
     start = np.array([[0.0, 0.05, 0.1], [0.2, 0.05, 0.1], [0.0, 1.0, 0.1]])[:, None]
     return start + 0.1 * np.sin(phase + np.arange(3))
 
 
 @pytest.mark.parametrize("unit", ["m", "mm"])
-def test_units_are_honoured(tmp_path, places, unit):
+def test_units_are_converted(tmp_path, places, unit):
     file = tmp_path / "walk.trc"
-    write_as_cameras_do(file, TIME, [f"Person:{name}" for name in NAMES], places, unit)
+    write_as_camera_software(file, TIME, [f"Person:{name}" for name in NAMES], places, unit)
     markers = read_trc(file)
     assert markers.names == NAMES
     np.testing.assert_allclose(markers.time, TIME, atol=1e-9)
     np.testing.assert_allclose(markers.positions, places, atol=1e-5)
 
 
-def test_what_is_written_opensim_reads(tmp_path, places):
+def test_opensim_reads_written_files(tmp_path, places):
     places[1, 30:40] = np.nan
     file = tmp_path / "walk.trc"
     write_trc(file, Markers(NAMES, TIME, places))
@@ -39,8 +39,8 @@ def test_what_is_written_opensim_reads(tmp_path, places):
     np.testing.assert_array_equal(read_trc(file).positions, places)
 
 
-def test_short_gaps_are_bridged_and_long_ones_stay(places):
-    """The filter at 12 Hz leaves movements of 0.9 Hz as they are."""
+def test_short_gaps_are_filled_and_long_ones_are_kept(places):
+    """The filter at 12 Hz hardly changes movements of 0.9 Hz."""
     gaps = places.copy()
     gaps[0, 50:58] = np.nan
     gaps[1, 50:90] = np.nan
@@ -71,13 +71,13 @@ def _without(lines, first, last):
 def test_broken_files_are_refused(tmp_path, places, fault):
     change, words = BROKEN[fault]
     file = tmp_path / "walk.trc"
-    write_as_cameras_do(file, TIME, NAMES, places, "m")
+    write_as_camera_software(file, TIME, NAMES, places, "m")
     file.write_text(change(file.read_text()))
     with pytest.raises(InputError, match=words) as caught:
         read_trc(file)
     assert str(file) in str(caught.value)
 
 
-def test_markers_of_another_set_are_told(tmp_path, places):
+def test_markers_of_another_model_are_reported(tmp_path, places):
     with pytest.raises(InputError, match=r"found 1 of 4; did you mean 'toe_l'"):
         match_markers(Markers(("TOE_L", "KNEE"), TIME, places[:2]), ("KNEE", "toe_l", "a", "b"), (), tmp_path)

@@ -1,4 +1,4 @@
-"""Files of muscle parameters: what is written is read again, in the units of the NMSM Pipeline's code."""
+"""Reading and writing of ``.osimx`` files in the units of the NMSM Pipeline."""
 
 import xml.etree.ElementTree as ElementTree
 
@@ -23,8 +23,8 @@ def test_round_trip(tmp_path_factory, values):
         assert one.values == pytest.approx(dict(other.values), rel=1e-14)
 
 
-def test_delays_count_tenths_of_a_second_and_time_constants_hundredths():
-    """As facts about its files: 0.5 stands for 50 ms, 1.5 for 15 ms."""
+def test_units_of_delays_and_time_constants():
+    """In the files 0.5 means a delay of 50 ms, and 1.5 a time constant of 15 ms."""
     muscle = OsimxMuscle("soleus_l", {"electromechanical_delay": 0.05, "activation_time_constant": 0.015})
     root = ElementTree.fromstring(format_osimx("m", "model.osim", [muscle]).split("\n", 1)[1])
     element = root.find("OsimxModel/RCNLMuscleSet/objects/RCNLMuscle")
@@ -34,7 +34,7 @@ def test_delays_count_tenths_of_a_second_and_time_constants_hundredths():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('<RCNLMuscle name="a"/><RCNLMuscle name="a"/>', "occurs a second time"),
         ("<RCNLMuscle/>", "has no name"),
@@ -49,8 +49,8 @@ def test_delays_count_tenths_of_a_second_and_time_constants_hundredths():
         ("<RCNLMuscle", "well-formed"),
     ],
 )
-def test_what_is_wrong_is_said(tmp_path, text, said):
+def test_faults_are_reported(tmp_path, text, message):
     path = tmp_path / "model.osimx"
     path.write_text(f"<NMSMPipelineDocument>{text}</NMSMPipelineDocument>", encoding="utf-8")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_osimx(path)

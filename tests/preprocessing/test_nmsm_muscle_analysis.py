@@ -1,9 +1,9 @@
-"""A project's own muscle geometry beside its model's: where they agree, and where the project is wrong."""
+"""Comparison of the muscle geometry of a project (``MAData``) with that of its model."""
 
 import numpy as np
 import pytest
 
-from tests.preprocessing.synthetic_project import BESIDE, STARTS, write_settings
+from tests.preprocessing.synthetic_project import ADDITIONAL_FRAMES, STARTS, write_settings
 from tests.subject.synthetic import COORDINATES, MODEL, PERIOD, angles
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
@@ -15,10 +15,11 @@ MUSCLES = {"recfem_l": 0.05, "semiten_l": -0.05}
 KNEE, INSERTION = np.array([0.0, -0.4]), -0.05
 
 
-def by_hand(time):
-    """Lengths and moment arms of `MODEL`'s straight muscles, m: two pins, a point on ground, one on a shank.
+def analytic_geometry(time):
+    """Compute lengths and moment arms of the straight muscles of `MODEL`, m.
 
-    A moment arm is -dL/dq, and a turn about z moves a point by z cross its place.
+    The muscles run from ground to the shank over two pin joints. A moment arm is -dL/dq; a rotation about z
+    moves a point by the cross product of z and its position.
     """
     hip, knee = angles(time)
 
@@ -38,14 +39,14 @@ def by_hand(time):
 
 
 def write_analysis(folder, spoil=lambda trial, length, arms: None, trials=tuple(STARTS), muscles=MUSCLES):
-    """Write ``MAData`` as OpenSim's analysis names its tables, after changing what it holds."""
+    """Write ``MAData`` with the file names of OpenSim's analysis, after ``spoil`` has changed the values."""
     for trial in trials:
-        time = STARTS[trial] + PERIOD / 100 * np.arange(-BESIDE, 101 + BESIDE)
-        length, arms = by_hand(time)
+        time = STARTS[trial] + PERIOD / 100 * np.arange(-ADDITIONAL_FRAMES, 101 + ADDITIONAL_FRAMES)
+        length, arms = analytic_geometry(time)
         spoil(trial, length, arms)
         place = folder / "preprocessed" / "MAData" / trial
         tables = {"Length": length, **{f"MomentArm_{name}": own for name, own in arms.items()}}
-        # Beside them are others, whose names end alike.
+        # Other tables of the analysis have similar names.
         tables["TendonLength"] = tables["FiberLength"] = {name: 0.0 * time for name in muscles}
         for kind, own in tables.items():
             values = np.array([own[name] for name in muscles]).T
@@ -56,7 +57,7 @@ def notes_of(folder, **changes):
     return prepare_subject(write_settings(folder, **changes)).project.notes
 
 
-def test_what_agrees_is_told_in_figures(project):
+def test_agreement_is_reported_with_numbers(project):
     write_analysis(project)
     (note,) = notes_of(project)
     assert note.startswith(
@@ -72,11 +73,11 @@ def spoiled(trial, length, arms):
         length["recfem_l"] = length["recfem_l"] - 0.0007
 
 
-def test_what_differs_is_named_with_muscle_coordinate_and_size(project, tmp_path, capsys):
-    """A wrong sign, and five millimeters; what is under one is no reason to warn."""
+def test_differences_are_reported_with_muscle_coordinate_and_size(project, tmp_path, capsys):
+    """A wrong sign, and 5 mm, are reported; a difference below 1 mm is not."""
     write_analysis(project, spoiled)
     largest, warning = notes_of(project)
-    arms = by_hand(STARTS["gait_2"] + PERIOD / 100 * np.arange(101))[1]
+    arms = analytic_geometry(STARTS["gait_2"] + PERIOD / 100 * np.arange(101))[1]
     rotated = 2e3 * arms["knee_angle_l"]["recfem_l"]
     rms = np.sqrt(np.mean(rotated**2))
     length = "semiten_l 5.00 mm (rms 5.00) in gait_2"
@@ -85,7 +86,7 @@ def test_what_differs_is_named_with_muscle_coordinate_and_size(project, tmp_path
     assert warning.startswith("warning")
     assert f"lengths of {length}; moment arms of {arm}. It is not used" in warning
     assert "recfem_l 0.70" not in warning and "hip_flexion_l" not in warning
-    # It goes where users look, and the subject is as good as any.
+    # The warning is in all outputs, and the subject can be used.
     assert main(["prepare", str(write_settings(project)), "--out", str(tmp_path / "subject")]) == 0
     assert "semiten_l 5.00 mm" in capsys.readouterr().out
     for file in ("preparation.json", "report.html", "subject.toml"):
@@ -93,17 +94,19 @@ def test_what_differs_is_named_with_muscle_coordinate_and_size(project, tmp_path
     load_subject(tmp_path / "subject")
 
 
-def test_frames_beside_the_cycle_do_not_count(project):
-    """Filters leave them odd, and nothing is calculated there."""
+def test_additional_frames_are_not_compared(project):
+    """They have edge effects of filters and are not used."""
 
     def odd(trial, length, arms):
-        length["recfem_l"] = length["recfem_l"] + 0.01 * (np.arange(101 + 2 * BESIDE) < BESIDE - 1)
+        length["recfem_l"] = length["recfem_l"] + 0.01 * (
+            np.arange(101 + 2 * ADDITIONAL_FRAMES) < ADDITIONAL_FRAMES - 1
+        )
 
     write_analysis(project, odd)
     assert len(notes_of(project)) == 1
 
 
-def test_what_is_not_there_is_told_and_does_no_harm(project):
+def test_missing_tables_are_reported(project):
     assert notes_of(project) == ()
     write_analysis(project, trials=("gait_1",))
     assert notes_of(project)[1:] == ("MAData lacks the trials gait_2",)
@@ -117,7 +120,7 @@ def test_what_is_not_there_is_told_and_does_no_harm(project):
 
 
 def test_muscles_without_emg_are_compared_too(project):
-    """Synergies may drive them, by the same paths."""
+    """Synergies can drive them."""
     write_analysis(project, spoiled)
     assert "semiten_l 5.00 mm" in " ".join(notes_of(project, groups="RecFem", missing="SemiTen"))
     assert "semiten_l" not in " ".join(notes_of(project, groups="RecFem"))
@@ -131,7 +134,7 @@ def test_a_broken_table_is_refused(project):
         notes_of(project)
 
 
-def test_a_model_that_cannot_be_analysed_is_taken_over_all_the_same(project):
+def test_a_model_that_cannot_be_analysed_is_still_converted(project):
     write_analysis(project)
     constraint = (
         '<ConstraintSet name="constraintset"><objects><ConstantDistanceConstraint name="rope">'

@@ -1,4 +1,4 @@
-"""Projects of the NMSM Pipeline become subjects: nothing is lost on the way, and what is wrong is said."""
+"""Conversion of projects of the NMSM Pipeline into subjects, and error messages for invalid projects."""
 
 import json
 import re
@@ -19,11 +19,11 @@ from wrapjax.preprocessing.preparation import prepare_subject
 from wrapjax.subject.subject import load_subject
 
 
-def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
-    prepare_subject(write_settings(project)).save(tmp_path / "somebody")
-    subject = load_subject(tmp_path / "somebody")
+def test_a_converted_project_has_the_signals_of_the_subject(project, tmp_path):
+    prepare_subject(write_settings(project)).save(tmp_path / "person")
+    subject = load_subject(tmp_path / "person")
     trials = subject.trials
-    assert subject.name == "somebody" and subject.side == "l" and subject.mass_kg == 10.0
+    assert subject.name == "person" and subject.side == "l" and subject.mass_kg == 10.0
     assert subject.muscles.names == ("recfem_l", "semiten_l") and trials.channels == tuple(CHANNELS)
     assert trials.names == tuple(STARTS) and set(trials.uses) == {"calibration"}
     np.testing.assert_allclose(
@@ -36,7 +36,7 @@ def test_a_project_is_the_subject_that_it_was_recorded_from(project, tmp_path):
     assert subject.notes == ()
 
 
-def test_lengths_of_an_earlier_step_win_over_the_model(project, tmp_path):
+def test_lengths_of_an_earlier_step_replace_those_of_the_model(project, tmp_path):
     done = prepare_subject(write_settings(project, osimx="earlier.osimx"))
     assert "calibrated anew" in done.project.notes[0]
     done.save(tmp_path / "subject")
@@ -46,13 +46,13 @@ def test_lengths_of_an_earlier_step_win_over_the_model(project, tmp_path):
     np.testing.assert_array_equal(muscles.tendon_slack_length, model.tendon_slack_length)
 
 
-def test_prefixes_choose_trials(project):
+def test_prefixes_select_trials(project):
     done = read_project(write_settings(project, prefixes="gait_2"))
     assert [trial.name for trial in done.trials] == ["gait_2"] and done.notes == ()
 
 
 def test_groups_without_emg_are_kept_for_synergies(project, tmp_path):
-    """The project's groups are what synergies drive; nothing else is, and what would drive them is named."""
+    """Synergies drive the groups of the project, and a note states the option for this."""
     done = prepare_subject(write_settings(project, groups="RecFem", missing="SemiTen"))
     assert done.project.channels == {"RecFem": ("recfem_l",)}
     assert done.project.extrapolated == {"SemiTen": ("semiten_l",)}
@@ -67,7 +67,7 @@ def test_groups_without_emg_are_kept_for_synergies(project, tmp_path):
 
 
 def test_a_muscle_has_one_excitation(project, tmp_path):
-    """A group without EMG may hold muscles that a channel drives; these stay the channel's, which is told."""
+    """Muscles with a channel are removed from groups without EMG, which is noted."""
     both = "ThighActivationGroupL"
     done = prepare_subject(write_settings(project, groups="RecFem", missing=both))
     assert done.project.extrapolated == {both: ("semiten_l",)}
@@ -80,57 +80,57 @@ def test_a_muscle_has_one_excitation(project, tmp_path):
     assert load_subject(tmp_path / "none").extrapolated is None
 
 
-def test_passive_trials_that_are_not_taken_over_are_told(project):
+def test_passive_trials_that_are_not_converted_are_noted(project):
     named = "<passive_data_input_directory>thelen</passive_data_input_directory>"
     others = f"<MuscleTendonLengthInitialization>{named}</MuscleTendonLengthInitialization>"
     (note,) = read_project(write_settings(project, others=others)).notes
     assert "'thelen'" in note and "[[passive]]" in note
 
 
-def rename(folder, *_):
+def rename_emg(folder, *_):
     (folder / "preprocessed" / "EMGData" / "gait_1.sto").rename(folder / "preprocessed" / "gait_1.sto")
 
 
-def shorten(folder, *_):
+def shorten_angles(folder, *_):
     file = folder / "preprocessed" / "IKData" / "gait_2.sto"
     whole = read_storage(file)
     write_storage(file, Storage("ik", whole.columns, whole.time[:140], whole.values[:140]))
 
 
-def lose_model(folder, *_):
+def delete_model(folder, *_):
     (folder / "models" / "model.osim").unlink()
 
 
-def lose_trials(folder, *_):
+def delete_angles(folder, *_):
     shutil.rmtree(folder / "preprocessed" / "IKData")
 
 
-def spoil_mass(folder, *_):
+def invalid_mass(folder, *_):
     file = folder / "models" / "model.osim"
     file.write_text(file.read_text().replace("<mass>5</mass>", "<mass>heavy</mass>", 1))
 
 
 @pytest.mark.parametrize(
-    ("harm", "changes", "said"),
+    ("damage", "changes", "message"),
     [
-        (spoil_mass, {}, "found 'heavy'"),
+        (invalid_mass, {}, "found 'heavy'"),
         (None, {"groups": "RecFem SemiTenn"}, "did you mean 'SemiTen'"),
         (None, {"missing": "SemiTenn"}, "did you mean 'SemiTen'"),
         (None, {"groups": ""}, "collected_emg_channel_muscle_groups"),
         (None, {"coordinates": "hip_flexion_l knee_angle_r"}, "one leg"),
         (None, {"prefixes": "squat"}, "begin with squat"),
         (None, {"osimx": "none.osimx"}, "none.osimx"),
-        (rename, {}, "the trial 'gait_1'"),
-        (shorten, {}, "found 140"),
-        (lose_model, {}, "model.osim"),
-        (lose_trials, {}, "IKData"),
+        (rename_emg, {}, "the trial 'gait_1'"),
+        (shorten_angles, {}, "found 140"),
+        (delete_model, {}, "model.osim"),
+        (delete_angles, {}, "IKData"),
     ],
 )
-def test_what_is_wrong_is_said(project, harm, changes, said):
+def test_faults_are_reported(project, damage, changes, message):
     settings = write_settings(project, **changes)
-    if harm:
-        harm(project)
-    with pytest.raises(InputError, match=said):
+    if damage:
+        damage(project)
+    with pytest.raises(InputError, match=message):
         read_project(settings)
 
 
@@ -142,7 +142,7 @@ def test_other_documents_are_refused(project):
         read_project(project / "other.xml")
 
 
-def test_the_command_takes_a_project_like_raw_files(project, tmp_path, capsys):
+def test_the_command_accepts_a_project(project, tmp_path, capsys):
     settings, out = write_settings(project, missing="SemiTen", groups="RecFem"), tmp_path / "subject"
     assert main(["prepare", str(settings), "--out", str(out), "--json"]) == 0
     content = json.loads(capsys.readouterr().out)
@@ -152,8 +152,8 @@ def test_the_command_takes_a_project_like_raw_files(project, tmp_path, capsys):
     assert "'Sol'" in capsys.readouterr().err and not (tmp_path / "no").exists()
 
 
-def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
-    """The lab's own groups of muscles are the channels that its subject was given."""
+def test_a_recorded_leg_in_the_layout_of_a_project(s1_left, tmp_path):
+    """The groups of muscles in the laboratory's model are the channels of its subject."""
     subject = load_subject(s1_left)
     groups = read_model_file(s1_left / "model.osim").groups
     names = {frozenset(members): group for group, members in groups.items()}
@@ -194,8 +194,8 @@ def test_a_recorded_leg_as_the_lab_keeps_it(s1_left, tmp_path):
         encoding="utf-8",
     )
     done = prepare_subject(tmp_path / "settings.xml")
-    # The lab's lengths are OpenSim's within a millimeter. Its moment arms are polynomials' derivatives, which
-    # step over the frames where OpenSim's paths jump on or off a cylinder.
+    # The lengths of the laboratory agree with OpenSim's within 1 mm. Its moment arms are derivatives of
+    # polynomials, which are smooth where OpenSim's paths jump onto or off a cylinder.
     largest, warning, absent = done.project.notes
     assert float(re.search(r"lengths \w+ ([0-9.]+) mm", largest)[1]) < 1.0
     assert warning.startswith("warning") and "lengths of" not in warning and "moment arms of glmax" in warning

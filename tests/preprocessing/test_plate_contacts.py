@@ -1,4 +1,4 @@
-"""Defends: forces of any unit tell which steps were on plates, and what was not measured is not judged."""
+"""Stances on force plates, and comparison of forces with motion where all contact was measured."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from wrapjax.preprocessing.consistency_checks import check_foot_on_plates, check
 from wrapjax.preprocessing.force_plates import FootForces
 from wrapjax.preprocessing.plate_contacts import all_contact_measured, find_plate_contacts
 
-#: Gait cycles of 1.1 s, 0.7 s of stance: both feet are down for 0.15 s at a time.
+#: Gait period and stance, s; double support lasts 0.15 s.
 PERIOD, STANCE = 1.1, 0.7
 WEIGHT = 800.0
 TIME = np.arange(0.0, 6.0, 0.002)
@@ -15,12 +15,13 @@ TIME = np.arange(0.0, 6.0, 0.002)
 LEFT, RIGHT = 0.5 + PERIOD * np.arange(4), 1.05 + PERIOD * np.arange(4)
 
 
-def needed(time):
-    """What bodies need: least while one foot bears them, N."""
+def required_force(time):
+    """Compute the vertical force that the motion requires, N; it is smallest in single support."""
     return WEIGHT * (1.0 - 0.2 * np.cos(4.0 * np.pi * (time - 0.85) / PERIOD))
 
 
-def share(time, strike):
+def load_share(time, strike):
+    """Compute the share of the force on the foot that strikes at this time."""
     rise, fall = (
         (edge / (STANCE - PERIOD / 2)).clip(0.0, 1.0) for edge in (time - strike, strike + STANCE - time)
     )
@@ -28,11 +29,13 @@ def share(time, strike):
 
 
 def plates(left, right=None, gain=1.0, late=0.0):
-    """Forces of these steps alone; of one foot where the other has none."""
+    """Compute the forces of the measured steps; of the left foot only if ``right`` is None."""
     feet = {"l": left} if right is None else {"l": left, "r": right}
     wrench = np.zeros((len(feet), 6, TIME.size))
     for row, strikes in enumerate(feet.values()):
-        wrench[row, 4] = gain * needed(TIME - late) * sum(share(TIME - late, strike) for strike in strikes)
+        wrench[row, 4] = (
+            gain * required_force(TIME - late) * sum(load_share(TIME - late, strike) for strike in strikes)
+        )
     return FootForces(tuple(feet), TIME, wrench)
 
 
@@ -41,17 +44,19 @@ def between(start, end):
 
 
 def faults(forces, time=TIME[150:2500:5]):
-    return {check.what: check.fault for check in check_forces_against_motion(time, needed(time), forces)}
+    return {
+        check.what: check.fault for check in check_forces_against_motion(time, required_force(time), forces)
+    }
 
 
-def test_steps_are_those_on_plates():
+def test_steps_on_plates_are_found():
     steps = find_plate_contacts(plates(LEFT[:2], RIGHT[1:2], gain=1e-3))
     np.testing.assert_allclose(steps["l"].strikes, LEFT[:2], atol=0.02)
     np.testing.assert_allclose(steps["r"].offs, RIGHT[1:2] + STANCE, atol=0.02)
     assert steps["l"].stance == pytest.approx(STANCE, abs=0.03)
 
 
-def test_a_step_under_way_is_no_whole_step():
+def test_a_step_at_the_edge_of_the_recording_is_incomplete():
     forces = plates(LEFT, RIGHT).during(0.7, 4.0)
     left = find_plate_contacts(forces)["l"]
     assert left.strikes[0] == pytest.approx(0.7) and not left.complete[0] and not left.complete[-1]
@@ -61,22 +66,22 @@ def test_a_step_under_way_is_no_whole_step():
 @pytest.mark.parametrize(
     ("left", "right", "known", "unknown"),
     [
-        # One step a plate: since the right foot was surely in the air, until the left one may strike.
+        # One step on each plate: known from certain swing of the right foot until the left foot may strike.
         (LEFT[1:2], RIGHT[1:2], (2.0, 2.45), (2.7, 3.2)),
         (LEFT[1:2], RIGHT[1:2], (2.0, 2.45), (1.2, 1.7)),
         # The right foot first.
         (LEFT[1:2], RIGHT[0:1], (1.45, 1.85), (2.2, 4.0)),
-        # All of them.
+        # All steps.
         (LEFT, RIGHT, (0.9, 4.5), (0.0, 0.2)),
         # One foot: the middle of its stance.
         (LEFT[1:2], None, (1.8, 2.1), (2.15, 5.0)),
-        # A foot that met no plate.
+        # A foot without a step on a plate.
         (LEFT[1:2], (), (1.8, 2.1), (2.15, 5.0)),
         # A step of the right foot was missed between two.
         (LEFT, RIGHT[[0, 2]], (1.05, 1.7), (2.2, 2.7)),
     ],
 )
-def test_all_is_measured_where_both_feet_are_known(left, right, known, unknown):
+def test_all_contact_is_measured_where_both_feet_are_known(left, right, known, unknown):
     steps = [foot for foot in find_plate_contacts(plates(left, right)).values() if foot.strikes.size]
     complete = all_contact_measured(TIME, steps)
     assert complete[between(*known)].all()
@@ -92,55 +97,55 @@ PLATES = {
     "the right foot first": (LEFT[1:2], RIGHT[0:1]),
     "one foot": (LEFT[1:2], None),
     "one foot, all its steps": (LEFT, None),
-    "a plate that no foot met": (LEFT[1:2], ()),
+    "a plate without a step": (LEFT[1:2], ()),
 }
 
 
 @pytest.mark.parametrize("steps", PLATES)
-def test_forces_that_belong_to_motion_are_accepted_whatever_was_measured(steps):
+def test_consistent_forces_are_accepted(steps):
     assert faults(plates(*PLATES[steps])) == {"weight": "", "timing of forces": ""}
 
 
 @pytest.mark.parametrize("late", [0.05, -0.05])
 @pytest.mark.parametrize("steps", PLATES)
-def test_a_shift_of_50_ms_is_told_whatever_was_measured(steps, late):
-    said = faults(plates(*PLATES[steps], late=late))["timing of forces"]
-    assert ("ms late" if late > 0.0 else "ms early") in said
+def test_a_shift_of_50_ms_is_reported(steps, late):
+    fault = faults(plates(*PLATES[steps], late=late))["timing of forces"]
+    assert ("ms late" if late > 0.0 else "ms early") in fault
 
 
 @pytest.mark.parametrize("steps", PLATES)
 @pytest.mark.parametrize("gain", [1e-3, 1.0 / 9.81, 1e3])
-def test_a_wrong_unit_is_told_whatever_was_measured(steps, gain):
+def test_a_wrong_unit_is_reported(steps, gain):
     assert faults(plates(*PLATES[steps], gain=gain))["weight"]
 
 
-def test_a_plate_of_half_the_gain_is_told():
+def test_half_the_gain_of_a_plate_is_reported():
     forces = plates(LEFT, RIGHT)
     forces.wrench[1] *= 0.5
     assert faults(forces)["weight"]
 
 
-def test_forces_downward_are_told():
+def test_downward_forces_are_reported():
     assert faults(plates(LEFT, RIGHT, gain=-1.0))["weight"]
 
 
-def test_what_cannot_be_compared_is_said():
+def test_forces_without_measured_contact_are_not_compared():
     forces = plates(LEFT[:1], RIGHT[2:3])
     time = np.arange(2.0, 2.6, 0.01)
-    (check,) = check_forces_against_motion(time, needed(time), forces)
+    (check,) = check_forces_against_motion(time, required_force(time), forces)
     assert "not compared" in check.found and not check.fault
 
 
-def own_fault(forces, *cycles):
+def foot_fault(forces, *cycles):
     (check,) = check_foot_on_plates(forces, "l", cycles)
     return check.fault, check.hint
 
 
-def test_the_legs_own_steps_have_to_be_measured():
+def test_unmeasured_steps_of_the_leg_are_reported():
     cycle, long = (LEFT[1], LEFT[2]), (LEFT[0], LEFT[2])
-    assert own_fault(plates(LEFT[1:2]), cycle) == ("", "")
-    assert own_fault(plates(LEFT), cycle, (0.9, 2.0)) == ("", "")
-    missed, hint = own_fault(plates(LEFT[[0, 2]]), long)
+    assert foot_fault(plates(LEFT[1:2]), cycle) == ("", "")
+    assert foot_fault(plates(LEFT), cycle, (0.9, 2.0)) == ("", "")
+    missed, hint = foot_fault(plates(LEFT[[0, 2]]), long)
     assert "off them for 1.5" in missed and "from 0.5 to 2.7 s" in missed and "list as cycles only" in hint
-    assert own_fault(plates(LEFT[:1]), cycle)[0] and own_fault(plates(()), cycle)[0]
-    assert "upward" in own_fault(plates(LEFT, gain=-1.0), cycle)[1]
+    assert foot_fault(plates(LEFT[:1]), cycle)[0] and foot_fault(plates(()), cycle)[0]
+    assert "upward" in foot_fault(plates(LEFT, gain=-1.0), cycle)[1]

@@ -1,6 +1,7 @@
-"""A walker in the sagittal plane whose motion, forces and EMG are known, and the files of a laboratory of it.
+"""Simulated walker in the sagittal plane with known motion, forces and EMG, and its laboratory files.
 
-Nothing of wrapjax is used but its writer of tables: where markers and the center of mass are OpenSim says.
+Positions of markers and of the center of mass are computed by OpenSim; of wrapjax only the writer of tables
+is used.
 """
 
 import functools
@@ -22,7 +23,7 @@ COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 
 
 def motion(time):
-    """Independent coordinates of the model, rad or m."""
+    """Compute the independent coordinates of the model, rad or m."""
     values = {
         "pelvis_tilt": 0.05 * np.sin(4.0 * np.pi * time / PERIOD),
         "pelvis_tx": 0.02 * np.cos(4.0 * np.pi * time / PERIOD),
@@ -65,7 +66,7 @@ def _muscle(model, name, *points):
 
 
 def build_walker():
-    """Trunk and two legs of pins; each patella follows its knee."""
+    """Build a model of the trunk and two legs with pin joints; each patella is coupled to its knee."""
     opensim.Logger.setLevelString("Off")
     model = opensim.Model()
     model.setName("walker")
@@ -110,8 +111,8 @@ def _names(*names):
 
 
 @functools.cache
-def truth():
-    """Time, markers (marker, frame, 3), heels (side, frame, 3) and center of mass (frame, 3), by OpenSim."""
+def simulated_positions():
+    """Compute time, marker names, and positions of markers, heels (side, frame, 3) and center of mass."""
     model = build_walker()
     state = model.initSystem()
     time = np.arange(round(DURATION * MARKER_RATE) + 1) / MARKER_RATE
@@ -136,8 +137,8 @@ def truth():
     return time, names, places[: len(names)], places[len(names) : -1], places[-1]
 
 
-def share(time, strike):
-    """Of the body's weight on the foot that strikes then: rises and falls while both feet are down."""
+def load_share(time, strike):
+    """Compute the share of the load on the foot that strikes at this time; it varies in double support."""
     phase = ((time - strike) / PERIOD) % 1.0
     both = STANCE - 0.5
     rise, fall = (np.clip(edge / both, 0.0, 1.0) for edge in (phase, STANCE - phase))
@@ -145,23 +146,23 @@ def share(time, strike):
 
 
 def forces(time):
-    """Force and point (side, 3, sample) that carry the center of mass as Newton says, from heel to toe."""
-    frames, _, _, heels, center = truth()
+    """Compute force and center of pressure of each foot that satisfy Newton's law for the center of mass."""
+    frames, _, _, heels, center = simulated_positions()
     acceleration = CubicSpline(frames, center)(time, 2).T
-    whole = MASS * (acceleration + np.array([[0.0], [GRAVITY], [0.0]]))
+    total = MASS * (acceleration + np.array([[0.0], [GRAVITY], [0.0]]))
     pairs = []
-    shares = [share(time, STRIKES[0]), share(time, STRIKES[0] - PERIOD / 2)]
+    shares = [load_share(time, STRIKES[0]), load_share(time, STRIKES[0] - PERIOD / 2)]
     for heel, part, strike in zip(heels, shares, (STRIKES[0], STRIKES[0] - PERIOD / 2), strict=True):
         phase = ((time - strike) / PERIOD) % 1.0
         point = CubicSpline(frames, heel)(time).T
         point[0] += -0.03 + 0.2 * np.clip(phase / STANCE, 0.0, 1.0)
         point[1] = 0.0
-        pairs.append((whole * part / sum(shares), point))
+        pairs.append((total * part / sum(shares), point))
     return pairs
 
 
 def volts(seed=0):
-    """EMG of CHANNELS: the calf late in stance."""
+    """Generate EMG of `CHANNELS` in V; the calf is active late in stance."""
     time, carrier = raw_emg(DURATION, len(CHANNELS), seed, EMG_RATE)
     phase = (time - STRIKES[0]) / PERIOD % 1.0
     calf = np.exp(-(((phase - 0.40) / 0.09) ** 2))
@@ -171,7 +172,7 @@ def volts(seed=0):
 
 
 def write_trc(path, time, names, places, unit="mm"):
-    """As cameras' programs write them."""
+    """Write markers as camera software does."""
     scale = {"mm": 1000.0, "m": 1.0}[unit]
     rows = [
         f"{frame + 1}\t{at:.5f}\t" + "\t".join(f"{value * scale:.5f}" for value in places[:, frame].ravel())
@@ -189,10 +190,10 @@ def write_trc(path, time, names, places, unit="mm"):
 
 
 def write_laboratory(folder):
-    """Write model, markers, forces, EMG and settings; return the settings' file."""
+    """Write model, markers, forces, EMG and laboratory settings, and return the settings file."""
     folder.mkdir(parents=True, exist_ok=True)
     build_walker().printToXML(str(folder / "scaled.osim"))
-    time, names, places, _, _ = truth()
+    time, names, places, _, _ = simulated_positions()
     write_trc(folder / "walk.trc", time, names, places)
     sample = np.arange(round(DURATION * FORCE_RATE) + 1) / FORCE_RATE
     columns, series = [], []

@@ -1,19 +1,19 @@
-"""Writes all of the walker's recordings into one C3D file: ``python walker_c3d.py RECORDINGS.npz PATH``.
+"""Program that writes the walker's recordings into a C3D file: ``python walker_c3d.py RECORDINGS.npz PATH``.
 
-A process of its own, as ezc3d cannot write where OpenSim has been imported.
+It runs in a separate process, as ezc3d cannot write after OpenSim has been imported.
 """
 
 import sys
 
 import numpy as np
 
-#: Middles of two plates of 8 m by 2 m under the left and the right foot, laboratory axes (mm): x to the
-#: walker's right, y ahead, z up.
-MIDDLES = np.array([[-100.0, 0.0, 0.0], [100.0, 0.0, 0.0]])
+#: Centers of two plates of 8 m by 2 m under the left and the right foot, mm, in laboratory axes: x to the
+#: right of the walker, y forward, z up.
+CENTERS = np.array([[-100.0, 0.0, 0.0], [100.0, 0.0, 0.0]])
 
 
 def write(recordings, path):
-    """Turn OpenSim's axes into a laboratory's, forces into what plates of type 2 measure, in N and N mm."""
+    """Rotate to laboratory axes, and convert forces to signals of force plates of type 2, N and N mm."""
     import ezc3d
 
     laboratory = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -25,17 +25,17 @@ def write(recordings, path):
     content["data"]["points"] = np.ones((4, len(names), places.shape[1]))
     content["data"]["points"][:3] = np.moveaxis(places, -1, 0)
     channels, labels, corners = [], [], []
-    for number, middle in enumerate(MIDDLES, start=1):
+    for number, center in enumerate(CENTERS, start=1):
         force = laboratory @ recordings["force"][number - 1]
-        arm = 1000.0 * laboratory @ recordings["point"][number - 1] - middle[:, None]
+        arm = 1000.0 * laboratory @ recordings["point"][number - 1] - center[:, None]
         moment = np.cross(arm, force, axis=0)
-        # Corners in this order give plates the laboratory's axes.
+        # With corners in this order the plates have the axes of the laboratory.
         channels += [*force, *moment]
         labels += [f"{kind}{axis}{number}" for kind in "FM" for axis in "xyz"]
         half = np.array(
             [[1000.0, 4000.0, 0], [-1000.0, 4000.0, 0], [-1000.0, -4000.0, 0], [1000.0, -4000.0, 0]]
         )
-        corners.append((middle + half).T)
+        corners.append((center + half).T)
     channels += list(recordings["emg"])
     labels += list(recordings["channels"])
     count = 10 * places.shape[1]

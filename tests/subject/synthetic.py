@@ -1,4 +1,4 @@
-"""A small subject folder with analytic signals, for every test that needs one."""
+"""Small synthetic subject folder with analytic signals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from wrapjax.io.storage import Storage, write_storage
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l")
 CHANNELS = {"RecFem": ("recfem_l",), "SemiTen": ("semiten_l",)}
-#: Gait period in s, the same throughout, so that every cycle is a whole period of the signals.
+#: Gait period in s; every cycle is one period of the signals.
 PERIOD = 1.2
 RATE = 100.0
 DURATION = 4.0
@@ -19,25 +19,25 @@ MASS = 70.0
 
 
 def angles(time: np.ndarray) -> np.ndarray:
-    """Angles in rad, one row a coordinate."""
+    """Compute joint angles in rad, one row per coordinate."""
     phase = 2.0 * np.pi * time / PERIOD
     return np.array([0.2 + 0.4 * np.cos(phase), 0.6 + 0.5 * np.sin(phase)])
 
 
 def angular_velocities(time: np.ndarray) -> np.ndarray:
-    """Derivative of `angles` in rad/s."""
+    """Compute the derivative of `angles` in rad/s."""
     phase = 2.0 * np.pi * time / PERIOD
     return 2.0 * np.pi / PERIOD * np.array([-0.4 * np.sin(phase), 0.5 * np.cos(phase)])
 
 
 def moments(time: np.ndarray) -> np.ndarray:
-    """Moments in N m, one row a coordinate."""
+    """Compute joint moments in N m, one row per coordinate."""
     phase = 2.0 * np.pi * time / PERIOD
     return np.array([40.0 * np.sin(phase), 10.0 - 30.0 * np.cos(phase)])
 
 
 def emg(time: np.ndarray) -> np.ndarray:
-    """Envelopes, one row a channel."""
+    """Compute EMG envelopes, one row per channel."""
     phase = 2.0 * np.pi * time / PERIOD
     return np.array([0.5 + 0.4 * np.sin(phase), 0.3 - 0.2 * np.cos(phase)])
 
@@ -58,7 +58,7 @@ def write_subject(folder: Path) -> Path:
 
 
 def write_wrapped_subject(folder: Path) -> Path:
-    """Write the same subject with a cylinder behind the knee that ``semiten_l`` wraps round."""
+    """Write the same subject with a cylinder behind the knee that ``semiten_l`` wraps around."""
     write_subject(folder)
     model = MODEL
     for place, ending, added in (
@@ -72,14 +72,14 @@ def write_wrapped_subject(folder: Path) -> Path:
 
 
 def add_muscle(folder: Path, name: str, forward: float) -> None:
-    """Give the subject's model a straight muscle, so far (m) before the joints, that no channel drives."""
+    """Add an undriven straight muscle, ``forward`` m in front of the joints, to the subject's model."""
     model = folder / "model.osim"
     muscle = _muscle(name, forward, 700.0, 0.12, 0.28)
     model.write_text(model.read_text().replace("</objects>\n<groups>", f"{muscle}\n</objects>\n<groups>"))
 
 
 def add_muscle_parameters(folder: Path, *rows: tuple[str, float, float, float, float]) -> None:
-    """Give the subject a table of muscles: strength (N), fiber and slack length (m), pennation (rad)."""
+    """Add a table of maximum force (N), fiber and slack length (m) and pennation (rad) to the subject."""
     lines = [",".join(map(str, row)) for row in rows]
     labels = "muscle,max_isometric_force_N,optimal_fiber_length_m,tendon_slack_length_m,pennation_rad"
     (folder / "muscle_parameters.csv").write_text("\n".join([labels, *lines, ""]), encoding="utf-8")
@@ -172,7 +172,7 @@ PATH_WRAP = """<PathWrapSet><objects><PathWrap name="pathwrap">
  <wrap_object>ST_at_condyles_l</wrap_object>
 </PathWrap></objects></PathWrapSet>"""
 
-#: A thigh and a shank on two pin joints, a muscle in front and one behind. OpenSim 4 opens it.
+#: Thigh and shank with two pin joints, one muscle in front and one behind. OpenSim 4 can read it.
 MODEL = f"""<?xml version="1.0" encoding="UTF-8" ?>
 <OpenSimDocument Version="40000">
 <Model name="synthetic">

@@ -1,4 +1,4 @@
-"""Ground forces on the synthetic leg, as functions of time."""
+"""Ground reaction forces on the synthetic leg, as functions of time."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tests.subject.synthetic import write_subject
 from wrapjax.io.storage import Storage, write_storage
 from wrapjax.subject.subject import load_subject as load_subject
 
-#: Where the ground's force acts, m, and its moment about there, N m.
+#: Point of application of the ground reaction force, m, and moment about it, N m.
 POINT, TORQUE = np.array([0.1, -0.75, 0.05]), np.array([1.0, 5.0, -2.0])
 COLUMNS = tuple(f"foot_{kind}{axis}" for kind in "vpt" for axis in "xyz")
 LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="loads"><objects><ExternalForce name="foot">
@@ -17,14 +17,14 @@ LOADS = """<OpenSimDocument Version="40000"><ExternalLoads name="loads"><objects
 
 
 def force(time):
-    """What the ground does to the foot, N: on it for most of a cycle."""
+    """Compute the ground reaction force on the foot, N, which is in contact for most of a cycle."""
     phase = 2.0 * np.pi * (np.asarray(time) - 0.5) / synthetic.PERIOD
     load = np.maximum(np.sin(phase - 0.3) + 0.6, 0.0) ** 2
     return np.array([-60.0 * load * np.cos(phase), 300.0 * load, 20.0 * load])
 
 
 def with_forces(folder):
-    """Write the synthetic subject with ground forces."""
+    """Write and load the synthetic subject with ground reaction forces."""
     write_subject(folder)
     time = np.arange(8001) / 2000.0
     still = np.ones((time.size, 3))

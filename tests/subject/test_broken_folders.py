@@ -1,4 +1,4 @@
-"""Every way to break a subject folder is answered by a sentence that names file, place and remedy."""
+"""Error messages for invalid subject folders name the file, the place and, if known, a correction."""
 
 import contextlib
 from dataclasses import replace
@@ -19,7 +19,7 @@ A = "trials/walk_a"
 
 
 def swap(file: str, old: str, new: str):
-    """Replace text in a file of the folder; the text must be there."""
+    """Replace text that must be present in a file of the folder."""
 
     def change(folder: Path) -> None:
         text = (folder / file).read_text()
@@ -45,7 +45,7 @@ def remove(file: str):
 
 
 def table(file: str, change_table):
-    """Replace a table of the folder by a changed one."""
+    """Modify a table of the folder."""
 
     def change(folder: Path) -> None:
         write_storage(folder / file, change_table(read_storage(folder / file)))
@@ -54,7 +54,7 @@ def table(file: str, change_table):
 
 
 def values(file: str, function, column: int | slice = slice(None)):
-    """Replace values of a table of the folder."""
+    """Modify values of a table of the folder."""
 
     def change_table(storage):
         changed = storage.values.copy()
@@ -70,7 +70,7 @@ def frames(file: str, keep):
 
 
 def cut(file: str, share: float):
-    """Cut a file off, as an interrupted copy does."""
+    """Truncate a file, as an interrupted copy does."""
 
     def change(folder: Path) -> None:
         content = (folder / file).read_bytes()
@@ -309,7 +309,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_broken_folder_is_named(name, tmp_path):
+def test_broken_folder_is_reported(name, tmp_path):
     break_it, words = BROKEN[name]
     folder = write_subject(tmp_path / "subject")
     break_it(folder)
@@ -325,7 +325,7 @@ def test_the_folder_is_valid_when_nothing_is_broken(tmp_path):
 
 
 def test_one_fault_is_reported_once(tmp_path):
-    """Trials share files, and a broken one must not be reported by each of them."""
+    """Trials share files; a broken file must not be reported once per trial."""
     folder = write_subject(tmp_path)
     settings("trials/walk_b/", "trials/walk_a/")(folder)
     cut("trials/walk_a/emg.sto", 0.6)(folder)
@@ -334,7 +334,7 @@ def test_one_fault_is_reported_once(tmp_path):
     assert len(caught.value.problems) == 2  # the last row and the number of rows
 
 
-def test_five_faults_are_named_at_once(tmp_path):
+def test_five_faults_are_reported_at_once(tmp_path):
     folder = write_subject(tmp_path)
     both(
         settings("70.0", "-1.0"),
@@ -365,7 +365,7 @@ def test_no_folder(tmp_path):
 
 
 def test_silent_raw_channel(tmp_path):
-    """A channel that is dead in every cycle cannot be normalised."""
+    """A channel without a signal in any cycle cannot be normalised."""
     folder = write_subject(tmp_path)
     RAW(folder)
     for trial in ("walk_a", "walk_b"):

@@ -1,4 +1,4 @@
-"""Recordings are cut into cycles at the right instants, with the right derivative."""
+"""Cutting of recordings into gait cycles: times, interpolated values, derivatives and padding."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def subject(tmp_path):
     return load_subject(write_subject(tmp_path / "subject"))
 
 
-def test_padding_is_a_fifth_of_a_second_at_the_finest_step_rounded_up_to_tens():
+def test_padding_spans_0_2_s_of_the_shortest_cycle_in_multiples_of_10_frames():
     assert padding_frames([(0.0, 1.0)]) == 20
     assert padding_frames([(0.0, 0.99)]) == 30  # 20.2 frames
     assert padding_frames([(0.07, 0.57)]) == 40  # 0.49999999999999994 s
@@ -31,7 +31,7 @@ def test_padding_is_a_fifth_of_a_second_at_the_finest_step_rounded_up_to_tens():
     assert padding_frames([(9.49, 10.59)]) == 20  # 18.2 frames
 
 
-def test_times_are_even_and_end_where_the_cycle_ends():
+def test_times_are_even_and_include_both_ends_of_the_cycle():
     times = cycle_times([(0.5, 1.7), (1.7, 2.9)], 2)
     assert times.shape == (2, FRAMES + 4)
     np.testing.assert_array_equal(times[:, 2], [0.5, 1.7])
@@ -39,7 +39,7 @@ def test_times_are_even_and_end_where_the_cycle_ends():
     np.testing.assert_allclose(np.diff(times, axis=1), 0.012, rtol=1e-9)
 
 
-def test_velocity_of_a_sine_sampled_unevenly():
+def test_values_and_derivatives_of_unevenly_sampled_signals():
     rng = np.random.default_rng(3)
     time = np.sort(np.concatenate([[0.0, 2.0], rng.uniform(0.0, 2.0, 400)]))
     at = cycle_times([(0.3, 1.7)])
@@ -49,12 +49,12 @@ def test_velocity_of_a_sine_sampled_unevenly():
     np.testing.assert_allclose(rates[0], [5.0 * np.cos(5.0 * at[0]), 2.0 * at[0]], atol=1e-3)
 
 
-def test_edges_are_held():
+def test_edge_values_are_held():
     values, _ = resample(np.arange(5.0), np.arange(5.0)[None] ** 2, np.array([[-1.0, 4.0, 7.0]]))
     np.testing.assert_allclose(values[0, 0], [0.0, 16.0, 16.0], atol=1e-12)
 
 
-def test_names_uses_and_speeds_of_several_cycles_a_recording(subject):
+def test_names_uses_and_speeds_of_cycles(subject):
     trials = subject.trials
     assert trials.names == ("walk_a/01", "walk_a/02", "walk_b")
     assert trials.recordings == ("walk_a", "walk_a", "walk_b")
@@ -63,7 +63,7 @@ def test_names_uses_and_speeds_of_several_cycles_a_recording(subject):
     np.testing.assert_allclose(trials.time[:, [0, -1]], [*CYCLES["walk_a"], *CYCLES["walk_b"]], atol=1e-12)
 
 
-def test_signals_are_those_of_the_recording(subject):
+def test_signals_agree_with_the_analytic_ones(subject):
     trials = subject.trials
     for index, time in enumerate(trials.time):
         np.testing.assert_allclose(trials.angles[index], angles(time), atol=1e-7)
@@ -76,7 +76,7 @@ def test_signals_are_those_of_the_recording(subject):
     assert subject.notes == ()
 
 
-def test_short_emg_is_held_at_the_edge_and_noted(tmp_path):
+def test_edge_value_of_short_emg_is_held_and_noted(tmp_path):
     folder = write_subject(tmp_path / "subject")
     path = folder / "trials" / "walk_b" / "emg.sto"
     whole = read_storage(path)

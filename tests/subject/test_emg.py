@@ -1,4 +1,4 @@
-"""Raw EMG becomes the envelope that the signal is known to have."""
+"""Envelopes of synthetic raw EMG with a known envelope."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ TIME = np.arange(8000) / RATE
 PERIOD = 1.25
 #: Slow modulation, below the low-pass cut-off of 2.8 Hz.
 MODULATION = 1.0 + 0.8 * np.sin(2.0 * np.pi * 0.5 * TIME)
-#: Inside every test the first and last second are left out: filters settle there.
+#: Samples without the edge effects of the filters in the first and last second.
 MIDDLE = slice(1000, -1000)
 
 
 def test_envelope_of_a_modulated_carrier():
-    """A rectified sine has the mean 2 / pi, so that is the envelope of A(t) sin(wt), times A(t)."""
+    """The mean of a rectified sine is 2 / pi, so that the envelope of A(t) sin(wt) is 2 / pi A(t)."""
     carrier = np.sin(2.0 * np.pi * 150.3 * TIME)
     volts = np.array([MODULATION * carrier, 3e-3 * MODULATION * carrier])
     envelope = compute_envelopes(volts, RATE, PERIOD)
@@ -23,15 +23,15 @@ def test_envelope_of_a_modulated_carrier():
     np.testing.assert_allclose(envelope[:, MIDDLE] / expected[:, MIDDLE], 1.0, atol=0.02)
 
 
-def test_offset_and_movement_are_removed():
-    """An offset, and movement at 2 Hz ten times the signal, change the envelope by little."""
+def test_offset_and_movement_artifacts_are_removed():
+    """An offset, and movement at 2 Hz of ten times the amplitude, hardly change the envelope."""
     carrier = MODULATION * np.sin(2.0 * np.pi * 150.3 * TIME)
     disturbed = carrier + 5.0 + 10.0 * np.sin(2.0 * np.pi * 2.0 * TIME)
     clean, dirty = compute_envelopes(np.array([carrier, disturbed]), RATE, PERIOD)
     np.testing.assert_allclose(dirty[MIDDLE], clean[MIDDLE], atol=0.01)
 
 
-def test_nothing_is_delayed():
+def test_filters_have_no_delay():
     """The envelope of a burst that is symmetric in time is symmetric about the same instant."""
     burst = np.exp(-(((TIME - 4.0) / 0.5) ** 2)) * np.cos(2.0 * np.pi * 100.0 * (TIME - 4.0))
     envelope = compute_envelopes(burst[None], RATE, PERIOD)[0]
@@ -40,7 +40,7 @@ def test_nothing_is_delayed():
 
 
 def test_cutoff_follows_the_gait_period():
-    """Either pass leaves 1 / sqrt(2) of the amplitude at the cut-off, 3.5 over the gait period."""
+    """Each pass reduces the amplitude at the cut-off frequency, 3.5 over the gait period, to 1 / sqrt(2)."""
     for period in (1.0, 2.0):
         modulation = 1.0 + 0.5 * np.sin(2.0 * np.pi * 3.5 / period * TIME)
         volts = modulation * np.sin(2.0 * np.pi * 150.3 * TIME)
@@ -48,7 +48,7 @@ def test_cutoff_follows_the_gait_period():
         assert np.ptp(envelope) / 2.0 == pytest.approx(0.25, rel=0.03)
 
 
-def test_never_negative():
+def test_envelopes_are_not_negative():
     burst = np.where(TIME > 4.0, np.sin(2.0 * np.pi * 150.3 * TIME), 0.0)
     assert compute_envelopes(burst[None], RATE, 0.3).min() >= 0.0
 

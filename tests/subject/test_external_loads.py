@@ -1,4 +1,4 @@
-"""Defends: forces act where and when they were recorded, and what is unfit is named."""
+"""External loads: wrenches at any time, and error messages for invalid files."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,12 +32,12 @@ COLUMNS = tuple(f"{side}_{kind}{axis}" for side in "lr" for kind in "vpt" for ax
 
 
 def recorded(time):
-    """Force, point and torque of two feet, each (time, 3), straight lines over time."""
+    """Force, point and torque of two feet, each (time, 3), linear in time."""
     forces, points, torques = np.random.default_rng(2).uniform(-1.0, 1.0, (3, 2, 3))
-    grown = [np.asarray(time)[:, None] * 100.0 * force for force in forces]
+    increasing = [np.asarray(time)[:, None] * 100.0 * force for force in forces]
     return [
         (force, 0.0 * force + point, torque + 0.0 * force)
-        for force, point, torque in zip(grown, points, torques, strict=True)
+        for force, point, torque in zip(increasing, points, torques, strict=True)
     ]
 
 
@@ -73,13 +73,13 @@ def test_wrenches_are_about_grounds_origin_at_any_time(trial):
     np.testing.assert_array_equal(loads.at(np.array([[9.0]])), loads.at(np.array([[2.0]])))
 
 
-def test_a_header_that_counts_other_rows_is_forgiven(trial):
+def test_a_wrong_number_of_rows_in_the_header_is_accepted(trial):
     text = trial.ground_forces.read_text()
     trial.ground_forces.write_text(text.replace("nRows=21", "nRows=4711"))
     assert read_ground_loads(trial).time.size == 21
 
 
-def test_a_force_without_torque_needs_none(trial):
+def test_torque_is_optional(trial):
     text = TWO.replace("<torque_identifier>l_t</torque_identifier>", "<torque_identifier/>")
     trial.external_loads.write_text(text)
     first = read_ground_loads(trial).at(np.array([[1.0]]))[0, :, 0, 0]
@@ -111,7 +111,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_unfit_is_named(trial, name):
+def test_invalid_files_are_reported(trial, name):
     file, old, new, words = BROKEN[name]
     path = trial.external_loads.parent / file
     text = path.read_text()
@@ -123,14 +123,14 @@ def test_what_is_unfit_is_named(trial, name):
         assert word in str(caught.value)
 
 
-def test_a_cycle_without_forces_is_named(trial):
+def test_a_cycle_without_forces_is_reported(trial):
     trial = replace(trial, cycles=((0.1, 1.1), (1.1, 2.2)))
     with pytest.raises(InputError, match=r"forces.mot: trial 'walk', cycle 2 \[1.1, 2.2\] s.*outside"):
         read_ground_loads(trial)
 
 
 def test_files_are_checked_when_the_folder_is_read(tmp_path, trial):
-    """Not only when a diagnosis asks for them, after minutes."""
+    """Faults are reported at once, not when a diagnosis needs the forces after minutes."""
     folder = write_subject(tmp_path / "person")
     for file in ("forces.mot", "loads.xml"):
         (folder / file).write_text((tmp_path / file).read_text().replace("l_v<", "left_v<"))

@@ -1,7 +1,7 @@
-"""Whatever bytes a file holds, it is read or refused in sentences fit for a terminal.
+"""Files of arbitrary content are read, or refused with printable error messages of limited length.
 
-Files at which readers stumbled (``python -m validation.file_fuzzing`` makes such), cut down to what mattered, and any
-bytes at all.
+Tested with files for which readers failed in the past, reduced to the relevant part (found by ``python -m
+validation.file_fuzzing``), and with random bytes.
 """
 
 import io
@@ -46,8 +46,8 @@ READERS = {
 }
 
 
-def said(error: InputError) -> str:
-    """Check the sentences, and join them."""
+def joined_messages(error: InputError) -> str:
+    """Check all messages of an error, and join them."""
     assert error.problems
     for sentence in map(str, error.problems):
         assert sentence.isprintable() and len(sentence) < 4 * MAX_MESSAGE_LENGTH
@@ -57,10 +57,10 @@ def said(error: InputError) -> str:
 def refusal(read, path) -> str:
     with pytest.raises(InputError) as caught:
         read(path)
-    return said(caught.value)
+    return joined_messages(caught.value)
 
 
-# ---- What was found
+# ---- Files found by fuzzing
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def refusal(read, path) -> str:
     ],
     ids=range(14),
 )
-def test_found_by_changing_files(tmp_path, name, content, words):
+def test_files_found_by_fuzzing_are_refused(tmp_path, name, content, words):
     file = tmp_path / f"input.{name}"
     file.write_bytes(content.encode())
     assert words in refusal(READERS[name], file)
@@ -98,23 +98,23 @@ def test_found_by_changing_files(tmp_path, name, content, words):
         ('side = "l"', f'side = "l"\nother_leg = "{"x" * 3000}"', "expected the folder"),
     ],
 )
-def test_found_by_changing_settings(tmp_path, old, new, words):
+def test_settings_found_by_fuzzing_are_refused(tmp_path, old, new, words):
     folder = write_subject(tmp_path / "subject")
     assert old in SETTINGS
     (folder / "subject.toml").write_text(SETTINGS.replace(old, new))
     assert words in refusal(load_subject, folder)
 
 
-def test_one_long_cell_does_not_make_all_cells_long(tmp_path):
-    """NumPy gives every text the room of the longest: here 40 GB."""
+def test_one_long_cell_does_not_exhaust_the_memory(tmp_path):
+    """NumPy would allocate the length of the longest text for all cells: 40 GB here."""
     (tmp_path / "a.sto").write_text(HEAD.format(rows=10_002) + "".join(f"{n}\t1\n" for n in range(2, 10_002)))
     text = (tmp_path / "a.sto").read_text().replace("\n1\t2\n", f"\n1\t{'x' * 1_000_000}\n")
     (tmp_path / "a.sto").write_text(text)
     assert "expected a number" in refusal(read_storage, tmp_path / "a.sto")
 
 
-def test_a_c3d_file_whose_parameters_lead_nowhere_is_not_followed(tmp_path):
-    """A wrong byte as the length of a description: ezc3d then asks for gigabytes."""
+def test_a_c3d_file_with_invalid_offsets_is_refused(tmp_path):
+    """With a wrong length of a description, ezc3d would allocate gigabytes."""
     header = bytes([2, 80]) + struct.pack("<5Hf2Hf", 1, 0, 1, 10, 0, -1.0, 3, 0, 100.0)
     group = b"\x05\xffPOINT" + struct.pack("<HB", 3, 0)
     wrong = b"\x04\x01UNIT" + struct.pack("<HbBH", 7, 2, 0, 0) + b"\xa5"
@@ -122,8 +122,8 @@ def test_a_c3d_file_whose_parameters_lead_nowhere_is_not_followed(tmp_path):
     content = header.ljust(512, b"\0") + section.ljust(512, b"\0") + bytes(2048)
     (tmp_path / "a.c3d").write_bytes(content)
     assert "UNIT is longer than its offset allows" in refusal(read_c3d_markers, tmp_path / "a.c3d")
-    mended = content.replace(b"\xa5", b"\x00")
-    (tmp_path / "a.c3d").write_bytes(mended[:1100])
+    corrected = content.replace(b"\xa5", b"\x00")
+    (tmp_path / "a.c3d").write_bytes(corrected[:1100])
     assert "bytes of frames, found 76" in refusal(read_c3d_markers, tmp_path / "a.c3d")
 
 
@@ -144,29 +144,29 @@ def test_entities_are_refused_by_every_reader_of_xml(tmp_path, name, declared):
     file = tmp_path / f"input.{name}"
     file.write_text(f'<?xml version="1.0"?>{declared}<OpenSimDocument>&b;</OpenSimDocument>')
     assert "declares a document type" in refusal(READERS[name], file)
-    # In an encoding in which the declaration has other bytes.
+    # In another encoding the declaration has other bytes.
     file.write_bytes(file.read_text().replace('"1.0"', '"1.0" encoding="UTF-16"').encode("utf-16"))
     assert "UTF-8 was expected" in refusal(READERS[name], file)
 
 
-def test_models_whose_parts_lie_in_other_files_are_refused(tmp_path):
-    """OpenSim reads such a part from wherever it is: any file of this machine, for somebody else."""
+def test_models_that_refer_to_other_files_are_refused(tmp_path):
+    """OpenSim would read any file of this computer that the model refers to."""
     file = tmp_path / "a.osim"
     file.write_text(MODEL.replace("<Model ", '<Model file="/etc/outside.xml" ', 1))
     assert "<Model> refers to another file, '/etc/outside.xml'" in refusal(read_model_file, file)
 
 
-def test_files_without_end_are_refused(tmp_path):
+def test_huge_files_and_pipes_are_refused(tmp_path):
     huge = tmp_path / "huge.osim"
     with huge.open("wb") as stream:
-        stream.truncate(MAX_BYTES + 1)  # takes no room on the disk
+        stream.truncate(MAX_BYTES + 1)  # a sparse file, which takes no space on the disk
     assert "256 MiB" in refusal(read_model_file, huge)
     pipe = tmp_path / "pipe.sto"
     os.mkfifo(pipe)
     assert "device or a pipe" in refusal(read_storage, pipe)
 
 
-def test_models_may_be_as_deep_as_models_are(tmp_path):
+def test_deeply_nested_models_are_accepted(tmp_path):
     depth = MAX_NESTING - 5
     (tmp_path / "a.osim").write_text(f"<OpenSimDocument>{'<a>' * depth}{'</a>' * depth}</OpenSimDocument>")
     assert "<Model>" in refusal(read_model_file, tmp_path / "a.osim")
@@ -175,15 +175,15 @@ def test_models_may_be_as_deep_as_models_are(tmp_path):
 # ---- Paths
 
 
-def test_a_link_that_leads_out_of_the_folder_is_not_followed(tmp_path):
-    """Of a folder from somebody else, it could have any file of this machine read."""
+def test_a_link_out_of_the_folder_is_refused(tmp_path):
+    """In a folder received from others it could cause any file of this computer to be read."""
     folder = write_subject(tmp_path / "subject")
     own = folder / "trials" / "walk_a" / "emg.sto"
     own.rename(tmp_path / "secret.sto")
     own.symlink_to(tmp_path / "secret.sto")
     found = refusal(load_subject, folder)
     assert "emg" in found and "link" in found and "copy the file into the folder" in found
-    # Within the folder, and to the folder itself, links are nobody's concern.
+    # Links within the folder, and to the folder itself, are accepted.
     own.unlink()
     (tmp_path / "secret.sto").rename(folder / "recorded.sto")
     own.symlink_to(folder / "recorded.sto")
@@ -195,7 +195,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_followed(tmp_path):
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../../etc/passwd", "C:\\x", "a/../../b", "a\\u0000b"])
-def test_paths_that_lead_out_of_the_folder_are_refused(tmp_path, path):
+def test_paths_out_of_the_folder_are_refused(tmp_path, path):
     folder = write_subject(tmp_path / "subject")
     written = path if "u0000" in path else path.replace("\\", "\\\\")
     text = SETTINGS.replace("trials/walk_b/emg.sto", written)
@@ -244,13 +244,13 @@ def array(header: str, content: bytes = b"") -> bytes:
         "cut",
     ],
 )
-def test_arrays_are_numbers_of_the_size_that_they_say_or_an_error(tmp_path, content):
+def test_damaged_archives_of_arrays_are_errors(tmp_path, content):
     (tmp_path / "a.npz").write_bytes(content)
     with pytest.raises(ValueError):
         load_arrays(tmp_path / "a.npz")
 
 
-def test_arrays_come_back(tmp_path):
+def test_arrays_are_read(tmp_path):
     arrays = {
         "a": np.arange(6.0).reshape(2, 3),
         "b": np.array(["recfem_l"]),
@@ -262,7 +262,7 @@ def test_arrays_come_back(tmp_path):
     assert all(np.array_equal(found[name], value) for name, value in arrays.items())
 
 
-def test_json_without_end_is_an_error(tmp_path):
+def test_too_large_json_values_are_errors(tmp_path):
     (tmp_path / "a.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="too deeply nested"):
         load_json(tmp_path / "a.json")
@@ -273,17 +273,17 @@ def test_json_without_end_is_an_error(tmp_path):
     assert load_json(tmp_path / "a.json") == {"a": [1, -(10**17)]}
 
 
-# ---- Sentences
+# ---- Error messages
 
 
-def test_sentences_do_not_steer_a_terminal_and_end():
+def test_messages_are_printable_and_of_limited_length():
     sentence = str(Problem("a\nb.sto", "found \x1b[2J" + "x" * 100_000, "column \t", "\u202e"))
     assert sentence.isprintable() and len(sentence) < 4 * MAX_MESSAGE_LENGTH
     assert "a\\nb.sto: column \\t: found \\x1b[2J" in sentence
 
 
-def test_names_without_end_are_near_no_other():
-    """Comparing two texts takes time by the square of their lengths."""
+def test_very_long_names_are_not_compared():
+    """The time to compare two texts grows with the square of their lengths."""
     assert nearest_name("a" * 1_000_000, ["soleus_l"]) == "known: soleus_l"
     assert nearest_name("soleus", ["soleus_l", "b" * 1_000_000]) == "did you mean 'soleus_l'?"
 
@@ -302,4 +302,4 @@ def test_any_bytes_are_read_or_refused(tmp_path, name, content):
     try:
         READERS[name](file)
     except InputError as error:
-        said(error)
+        joined_messages(error)

@@ -1,4 +1,4 @@
-"""Subject folders give what their settings say, recorded ones included."""
+"""Reading of synthetic and recorded subject folders."""
 
 import re
 import subprocess
@@ -38,7 +38,7 @@ def test_synthetic_subject(tmp_path):
     assert load_subject(folder / "subject.toml").trials.names == subject.trials.names
 
 
-def test_driven_muscles_follow_the_channels(tmp_path):
+def test_driven_muscles_are_in_the_order_of_the_channels(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", 'RecFem = ["recfem_l"]\n', "")
     replace_text(folder / "subject.toml", '["semiten_l"]', '["semiten_l"]\nRecFem = ["recfem_l"]')
@@ -48,7 +48,7 @@ def test_driven_muscles_follow_the_channels(tmp_path):
     np.testing.assert_allclose(subject.trials.emg[0], emg(subject.trials.emg_time[0])[::-1], atol=1e-6)
 
 
-def test_undriven_muscles_are_named(tmp_path):
+def test_undriven_muscles_are_listed(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", 'RecFem = ["recfem_l"]\n', "")
     subject = load_subject(folder)
@@ -86,8 +86,8 @@ def test_degrees_and_full_paths_give_the_same_angles(tmp_path):
     np.testing.assert_allclose(other.trials.angular_velocities, plain.trials.angular_velocities, atol=1e-9)
 
 
-def test_moments_are_not_scaled_by_a_header_that_says_degrees(tmp_path):
-    """OpenSim marks force files inDegrees=yes too; only angles have degrees."""
+def test_moments_are_not_converted_from_degrees(tmp_path):
+    """OpenSim writes inDegrees=yes into files of forces too, but only angles are converted."""
     folder = write_subject(tmp_path)
     for trial in ("walk_a", "walk_b"):
         replace_text(folder / "trials" / trial / "moments.sto", "inDegrees=no", "inDegrees=yes")
@@ -97,7 +97,7 @@ def test_moments_are_not_scaled_by_a_header_that_says_degrees(tmp_path):
     np.testing.assert_allclose(trials.emg[0], emg(trials.emg_time[0]), atol=1e-6)
 
 
-def test_coordinates_are_those_that_all_angle_files_hold(tmp_path):
+def test_coordinates_are_those_of_all_angle_files(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", '"hip_flexion_l", "knee_angle_l"]', '"knee_angle_l"]')
     assert load_subject(folder).trials.coordinates == COORDINATES
@@ -117,10 +117,11 @@ def test_negative_envelopes_are_clipped_and_noted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("mass", "said"), [(154.3, "is it in lb?"), (60.0, "is the model scaled to the person?"), (72.0, None)]
+    ("mass", "expected"),
+    [(154.3, "is it in lb?"), (60.0, "is the model scaled to the person?"), (72.0, None)],
 )
-def test_a_mass_that_is_not_the_models_is_noted(tmp_path, mass, said):
-    """A model of a leg alone is lighter than the person, and nothing is said of that."""
+def test_an_implausible_mass_is_noted(tmp_path, mass, expected):
+    """A model that is lighter than the person is accepted, as it may have a leg only."""
     folder = write_subject(tmp_path / "s")
     assert load_subject(folder).notes == ()
     model, settings = folder / "model.osim", folder / "subject.toml"
@@ -128,12 +129,12 @@ def test_a_mass_that_is_not_the_models_is_noted(tmp_path, mass, said):
     model.write_text(model.read_text().replace("<mass>5</mass>", f"<mass>{70.0 / bodies}</mass>"))
     settings.write_text(re.sub("mass_kg = .*", f"mass_kg = {mass}", settings.read_text()))
     notes = load_subject(folder).notes
-    assert len(notes) == (said is not None)
-    assert all(said in note and f"{mass:.4g}" in note and "70 kg" in note for note in notes)
+    assert len(notes) == (expected is not None)
+    assert all(expected in note and f"{mass:.4g}" in note and "70 kg" in note for note in notes)
 
 
 def test_raw_emg_is_normalised_over_all_trials(tmp_path):
-    """Noise of twice the amplitude has twice the envelope, and the larger one peaks at 1."""
+    """Noise of twice the amplitude has twice the envelope, and the larger envelope has the peak 1."""
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", '"envelope"', '"raw"')
     time_axis = np.arange(4001) / 1000.0
@@ -150,14 +151,14 @@ def test_raw_emg_is_normalised_over_all_trials(tmp_path):
     assert ratio == pytest.approx(2.0, rel=0.1)
 
 
-def test_validation_on_calibration_cycles_is_noted(tmp_path):
+def test_overlap_of_validation_and_calibration_is_noted(tmp_path):
     folder = write_subject(tmp_path)
     replace_text(folder / "subject.toml", "trials/walk_b/", "trials/walk_a/")
     notes = load_subject(folder).notes
     assert len(notes) == 1 and "overlap in 2 pairs of cycles" in notes[0]
 
 
-def test_other_leg_may_lie_outside(tmp_path):
+def test_other_leg_may_be_outside_the_folder(tmp_path):
     write_subject(tmp_path / "right")
     folder = write_subject(tmp_path / "left")
     replace_text(folder / "subject.toml", 'side = "l"', 'side = "l"\nparetic = true\nother_leg = "../right"')
@@ -190,7 +191,7 @@ def test_description(tmp_path):
 
 def test_text_is_aligned(tmp_path):
     text = render_tables(describe_subject(load_subject(write_subject(tmp_path))))
-    assert "Notes" not in text  # nothing to note, no table
+    assert "Notes" not in text  # no table without notes
     lines = text.splitlines()
     start = lines.index("Trials")
     header, rule, first, second = lines[start + 1 : start + 5]
@@ -216,7 +217,7 @@ def test_s1_left(s1_left):
     assert subject.muscles.optimal_fiber_length[soleus] == pytest.approx(0.0621, abs=5e-5)
     assert trials.channels[subject.muscle_channels[soleus]] == "Sol"
     assert subject.notes == ()
-    # Angles were recorded on the very frames they are resampled to.
+    # Angles were recorded at the frames to which they are resampled.
     table = read_storage(s1_left / "trials" / "walk_0p8_4" / "angles.sto")
     np.testing.assert_allclose(trials.angles[-1], np.deg2rad(table.values.T), atol=1e-6)
     assert trials.padding == 20
@@ -247,7 +248,7 @@ def test_groups_of_s1_left(s1_left):
 
 
 def test_healthy_overground(data_folder):
-    """Full paths as labels, another leg, and no groups in the model: the standard ones."""
+    """Labels with full paths, a right leg, and standard groups, as the model has none."""
     subject = load_subject(data_folder / "healthy_overground")
     assert subject.side == "r" and len(subject.trials) == 1 and len(subject.muscles.names) == 21
     assert "pelvis_ty" in subject.trials.coordinates
@@ -266,7 +267,7 @@ def test_healthy_overground(data_folder):
 
 
 def test_healthy_treadmill(data_folder):
-    """Degrees, 53 cycles of one recording, negative envelopes, and a ground-force file that is not read."""
+    """Degrees, 53 cycles, negative envelopes, and a file of ground forces that is not read."""
     started = time.perf_counter()
     subject = load_subject(data_folder / "healthy_treadmill")
     assert time.perf_counter() - started < 2.0
@@ -276,7 +277,7 @@ def test_healthy_treadmill(data_folder):
     knee = trials.angles[:, trials.coordinates.index("knee_angle_l")]
     beta = trials.angles[:, trials.coordinates.index("knee_angle_l_beta")]
     assert 1.0 < knee.max() < 1.3
-    # As OpenSim writes it, the patella's coordinate, which is coupled, is in radians all the same.
+    # The coupled coordinate of the patella is in radians even so, as OpenSim writes it.
     np.testing.assert_allclose(beta, knee, atol=1e-3)
     assert any("negative values" in note and "vaslat_l_activation" in note for note in subject.notes)
     assert trials.emg.min() >= 0.0
@@ -284,7 +285,7 @@ def test_healthy_treadmill(data_folder):
 
 
 def test_reading_needs_no_opensim():
-    """Reading is NumPy and SciPy only."""
+    """Reading uses NumPy and SciPy only."""
     code = (
         "import sys, wrapjax.subject; print([name for name in ('opensim', 'pandas') if name in sys.modules])"
     )

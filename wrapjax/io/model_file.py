@@ -70,8 +70,8 @@ class MuscleParameters:
 
     def extended_by(self, others: MuscleParameters) -> MuscleParameters:
         """Append other muscles; `select` returns the first entry of a muscle that occurs twice."""
-        own, added = (list(vars(one).values())[1:] for one in (self, others))
-        return MuscleParameters(self.names + others.names, *map(np.append, own, added))
+        first, second = (list(vars(parameters).values())[1:] for parameters in (self, others))
+        return MuscleParameters(self.names + others.names, *map(np.append, first, second))
 
 
 @dataclass(frozen=True)

@@ -371,8 +371,8 @@ def find_columns(columns: tuple[str, ...], name: str, suffixes: tuple[str, ...] 
         ``/jointset/hip_r/hip_flexion_r/value`` matches; ``.../speed`` does not.
     """
     for suffix in suffixes:
-        wanted = name + suffix
-        found = [place for place, label in enumerate(columns) if wanted in (label, component_name(label))]
+        expected = name + suffix
+        found = [place for place, label in enumerate(columns) if expected in (label, component_name(label))]
         if found:
             return found
     return []
