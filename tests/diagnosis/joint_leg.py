@@ -1,4 +1,4 @@
-"""The made-up leg, damped and driven a little otherwise than its model says, ready for joint fits."""
+"""A synthetic leg whose moments were computed with two effects, for joint fits."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,11 +12,11 @@ from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
-#: Two of different kind: one adds moments, the other one sees each muscle's excitation.
+#: Two effects of different kind: one adds moments, the other alters the activation of each muscle.
 TOGETHER = ("joint_damping", "emg_nonlinearity")
-#: What a squared prior standard deviation costs: next to nothing.
+#: Weight of a squared prior standard deviation in the cost: negligible.
 WEIGHT = 1e-9
-#: Data without noise can be fitted until nothing is left.
+#: Solver with tight tolerances, for data without noise.
 FINE = ProjectedLevenbergMarquardt(gtol=1e-8, ftol=1e-12, max_iterations=200)
 
 
@@ -25,19 +25,19 @@ def effects_of(context, ids=TOGETHER) -> Effects:
 
 
 def damped_leg():
-    """A calibration, its effects, and the variables and amounts that moments were made of.
+    """Make a calibration, its effects, and the variables and effect sizes of its moments.
 
-    Calibrated parameters are where they are expected, so that nothing but the effects pulls at them.
+    Calibrated parameters are at their prior means, so that only the effects change the cost.
     """
     recording, context = small_recording_and_context()
     effects = effects_of(context)
     base = context.parameters
     variables = free_variables(base, nga_freedom(base), context.muscles)
     known = np.asarray(variables.prior_precision) > 0.0
-    truth = np.where(known, variables.prior_mean, variables.start())
+    true_variables = np.where(known, variables.prior_mean, variables.start())
     effect_sizes = np.resize([1.5, 0.8, 0.5, 0.6], effects.count) * effects.prior_sd
     measured = predicted_moments(
-        CURVES, variables.unpack(jnp.asarray(truth)), recording, effects, jnp.asarray(effect_sizes)
+        CURVES, variables.unpack(jnp.asarray(true_variables)), recording, effects, jnp.asarray(effect_sizes)
     )
     problem = Objective(
         curves=CURVES,
@@ -47,4 +47,4 @@ def damped_leg():
         penalties=(),
         limits=(),
     )
-    return problem, effects, truth, effect_sizes
+    return problem, effects, true_variables, effect_sizes

@@ -1,4 +1,4 @@
-"""A made-up leg as effects see it: eight muscles with six channels, two without, four cycles."""
+"""A synthetic leg with the context of its effects: six muscles with EMG, two without, four cycles."""
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,7 @@ def _constants(muscles):
 
 
 def paths_at(muscles, angles, velocities) -> PathState:
-    """Lengths that bend a little with each angle, and moment arms and rates that go with them."""
+    """Compute lengths that are nonlinear in each angle, with consistent moment arms and velocities."""
     arms, parameters = _constants(muscles)
     bend = 0.2 * arms
     rest = 1.0 * parameters.optimal_fiber_length + parameters.tendon_slack_length
@@ -95,7 +95,7 @@ def _pushed(pattern, effect_sizes):
 
 
 def small_recording_and_context() -> tuple[Recording, Context]:
-    """A recording, and what effects know of it: all that any of them might need."""
+    """Make a recording, and a context with everything that any effect needs."""
     generator = np.random.default_rng(0)
     step = np.array([0.012, 0.0121, 0.0095, 0.0093])
     time = step[:, None] * np.arange(-PADDING, FRAMES + PADDING)
@@ -108,7 +108,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
     paths = paths_at(MUSCLES, angles, velocities)
     _, parameters = _constants(MUSCLES)
     _, of_others = _constants(OTHERS)
-    # Each of two changes moves a muscle's paths as a whole, or by one of its moment arms.
+    # One change adds to the length of a muscle's path; the other scales the path.
     directions = PathState(
         jnp.stack([jnp.ones_like(paths.length), 0.1 * paths.length], axis=1),
         jnp.stack([jnp.zeros_like(paths.velocity), 0.1 * paths.velocity], axis=1),
@@ -121,7 +121,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         units=("m", "1") * 6,
         prior_sd=(0.004, 0.1) * 6,
     )
-    # The first two muscles share a cylinder; four have none.
+    # The first two muscles share a wrap; four have none.
     wraps = PathChanges(
         paths=Partial(_moved_ends, directions),
         places=np.array([[0, 1], [0, 1], [-1, -1], [-1, -1], [-1, -1], [-1, -1]]),

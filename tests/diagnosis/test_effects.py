@@ -1,5 +1,4 @@
-"""Every effect of the catalogue is off at zero to the last bit, has the derivatives of its differences, and
-keeps to its signs and units; all of them at once."""
+"""Effects are off at zero to the last bit, have correct derivatives, and alter the model as defined."""
 
 import dataclasses
 
@@ -27,7 +26,7 @@ UNITS = {"1", "s", "m", "rad", "N m", "N m/deg", "N m/rad", "N m s/rad", "N m s"
 
 
 def all_at_once(number: int) -> Effects:
-    """Every effect in its variant of this number; without labels, so that one program serves all."""
+    """Combine all effects, each in its variant of this number; without labels, for one program."""
     unlabelled = [
         eqx.tree_at(
             lambda one: one.variants,
@@ -45,7 +44,7 @@ def predict(effects: Effects, effect_sizes) -> np.ndarray:
     )
 
 
-def own_places(id: str) -> np.ndarray:
+def places_of(id: str) -> np.ndarray:
     labels = all_at_once(0).labels
     return np.array([number for number, label in enumerate(labels) if label.split(".")[0] == id])
 
@@ -61,13 +60,13 @@ def slopes_at(effects: Effects, effect_sizes) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def slopes():
-    """Signatures of all amounts, in every round."""
+    """Signatures of all parameters, in every round of variants."""
     return [slopes_at(effects, effects.zero) for effects in map(all_at_once, range(ROUNDS))]
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)
 def test_zero_is_the_plain_model_to_the_last_bit(effect, plain):
-    """Operation by operation: two compiled programs may fuse, and so round, differently."""
+    """Without compilation: two compiled programs may fuse, and so round, differently."""
     for number in range(len(effect.variants)):
         one = Effects((effect,), (number,))
         found = joint_moments(CURVES, CONTEXT.parameters, RECORDING, one.alterations(one.zero))
@@ -75,9 +74,9 @@ def test_zero_is_the_plain_model_to_the_last_bit(effect, plain):
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)
-def test_derivative_is_the_difference(effect, slopes):
-    """One direction through all amounts of an effect, with every other effect there and off."""
-    places = own_places(effect.id)
+def test_derivatives_agree_with_finite_differences(effect, slopes):
+    """One direction through all parameters of an effect, with every other effect at zero."""
+    places = places_of(effect.id)
     for number in range(len(effect.variants)):
         effects = all_at_once(number)
         size = np.random.default_rng(number).uniform(0.5, 1.0, len(places)) * effects.prior_sd[places]
@@ -91,7 +90,7 @@ def test_derivative_is_the_difference(effect, slopes):
         np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-5 * scale)
 
 
-def test_a_secant_is_what_an_amount_of_the_expected_size_changes():
+def test_finite_difference_signatures_are_changes_at_the_prior_standard_deviation():
     effects = all_at_once(0)
     found = np.asarray(finite_difference_signatures(CURVES, CONTEXT.parameters, RECORDING, effects))
     for place, (size, parameter) in enumerate(zip(effects.prior_sd, effects.parameters, strict=True)):
@@ -104,7 +103,7 @@ def test_a_secant_is_what_an_amount_of_the_expected_size_changes():
         np.testing.assert_allclose(span * found[place], expected, rtol=0, atol=1e-9 * scale + 1e-9)
 
 
-def test_a_larger_effect_is_expected_to_be_larger_within_its_limits():
+def test_prior_standard_deviations_are_scaled_within_the_limits():
     for effect in EFFECTS:
         larger = effect.of_size(3.0)
         assert larger.id == effect.id and larger.parts == effect.parts
@@ -117,7 +116,7 @@ def test_no_effects_at_all_are_the_plain_model(plain):
     np.testing.assert_allclose(predict(Effects(()), np.zeros(0)), plain, rtol=1e-13, atol=1e-12)
 
 
-def test_derivative_is_the_difference_with_all_effects_at_work():
+def test_derivatives_agree_with_finite_differences_with_all_effects_present():
     effects = all_at_once(0)
     effect_sizes = 0.3 * effects.prior_sd
     direction = effects.prior_sd * np.random.default_rng(7).normal(size=effects.count)
@@ -126,14 +125,14 @@ def test_derivative_is_the_difference_with_all_effects_at_work():
     np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-5, rtol=0, atol=1e-5 * np.abs(slope).max())
 
 
-def test_every_amount_does_something(slopes):
+def test_every_parameter_changes_the_moments(slopes):
     labels = all_at_once(0).labels
     largest = np.max([np.abs(one).max(axis=(1, 2, 3)) for one in slopes], axis=0)
     assert [label for label, size in zip(labels, largest, strict=True) if not size > 0.0] == []
 
 
-def test_all_at_once_and_large_nothing_breaks():
-    """At the greatest amounts that are expected, at both ends."""
+def test_moments_are_finite_with_all_effects_large():
+    """At three prior standard deviations, or the limit, and at negative sizes."""
     for number in range(ROUNDS):
         effects = all_at_once(number)
         for end in (
@@ -143,14 +142,14 @@ def test_all_at_once_and_large_nothing_breaks():
             assert np.isfinite(predict(effects, end)).all()
 
 
-def test_effects_together_differ_from_the_sum_of_each():
-    """They act on one model: slower fibers behind a compliant tendon are not the two apart."""
+def test_effects_interact():
+    """Slower fibers behind a compliant tendon differ from the sum of both effects."""
     effects = all_at_once(0)
 
     def changed(*ids: str):
         effect_sizes = np.zeros(effects.count)
         for id in ids:
-            effect_sizes[own_places(id)] = effects.prior_sd[own_places(id)]
+            effect_sizes[places_of(id)] = effects.prior_sd[places_of(id)]
         return predict(effects, effect_sizes) - predict(effects, np.zeros(effects.count))
 
     both, one, other = (
@@ -159,15 +158,15 @@ def test_effects_together_differ_from_the_sum_of_each():
         changed("slow_fibers"),
     )
     assert np.abs(both - one - other).max() > 0.01 * np.abs(both).max()
-    # What is added to the moments stays beside muscles.
+    # What is added to the moments does not interact with muscles.
     together = changed("slow_fibers", "ankle_foot_orthosis")
     np.testing.assert_allclose(together, other + changed("ankle_foot_orthosis"), atol=1e-9)
 
 
-def test_some_cycles_alone_are_predicted_as_among_all():
-    """What a held-out cycle is predicted with must mean what it meant in the others."""
+def test_selected_cycles_are_predicted_as_among_all():
+    """An effect size must mean the same for a held-out cycle as for the others."""
     keep = np.array([3, 2])
-    # The others know of no cycle.
+    # The other effects do not depend on the cycle.
     ids = (
         "missing_drive",
         "spasticity_unrecorded",
@@ -188,23 +187,23 @@ def test_some_cycles_alone_are_predicted_as_among_all():
     np.testing.assert_allclose(found, predict(whole, effect_sizes)[keep], rtol=1e-10, atol=1e-9)
 
 
-# ---- What effects say of themselves
+# ---- Definitions
 
 
-def test_the_catalogue_is_whole():
+def test_the_catalogue_is_complete():
     assert list(ENTRIES) == list(CATALOGUE) and len(CATALOGUE) == 41
     controls = {id for id, entry in ENTRIES.items() if isinstance(entry, Effect) and entry.negative_control}
     assert controls == {"short_range_stiffness", "spasticity_recorded"}
-    said = [entry.meaning for entry in CATALOGUE.values()]
-    assert len(set(said)) == len(said)
-    for clause in said:
+    meanings = [entry.meaning for entry in CATALOGUE.values()]
+    assert len(set(meanings)) == len(meanings)
+    for clause in meanings:
         assert len(clause.split()) > 3 and not clause.endswith("."), clause
     nuisances = {effect.id for effect in EFFECTS if effect.nuisance}
     assert nuisances == {"curve_family", "emg_smoothing", "activation_family"}
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)
-def test_parameters_say_what_they_are(effect):
+def test_parameters_are_documented(effect):
     assert effect.family in FAMILIES
     labels = [variant.label for variant in effect.variants]
     assert len(set(labels)) == len(labels)
@@ -213,7 +212,7 @@ def test_parameters_say_what_they_are(effect):
         assert entry.lower == (0.0 if entry.sign else -entry.upper) and entry.prior_sd < entry.upper
 
 
-def test_scored_amounts_have_their_names_and_physical_values():
+def test_reported_quantities_have_names_and_physical_values():
     def reported_values(id: str, *effect_sizes: float) -> dict[str, float]:
         return {
             name: float(value) for name, value in ENTRIES[id].reported_values(jnp.array(effect_sizes)).items()
@@ -226,21 +225,21 @@ def test_scored_amounts_have_their_names_and_physical_values():
     assert reported_values("ankle_foot_orthosis", 1.0, 0.5, 0.0)["dorsiflexion_stiffness"] == 1.0
     assert reported_values("speed_dependent_delay", 0.01) == {"delay_slow_minus_fast": 0.01}
     assert reported_values("emg_drift", *[0.1] * 5)["gain_change_TibAnt"] == 0.1
-    # Bumps of one height add up to that height.
+    # Splines of one height add up to that height.
     assert reported_values("missing_drive", *[0.4] * 10) == pytest.approx({"peak_activation": 0.4})
     assert set(reported_values("cop_offset", 0.01, 0.0)) == {"anterior_m", "lateral_m"}
 
 
 def change(id: str, *effect_sizes: float, number: int = 0) -> np.ndarray:
-    """What amounts of one effect do, by trial, coordinate and frame."""
+    """Compute the change of the moments by one effect, by trial, coordinate and frame."""
     effects = all_at_once(number)
     vector = np.zeros(effects.count)
-    vector[own_places(id)] = effect_sizes
+    vector[places_of(id)] = effect_sizes
     return predict(effects, vector) - predict(effects, np.zeros(effects.count))
 
 
-def test_what_resists_takes_work_out():
-    """Damping always; springs where they are stretched, and an orthosis against bending."""
+def test_passive_effects_oppose_motion():
+    """Damping removes energy; passive moments and an orthosis oppose the angle."""
     for coordinate, entry in enumerate(ENTRIES["joint_damping"].parameters):
         effect_sizes = np.zeros(3)
         effect_sizes[coordinate] = entry.prior_sd
@@ -260,7 +259,7 @@ def test_what_resists_takes_work_out():
 def test_delay_is_longer_when_slow():
     """A lag of one frame shifts moments by about a frame; fast cycles come earlier instead."""
     effect_sizes = np.zeros(all_at_once(0).count)
-    effect_sizes[own_places("speed_dependent_delay")] = 0.02
+    effect_sizes[places_of("speed_dependent_delay")] = 0.02
     moved = Effects((ENTRIES["speed_dependent_delay"],)).alterations(jnp.array([0.02]))[0]
     np.testing.assert_allclose(moved.emg(RECORDING.emg).lag[0], [0.01, 0.01, -0.01, -0.01], atol=1e-15)
 
@@ -285,23 +284,23 @@ def test_crosstalk_takes_a_share_of_the_neighbour_from_all_muscles_of_a_channel(
     assert "SemiMemb_in_TibAnt" not in names
 
 
-def test_shared_force_acts_along_both_paths():
-    """Soleus has no moment about the knee: what gastrocnemius passes on to it has none either."""
+def test_transmitted_force_acts_along_both_paths():
+    """Soleus has no moment arm about the knee: force that gastrocnemius transmits to it has none either."""
     along_soleus = change("force_sharing", 0.0, 0.1)
     assert np.abs(along_soleus[:, 1]).max() < 1e-9 and along_soleus[:, 2].min() < -0.5
     along_gastrocnemius = change("force_sharing", 0.1, 0.0)
     assert along_gastrocnemius[:, 1].max() > 0.5
 
 
-def test_controls_are_quiet_in_gait(slopes):
-    """Short-range stiffness at ten times what muscles have moves nothing: they are never held."""
+def test_short_range_stiffness_changes_nothing_in_gait(slopes):
+    """At ten prior standard deviations, since muscles are never held at constant length."""
     effects = all_at_once(0)
-    place = own_places("short_range_stiffness")
+    place = places_of("short_range_stiffness")
     moved = np.abs(10 * effects.prior_sd[place] * slopes[0][place]).max()
     assert moved < 0.1
 
 
-# ---- What cannot be tested
+# ---- Requirements
 
 
 @pytest.mark.parametrize(
@@ -324,14 +323,14 @@ def test_controls_are_quiet_in_gait(slopes):
         ({"coordinates": ("hip_flexion_l", "b_l", "ankle_angle_l")}, "biarticular_spring", "knee"),
     ],
 )
-def test_what_a_recording_cannot_show_is_said_with_the_reason(changed, id, word):
+def test_unmet_requirements_give_the_reason(changed, id, word):
     found = CATALOGUE[id].build(dataclasses.replace(CONTEXT, **changed))
     assert isinstance(found, NotTestable) and found.id == id
     assert word in found.reason
 
 
-def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
-    """Where these are known; of each shape what is its own."""
+def test_soft_tissue_artifact_changes_measured_moments_where_these_are_known():
+    """Each variant by its own change."""
     effect_sizes = jnp.arange(1.0, 1.0 + 3 * len(CONTEXT.coordinates))
     pattern = jnp.ones((len(CONTEXT.trials), len(CONTEXT.coordinates), CONTEXT.angles.shape[-1]))
     known = {"soft_tissue_artifact": {"loading": Partial(_summed, pattern)}}
@@ -341,8 +340,8 @@ def test_angles_that_bones_did_not_have_went_into_inverse_dynamics_too():
     assert swing.moment is None and swing.paths is not None
 
 
-def test_skin_is_dragged_by_the_neighbouring_joint():
-    """The knee's by the hip, all others by the knee; where either is missing nothing is said of it."""
+def test_skin_moves_with_the_neighboring_joint():
+    """The knee's with the hip, all others with the knee; no such parameters where either is missing."""
     names = [entry.name for entry in ENTRIES["soft_tissue_artifact"].parameters]
     assert names[-3:] == [
         "share_of_knee_angle_l_in_hip_flexion_l",
@@ -354,8 +353,8 @@ def test_skin_is_dragged_by_the_neighbouring_joint():
     assert len(CATALOGUE["soft_tissue_artifact"].build(alone).parameters) == 2 * len(CONTEXT.coordinates)
 
 
-def test_a_misplaced_joint_changes_paths_where_it_is_known_how():
-    """Moments as inverse dynamics say, and paths by their slopes; moments alone where nobody knows these."""
+def test_measurement_effects_change_paths_where_these_are_known():
+    """Moments by the measured change and paths by their derivatives; otherwise moments alone."""
     effect_sizes = jnp.array([0.05])
     effect = CATALOGUE["foot_deformation"].build(CONTEXT)
     assert [variant.label for variant in effect.variants] == ["whole foot", "forefoot"]

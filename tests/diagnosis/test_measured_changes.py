@@ -1,4 +1,4 @@
-"""Defends: what wrong inputs do to measured moments is what the mechanics of a two-segment leg says."""
+"""Changes of measured moments by errors in the inputs of inverse dynamics, against mechanics and OpenSim."""
 
 import dataclasses
 
@@ -38,7 +38,7 @@ def found(subject):
 
 @pytest.fixture(scope="module")
 def leg(subject):
-    """Angles, rates and accelerations of thigh (hip) and knee over the cycles, by analysis."""
+    """Analytical angles, velocities and accelerations of hip and knee over the cycles."""
     time = subject.trials.time
     turn = 2.0 * np.pi / synthetic.PERIOD
     accelerations = -(turn**2) * (synthetic.angles(time) - np.array([0.2, 0.6])[:, None, None])
@@ -56,11 +56,11 @@ def change(changes, id, variant="", **effect_sizes):
 
 def close(value, expected):
     scale = np.abs(expected).max()
-    # Accelerations are those of a spline through samples, which knows the ends of cycles less well.
+    # Accelerations are those of a spline through samples, which is less accurate at the ends of cycles.
     np.testing.assert_allclose(value[..., 5:-5], np.asarray(expected)[..., 5:-5], atol=2e-3 * scale)
 
 
-def test_a_center_of_pressure_too_far_forward_takes_from_both_moments(found, leg):
+def test_a_center_of_pressure_too_far_forward_reduces_both_moments(found, leg):
     """Hinges along z: the vertical force's lever about either grows by the offset."""
     lever = -0.01 * force(leg[0])[1]
     np.testing.assert_allclose(
@@ -70,7 +70,7 @@ def test_a_center_of_pressure_too_far_forward_takes_from_both_moments(found, leg
     assert np.abs(change(found, "cop_offset", lateral_m=0.01)).max() < 1e-9
 
 
-def test_late_forces_act_where_earlier_ones_would(found, leg):
+def test_late_forces_change_moments_by_their_time_derivative(found, leg):
     time, (hip, _), _, _ = leg
     knee = np.stack([LENGTH * np.sin(hip), -LENGTH * np.cos(hip)])
     late = (force(time - 0.001) - force(time + 0.001)) / 2.0
@@ -83,7 +83,7 @@ def test_late_forces_act_where_earlier_ones_would(found, leg):
     )
 
 
-def test_segments_that_the_model_has_too_light_are_those_of_a_double_pendulum(found, leg):
+def test_segment_inertia_changes_moments_as_in_a_double_pendulum(found, leg):
     _, (hip, knee), (hip_rate, _), (hip_acceleration, knee_acceleration) = leg
     thigh = MASS * TO_CENTER**2 * hip_acceleration + MASS * GRAVITY * TO_CENTER * np.sin(hip)
     close(change(found, "segment_inertia", mass_fraction_thigh=0.1), -0.1 * np.stack([thigh, 0.0 * thigh]))
@@ -93,12 +93,12 @@ def test_segments_that_the_model_has_too_light_are_those_of_a_double_pendulum(fo
     pull = LENGTH * (np.cos(knee) * hip_acceleration + np.sin(knee) * hip_rate**2)
     shank = MASS * TO_CENTER * (TO_CENTER * turned + pull + GRAVITY * np.sin(hip + knee))
     close(change(found, "segment_inertia", mass_fraction_shank=0.1)[1], -0.1 * shank)
-    # There is no ankle that would tell a foot from the shank.
+    # Without an ankle there is no foot.
     assert np.abs(change(found, "segment_inertia", mass_fraction_foot=1.0)).max() == 0.0
 
 
-def test_a_displaced_hip_center_takes_the_lever_from_the_force_through_it(found, leg):
-    """Measured about a point ahead of the hip, an upward force through the hip turns less."""
+def test_a_displaced_hip_center_changes_the_lever_of_the_force_through_it(found, leg):
+    """An upward force has a smaller lever about a point ahead of the hip."""
     time, angles, _, _ = leg
 
     def centers(at):
@@ -122,8 +122,8 @@ def test_a_displaced_hip_center_takes_the_lever_from_the_force_through_it(found,
         assert np.abs(moment[1]).max() == 0.0
 
 
-def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
-    """Nothing of the leg moves out of its plane: across the hinge there is the ground's moment alone."""
+def test_a_turned_knee_axis_contains_moments_across_the_hinge(found, leg):
+    """The leg moves in a plane: across the hinge there is only the moment of the ground reaction force."""
     time, (hip, _), _, _ = leg
     arm = POINT[:, None, None] - np.stack([LENGTH * np.sin(hip), -LENGTH * np.cos(hip), 0.0 * hip])
     moment = -np.cross(arm, force(time), axis=0) - TORQUE[:, None, None]
@@ -141,8 +141,8 @@ def test_a_turned_knee_axis_takes_in_what_acts_across(found, leg):
     assert np.abs(tilted[0]).max() == 0.0
 
 
-def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found, leg):
-    """Own force, and the other's at this foot's center of pressure, have the levers of a cross product."""
+def test_crossed_plates_exchange_shares_of_the_feet(subject, found, leg):
+    """This foot's force, and the other's at this foot's center of pressure, by cross products."""
     time, (hip, _), _, _ = leg
     gait, _ = read_recorded_gait(subject)
     other = gait.other_foot_wrench()[3:].reshape(3, *time.shape)
@@ -165,7 +165,7 @@ def test_crossed_plates_take_from_this_foot_or_give_of_the_other(subject, found,
         np.testing.assert_allclose(crossed, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_wobble_at_impact_is_a_pulse_of_its_impulse_after_the_foot_strikes(found, leg):
+def test_wobbling_mass_at_impact_is_a_pulse_after_foot_strike(found, leg):
     time = leg[0]
     pulse = change(found, "wobbling_mass", "impact", hip_impulse=0.7, knee_impulse=0.4)
     vertical = force(time)[1]
@@ -180,7 +180,7 @@ def test_a_wobble_at_impact_is_a_pulse_of_its_impulse_after_the_foot_strikes(fou
         assert set(since) == set(range(1, 10))
 
 
-def test_a_wobble_at_every_change_of_load_comes_to_its_impulse_and_back(found, leg):
+def test_wobbling_mass_at_every_change_of_load_integrates_to_its_impulse(found, leg):
     time = leg[0]
     moment = change(found, "wobbling_mass", "every change of load", hip_impulse=0.7, knee_impulse=0.4)
     vertical = force(time)[1]
@@ -190,14 +190,14 @@ def test_a_wobble_at_every_change_of_load_comes_to_its_impulse_and_back(found, l
         np.testing.assert_allclose(given, expected, atol=0.01 * impulse)
 
 
-def test_what_is_missing_is_said(subject, found):
+def test_missing_recordings_give_a_reason(subject, found):
     assert "cop_offset" in found and {"foot_deformation", "knee_laxity"}.isdisjoint(found)
     one, *others = subject.recordings
     for key, word in (("ground_forces", "no ground reaction forces"), ("external_loads", "on what body")):
         without = dataclasses.replace(subject, recordings=(dataclasses.replace(one, **{key: None}), *others))
         gait, reason = read_recorded_gait(without)
         assert gait is None and word in reason
-    # As if the hip belonged to a pelvis that was not recorded.
+    # The angles of the hip are not recorded.
     knee = dataclasses.replace(
         subject.trials,
         coordinates=("knee_angle_l",),
@@ -230,8 +230,8 @@ def moments_of(gait):
     return dict(zip(gait.mechanics.coordinates, found, strict=True))
 
 
-def test_a_laboratorys_own_moments_come_out_again(recorded):
-    """They filtered what went in, so that what hangs on accelerations differs a little."""
+def test_recorded_moments_are_reproduced(recorded):
+    """The laboratory filtered the motion, so that terms with accelerations differ a little."""
     subject, gait, _ = recorded
     own = moments_of(gait)
     limits = {"hip_flexion_r": 6.0, "hip_adduction_r": 2.5, "knee_angle_r": 2.0, "ankle_angle_r": 0.4}
@@ -240,8 +240,8 @@ def test_a_laboratorys_own_moments_come_out_again(recorded):
         assert np.sqrt(np.mean((own[name] - theirs) ** 2)) < limit < 0.25 * np.abs(theirs).max()
 
 
-def test_a_foot_bends_by_what_presses_it(recorded):
-    """All of it in the middle of stance, the forefoot late in it and not at the strike."""
+def test_loads_of_the_foot(recorded):
+    """The whole foot is loaded in mid-stance, the forefoot late in stance and not at foot strike."""
     _, gait, _ = recorded
     whole, forefoot = foot_loads(gait).values()
     np.testing.assert_allclose(whole, (gait.force[1] / gait.force[1].max()).reshape(whole.shape))
@@ -251,8 +251,7 @@ def test_a_foot_bends_by_what_presses_it(recorded):
 
 
 @pytest.mark.parametrize("where", ["whole foot", "forefoot"])
-def test_an_ankle_recorded_askew_gives_other_moments(recorded, where):
-    """By the slope, and by inverse dynamics of the motion that bends."""
+def test_foot_deformation_agrees_with_inverse_dynamics_of_the_changed_motion(recorded, where):
     subject, gait, found = recorded
     trials = subject.trials
     askew = np.zeros_like(trials.angles)
@@ -270,8 +269,8 @@ def test_an_ankle_recorded_askew_gives_other_moments(recorded, where):
     np.testing.assert_allclose(slope[..., 5:-5], expected[..., 5:-5], atol=0.15 * np.abs(expected).max())
 
 
-def test_skin_that_slides_gives_other_moments(recorded):
-    """By the slope, and by inverse dynamics of the motion with as much more of it; about every coordinate."""
+def test_soft_tissue_artifact_agrees_with_inverse_dynamics_of_the_changed_motion(recorded):
+    """About every coordinate, for a slide and both shares."""
     subject, gait, found = recorded
     trials = subject.trials
     names = trials.moment_coordinates
@@ -315,8 +314,8 @@ def with_other_joint(subject, coordinate, folder, change_frames):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_leg_that_hangs_on_a_displaced_hip_has_the_force_elsewhere(recorded, tmp_path, axis):
-    """By the slope, and by OpenSim's inverse dynamics with the hip there and all angles as they were."""
+def test_a_displaced_hip_agrees_with_inverse_dynamics_of_the_changed_model(recorded, tmp_path, axis):
+    """OpenSim's inverse dynamics with the displaced hip and the recorded angles."""
     subject, _, found = recorded
     names = subject.trials.moment_coordinates
     step = 0.01
@@ -342,8 +341,10 @@ def test_a_leg_that_hangs_on_a_displaced_hip_has_the_force_elsewhere(recorded, t
 
 
 @pytest.mark.parametrize(("effect_size", "axis"), [("knee_rad", 1), ("knee_tilt_rad", 0)])
-def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded, tmp_path, effect_size, axis):
-    """By the slope, and by OpenSim's inverse dynamics with the axis there and all angles as they were."""
+def test_a_turned_knee_axis_agrees_with_inverse_dynamics_of_the_changed_model(
+    recorded, tmp_path, effect_size, axis
+):
+    """OpenSim's inverse dynamics with the turned axis and the recorded angles."""
     subject, _, found = recorded
     names = subject.trials.moment_coordinates
     step = 0.05
@@ -372,8 +373,8 @@ def test_a_foot_beyond_a_turned_knee_axis_is_elsewhere_under_its_force(recorded,
     assert abs(slope[ankle, 0, np.abs(bent).argmin()]) < 0.2 * np.abs(slope[ankle]).max()
 
 
-def test_a_joint_between_bodies_own_frames_stays_where_it_is(recorded, tmp_path):
-    """OpenSim reads such models, though it writes none."""
+def test_a_joint_without_offset_frames_is_not_displaced(recorded, tmp_path):
+    """OpenSim reads such models, but does not write them."""
     subject, _, _ = recorded
     text = subject.model_file.read_text(encoding="utf-8")
     model = opensim.Model(str(subject.model_file))
@@ -389,8 +390,8 @@ def test_a_joint_between_bodies_own_frames_stays_where_it_is(recorded, tmp_path)
     assert np.abs(gait.derivative_by_joint("knee_angle_r", np.ones(3), np.zeros(3))).max() > 0.0
 
 
-def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
-    """Further out on the right it lifts the leg outward, so that abductors (negative) need do less."""
+def test_knee_laxity_is_a_lever_of_the_vertical_force(recorded):
+    """A force further outward abducts the right leg, so that the abductors' moment (negative) is smaller."""
     subject, gait, found = recorded
     names = subject.trials.moment_coordinates
     moment = change(found, "knee_laxity", lever_m=0.01)
@@ -400,8 +401,8 @@ def test_a_lax_knee_is_a_lever_of_the_vertical_force(recorded):
     assert np.abs(np.delete(moment, adduction, axis=0)).max() == 0.0
 
 
-def test_the_other_foot_is_this_one_half_a_cycle_away():
-    """A person who walks symmetrically, over ground, straight on to the right of the laboratory."""
+def test_the_other_foot_is_estimated_half_a_cycle_away():
+    """Symmetric gait over ground, along an axis that is not that of the laboratory."""
     frames = 21
     phase = np.linspace(0.0, 1.0, frames)
     ahead, right = np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])

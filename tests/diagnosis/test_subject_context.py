@@ -1,4 +1,4 @@
-"""What effects are told of a subject is what was recorded and calibrated."""
+"""The context of effects agrees with the recording and the calibration."""
 
 import dataclasses
 
@@ -24,8 +24,8 @@ from wrapjax.subject.subject import load_subject as load_subject
 
 
 @pytest.fixture(scope="module")
-def gathered(calibrated):
-    # A muscle that has EMG stands in for one that has none.
+def recording_and_context(calibrated):
+    # A muscle with EMG is used as one without.
     without = ("semiten_l",)
     subject = dataclasses.replace(
         calibrated.subject,
@@ -35,10 +35,10 @@ def gathered(calibrated):
     return build_context(dataclasses.replace(calibrated, subject=subject))
 
 
-def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
-    recording, context = gathered
-    told = ("missing_drive", "emg_drift", "soft_tissue_artifact", "muscle_attachment")
-    effects = Effects(tuple(CATALOGUE[id].build(context) for id in told))
+def test_zero_effect_sizes_predict_as_the_calibration(calibrated, recording_and_context):
+    recording, context = recording_and_context
+    ids = ("missing_drive", "emg_drift", "soft_tissue_artifact", "muscle_attachment")
+    effects = Effects(tuple(CATALOGUE[id].build(context) for id in ids))
     curves = HILL_CURVES[calibrated.result.curves]
     found = predicted_moments(curves, context.parameters, recording, effects, effects.zero)
     np.testing.assert_allclose(found, calibrated.result.modelled, rtol=1e-10, atol=1e-9)
@@ -46,8 +46,12 @@ def test_nothing_amiss_predicts_what_calibration_did(calibrated, gathered):
     np.testing.assert_allclose(context.duration, 1.2)
 
 
-def test_what_cannot_be_tested_says_why(gathered):
-    reasons = {entry.id: entry.reason for entry in catalogue(gathered[1]) if isinstance(entry, NotTestable)}
+def test_unmet_requirements_give_reasons(recording_and_context):
+    reasons = {
+        entry.id: entry.reason
+        for entry in catalogue(recording_and_context[1])
+        if isinstance(entry, NotTestable)
+    }
     assert "not given" in reasons["speed_dependent_delay"]
     assert "ground reaction forces" in reasons["cop_offset"]
     assert "ankle" in reasons["ankle_foot_orthosis"]
@@ -55,8 +59,8 @@ def test_what_cannot_be_tested_says_why(gathered):
     assert {"missing_drive", "muscle_attachment", "soft_tissue_artifact"}.isdisjoint(reasons)
 
 
-def test_bounds_are_those_that_calibration_ended_on(calibrated, gathered):
-    _, context = gathered
+def test_bounds_are_those_that_calibration_ended_on(calibrated, recording_and_context):
+    _, context = recording_and_context
     found = {f"{entry.muscle}.{entry.parameter}" for entry in context.at_bounds}
     assert found == set(calibrated.result.at_bounds)
     for entry in context.at_bounds:
@@ -65,9 +69,9 @@ def test_bounds_are_those_that_calibration_ended_on(calibrated, gathered):
         assert entry.outward > 0 or at == 0.0 or at - entry.limit > 0.0
 
 
-def test_muscles_without_emg_run_where_the_model_has_them(gathered):
-    """Laid by the engine, against the polynomials of the same muscle, which were fitted to OpenSim."""
-    _, context = gathered
+def test_paths_of_muscles_without_emg_are_those_of_the_model(recording_and_context):
+    """The exact engine against the polynomials of the same muscle, which were fitted to OpenSim."""
+    _, context = recording_and_context
     undriven = context.undriven_muscles
     assert undriven.names == ("semiten_l",) and undriven.groups[0][1] == ("semiten_l",)
     row = context.muscles.index("semiten_l")
@@ -75,9 +79,9 @@ def test_muscles_without_emg_run_where_the_model_has_them(gathered):
     np.testing.assert_allclose(undriven.path.moment_arm[0], context.paths.moment_arm[row], atol=2e-3)
 
 
-def test_paths_follow_changed_angles(calibrated, gathered):
-    """Length falls by the moment arm, and rates and arms change as by differences of the polynomials."""
-    _, context = gathered
+def test_derivatives_of_paths_by_angles(calibrated, recording_and_context):
+    """Length by the moment arm, velocities and moment arms by differences of the polynomials."""
+    _, context = recording_and_context
     by_angle = context.paths_by_angle
     np.testing.assert_allclose(-by_angle.length, np.moveaxis(context.paths.moment_arm, 1, 2), atol=1e-12)
     subject, surrogate = calibrated.subject, calibrated.fit.surrogate.select_muscles(context.muscles)
@@ -116,9 +120,9 @@ def _from_insertion(context):
         yield away / np.linalg.norm(away, axis=0)
 
 
-def test_paths_follow_their_ends(gathered):
-    """A straight line gets longer by the displacement along it, here in a plane."""
-    _, context = gathered
+def test_derivatives_of_paths_by_their_ends(recording_and_context):
+    """A straight path in a plane gets longer by the displacement along it."""
+    _, context = recording_and_context
     for row, expected in enumerate(_from_insertion(context)):
         for axis in range(3):
             changes = np.zeros((2, 6))
@@ -129,8 +133,8 @@ def test_paths_follow_their_ends(gathered):
 
 
 @pytest.mark.slow
-def test_paths_follow_cylinders(tmp_path):
-    """A cylinder half a millimetre thicker, by the slope and by laying the path anew."""
+def test_derivatives_of_paths_by_wraps(tmp_path):
+    """A cylinder that is half a millimetre thicker lengthens the paths that touch it."""
     subject = load_subject(write_wrapped_subject(tmp_path / "wrapped"))
     changes = wrap_changes(build_engine(subject), subject)
     assert changes.names[-1] == "ST_at_condyles_l.radius_factor"
@@ -138,7 +142,7 @@ def test_paths_follow_cylinders(tmp_path):
     longer = np.asarray(changes.paths(jnp.asarray(thicker)).length)
     rows = [subject.muscles.names.index(name) for name in ("recfem_l", "semiten_l")]
     assert np.abs(longer[rows[0]]).max() == 0.0
-    # On a cylinder that turns it by less than half a turn, a path gains at most that turn times the radius.
+    # A path that is deflected by less than half a turn gains at most pi times the change of the radius.
     assert 1e-4 < longer[rows[1]].max() < np.pi * 0.5e-3 and longer[rows[1]].min() > -1e-12
 
 
@@ -148,8 +152,8 @@ def with_ground(calibrated, tmp_path_factory):
     return build_context(dataclasses.replace(calibrated, subject=subject))[1]
 
 
-def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
-    """A hip that the model has too far forward or up is behind or below: so are all ends on the leg."""
+def test_derivatives_of_paths_by_the_hip_center(with_ground):
+    """Where the model's hip is too far forward or up, the person's insertions are behind or below."""
     slopes = with_ground.path_changes["hip_center_offset"][FOOT_HELD]
     for row, away in enumerate(_from_insertion(with_ground)):
         np.testing.assert_allclose(slopes.length[row, 0], away[0], atol=1e-6)
@@ -157,8 +161,8 @@ def test_paths_cross_the_hip_where_the_person_has_it(with_ground):
         np.testing.assert_allclose(slopes.length[row, 2], 0.0, atol=1e-6)
 
 
-def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
-    """Beside the plane of the leg, where a turned axis takes ends of muscles first of all."""
+def test_derivatives_of_paths_by_the_knee_axis(tmp_path):
+    """With insertions beside the plane of the leg, which a turned axis displaces."""
     subject = with_forces(tmp_path / "person")
     whole = build_engine(subject)
     beside = ExactPaths(
@@ -188,7 +192,7 @@ def test_paths_turn_about_the_axis_that_the_person_has(tmp_path):
     assert np.abs(slopes.length[:, 2:]).max() == 0.0
 
 
-def test_effects_are_told_and_some_cycles_are_a_part_of_all(with_ground):
+def test_measured_changes_of_selected_cycles(with_ground):
     context = with_ground
     effects = effects_in(catalogue(context))
     sizes = {effect.id: effect.parameters for effect in effects}
