@@ -52,6 +52,6 @@ def test_banks_share_no_seed():
 
 
 def test_table_of_forms_is_up_to_date():
-    from validation.blind.effect_table import forms_text
+    from validation.blind.effect_table import effect_table
 
-    assert (PACKAGE / "EFFECTS.md").read_text(encoding="utf-8") == forms_text()
+    assert (PACKAGE / "EFFECTS.md").read_text(encoding="utf-8") == effect_table()

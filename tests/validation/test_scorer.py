@@ -8,7 +8,7 @@ import pytest
 
 from tests.validation.synthetic_bank import ANSWERERS, NAMES, SPEEDS, answer, perfect, write_bank, write_table
 from validation.blind.anatomy import COORDINATES
-from validation.blind.case_selection import Lot
+from validation.blind.case_selection import CaseSelection
 from validation.blind.score.intervals import FAILED, MET, UNCLEAR, Figure, Target, share, verdict
 from validation.blind.score.report import NotReady, as_json, as_markdown, score
 
@@ -149,11 +149,14 @@ def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
     for truth in truths[:5]:
         answer(tmp_path / "it", truth, perfect(truth))
     (tmp_path / "bank" / "truth" / f"{truths[6]['id']}.npy").unlink()  # not made yet
-    assert score(tmp_path / "bank", {"it": tmp_path / "it"}, lot=Lot(first=5))["it"]["cases"] == 5
+    assert (
+        score(tmp_path / "bank", {"it": tmp_path / "it"}, selection=CaseSelection(first=5))["it"]["cases"]
+        == 5
+    )
     with pytest.raises(NotReady, match="is missing"):
         score(tmp_path / "bank", {"it": tmp_path / "it"})
     with pytest.raises(NotReady, match="without an answer"):
-        score(tmp_path / "bank", {"it": tmp_path / "it"}, lot=Lot(first=6))
+        score(tmp_path / "bank", {"it": tmp_path / "it"}, selection=CaseSelection(first=6))
     log = (tmp_path / "bank" / "score_log.jsonl").read_text().splitlines()
     assert json.loads(log[0])["cases"] == 5
 
@@ -164,13 +167,13 @@ def test_what_was_left_can_be_judged_without_those_that_judged_before(tmp_path):
     manifest.write_text((tmp_path / "bank" / "manifest.json").read_text())
     for truth in truths[2:]:
         answer(tmp_path / "it", truth, perfect(truth))
-    left = Lot(after=truths[1]["id"])
-    whole = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, lot=left)["it"]
-    for truth in truths[:2]:  # the lot alone is there
+    left = CaseSelection(after=truths[1]["id"])
+    whole = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=left)["it"]
+    for truth in truths[:2]:  # only the selected cases are present
         shutil.rmtree(tmp_path / "bank" / "cases" / truth["id"])
         for kind in ("json", "npy"):
             (tmp_path / "bank" / "truth" / f"{truth['id']}.{kind}").unlink()
-    alone = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, lot=left)["it"]
+    alone = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=left)["it"]
     assert whole["cases"] == alone["cases"] == len(truths) - 2 and whole["rows"] == alone["rows"]
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from validation.blind.anatomy import COORDINATES
-from validation.blind.case import amount_for, make_case
+from validation.blind.case import find_amount, make_case
 from validation.blind.effects import EFFECTS
 from validation.blind.families import FAMILIES, activate
 from validation.blind.library import Library, imitations, ties
 from validation.blind.noise import EMG_LEVELS, moment_noise
 from validation.blind.oracle import cycles, difference, flat, oracles
 from validation.blind.outside_catalogue import OUTSIDE
-from validation.blind.person import bursts, person
-from validation.blind.plan import Bank, Planned, bank_of, draft, with_targets
+from validation.blind.person import bursts, draw_person
+from validation.blind.plan import Bank, PlannedCase, bank_of, plan_cases, with_targets
 from validation.blind.seal import digest
 from validation.blind.world import joint_moments, record
 from wrapjax.subject.subject import load_subject
@@ -28,7 +28,7 @@ LEVEL = EMG_LEVELS[1]
 
 @pytest.fixture(scope="module")
 def who():
-    return person("somebody", (5, 0, 1), "thelen", paretic=True)
+    return draw_person("somebody", (5, 0, 1), "thelen", paretic=True)
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_all_effects_start_at_zero_and_stay_finite(who, base, name):
 
 def test_d_star_grows_with_the_amount_and_is_hit(who, oracle, library):
     effect = EFFECTS["ankle_foot_orthosis"]
-    effect_size, reached = amount_for(who.world, oracle[LEVEL], effect, (), 1, 6.0, None)
+    effect_size, reached = find_amount(who.world, oracle[LEVEL], effect, (), 1, 6.0, None)
     assert 5.2 < reached < 6.8 and 0.0 < effect_size < effect.most
 
 
@@ -167,7 +167,7 @@ def test_activation_follows_its_families():
 def _case(who, oracle, library, folder, order, tier, causes):
     signs, targets = (1,) * len(causes), (6.0,) * len(causes)
     identity = f"{order:012d}"
-    planned = Planned(order, identity, 0, tier, LEVEL, causes, signs, targets, "above_5")
+    planned = PlannedCase(order, identity, 0, tier, LEVEL, causes, signs, targets, "above_5")
     make_case(BANK, planned, who, library, oracle, folder)
     return identity
 
@@ -209,8 +209,8 @@ def test_cases_say_nothing_but_signals(who, oracle, library, tmp_path):
 def test_plans_are_even_and_hit_their_strata():
     bank = bank_of("test")
     variants = {name: (("a",), ("b",)) for name in {**EFFECTS, **OUTSIDE}}
-    planned = draft(bank, variants)
-    assert planned == draft(bank, variants)
+    planned = plan_cases(bank, variants)
+    assert planned == plan_cases(bank, variants)
     single = [case for case in planned if case.tier == "single"]
     counts = np.unique([case.causes[0][0] for case in single], return_counts=True)[1]
     assert counts.max() <= 0.05 * len(single) and counts.size == len(EFFECTS) >= 30

@@ -1,4 +1,5 @@
-"""The blind bank: cases with known causes from a simulator that shares nothing with the diagnosis.
+"""The blind bank: simulated cases with known causes, and the scorer of diagnoses of these cases.
 
-Nothing here imports the package that is judged; a test holds that.
+Nothing here imports `wrapjax`, so that the simulator and the diagnosis share no formula (checked by
+``tests/validation/test_independence.py``).
 """

@@ -1,10 +1,9 @@
-"""A right leg in textbook numbers, scaled to a person: bodies, joints, muscles, cylinders.
+"""Right leg from published data, scaled to a person: bodies, joints, muscles and cylinders.
 
-Lengths in m, masses in kg, x forward, y up, z to the right. Pelvis points are relative to the hip's centre.
+Lengths in m, masses in kg, x forward, y up, z to the right. Pelvis points are relative to the hip center.
 Segment shares of length and mass: Winter 2009, de Leva 1996 (doi:10.1016/0021-9290(95)00178-6). Fiber
-lengths and forces: rounded from Ward 2009 (doi:10.1007/s11999-008-0594-8), small muscles lumped with their
-neighbours. Axes of ankle and subtalar joint: Isman and Inman 1969. Points were placed by hand and checked
-against the moment arms in `tests/benchmarks_blind`.
+lengths and forces: rounded from Ward 2009 (doi:10.1007/s11999-008-0594-8), small muscles combined with their
+neighbours. Axes of ankle and subtalar joint: Isman and Inman 1969. Points were placed by hand.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ COORDINATES = (
 )
 PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz")
 
-#: The person in whose size the numbers below are given.
+#: Height (m) of the person in whose size the numbers below are given.
 REFERENCE_HEIGHT = 1.72
 THIGH, SHANK = 0.421, 0.423
 HIP_CENTER = (-0.058, -0.080, 0.080)
@@ -40,6 +39,8 @@ Point = tuple[str, tuple[float, float, float]]
 
 @dataclass(frozen=True)
 class Body:
+    """Rigid body: mass (kg), mass center (m) and moments of inertia (kg m^2) in its frame."""
+
     name: str
     mass: float
     center: tuple[float, float, float]
@@ -48,7 +49,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Axis along z of its frame; rotations body-fixed x, y, z in rad."""
+    """Wrapping cylinder with its axis along z of its frame; body-fixed rotations x, y, z in rad."""
 
     name: str
     body: str
@@ -61,6 +62,8 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Muscle:
+    """Muscle in the numbers of a model file: N, m, rad, points in their bodies' frames."""
+
     name: str
     max_isometric_force: float
     optimal_fiber_length: float
@@ -72,6 +75,8 @@ class Muscle:
 
 @dataclass(frozen=True)
 class Leg:
+    """Leg of a person: mass (kg), height (m), joint centers and axes, bodies, cylinders, muscles."""
+
     mass: float
     height: float
     hip_center: tuple[float, float, float]
@@ -118,7 +123,7 @@ _MUSCLES: dict[str, tuple[float, float, float, list[Point], tuple[str, ...]]] = 
     "sart": (280, 0.400, 2, [(P, (0.046, 0.058, 0.010)), (F, (-0.006, -0.360, -0.042)), (T, (-0.006, -0.040, -0.038)), (T, (0.024, -0.085, -0.024))], ()),
 }  # fmt: skip
 
-#: Electrode -> muscles. The last three muscles have none in any case: what drives them is not recorded.
+#: Muscles of each EMG channel. The last three muscles of the leg have no channel in any case.
 CHANNELS: dict[str, tuple[str, ...]] = {
     "Iliopsoas": ("iliacus", "psoas"),
     "RecFem": ("recfem",),
@@ -144,13 +149,13 @@ _CYLINDERS = (
 
 
 def channel_of(muscles: tuple[str, ...]) -> np.ndarray:
-    """Index of the channel that drives each muscle, -1 where none does."""
+    """Return the index of the channel that drives each muscle, -1 if there is none."""
     driven = {name: index for index, group in enumerate(CHANNELS.values()) for name in group}
     return np.array([driven.get(name.removesuffix("_r"), -1) for name in muscles])
 
 
 def reference_leg(mass: float, height: float) -> Leg:
-    """Scale the textbook leg to a person; tendon slack lengths are set later, from recorded lengths."""
+    """Scale the leg to a person; tendon slack lengths are set later, from path lengths during walking."""
     s = height / REFERENCE_HEIGHT
     hip = tuple(s * np.array(HIP_CENTER))
 

@@ -1,4 +1,4 @@
-"""Make one case: put its causes into a person's world, record it with noise, keep the truth apart."""
+"""Simulation of one case: apply its causes to a person, record with noise, and write case and truth."""
 
 from __future__ import annotations
 
@@ -13,44 +13,49 @@ import numpy as np
 from validation.blind.anatomy import COORDINATES
 from validation.blind.effects import EFFECTS
 from validation.blind.effects.effect import Effect
-from validation.blind.folder import EVERY, write_folder
+from validation.blind.folder import FILE_STEP, write_folder
 from validation.blind.library import SHARE, Library, imitations, likeness, ties
 from validation.blind.noise import EMG_LEVELS, moment_noise, noisy_envelopes
 from validation.blind.oracle import CALIBRATION, Oracle, cycles, difference, flat, signal
 from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person
-from validation.blind.plan import Bank, Planned, stratum_of
+from validation.blind.plan import Bank, PlannedCase, stratum_of
 from validation.blind.world import World, joint_moments, record
 
 ALL = {**EFFECTS, **OUTSIDE}
 
 
 def make_case(
-    bank: Bank, planned: Planned, who: Person, library: Library, oracles: dict[float, Oracle], folder: Path
+    bank: Bank,
+    planned: PlannedCase,
+    who: Person,
+    library: Library,
+    oracles: dict[float, Oracle],
+    folder: Path,
 ) -> None:
-    """Write ``cases/<id>`` and ``truth/<id>.json`` and ``.npy`` under the folder; whole or not at all."""
+    """Write ``cases/<id>``, ``truth/<id>.json`` and ``truth/<id>.npy`` in a folder, each atomically."""
     oracle = oracles[planned.level]
     world, causes = who.world, []
     for (name, variant), sign, target in zip(planned.causes, planned.signs, planned.targets, strict=True):
         effect = ALL[name]
         reach = _reach(library, planned, name, variant)
-        amount, reached = amount_for(who.world, oracle, effect, variant, sign, target, reach)
+        amount, reached = find_amount(who.world, oracle, effect, variant, sign, target, reach)
         world = effect.apply(world, amount, variant)
         causes.append(
             {
                 "id": name,
                 "family": effect.family,
                 "variant": list(variant),
-                "amount": _tidy(amount),
+                "amount": _six_digits(amount),
                 "unit": effect.unit,
-                "d_star": _tidy(reached),
+                "d_star": _six_digits(reached),
                 "parameters": {
-                    key: _tidy(value) for key, value in effect.parameters(amount, variant).items()
+                    key: _six_digits(value) for key, value in effect.parameters(amount, variant).items()
                 },
             }
         )
     rng = np.random.default_rng((bank.seed, 3, planned.order))
-    seen, noise, emg = _recorded(world, planned.level, rng)
+    clean, noise, emg = _record_with_noise(world, planned.level, rng)
     truth: dict[str, Any] = {
         "schema": 1,
         "id": planned.id,
@@ -60,28 +65,28 @@ def make_case(
         "tier": planned.tier,
         "emg_noise": planned.level,
         "causes": causes,
-        **_judged(who.world, world, planned, library, oracle),
-        "floor_Nm2": _floors(world, emg, noise),
+        **_detectability_and_ties(who.world, world, planned, library, oracle),
+        "floor_Nm2": _noise_floors(world, emg, noise),
         "speeds_m_s": list(who.world.walk.speeds),
         "calibration_cycles": CALIBRATION,
         "cycles": cycles(who.world),
         "rms_Nm": dict(
-            zip(COORDINATES, map(_tidy, np.sqrt((seen.moments**2).mean(axis=(0, 2)))), strict=True)
+            zip(COORDINATES, map(_six_digits, np.sqrt((clean.moments**2).mean(axis=(0, 2)))), strict=True)
         ),
-        # Without this the truth could be guessed from its hash.
+        # Without a nonce the truth could be guessed from its hash.
         "nonce": rng.bytes(16).hex(),
     }
-    recorded = {"moments": seen.moments + noise, "emg": emg, "pose": seen.pose, "ground": seen.ground}
-    _write(folder, planned.id, who, recorded, truth, seen.moments)
+    recorded = {"moments": clean.moments + noise, "emg": emg, "pose": clean.pose, "ground": clean.ground}
+    _write(folder, planned.id, who, recorded, truth, clean.moments)
 
 
-def _reach(library: Library, planned: Planned, name: str, variant: tuple[str, ...]) -> float | None:
+def _reach(library: Library, planned: PlannedCase, name: str, variant: tuple[str, ...]) -> float | None:
     if name not in EFFECTS:
         return None
     return float(library.reach[EMG_LEVELS.index(planned.level), library.entries.index((name, variant))])
 
 
-def amount_for(
+def find_amount(
     world: World,
     oracle: Oracle,
     effect: Effect,
@@ -90,50 +95,54 @@ def amount_for(
     target: float,
     reach: float | None,
 ) -> tuple[float, float]:
-    """The amount whose d* is near the target, as far as a human effect goes; and its d*."""
+    """Find the amount whose d* is near the target, up to the largest plausible one; return it and its d*."""
 
     def detectability(amount: float) -> float:
-        seen = flat(world, difference(world, effect, amount, variant)[1])
-        return float(np.sqrt(max(seen @ oracle.whiten(seen), 0.0)))
+        values = flat(world, difference(world, effect, amount, variant)[1])
+        return float(np.sqrt(max(values @ oracle.whiten(values), 0.0)))
 
-    amount = _rounded(sign * effect.most * (SHARE if reach is None else min(1.0, target / max(reach, 1e-9))))
+    amount = _three_digits(
+        sign * effect.most * (SHARE if reach is None else min(1.0, target / max(reach, 1e-9)))
+    )
     reached = detectability(amount)
     for _ in range(4):
         if 0.88 < reached / target < 1.12 or (reached < target and abs(amount) >= effect.most):
             break
-        # Signals grow nearly in proportion; steps are kept within a factor of four.
+        # Signals are nearly proportional to the amount; steps are limited to a factor of four.
         factor = np.clip(target / max(reached, 1e-6), 0.25, 4.0)
-        amount = _rounded(np.clip(amount * factor, -effect.most, effect.most))
+        amount = _three_digits(np.clip(amount * factor, -effect.most, effect.most))
         reached = detectability(amount)
     return amount, reached
 
 
-def _judged(base: World, world: World, planned: Planned, library: Library, oracle: Oracle) -> dict[str, Any]:
+def _detectability_and_ties(
+    base: World, world: World, planned: PlannedCase, library: Library, oracle: Oracle
+) -> dict[str, Any]:
     if not planned.causes:
         return {"d_star": 0.0, "ties": [], "like": None}
     first, variant = planned.causes[0]
     reference = ALL[first].apply(base, 0.0, variant) if first == "bound_pressure" else base
-    seen = flat(base, signal(world, reference))
-    strength = float(seen @ oracle.whiten(seen))
-    imitated = imitations(library, oracle, first, seen)
-    name, cosine = likeness(imitated, strength)
-    tied = ties(imitated) if planned.tier == "single" else []
+    values = flat(base, signal(world, reference))
+    strength = float(values @ oracle.whiten(values))
+    residuals = imitations(library, oracle, first, values)
+    name, cosine = likeness(residuals, strength)
+    tied = ties(residuals) if planned.tier == "single" else []
     return {
-        "d_star": _tidy(np.sqrt(strength)),
+        "d_star": _six_digits(np.sqrt(strength)),
         "stratum": stratum_of(np.sqrt(strength)),
         "ties": tied,
-        "like": {"id": name, "cosine": _tidy(cosine)},
+        "like": {"id": name, "cosine": _six_digits(cosine)},
     }
 
 
-def _recorded(world: World, level: float, rng: np.random.Generator):
-    seen = record(world)
-    return seen, moment_noise(world.walk, world.leg.mass, rng), noisy_envelopes(seen.emg, level, rng)
+def _record_with_noise(world: World, level: float, rng: np.random.Generator):
+    clean = record(world)
+    return clean, moment_noise(world.walk, world.leg.mass, rng), noisy_envelopes(clean.emg, level, rng)
 
 
-def _floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float]:
-    """Mean squared error of a perfect model that sees the noisy envelopes, on either held-out set."""
-    # The same world, so that only noise is left: recorded noise goes onto the true drive.
+def _noise_floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float]:
+    """Compute the mean squared error (N m)^2 of a perfect model with noisy EMG on each held-out set."""
+    # Add the recorded EMG noise to the true drive of the same world, so that only noise remains.
     driven = replace(world, drive=np.maximum(world.drive + emg - record(world).emg, 0.0))
     error = (noise + joint_moments(world) - joint_moments(driven)) ** 2
     time = world.walk.time
@@ -141,7 +150,7 @@ def _floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float
 
     def mean(sets: list[tuple[int, tuple[float, float]]]) -> float:
         parts = [error[r][:, (time >= a) & (time <= b)].mean() for r, (a, b) in sets]
-        return _tidy(np.mean(parts))
+        return _six_digits(np.mean(parts))
 
     last = len(used) - 1
     return {
@@ -150,13 +159,13 @@ def _floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float
     }
 
 
-def _rounded(amount: float) -> float:
-    # An amount that differs in its last bits from machine to machine would change every file.
+def _three_digits(amount: float) -> float:
+    # Last bits of the amount differ between machines and would change every file.
     return float(f"{float(amount):.3g}")
 
 
-def _tidy(value: float) -> float:
-    """Six digits, the same on every machine."""
+def _six_digits(value: float) -> float:
+    """Round to six significant digits, which are the same on every machine."""
     return float(f"{float(value):.6g}")
 
 
@@ -167,7 +176,7 @@ def _write(folder: Path, name: str, who: Person, recorded, truth, clean: np.ndar
     write_folder(work / name, who.nominal, who.paretic, walk.speeds, cycles(who.world), recorded)
     answers.mkdir(parents=True, exist_ok=True)
     cases.mkdir(parents=True, exist_ok=True)
-    np.save(work / "clean.npy", np.round(clean[..., ::EVERY], 3).astype(np.float32))
+    np.save(work / "clean.npy", np.round(clean[..., ::FILE_STEP], 3).astype(np.float32))
     text = json.dumps(truth, indent=1, sort_keys=True) + "\n"
     (work / "truth.json").write_text(text, encoding="utf-8", newline="\n")
     (work / "clean.npy").replace(answers / f"{name}.npy")

@@ -1,4 +1,4 @@
-"""A contact sheet of cases, for a person to judge whether this is walking."""
+"""Plot of the signals of several cases, to check visually that they look like walking."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def over_cycle(case: Path, kind: str, name: str) -> list[tuple[int, np.ndarray]]:
-    """One signal of a case, cycle by cycle on 101 phases, each with its recording's number."""
+    """Read one signal of a case by cycle at 101 phases, with the number of its recording."""
     settings = tomllib.loads((case / "subject.toml").read_text(encoding="utf-8"))
     out = []
     for trial in settings["trial"]:
@@ -34,8 +34,8 @@ def over_cycle(case: Path, kind: str, name: str) -> list[tuple[int, np.ndarray]]
     return out
 
 
-def draw_sheet(bank: Path, file: Path, count: int = 6, truth: bool = True) -> None:
-    """Draw angles and moments, and below them EMG, of some cases; what is wrong with each beside it."""
+def draw_cases(bank: Path, file: Path, count: int = 6, truth: bool = True) -> None:
+    """Plot angles, moments and EMG of several cases, with their true causes as text."""
     import matplotlib
 
     matplotlib.use("Agg")

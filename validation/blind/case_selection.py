@@ -1,4 +1,4 @@
-"""Which of a bank's cases: ids are hashes, so that to go by their order is to draw by lot."""
+"""Selection of a bank's cases by the order of their ids, which are hashes and so in random order."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Lot:
-    """So many cases (None: all) whose ids come after one, in their order, but for some.
+class CaseSelection:
+    """The first cases by id (None: all) after a given id, without some.
 
-    Named by an id and not by a count, it is the same whether all cases of a bank are there or the lot alone.
+    It starts after an id and not after a count, so that it is the same whether all cases of a bank are
+    present or only the selected ones.
     """
 
     first: int | None = None
     after: str = ""
-    #: Made again, on another machine, these were not byte for byte what was sealed.
+    #: Cases that differed from the manifest when they were made again on another machine.
     left_out: tuple[str, ...] = ()
 
-    def of(self, ids: Iterable[str]) -> list[str]:
-        """Draw, sorted."""
-        drawn = sorted(id for id in ids if id > self.after)[: self.first]
-        return [id for id in drawn if id not in self.left_out]
+    def select(self, ids: Iterable[str]) -> list[str]:
+        """Select from ids; sorted."""
+        selected = sorted(id for id in ids if id > self.after)[: self.first]
+        return [id for id in selected if id not in self.left_out]
 
 
-ALL_CASES = Lot()
+ALL_CASES = CaseSelection()
 
 
-def add_lot(parser: argparse.ArgumentParser) -> None:
+def add_selection_arguments(parser: argparse.ArgumentParser) -> None:
     """Add ``--first``, ``--after`` and ``--leave-out``."""
     parser.add_argument("--first", type=_count, metavar="N", help="only the first N cases by their ids")
     parser.add_argument("--after", metavar="ID", default="", help="only cases whose ids come after this one")
@@ -37,13 +38,13 @@ def add_lot(parser: argparse.ArgumentParser) -> None:
         metavar="ID",
         action="append",
         default=[],
-        help="a case whose seal is known to be broken",
+        help="case to leave out, as it is known to differ from the manifest",
     )
 
 
-def lot_of(chosen: argparse.Namespace) -> Lot:
-    """Read what `add_lot` added."""
-    return Lot(chosen.first, chosen.after, tuple(chosen.leave_out))
+def selection_of(chosen: argparse.Namespace) -> CaseSelection:
+    """Build the selection from parsed arguments."""
+    return CaseSelection(chosen.first, chosen.after, tuple(chosen.leave_out))
 
 
 def _count(word: str) -> int:

@@ -1,8 +1,8 @@
-"""Worlds that muscles can live in: force curves and the way from excitation to activation.
+"""Families of muscle curves and activation dynamics.
 
-`millard` is the test bank's and nobody else's: OpenSim's own Millard 2012 curves and a two-stage twitch. The
-development bank draws `thelen` or `spline`. All curves take fiber lengths in optimal fiber lengths and
-velocities in maximum velocities, lengthening positive.
+`millard` (OpenSim's Millard 2012 curves and a two-stage twitch) is reserved for the test banks; the
+development bank uses `thelen` and `spline`. Arguments of all curves are fiber lengths in optimal fiber
+lengths and velocities in maximum velocities, positive for lengthening.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ Curve = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Curves:
+    """Normalized curves: active and passive force over length, force over velocity."""
+
     active: Curve
     velocity: Curve
     passive: Curve
@@ -27,8 +29,10 @@ class Curves:
 
 @dataclass(frozen=True)
 class Family:
-    """``rate`` gives the two stages' speeds (1/s) from excitation, activation and rise time; ``shape``
-    bends what comes out, its argument 0 for a straight line and 1 for the strongest bend.
+    """Muscle curves with activation dynamics.
+
+    ``rate`` returns the rate constants of the stages (1/s) from excitation, activation, rise time and ratio
+    of fall to rise time. ``shape`` applies the activation nonlinearity, from linear (0) to strongest (1).
     """
 
     name: str
@@ -38,7 +42,7 @@ class Family:
     shape: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-#: Deactivating takes this many times as long as activating.
+#: Ratio of deactivation to activation time.
 FALL_TO_RISE = 4.0
 
 
@@ -52,7 +56,7 @@ def millard_curves() -> Curves:
 
 
 def thelen_curves() -> Curves:
-    """Gaussian, exponential and Hill hyperbolas in the manner of Thelen 2003 (doi:10.1115/1.1531112)."""
+    """Build Gaussian, exponential and hyperbolic curves similar to Thelen 2003 (doi:10.1115/1.1531112)."""
     af, plateau = 0.28, 1.45
 
     def velocity(v):
@@ -72,7 +76,7 @@ def thelen_curves() -> Curves:
 
 
 def spline_curves() -> Curves:
-    """Piecewise polynomials in the manner of Blemker 2005 (doi:10.1016/j.jbiomech.2004.04.012)."""
+    """Build piecewise polynomials similar to Blemker 2005 (doi:10.1016/j.jbiomech.2004.04.012)."""
     active = PchipInterpolator(
         [0.30, 0.45, 0.60, 0.75, 0.88, 1.00, 1.10, 1.25, 1.40, 1.55, 1.75, 2.2],
         [0.00, 0.14, 0.45, 0.78, 0.96, 1.00, 0.98, 0.82, 0.55, 0.27, 0.02, 0.0],
@@ -97,7 +101,7 @@ def _twitch(u, a, rise, fall):
 
 def _winters(u, a, rise, fall):
     slower = 0.5 + 1.5 * np.clip(a, 0.0, 1.0)
-    # A soft switch between rising and falling, or the step from one to the other would ring.
+    # A smooth transition between rising and falling: a sudden one would oscillate.
     rising = 0.5 + 0.5 * np.tanh((u - a) / 0.02)
     return rising / (0.7 * rise * slower) + (1.0 - rising) * slower / (0.7 * rise * fall)
 
@@ -135,9 +139,18 @@ BANKS = {"test": ("millard",), "second_test": ("millard",), "development": ("the
 def activate(
     family: Family, excitation: np.ndarray, rise: np.ndarray, fall: np.ndarray, step: float
 ) -> np.ndarray:
-    """Activation before it is bent. Excitation (..., frame); times (s) and ratios (...) without the frame.
+    """Compute activation before the nonlinearity, exactly for excitation that is constant within a step.
 
-    Exact for an excitation that is constant within a step of the fine time base.
+    Parameters
+    ----------
+    family
+        Activation dynamics.
+    excitation
+        Excitation, (..., frame).
+    rise, fall
+        Rise time (s), and ratio of fall to rise time, (...).
+    step
+        Time step, s.
     """
     frames = np.moveaxis(np.ascontiguousarray(excitation), -1, 0)
     out = np.empty_like(frames)

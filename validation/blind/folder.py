@@ -1,6 +1,7 @@
-"""Write a case as a subject folder in which nothing but the signals tells of its cause.
+"""Subject folder of a case, in which only the signals depend on the cause.
 
-All files of a kind have the same size, the same time stamp and the same names in every case.
+Text files of a kind are padded to one size, and all files have one time stamp and the same names in every
+case.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from validation.blind.leg_file import leg_text
 from validation.blind.opensim_leg import ALL_COORDINATES
 from validation.blind.oracle import CALIBRATION
 
-EVERY = int(RATE / FILE_RATE)
+FILE_STEP = int(RATE / FILE_RATE)
 _STAMP = 946_684_800  # 2000-01-01
 _SIZES = {".osim": 40_960, ".toml": 6_144, ".xml": 1_536}
 _GROUND = [f"ground_force_r_{kind}{axis}" for kind in "vp" for axis in "xyz"]
@@ -44,7 +45,10 @@ def write_folder(
     uses: list[list[tuple[float, float]]],
     recorded: dict[str, np.ndarray],
 ) -> None:
-    """``recorded`` has moments, emg, pose and ground, each (recording, row, frame) on the fine time base."""
+    """Write a subject folder.
+
+    ``recorded`` has moments, emg, pose and ground, each (recording, row, frame) on the fine time base.
+    """
     folder.mkdir(parents=True)
     _text(folder / "model.osim", leg_text(nominal), "<!--", "-->")
     _text(folder / "subject.toml", _settings(folder.name, nominal, paretic, speeds, uses), "#", "")
@@ -68,7 +72,7 @@ def write_folder(
 
 
 def _text(path: Path, text: str, opening: str, closing: str) -> None:
-    """Fill up with a comment to the size that all files of this kind have."""
+    """Write text, padded by a comment to the size of all files of this kind."""
     size = _SIZES[path.suffix]
     room = size - len(text.encode()) - len(opening) - len(closing) - 1
     if room < 0:
@@ -79,11 +83,11 @@ def _text(path: Path, text: str, opening: str, closing: str) -> None:
 def _storage(
     path: Path, name: str, columns: Sequence[str], values: np.ndarray, degrees: bool = False
 ) -> None:
-    rows = values[:, ::EVERY].T
+    rows = values[:, ::FILE_STEP].T
     time = np.arange(rows.shape[0]) / FILE_RATE
     lines = [name, "version=1", f"nRows={rows.shape[0]}", f"nColumns={len(columns) + 1}"]
     lines += [f"inDegrees={'yes' if degrees else 'no'}", "endheader", "\t".join(["time", *columns])]
-    # Adding zero takes the sign off a negative one; seven digits are the same on every machine.
+    # Adding zero removes the sign of -0; seven digits are the same on every machine.
     lines += [
         "\t".join([f"{t:8.4f}", *(f"{v + 0.0:14.6e}" for v in row)])
         for t, row in zip(time, rows, strict=True)

@@ -1,6 +1,6 @@
-"""How a person walks on a treadmill: joint angles, pelvis and ground forces, cycle after cycle.
+"""Simulated treadmill walking: joint angles, pelvis pose and ground forces of successive cycles.
 
-Mean curves follow Winter 2009 and Perry 2010 by eye at the phases below (deg; body weights); amplitudes,
+Mean curves approximate Winter 2009 and Perry 2010 at the phases below (deg; body weights); amplitudes,
 cadence and stance grow with speed as in Schwartz 2008 (doi:10.1016/j.jbiomech.2008.03.015). Cycles differ in
 duration, amplitude and shape, smoothly in time.
 """
@@ -21,11 +21,11 @@ from validation.blind.opensim_leg import ALL_COORDINATES, foot_points
 # ruff: noqa: E501
 
 
-#: The fine time base, and the one on which OpenSim is asked and files are written.
+#: Rate of the fine time base and of the written files, Hz; duration of a recording, s.
 RATE = 500.0
 FILE_RATE = 100.0
 DURATION = 13.0
-#: Lead before the first cycle that is used, in s: delays and filters need a past.
+#: Time before the first cycle that is used, s: delays and filters need earlier samples.
 LEAD = 0.6
 
 _PHASES = {
@@ -43,7 +43,7 @@ _PHASES = {
     "pelvis_tz": ([0, 30, 50, 80], [0.0, 0.018, 0.0, -0.018]),
 }  # fmt: skip
 
-# Over stance, in body weights: forward, up, right. The first row of each is the share of stance.
+# Ground force over stance, in body weights: forward, up, right. First list: % of stance.
 _FORWARD = ([0, 3, 10, 22, 40, 55, 70, 82, 91, 100], [0, 0.02, -0.10, -0.17, -0.08, 0.0, 0.09, 0.19, 0.18, 0])
 _UP = (
     [0, 4, 10, 20, 33, 50, 65, 77, 87, 95, 100],
@@ -51,31 +51,30 @@ _UP = (
 )
 _RIGHT = ([0, 4, 12, 30, 50, 75, 90, 100], [0, 0.02, -0.035, -0.05, -0.042, -0.05, -0.03, 0])
 _TURN = ([0, 15, 40, 60, 80, 100], [0, -0.004, 0.0, 0.006, 0.006, 0])
-# Where the force acts on the sole, in the foot's frame (share of the foot's length; m to the right).
+# Center of pressure in the foot's frame (share of the foot's length; m to the right).
 _CENTER = ([0, 8, 20, 40, 60, 80, 92, 100], [0.03, 0.09, 0.22, 0.40, 0.57, 0.71, 0.76, 0.79])
 _CENTER_RIGHT = ([0, 20, 60, 85, 100], [0.002, 0.006, 0.006, -0.004, -0.012])
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Walking at three speeds. Axes: recording, (coordinate or component), frame of the fine time base."""
+    """Walk at three speeds. Axes: recording, (coordinate or component), frame of the fine time base."""
 
     time: np.ndarray  # (frame,)
-    phase: np.ndarray  # (recording, frame): cycles walked so far
+    phase: np.ndarray  # (recording, frame): number of cycles completed
     speeds: tuple[float, ...]
     pose: np.ndarray  # (recording, 12, frame), rad and m: pelvis, then leg
     stance: np.ndarray  # (recording, frame): share of stance in 0 to 1, nan in swing
     ground: np.ndarray  # (recording, 9, frame): force, point, free moment on the right foot
-    other_ground: (
-        np.ndarray
-    )  # the same on the left foot, whose points are the right ones' half a cycle earlier
+    # The same on the left foot, whose points are those of the right foot half a cycle earlier.
+    other_ground: np.ndarray
 
     @property
     def angles(self) -> np.ndarray:
         return self.pose[:, 6:]
 
     def strikes(self, recording: int) -> np.ndarray:
-        """Times at which a cycle begins."""
+        """Return the times at which cycles begin (heel strikes), s."""
         phase = self.phase[recording]
         whole = np.arange(np.ceil(phase[0]), np.floor(phase[-1]) + 1)
         return np.interp(whole, phase, self.time)
@@ -86,13 +85,13 @@ def derivative(values: np.ndarray, time: np.ndarray, order: int = 1) -> np.ndarr
 
 
 def lowpass(values: np.ndarray, cutoff: float, rate: float) -> np.ndarray:
-    """Zero-phase, fourth order in all."""
+    """Apply a zero-phase Butterworth low-pass filter of fourth order in total."""
     return sosfiltfilt(butter(2, cutoff, fs=rate, output="sos"), values, axis=-1)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float) -> np.ndarray:
-    """Unit-variance Gaussian noise with a Gaussian correlation of this many frames."""
-    # Made on a coarse grid, where the filter is short, and splined up.
+    """Draw unit-variance Gaussian noise with a Gaussian correlation of a number of frames."""
+    # Draw on a coarse grid, where the filter is short, and interpolate by splines.
     step = max(1, int(frames / 4))
     coarse = shape[-1] // step + 3
     noise = gaussian_filter1d(
@@ -104,8 +103,8 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float
     return CubicSpline(np.arange(coarse) * step, noise, axis=-1)(np.arange(shape[-1]))
 
 
-def walk(leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...]) -> Walk:
-    """Let a person walk at these speeds, 13 s each."""
+def simulate_walk(leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...]) -> Walk:
+    """Simulate walking at several speeds, 13 s each."""
     time = np.arange(int(DURATION * RATE)) / RATE
     habits = {name: 1.0 + 0.08 * rng.standard_normal() for name in ALL_COORDINATES}
     offsets = {name: rng.standard_normal() for name in ALL_COORDINATES}
@@ -133,8 +132,8 @@ def _recording(leg, rng, time, speed, habits, offsets, cadence):
     )
     pose = lowpass(pose, 7.0 / period, RATE)
     ground, stance, local = _ground(leg, rng, phase, toe_off, speed, frames)
-    _stand_on_floor(leg, time, pose, stance, local, ground)
-    other = _half_cycle_later(phase, ground)
+    _place_on_floor(leg, time, pose, stance, local, ground)
+    other = _mirrored_ground(phase, ground)
     return phase, pose, stance, ground, other
 
 
@@ -168,7 +167,7 @@ def _ground(leg, rng, phase, toe_off, speed, frames):
     inside = np.nan_to_num(stance, nan=1.0)
     weight = leg.mass * 9.80665
     brisk = np.clip(speed / 1.25, 0.2, 1.3)
-    # Slow walking is a plateau, fast walking two peaks.
+    # The vertical force has a plateau in slow walking and two peaks in fast walking.
     plateau = _over_stance(([0, 4, 10, 20, 33, 50, 65, 77, 87, 95, 100], [0, 0.2, 0.62, 0.97, 0.99, 0.97, 0.99, 0.98, 0.70, 0.2, 0]), inside)  # fmt: skip
     up = (1 - brisk) * plateau + brisk * _over_stance(_UP, inside)
     wobble = 1.0 + 0.03 * smooth_noise(rng, (3, phase.size), frames)
@@ -188,8 +187,8 @@ def _ground(leg, rng, phase, toe_off, speed, frames):
     return ground, stance, local
 
 
-def _stand_on_floor(leg, time, pose, stance, local, ground):
-    """Raise or lower the pelvis until the sole is on the floor on average, and place the force."""
+def _place_on_floor(leg, time, pose, stance, local, ground):
+    """Shift the pelvis vertically so that the sole is on the floor on average, and place the force."""
     every = int(RATE / 50.0)
     coarse = np.unique(np.append(np.arange(0, time.size, every), time.size - 1))
     pose[4] += 0.9 * leg.height / 1.72
@@ -201,8 +200,8 @@ def _stand_on_floor(leg, time, pose, stance, local, ground):
     ground[3:6, np.isnan(stance)] = 0.0
 
 
-def _half_cycle_later(phase, ground):
-    """The left foot does what the right one does, mirrored, half a cycle away."""
+def _mirrored_ground(phase, ground):
+    """Mirror the ground forces of the right foot to the left, half a cycle later."""
     source = np.interp(phase - 0.5, phase, np.arange(phase.size), left=0)
     other = np.array([np.interp(source, np.arange(phase.size), row) for row in ground])
     other[[2, 6, 7]] *= -1.0

@@ -1,4 +1,4 @@
-"""Muscle paths along a walk, from OpenSim, on the fine time base."""
+"""Muscle paths and inverse dynamics of a walk by OpenSim, interpolated to the fine time base."""
 
 from __future__ import annotations
 
@@ -12,30 +12,32 @@ from validation.blind.gait import RATE, Walk, derivative
 from validation.blind.opensim_leg import crossed_coordinates, inverse_dynamics, muscle_paths
 from validation.blind.world import Paths, World
 
-#: OpenSim is asked so often a second: for paths, for their changes, and for joint moments.
+#: Rates at which OpenSim computes paths, changes of paths, and joint moments, Hz.
 PATH_RATE, CHANGE_RATE, MOMENT_RATE = 50.0, 25.0, 100.0
 
 
-def _every(walk: Walk, rate: float) -> np.ndarray:
+def _sample_frames(walk: Walk, rate: float) -> np.ndarray:
     step = int(RATE / rate)
     return np.unique(np.append(np.arange(0, walk.time.size, step), walk.time.size - 1))
 
 
-def _asked(leg: Leg, angles: np.ndarray, muscles: Sequence[int] | None) -> tuple[np.ndarray, np.ndarray]:
-    """Ask for all recordings in one go: (recording, muscle, ...frame)."""
+def _path_samples(
+    leg: Leg, angles: np.ndarray, muscles: Sequence[int] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute lengths and moment arms of all recordings at once: (recording, muscle, ..., frame)."""
     recordings = angles.shape[0]
     lengths, arms = muscle_paths(leg, np.concatenate(list(angles), axis=-1), muscles)
-    return _apart(lengths, recordings), _apart(arms, recordings)
+    return _split_recordings(lengths, recordings), _split_recordings(arms, recordings)
 
 
-def _apart(values: np.ndarray, recordings: int) -> np.ndarray:
+def _split_recordings(values: np.ndarray, recordings: int) -> np.ndarray:
     return np.stack(np.split(values, recordings, axis=-1))
 
 
 def paths_along(leg: Leg, walk: Walk) -> Paths:
-    """Paths of all muscles along a walk."""
-    at = _every(walk, PATH_RATE)
-    lengths, arms = _asked(leg, walk.angles[..., at], None)
+    """Compute the paths of all muscles along a walk."""
+    at = _sample_frames(walk, PATH_RATE)
+    lengths, arms = _path_samples(leg, walk.angles[..., at], None)
     fine = CubicSpline(walk.time[at], lengths, axis=-1)
     return Paths(fine(walk.time), fine(walk.time, 1), CubicSpline(walk.time[at], arms, axis=-1)(walk.time))
 
@@ -43,13 +45,13 @@ def paths_along(leg: Leg, walk: Walk) -> Paths:
 def changed_paths(
     world: World, leg: Leg, angles: np.ndarray | None = None, muscles: Sequence[int] | None = None
 ) -> Paths:
-    """Paths on another leg, or at other angles, of these muscles; OpenSim is asked for differences."""
+    """Compute paths for another leg or other angles by interpolating differences from the present paths."""
     walk = world.walk
-    at = _every(walk, CHANGE_RATE)
+    at = _sample_frames(walk, CHANGE_RATE)
     chosen = list(range(len(leg.muscles))) if muscles is None else list(muscles)
-    # The coarse frames are frames of the paths: OpenSim has been asked there.
+    # The coarse frames are among the frames at which the present paths were computed.
     before = (world.own_paths.length[:, chosen][..., at], world.own_paths.arms[:, chosen][..., at])
-    after = _asked(leg, (walk.angles if angles is None else angles)[..., at], chosen)
+    after = _path_samples(leg, (walk.angles if angles is None else angles)[..., at], chosen)
     length, arms = (
         CubicSpline(walk.time[at], b - a, axis=-1)(walk.time) for a, b in zip(before, after, strict=True)
     )
@@ -64,19 +66,19 @@ def changed_paths(
 def ground_moments(
     leg: Leg, walk: Walk, pose: np.ndarray | None = None, ground: np.ndarray | None = None
 ) -> np.ndarray:
-    """Inverse dynamics of a walk, (recording, coordinate, frame) on the fine time base."""
+    """Compute inverse dynamics of a walk, (recording, coordinate, frame) in N m on the fine time base."""
     pose = walk.pose if pose is None else pose
     ground = walk.ground if ground is None else ground
-    at = _every(walk, MOMENT_RATE)
+    at = _sample_frames(walk, MOMENT_RATE)
     rates, accelerations = derivative(pose, walk.time), derivative(pose, walk.time, 2)
     parts = [a[..., at] for a in (pose, rates, accelerations, ground)]
-    found = inverse_dynamics(leg, *(np.concatenate(list(part), axis=-1) for part in parts))
-    coarse = _apart(found, pose.shape[0])
-    # Linear between the frames: ground forces start and end with a corner.
+    moments = inverse_dynamics(leg, *(np.concatenate(list(part), axis=-1) for part in parts))
+    coarse = _split_recordings(moments, pose.shape[0])
+    # Linear interpolation: ground forces start and end with a kink.
     return np.stack([[np.interp(walk.time, walk.time[at], row) for row in recording] for recording in coarse])
 
 
 def muscle_indices(leg: Leg, coordinate_words: Sequence[str]) -> list[int]:
-    """Muscles that cross any of these coordinates."""
+    """Return the indices of muscles that cross coordinates with any of these words in their names."""
     wanted = {name for name in COORDINATES for word in coordinate_words if word in name}
     return [index for index, m in enumerate(leg.muscles) if wanted & set(crossed_coordinates(m))]

@@ -1,10 +1,10 @@
-"""People whose cylinders are elsewhere than in the model file that a laboratory has of them.
+"""Simulated persons whose wrapping cylinders differ from those of their model file.
 
-A `Person` of the bank already has what nobody measures: path points off by a millimetre or two, cylinders by
-a millimetre and two percent. Here every cylinder is moved, turned and resized on top of that, by some
-millimetres, degrees and percent, as a model scaled from markers is off from bones that nobody imaged; OpenSim
-wraps round them. Nothing else is amiss. Tendons are as much longer as the paths are on average, so that
-fibers work where they did.
+A `Person` of the bank already has small hidden errors: path points differ by a millimeter or two, cylinders
+by a millimeter and two percent. Here every cylinder is also moved, turned and resized by some millimeters,
+degrees and percent, as a model scaled from markers differs from bones that were not imaged; OpenSim computes
+the paths round them. There is no other effect. Tendons are lengthened by the mean change of path length, so
+that the fibers work at the same lengths.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from validation.blind.folder import write_folder
 from validation.blind.geometry import changed_paths
 from validation.blind.noise import moment_noise, noisy_envelopes
 from validation.blind.oracle import cycles
-from validation.blind.person import Person, person
+from validation.blind.person import Person, draw_person
 from validation.blind.world import Paths, World, record, with_muscles
 
-#: Standard deviations of what is hidden: along each axis (m), about x and y (rad), of the radius (share).
+#: Standard deviations of displacements: along each axis (m), about x and y (rad), of the radius (share).
 PLACE, TURN, RADIUS = 0.004, float(np.radians(5.0)), 0.06
-#: No draw is further out, in standard deviations: 8 mm, 10 degrees, 12 percent.
+#: Largest displacement in standard deviations: 8 mm, 10 degrees, 12 percent.
 MOST = 2.0
-#: Bone swallows no point of a path that is fixed to it: this much (m) stays between point and cylinder.
+#: Least distance (m) between a cylinder and the path points fixed to its body.
 CLEARANCE = 0.001
-#: A path that leaps from frame to frame by more than this (m) has flipped round its cylinder.
-LEAP = 0.003
-#: A cylinder that changes no path by this much (m) is not touched: it would hide nothing.
+#: Change of a path length between frames (m) above which the path has flipped to the other side.
+FLIP = 0.003
+#: Least change (m) of some path length by a displaced cylinder; otherwise no path touches it.
 TOUCHED = 1e-4
-#: Frames of a cycle, its two ends among them, at which the truth is kept.
+#: Frames of a cycle, including both ends, at which true moment arms are stored.
 FRAMES = 101
-#: Apart from all banks.
+#: Differs from the seeds of all banks.
 _SEED = 61_417
 _DRAWS = 40
 
 
 @dataclass(frozen=True)
 class HiddenWraps:
-    """A person whose cylinders were displaced.
+    """Person with displaced cylinders.
 
     Parameters
     ----------
     who
-        Before that; what the laboratory believes of them.
+        Person before the displacement, with the nominal leg of the model file.
     world
-        After it.
+        World after the displacement.
     """
 
     who: Person
@@ -58,19 +58,19 @@ class HiddenWraps:
 
     @property
     def wraps(self) -> dict[str, list[float]]:
-        """How far each true cylinder is from the believed one, the person's usual small errors included.
+        """Wrap parameters of the true cylinders relative to the nominal ones, with the small hidden errors.
 
-        Along x, y, z of the believed one (m), turned about its x and y (rad, body-fixed), radius as a
-        multiple of the believed one.
+        Translation along x, y, z of the nominal frame (m), body-fixed rotation about x and y (rad), and ratio
+        of the radii.
         """
         pairs = zip(self.world.leg.cylinders, self.who.nominal.cylinders, strict=True)
         return {
             true.name: [
-                *(float(a - b) for a, b in zip(true.translation, believed.translation, strict=True)),
+                *(float(a - b) for a, b in zip(true.translation, nominal.translation, strict=True)),
                 *true.rotation[:2],
-                true.radius / believed.radius,
+                true.radius / nominal.radius,
             ]
-            for true, believed in pairs
+            for true, nominal in pairs
         }
 
 
@@ -79,30 +79,32 @@ def hidden_wraps(seed: int, family: str = "millard") -> HiddenWraps:
 
     Parameters
     ----------
+    seed
+        Number of the person.
     family
-        Curves and activation, from `families.FAMILIES`.
+        Curves and activation dynamics, a key of `families.FAMILIES`.
     """
-    who = person(f"hidden_{seed:03d}", (_SEED, 0, seed), family)
+    who = draw_person(f"hidden_{seed:03d}", (_SEED, 0, seed), family)
     return HiddenWraps(who, displace(who.world, np.random.default_rng((_SEED, 1, seed))))
 
 
 def displace(world: World, rng: np.random.Generator) -> World:
-    """Displace all cylinders, each until its muscles run round it without a leap.
+    """Displace all cylinders, each with new draws until its paths change without flipping.
 
     Raises
     ------
     ValueError
-        If none of a cylinder's draws will do.
+        If no draw of a cylinder satisfies this.
     """
-    now = world
+    displaced = world
     for cylinder in world.leg.cylinders:
-        now = _displaced(now, cylinder, rng)
-    # Fibers where they were.
-    longer = (now.paths.length - world.paths.length).mean(axis=(0, 2))
-    return with_muscles(now, tendon_slack_length=now.muscles.tendon_slack_length + longer)
+        displaced = _displace_cylinder(displaced, cylinder, rng)
+    # Fibers keep their lengths.
+    longer = (displaced.paths.length - world.paths.length).mean(axis=(0, 2))
+    return with_muscles(displaced, tendon_slack_length=displaced.muscles.tendon_slack_length + longer)
 
 
-def _displaced(world: World, cylinder: Cylinder, rng: np.random.Generator) -> World:
+def _displace_cylinder(world: World, cylinder: Cylinder, rng: np.random.Generator) -> World:
     for _ in range(_DRAWS):
         moved = _moved(cylinder, np.clip(rng.standard_normal(6), -MOST, MOST))
         leg = replace(
@@ -113,9 +115,9 @@ def _displaced(world: World, cylinder: Cylinder, rng: np.random.Generator) -> Wo
             continue
         users = [index for index, m in enumerate(leg.muscles) if cylinder.name in m.cylinders]
         paths = changed_paths(world, leg, muscles=users)
-        if runs_on(world.paths, paths):
+        if changes_smoothly(world.paths, paths):
             return replace(world, leg=leg, paths=paths, own_paths=paths)
-    raise ValueError(f"no place was found for {cylinder.name}")
+    raise ValueError(f"no suitable displacement was found for {cylinder.name}")
 
 
 def _moved(cylinder: Cylinder, draw: np.ndarray) -> Cylinder:
@@ -131,13 +133,13 @@ def _moved(cylinder: Cylinder, draw: np.ndarray) -> Cylinder:
 
 
 def axis_of(cylinder: Cylinder) -> np.ndarray:
-    """Direction of a cylinder's axis in its body, of length one."""
+    """Compute the unit vector of a cylinder's axis in its body."""
     x, y, _ = cylinder.rotation
     return np.array([np.sin(y), -np.sin(x) * np.cos(y), np.cos(x) * np.cos(y)])
 
 
 def clearance(leg: Leg, cylinder: Cylinder) -> float:
-    """Least distance (m) from a cylinder's surface to its muscles' points on its body; inside: negative."""
+    """Compute the least distance (m) of its muscles' points on its body from a cylinder; inside: negative."""
     points = np.array(
         [
             place
@@ -153,46 +155,52 @@ def clearance(leg: Leg, cylinder: Cylinder) -> float:
     return float(away.min() - cylinder.radius)
 
 
-def runs_on(before: Paths, after: Paths) -> bool:
-    """Tell paths that differ, and do so without a leap (`LEAP` a fiftieth of a second)."""
+def changes_smoothly(before: Paths, after: Paths) -> bool:
+    """Check that paths differ, and that the difference changes by less than `FLIP` within 1/50 s."""
     change = after.length - before.length
     steps = np.abs(np.diff(change[..., ::10], axis=-1))
-    return bool(np.abs(change).max() > TOUCHED and steps.max() < LEAP)
+    return bool(np.abs(change).max() > TOUCHED and steps.max() < FLIP)
 
 
 def at_frames(world: World, values: np.ndarray) -> np.ndarray:
-    """Sample (recording, ..., frame) over all cycles, in the order of the folder's: (cycle, ..., 101)."""
+    """Sample (recording, ..., frame) over all cycles in the order of the folder: (cycle, ..., 101)."""
     time, out = world.walk.time, []
     for recording, pairs in enumerate(cycles(world)):
         for start, end in pairs:
             place = np.interp(np.linspace(start, end, FRAMES), time, np.arange(time.size))
             low = np.minimum(place.astype(int), time.size - 2)
             share = place - low
-            own = values[recording]
-            out.append((1.0 - share) * own[..., low] + share * own[..., low + 1])
+            recorded = values[recording]
+            out.append((1.0 - share) * recorded[..., low] + share * recorded[..., low + 1])
     return np.stack(out)
 
 
 def write_hidden(hidden: HiddenWraps, seed: int, emg_noise: float, folder: Path) -> None:
-    """Write ``subject/``, what the laboratory has, and the truth beside it; whole or not at all.
+    """Write the subject folder ``subject/`` and the true values in one atomic step.
 
-    Moments have the bank's noise. ``truth.npz`` has moment arms (cycle, muscle, coordinate, frame) in m:
-    ``arms``, the true ones, and ``undisplaced``, those of the same person before cylinders were displaced;
-    ``muscles`` and ``coordinates`` name their axes. ``truth.json`` has the cylinders.
+    Moments have the noise of the bank. ``truth.npz`` has moment arms (cycle, muscle, coordinate, frame) in m:
+    ``arms`` are the true ones and ``undisplaced`` those before the displacement; ``muscles`` and
+    ``coordinates`` name the axes. ``truth.json`` has the wrap parameters of the true cylinders.
 
     Parameters
     ----------
+    hidden
+        Person with displaced cylinders.
+    seed
+        Number of the person, for the noise.
     emg_noise
-        Share of the envelopes.
+        Noise as a share of the envelopes.
+    folder
+        Folder to write.
     """
     who, world = hidden.who, hidden.world
     rng = np.random.default_rng((_SEED, 2, seed))
-    seen = record(world)
+    clean = record(world)
     recorded = {
-        "moments": seen.moments + moment_noise(world.walk, world.leg.mass, rng),
-        "emg": noisy_envelopes(seen.emg, emg_noise, rng),
-        "pose": seen.pose,
-        "ground": seen.ground,
+        "moments": clean.moments + moment_noise(world.walk, world.leg.mass, rng),
+        "emg": noisy_envelopes(clean.emg, emg_noise, rng),
+        "pose": clean.pose,
+        "ground": clean.ground,
     }
     work = folder.with_name(f"{folder.name}.part")
     shutil.rmtree(work, ignore_errors=True)

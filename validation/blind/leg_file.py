@@ -1,4 +1,4 @@
-"""Write a leg as an OpenSim model, as text: OpenSim's own writer is not the same on every machine."""
+"""OpenSim model file of a leg, written as text so that it is the same on every machine."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FRAMES = {"pelvis": "/bodyset/pelvis", "ground": "/ground"}
 
 
 def number(value: float) -> str:
-    """Nine significant digits: enough for 1e-9 m, the same wherever it is printed."""
+    """Format with nine significant digits, which suffice for 1e-9 m and are the same on every machine."""
     return f"{value + 0.0:.9g}"
 
 
@@ -27,7 +27,7 @@ def numbers(values: Iterable[float]) -> str:
 
 
 def leg_text(leg: Leg) -> str:
-    """Compose the file."""
+    """Format a leg as the text of an ``.osim`` file."""
     parts = [
         '<?xml version="1.0" encoding="UTF-8" ?>',
         '<OpenSimDocument Version="40000">',

@@ -1,4 +1,4 @@
-"""All catalogued signatures of one person: how strong each effect can get, and what it looks like."""
+"""Signatures of all catalogued effects for one person, with their largest d*."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from validation.blind.noise import EMG_LEVELS
 from validation.blind.oracle import TIE, Oracle, difference, flat
 from validation.blind.world import World
 
-#: Signatures are taken at this share of an effect's largest amount.
+#: Share of an effect's largest amount at which its signature is computed.
 SHARE = 0.4
-#: Directions weaker than this, relative to an effect's strongest, are not used to imitate.
+#: Relative cutoff of the pseudo-inverse.
 _RANK = 1e-6
 
 
 @dataclass(frozen=True)
 class Library:
-    """``signals`` is (sample, entry); ``reach`` the largest d* of each entry, (level, entry)."""
+    """Signatures of one person.
+
+    ``signals`` are the signatures, (sample, entry) in N m; ``reach`` is the largest d* of each entry, (level,
+    entry).
+    """
 
     entries: tuple[tuple[str, Variant], ...]
     signals: np.ndarray
@@ -38,16 +42,16 @@ class Library:
             return Library(entries, data["signals"].astype(float), data["reach"])
 
     def of(self, name: str) -> np.ndarray:
-        return np.array([index for index, (own, _) in enumerate(self.entries) if own == name], int)
+        return np.array([index for index, (entry, _) in enumerate(self.entries) if entry == name], int)
 
 
 def library_file(bank: Path, person: int) -> Path:
-    """Where a bank keeps the library of a person, by number."""
+    """Return the library file of a person, by number."""
     return bank / "library" / f"{person:02d}.npz"
 
 
 def library_of(bank: Path, name: str) -> Library:
-    """The library of a person, by the name that truths have."""
+    """Load the library of a person, by the name in the truth of a case."""
     return Library.load(library_file(bank, int(name.rsplit("_", 1)[-1])))
 
 
@@ -71,18 +75,33 @@ def build_library(world: World, oracles: dict[float, Oracle]) -> Library:
 
 
 def imitations(
-    library: Library, oracle: Oracle, own: str, seen: np.ndarray
+    library: Library, oracle: Oracle, own: str, signal: np.ndarray
 ) -> dict[str, tuple[float, float]]:
-    """For each catalogued effect but ``own``: what it cannot imitate of a signal, and what ``own`` (its
-    library entries and the signal itself) cannot imitate of its best imitation; in squared standard
-    deviations.
+    """Compute how well each other effect can imitate a signal, and the reverse.
+
+    Parameters
+    ----------
+    library
+        Signatures of the person.
+    oracle
+        Covariance of everything that is not an effect.
+    own
+        Effect that causes the signal; it is omitted.
+    signal
+        Signal, (sample,).
+
+    Returns
+    -------
+    dict
+        For each other effect: the squared standard deviations of the signal that its signatures cannot fit,
+        and those of its best fit that ``own`` (its signatures and the signal itself) cannot fit.
     """
     whitened = oracle.whiten(library.signals)
     gram = library.signals.T @ whitened
-    cross = whitened.T @ seen
-    strength = float(seen @ oracle.whiten(seen))
-    mine = library.of(own) if own in EFFECTS else np.array([], int)
-    found = {}
+    cross = whitened.T @ signal
+    strength = float(signal @ oracle.whiten(signal))
+    own_entries = library.of(own) if own in EFFECTS else np.array([], int)
+    residuals = {}
     for name in EFFECTS:
         if name == own:
             continue
@@ -90,23 +109,29 @@ def imitations(
         inner = _pseudo_inverse(gram[np.ix_(index, index)])
         mix = inner @ cross[index]
         explained = float(mix @ cross[index])
-        # The other way: the best imitation, less what my own entries and the signal give of it.
+        # The reverse: the best imitation minus its fit by the own signatures and the signal.
         best = library.signals[:, index] @ mix
-        back = np.concatenate([whitened[:, mine].T @ best, [float(seen @ (whitened[:, index] @ mix))]])
-        own_gram = np.block(
-            [[gram[np.ix_(mine, mine)], cross[mine][:, None]], [cross[mine][None], np.array([[strength]])]]
+        back = np.concatenate(
+            [whitened[:, own_entries].T @ best, [float(signal @ (whitened[:, index] @ mix))]]
         )
-        given = float(back @ _pseudo_inverse(own_gram) @ back)
-        found[name] = (max(strength - explained, 0.0), max(explained - given, 0.0))
-    return found
+        own_gram = np.block(
+            [
+                [gram[np.ix_(own_entries, own_entries)], cross[own_entries][:, None]],
+                [cross[own_entries][None], np.array([[strength]])],
+            ]
+        )
+        fitted = float(back @ _pseudo_inverse(own_gram) @ back)
+        residuals[name] = (max(strength - explained, 0.0), max(explained - fitted, 0.0))
+    return residuals
 
 
 def ties(imitated: dict[str, tuple[float, float]]) -> list[str]:
+    """Return the effects that are tied: each imitates the other within `TIE`."""
     return sorted(name for name, both in imitated.items() if max(both) < TIE)
 
 
 def likeness(imitated: dict[str, tuple[float, float]], strength: float) -> tuple[str, float]:
-    """The effect that a signal looks like most, and the cosine with its best imitation."""
+    """Return the effect most similar to a signal, and the cosine with its best imitation."""
     name = min(imitated, key=lambda key: imitated[key][0])
     return name, float(np.sqrt(max(0.0, 1.0 - imitated[name][0] / strength)))
 

@@ -1,4 +1,4 @@
-"""Make a bank: people and their libraries first, then the plan, then the cases; resumes where it stopped."""
+"""Simulation of a bank: libraries of the persons, plan, cases and manifest; continues an interrupted run."""
 
 from __future__ import annotations
 
@@ -10,48 +10,53 @@ from pathlib import Path
 from time import perf_counter
 
 from validation.blind.case import make_case
-from validation.blind.case_selection import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, CaseSelection
 from validation.blind.effects import EFFECTS
 from validation.blind.library import Library, build_library, library_file
 from validation.blind.noise import EMG_LEVELS
 from validation.blind.oracle import oracles
 from validation.blind.outside_catalogue import OUTSIDE
-from validation.blind.person import Person, person
-from validation.blind.plan import Bank, Planned, draft, family_of, paretic, with_targets
+from validation.blind.person import Person, draw_person
+from validation.blind.plan import Bank, PlannedCase, family_of, paretic, plan_cases, with_targets
 from validation.blind.seal import seal
 
-#: Variants do not depend on the person.
+#: Variants of each effect; they do not depend on the person.
 VARIANTS = {name: effect.variants(None) for name, effect in {**EFFECTS, **OUTSIDE}.items()}  # type: ignore[arg-type]
 
 
-def someone(bank: Bank, index: int) -> Person:
-    return person(f"{bank.name}_{index:02d}", (bank.seed, 0, index), family_of(bank, index), paretic(index))
+def person_of(bank: Bank, index: int) -> Person:
+    """Draw a person of a bank by number."""
+    return draw_person(
+        f"{bank.name}_{index:02d}", (bank.seed, 0, index), family_of(bank, index), paretic(index)
+    )
 
 
-def make(bank: Bank, folder: Path, workers: int = 1, lot: Lot = ALL_CASES) -> list[Planned]:
-    """Make all cases of a bank, or some, and seal them."""
+def make(
+    bank: Bank, folder: Path, workers: int = 1, selection: CaseSelection = ALL_CASES
+) -> list[PlannedCase]:
+    """Make the selected cases of a bank and write their manifest."""
     (folder / "library").mkdir(parents=True, exist_ok=True)
     people = range(bank.people)
     missing = [index for index in people if not library_file(folder, index).exists()]
-    _spread(workers, _make_library, [(bank, folder, index) for index in missing], "people")
+    _run_jobs(workers, _make_library, [(bank, folder, index) for index in missing], "people")
     libraries = {index: Library.load(library_file(folder, index)) for index in people}
-    planned = with_targets(bank, draft(bank, VARIANTS), libraries)
-    wanted = set(lot.of(case.id for case in planned))
-    planned = [case for case in planned if case.id in wanted]
-    todo = [[case for case in planned if case.person == i and not _made(folder, case)] for i in people]
+    planned = with_targets(bank, plan_cases(bank, VARIANTS), libraries)
+    selected = set(selection.select(case.id for case in planned))
+    planned = [case for case in planned if case.id in selected]
+    todo = [[case for case in planned if case.person == i and not _is_made(folder, case)] for i in people]
     jobs = [(bank, folder, index, some) for index, some in zip(people, todo, strict=True) if some]
-    _spread(workers, _make_cases, jobs, "people's cases")
+    _run_jobs(workers, _make_cases, jobs, "people's cases")
     seal(folder)
     return planned
 
 
-def _made(folder: Path, case: Planned) -> bool:
+def _is_made(folder: Path, case: PlannedCase) -> bool:
     return (folder / "cases" / case.id).exists()
 
 
 def _make_library(bank: Bank, folder: Path, index: int) -> str:
     start = perf_counter()
-    who = someone(bank, index)
+    who = person_of(bank, index)
     library = build_library(who.world, oracles(who.world, EMG_LEVELS))
     partial = folder / "library" / f"partial_{index:02d}.npz"
     library.save(partial)
@@ -59,9 +64,9 @@ def _make_library(bank: Bank, folder: Path, index: int) -> str:
     return f"{who.name}: {len(library.entries)} signatures in {perf_counter() - start:.0f} s"
 
 
-def _make_cases(bank: Bank, folder: Path, index: int, planned: list[Planned]) -> str:
+def _make_cases(bank: Bank, folder: Path, index: int, planned: list[PlannedCase]) -> str:
     start = perf_counter()
-    who = someone(bank, index)
+    who = person_of(bank, index)
     library = Library.load(library_file(folder, index))
     known = oracles(who.world, tuple(sorted({case.level for case in planned})))
     for case in planned:
@@ -70,7 +75,7 @@ def _make_cases(bank: Bank, folder: Path, index: int, planned: list[Planned]) ->
     return f"{who.name}: {len(planned)} cases in {seconds:.0f} s ({seconds / len(planned):.1f} s each)"
 
 
-def _spread(workers: int, work: Callable[..., str], jobs: Iterable[tuple], what: str) -> None:
+def _run_jobs(workers: int, work: Callable[..., str], jobs: Iterable[tuple], what: str) -> None:
     jobs = list(jobs)
     if workers <= 1:
         for done, job in enumerate(jobs, 1):

@@ -1,4 +1,4 @@
-"""What a person's muscles are like, and the force that they give."""
+"""Muscle parameters of a person, and muscle forces with rigid or compliant tendons."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from scipy.signal import lfilter
 
 from validation.blind.families import Curves
 
-#: Optimal fiber lengths a second.
+#: Maximum fiber velocity, optimal fiber lengths per second.
 MAX_VELOCITY = 10.0
-#: Share of the maximum force that damps a fiber at its maximum velocity, where the tendon stretches.
+#: Damping of fibers with a compliant tendon: share of the maximum force at maximum velocity.
 DAMPING = 0.1
 
 
 @dataclass(frozen=True)
 class Muscles:
-    """Hidden numbers, each (muscle,) unless said. The last six are neutral in a person without effect."""
+    """True muscle parameters, (muscle,) unless stated. The last six are neutral without an effect."""
 
     max_isometric_force: np.ndarray
     optimal_fiber_length: np.ndarray
@@ -26,14 +26,14 @@ class Muscles:
     scale: np.ndarray  # excitation for a full envelope
     delay: np.ndarray  # (recording, muscle), s
     rise: np.ndarray  # activation time, s
-    fall: np.ndarray  # deactivation takes this many times as long
-    bend: np.ndarray  # of activation, 0 to 1
-    slowness: np.ndarray  # 0; share by which the maximum velocity is less
-    length_gain: np.ndarray  # 0; optimal fiber length at rest is longer by this share
-    enhancement: np.ndarray  # 0; gain of force after stretch
-    tightness: np.ndarray  # 0; share by which passive fibers are shorter
+    fall: np.ndarray  # ratio of deactivation to activation time
+    bend: np.ndarray  # activation nonlinearity, 0 to 1
+    slowness: np.ndarray  # 0; relative reduction of the maximum velocity
+    length_gain: np.ndarray  # 0; relative increase of the optimal fiber length at rest
+    enhancement: np.ndarray  # 0; gain of force enhancement after stretch
+    tightness: np.ndarray  # 0; relative shortening of passive fibers
     strain: np.ndarray  # 0; tendon strain at maximum force
-    recruitment: np.ndarray  # 0; share by which weakly driven fibers are slower
+    recruitment: np.ndarray  # 0; relative reduction of velocity at low activation
 
 
 def muscle_forces(
@@ -44,7 +44,7 @@ def muscle_forces(
     rate: np.ndarray,
     step: float,
 ) -> np.ndarray:
-    """Tendon forces in N; activation, path length (m) and its rate are (recording, muscle, frame)."""
+    """Compute tendon forces (N) from activation, path length (m) and rate; (recording, muscle, frame)."""
     law = _Law(curves, muscles, activation, step)
     projection = law.column(np.cos(muscles.pennation))
     slack, reach = law.column(muscles.tendon_slack_length), law.reach
@@ -52,7 +52,7 @@ def muscle_forces(
     velocity = rate / reach
     if muscles.strain.any():
         stretched = muscles.strain > 0.0
-        fiber[:, stretched], velocity[:, stretched] = _behind_tendon(
+        fiber[:, stretched], velocity[:, stretched] = _compliant_tendon_fibers(
             curves, muscles, activation, length, reach, step, stretched
         )
         damping = law.column(_damping(muscles.strain)) * velocity / MAX_VELOCITY
@@ -81,14 +81,14 @@ class _Law:
         m, a = self.muscles, self.activation
         length = fiber
         if m.length_gain.any():
-            # Longer at rest, the more so the weaker the drive: an exponential that is 0 when fully active.
+            # Longer at low activation: an exponential that is 0 at full activation.
             weak = (np.exp(-a / 0.4) - np.exp(-1.0 / 0.4)) / (1.0 - np.exp(-1.0 / 0.4))
             length = fiber / (1.0 + self.column(m.length_gain) * weak)
         slower = 1.0 - self.column(m.slowness)
         if m.recruitment.any():
             slower = slower * (1.0 - self.column(m.recruitment) * (1.0 - a) ** 2)
         normalized = velocity / (MAX_VELOCITY * slower)
-        # Slow fibers are also more curved when they shorten.
+        # The shortening curve of slow fibers is also more curved.
         deeper = 1.0 + 0.3 * self.column(m.slowness) * (1.0 + np.clip(normalized, -1.0, 0.0))
         normalized = np.where(velocity < 0.0, normalized * deeper, normalized)
         force = a * self.curves.active(length) * self.curves.velocity(normalized)
@@ -99,7 +99,7 @@ class _Law:
         return (1.0 + 2.0 * tight) * self.curves.passive(fiber / (1.0 - tight))
 
     def history(self, velocity: np.ndarray) -> np.ndarray:
-        """Force left over from stretching while active, saturating; half as much lost by shortening."""
+        """Compute the force ratio after active stretch (saturating), with half as much lost by shortening."""
         gained = self._leaky(self.activation * np.maximum(velocity, 0.0), 0.35)
         lost = self._leaky(self.activation * np.maximum(-velocity, 0.0), 0.25)
         return 1.0 + self.column(self.muscles.enhancement) * (
@@ -112,20 +112,20 @@ class _Law:
 
 
 def _damping(strain: np.ndarray) -> np.ndarray:
-    # Gone where the tendon is rigid: a damped rigid muscle would be another one.
+    # No damping for a rigid tendon: there it would change the muscle without effect.
     return DAMPING * np.tanh(strain / 0.03)
 
 
 def tendon_force(stretch: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    """Toe, then straight (normalised force; Thelen 2003): ``strain`` is that at the maximum force."""
+    """Compute normalized tendon force (Thelen 2003); ``strain`` is that at the maximum force."""
     toe_strain, toe_force = 0.609 * strain, 1.0 / 3.0
     slope = 1.712 / strain
     toe = toe_force * np.expm1(3.0 * np.clip(stretch / toe_strain, -1.0, 1.0)) / np.expm1(3.0)
     return toe + slope * np.maximum(stretch - toe_strain, 0.0)
 
 
-def _behind_tendon(curves, muscles, activation, length, reach, step, chosen):
-    """Fiber length and velocity of muscles whose tendons stretch: implicit steps, a secant each."""
+def _compliant_tendon_fibers(curves, muscles, activation, length, reach, step, chosen):
+    """Integrate fiber length and velocity with compliant tendons by implicit secant steps."""
     a, path = activation[:, chosen], length[:, chosen]
     reach = reach[:, chosen, 0]
     slack = muscles.tendon_slack_length[None, chosen]
@@ -141,7 +141,7 @@ def _behind_tendon(curves, muscles, activation, length, reach, step, chosen):
 
     fibers = np.empty_like(path)
     now = (path[..., 0] - slack) / reach
-    # The first frame rests: no velocity, found by halving.
+    # The first frame has no velocity; solve it by bisection.
     low, high = now - 0.6, now + 0.05
     for _ in range(40):
         middle = 0.5 * (low + high)

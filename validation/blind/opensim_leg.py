@@ -1,6 +1,6 @@
-"""OpenSim's answers about a leg: muscle lengths, moment arms, joint moments from ground forces, curves.
+"""OpenSim computations on a leg: muscle paths, inverse dynamics, foot points, and muscle curves.
 
-The only module that imports `opensim`.
+This is the only module that imports `opensim`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from validation.blind.anatomy import COORDINATES, PELVIS, Leg
 from validation.blind.leg_file import leg_text
 
-#: Coordinates that a muscle can cross, by the bodies that its points lie on.
+#: Bodies from proximal to distal, and the coordinates between each and the next.
 _ORDER = ("pelvis", "femur_r", "tibia_r", "calcn_r")
 _CROSSED = (COORDINATES[:3], COORDINATES[3:4], COORDINATES[4:])
 ALL_COORDINATES = (*PELVIS, *COORDINATES)
 
 
 @contextmanager
-def opened(leg: Leg) -> Iterator[tuple[Any, Any, Any]]:
-    """Load a leg into OpenSim: the module, the model, a state."""
+def opensim_model(leg: Leg) -> Iterator[tuple[Any, Any, Any]]:
+    """Load a leg into OpenSim; yields the module, the model and a state."""
     import opensim
 
     opensim.Logger.setLevelString("Off")
@@ -39,15 +39,15 @@ def opened(leg: Leg) -> Iterator[tuple[Any, Any, Any]]:
 def muscle_paths(
     leg: Leg, angles: np.ndarray, muscles: Sequence[int] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (muscle, frame) in m and moment arms (muscle, coordinate, frame) in m.
+    """Compute lengths (muscle, frame) in m and moment arms (muscle, coordinate, frame) in m.
 
-    ``angles`` is (coordinate, frame) in rad, the six of the leg.
+    ``angles`` are those of the six coordinates of the leg, (coordinate, frame) in rad.
     """
     chosen = range(len(leg.muscles)) if muscles is None else muscles
     frames = angles.shape[1]
     lengths = np.zeros((len(chosen), frames))
     arms = np.zeros((len(chosen), len(COORDINATES), frames))
-    with opened(leg) as (_, model, state):
+    with opensim_model(leg) as (_, model, state):
         coordinates = [model.getCoordinateSet().get(name) for name in COORDINATES]
         entries = [model.getMuscles().get(leg.muscles[index].name) for index in chosen]
         crossed = [
@@ -65,14 +65,15 @@ def muscle_paths(
 
 
 def crossed_coordinates(muscle: Any) -> tuple[str, ...]:
+    """Return the coordinates between the most proximal and most distal body of a muscle."""
     places = [_ORDER.index(body) for body, _ in muscle.points]
     return tuple(name for group in _CROSSED[min(places) : max(places)] for name in group)
 
 
 def foot_points(leg: Leg, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Where points of the foot, (frame, 3) in its frame, are in the laboratory; pose is (12, frame)."""
+    """Transform points of the foot, (frame, 3) in its frame, to the laboratory; pose is (12, frame)."""
     out = np.zeros_like(points)
-    with opened(leg) as (opensim, model, state):
+    with opensim_model(leg) as (opensim, model, state):
         coordinates = [model.getCoordinateSet().get(name) for name in ALL_COORDINATES]
         foot = model.getBodySet().get("calcn_r")
         for frame in range(pose.shape[1]):
@@ -87,17 +88,17 @@ def foot_points(leg: Leg, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
 def inverse_dynamics(
     leg: Leg, pose: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, ground: np.ndarray
 ) -> np.ndarray:
-    """Joint moments of the leg, (coordinate, frame) in N m.
+    """Compute joint moments of the leg by inverse dynamics, (coordinate, frame) in N m.
 
     ``pose``, ``rate`` and ``acceleration`` are (12, frame): pelvis, then leg. ``ground`` is (9, frame):
     force, point and free moment on the foot, in the laboratory.
     """
     moments = np.zeros((len(COORDINATES), pose.shape[1]))
-    with opened(leg) as (opensim, model, state):
+    with opensim_model(leg) as (opensim, model, state):
         solver = opensim.InverseDynamicsSolver(model)
         coordinates = [model.getCoordinateSet().get(name) for name in ALL_COORDINATES]
         foot = model.getBodySet().get("calcn_r")
-        bodies = model.getNumBodies() + 1  # the ground is one
+        bodies = model.getNumBodies() + 1  # including the ground
         index = int(foot.getMobilizedBodyIndex())
         none = opensim.Vector(state.getNU(), 0.0)
         for muscle in range(model.getMuscles().getSize()):
@@ -118,14 +119,14 @@ def inverse_dynamics(
                 opensim.SpatialVec(opensim.Vec3(*map(float, turning)), opensim.Vec3(*map(float, wrench[:3]))),
             )
             udot = opensim.Vector([float(value) for value in acceleration[:, frame]])
-            found = solver.solve(state, udot, none, applied)
-            moments[:, frame] = [found.get(len(PELVIS) + row) for row in range(len(COORDINATES))]
+            forces = solver.solve(state, udot, none, applied)
+            moments[:, frame] = [forces.get(len(PELVIS) + row) for row in range(len(COORDINATES))]
     return moments
 
 
 @cache
 def millard_tables() -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """OpenSim's Millard 2012 curves, tabulated: active, velocity, passive."""
+    """Tabulate OpenSim's Millard 2012 curves: active, velocity, passive."""
     import opensim
 
     opensim.Logger.setLevelString("Off")

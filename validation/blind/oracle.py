@@ -1,8 +1,9 @@
-"""What the generator itself could detect and tell apart: it knows the truth and the noise.
+"""Detectability of effects (d*) and ties, computed with the true parameters and the true noise covariance.
 
-The signal of an effect is what it puts between recorded moments and a prediction without it, from the same
-recorded EMG and angles, at the true parameters. Nuisance is whatever calibration may move, and what it cannot
-know: noise of moments and electrodes, hidden geometry, other families' curves.
+The signal of an effect is the difference between the recorded moments and a prediction without the effect
+from the same recorded EMG and angles at the true parameters. The covariance contains everything that a
+calibration can adjust, and everything that it cannot know: noise of moments and EMG, hidden geometry, curves
+of other families.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from validation.blind.world import World, joint_moments, moments_by_muscle, reco
 
 PHASES = 25
 CALIBRATION, VALIDATION = 5, 2
-#: What calibration moves: prior standard deviation, step of differences, whether either is a share.
-_MOVED = {
+#: Parameters that calibration adjusts: prior standard deviation, difference step, whether both are relative.
+_ADJUSTED = {
     "scale": (0.6, 0.05, True),
     "delay": (0.025, 0.004, False),
     "rise": (0.4, 0.1, True),
@@ -36,30 +37,31 @@ _MOVED = {
     "optimal_fiber_length": (0.15, 0.01, True),
     "tendon_slack_length": (0.04, 0.002, True),
 }
-#: Hidden error of moment arms (m), and how far from this world's curves another's may be.
+#: Standard deviations of hidden moment arm errors (m), and of the change to curves of another family.
 _ARM_SD, _CURVE_SD = 0.0015, 1.0
-#: Below this two causes are one, in squared standard deviations.
+#: Two effects are tied below this difference, in squared standard deviations.
 TIE = 9.0
 
 
 def cycles(world: World) -> list[list[tuple[float, float]]]:
-    """The cycles of each recording that are used: calibration first, then validation; the last recording's
-    are all validation.
+    """Return start and end (s) of the cycles used of each recording, calibration before validation cycles.
+
+    All cycles of the last recording are validation cycles.
     """
     walk = world.walk
-    found = []
+    used = []
     for recording in range(len(walk.speeds)):
         strikes = walk.strikes(recording)
-        # Times are written with four digits, so use those.
+        # Times are written with four decimals, so use rounded ones.
         strikes = np.round(strikes[strikes >= LEAD - 1e-6], 4)
         pairs = [(float(a), float(b)) for a, b in pairwise(strikes)]
         pairs = [pair for pair in pairs if pair[1] < walk.time[-1] - 0.3]
-        found.append(pairs[: CALIBRATION + VALIDATION])
-    return found
+        used.append(pairs[: CALIBRATION + VALIDATION])
+    return used
 
 
 def at_cycles(world: World, values: np.ndarray, uses: list[list[tuple[float, float]]]) -> np.ndarray:
-    """Sample (recording, row, frame) at these cycles' phases: (cycle, phase, row)."""
+    """Sample (recording, row, frame) at the phases of cycles: (cycle, phase, row)."""
     out = []
     for recording, pairs in enumerate(uses):
         for start, end in pairs:
@@ -75,7 +77,7 @@ def calibration_cycles(world: World) -> list[list[tuple[float, float]]]:
 
 
 def difference(world: World, effect: Effect, amount: float, variant: Variant) -> tuple[World, np.ndarray]:
-    """The world with the effect, and its signal, (recording, coordinate, frame) in N m."""
+    """Return the world with an effect, and the signal of the effect, (recording, coordinate, frame) in N m."""
     changed = effect.apply(world, amount, variant)
     return changed, signal(
         changed, effect.apply(world, 0.0, variant) if effect.id == "bound_pressure" else world
@@ -83,27 +85,27 @@ def difference(world: World, effect: Effect, amount: float, variant: Variant) ->
 
 
 def signal(changed: World, base: World) -> np.ndarray:
-    """Recorded moments less what the base world would give from the EMG and the angles that are recorded."""
-    seen = record(changed)
-    believed = replace(base, drive=seen.emg)
+    """Subtract the base world's moments, at the recorded EMG and angles, from the recorded moments."""
+    recorded = record(changed)
+    predicted = replace(base, drive=recorded.emg)
     shift = sum(changed.recorded_pose, np.zeros_like(base.walk.pose))[:, 6:]
     moved = [name for name, row in zip(COORDINATES, np.abs(shift).max(axis=(0, 2)), strict=True) if row > 0.0]
     if moved:
         angles = base.walk.angles + shift
-        believed = replace(
-            believed, paths=changed_paths(base, base.leg, angles, muscle_indices(base.leg, moved))
+        predicted = replace(
+            predicted, paths=changed_paths(base, base.leg, angles, muscle_indices(base.leg, moved))
         )
-    return seen.moments - joint_moments(believed)
+    return recorded.moments - joint_moments(predicted)
 
 
 @dataclass(frozen=True)
 class Oracle:
-    """Inner products under the covariance of everything that is not the effect."""
+    """Inner products under the covariance of everything that is not an effect."""
 
     factor: tuple[np.ndarray, bool]
 
     def whiten(self, signals: np.ndarray) -> np.ndarray:
-        """V^-1 times signals (sample, signal)."""
+        """Multiply signals (sample, signal) by the inverse covariance."""
         return cho_solve(self.factor, signals)
 
     def gram(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -111,12 +113,12 @@ class Oracle:
 
 
 def flat(world: World, values: np.ndarray) -> np.ndarray:
-    """Samples of the calibration cycles in a row: cycle, phase, coordinate."""
+    """Flatten the samples of the calibration cycles in the order cycle, phase, coordinate."""
     return at_cycles(world, values, calibration_cycles(world)).ravel()
 
 
 def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
-    """One for each level of EMG noise."""
+    """Build an oracle for each level of EMG noise."""
     columns, gains = _nuisances(world)
     plain = columns @ columns.T
     noise = _moment_covariance(world)
@@ -129,11 +131,11 @@ def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
 
 
 def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Columns scaled by their prior, (sample, column); and the slope by each channel's log, (sample, channel)."""
+    """Compute nuisance columns, (sample, column), and derivatives by log EMG gain, (sample, channel)."""
     base = moments_by_muscle(world)
     m = world.muscles
     columns, gains = [], np.zeros(0)
-    for name, (prior, step, share) in _MOVED.items():
+    for name, (prior, step, share) in _ADJUSTED.items():
         value = getattr(m, name)
         moved = value * (1.0 + step) if share else value + step
         change = (moments_by_muscle(with_muscles(world, **{name: moved})) - base) / step
@@ -144,15 +146,15 @@ def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
                 [by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1
             )
     for family in FAMILIES.values():
-        # Another family's curves and twitch; the judged bank's are not known elsewhere.
+        # Curves and activation dynamics of other families; those of the test banks are reserved for these.
         if family.name not in (world.family.name, "millard"):
             other = moments_by_muscle(replace(world, curves=family.curves())) - base
             columns.append(_by_muscle(world, other) * _CURVE_SD)
             twitch = replace(world, family=family)
             columns.append(_by_muscle(world, moments_by_muscle(twitch) - base) * _CURVE_SD)
     columns.append(_arm_errors(world, base))
-    kept = np.concatenate(columns, axis=1)
-    return kept[:, np.abs(kept).max(0) > 1e-9], gains
+    nuisances = np.concatenate(columns, axis=1)
+    return nuisances[:, np.abs(nuisances).max(0) > 1e-9], gains
 
 
 def _by_muscle(world: World, change: np.ndarray) -> np.ndarray:
@@ -171,14 +173,14 @@ def _arm_errors(world: World, moments: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def _near(width: float) -> np.ndarray:
+def _correlation(width: float) -> np.ndarray:
     steps = np.arange(PHASES)
     return np.exp(-0.25 * ((steps[:, None] - steps[None]) / (PHASES * width)) ** 2)
 
 
 def _moment_covariance(world: World) -> np.ndarray:
     sd = MOMENT_SD * world.leg.mass / 72.0
-    block = np.kron(_near(MOMENT_PHASE), MOMENT_CORRELATION * np.outer(sd, sd))
+    block = np.kron(_correlation(MOMENT_PHASE), MOMENT_CORRELATION * np.outer(sd, sd))
     count = sum(map(len, calibration_cycles(world)))
     return np.kron(np.eye(count), block)
 
@@ -188,8 +190,8 @@ def _emg_covariance(world: World, gains: np.ndarray) -> np.ndarray:
     size = PHASES * len(COORDINATES)
     out = np.zeros((size * len(used), size * len(used)))
     for order, (start, end) in enumerate(used):
-        # Wider than the electrodes' noise: activation smears it.
-        near = np.kron(_near(1.5 * EMG_TIME / (end - start)), np.ones((len(COORDINATES),) * 2))
+        # Wider than the EMG noise: activation dynamics smooth it.
+        near = np.kron(_correlation(1.5 * EMG_TIME / (end - start)), np.ones((len(COORDINATES),) * 2))
         part = slice(order * size, (order + 1) * size)
         own = gains[part]
         out[part, part] = (own @ own.T) * near

@@ -1,6 +1,6 @@
-"""Mechanisms that no catalogue entry is: a diagnosis should say that it does not know.
+"""Simulated mechanisms outside the catalogue, for which the correct answer is `unknown`.
 
-The first seven are meant as near misses of the entry in their comment.
+The first seven are similar to the catalogue entry in their comment.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from validation.blind.anatomy import CHANNELS
-from validation.blind.effects.drive import progress
+from validation.blind.effects.drive import session_progress
 from validation.blind.effects.effect import Effect, Variant
 from validation.blind.effects.joint import ANKLE, KNEE
 from validation.blind.gait import DURATION, LEAD, RATE, derivative
@@ -36,7 +36,7 @@ def _friction(world: World, amount: float, variant: Variant) -> World:  # joint_
 
 def _boot(world: World, amount: float, variant: Variant) -> World:  # ankle_foot_orthosis
     def torque(now: World) -> np.ndarray:
-        # A stiff boot: a collar that always bends, a sole that bends under load only.
+        # A stiff boot: the collar always resists, the sole under load only.
         load = now.walk.ground[:, 1] / (9.80665 * now.leg.mass)
         out = np.zeros_like(now.walk.angles)
         out[:, ANKLE] = -amount * np.degrees(now.walk.angles[:, ANKLE]) * (0.35 + np.tanh(3.0 * load))
@@ -63,10 +63,10 @@ def _potentiated(world: World, amount: float, variant: Variant) -> World:  # emg
     chosen = world.channel == list(CHANNELS).index(variant[0])
 
     def force(now: World, forces: np.ndarray) -> np.ndarray:
-        # Force for a drive grows with use; half of that is forgotten in the rest between recordings.
+        # Force at a given drive grows with use; half of it is lost in the rest between recordings.
         out = forces.copy()
         within = np.clip((now.walk.time - LEAD) / (DURATION - 2 * LEAD), 0.0, 1.0)
-        out[:, chosen] *= 1.0 + amount * 0.5 * (within + progress(now)[:, None])
+        out[:, chosen] *= 1.0 + amount * 0.5 * (within + session_progress(now)[:, None])
         return out
 
     return replace(world, force=(*world.force, force))
@@ -105,7 +105,7 @@ def _dropouts(world: World, amount: float, variant: Variant) -> World:
     channel = list(CHANNELS).index(variant[0])
 
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # Pressed every few steps, the electrode loses contact for a quarter of a second.
+        # Every few cycles the electrode loses contact for a quarter of a cycle.
         out, phase = emg.copy(), now.walk.phase
         lost = ((phase % 2.7) < 0.25).astype(float)
         out[:, channel] *= 1.0 - amount * gaussian_filter1d(lost, 0.02 * RATE, axis=-1)
@@ -121,7 +121,7 @@ def _plate_gain(world: World, amount: float, variant: Variant) -> World:
 
 
 def _tilted(world: World, amount: float, variant: Variant) -> World:
-    # The laboratory's vertical is not plumb: everything recorded is tilted forward, forces are not.
+    # The laboratory's vertical axis is tilted: recorded poses are tilted forward, forces are not.
     shift = np.zeros_like(world.walk.pose)
     shift[:, 0] = np.radians(amount)
     change = ground_moments(world.leg, world.walk, pose=world.walk.pose + shift) - world.inverse
@@ -134,7 +134,7 @@ def _tilted(world: World, amount: float, variant: Variant) -> World:
 
 def _catch(world: World, amount: float, variant: Variant) -> World:
     def force(now: World, forces: np.ndarray) -> np.ndarray:
-        # Doublets: more force a drive while activation rises.
+        # Doublets: more force at a given drive while activation rises.
         rising = np.maximum(derivative(activations(now), now.walk.time), 0.0)
         return forces * (1.0 + amount * np.tanh(rising / 2.0))
 
@@ -155,24 +155,24 @@ def _channels(*names):
     return lambda world: tuple((name,) for name in names)
 
 
-def _mechanism(name, unit, most, apply, form, **more):
-    return Effect(name, "outside", unit, most, apply, form, "-", **more)
+def _mechanism(name, unit, most, apply, form, **options):
+    return Effect(name, "outside", unit, most, apply, form, "-", **options)
 
 
 OUTSIDE: dict[str, Effect] = {
     effect.id: effect
     for effect in (
-        _mechanism("joint_friction", "N m", 15.0, _friction, "friction that saturates"),
+        _mechanism("joint_friction", "N m", 15.0, _friction, "friction that saturates with velocity"),
         _mechanism("stiff_boot", "N m/deg", 4.0, _boot, "stiff boot, stiffer under load"),
         _mechanism("size_principle", "share", 0.85, _recruited, "weakly driven fibers are slower"),
-        _mechanism("plate_yaw", "deg", 25.0, _yaw, "ground force turned about the vertical", two_sided=True),
-        _mechanism("potentiation", "share", 1.6, _potentiated, "force grows with use, EMG does not", variants=_channels("Soleus", "VastLat", "GlutMed")),
-        _mechanism("patella_tracking", "share", 0.6, _patella, "extensors' arms by knee angle", two_sided=True),
+        _mechanism("plate_yaw", "deg", 25.0, _yaw, "ground force rotated about the vertical", two_sided=True),
+        _mechanism("potentiation", "share", 1.6, _potentiated, "force at constant EMG grows with use", variants=_channels("Soleus", "VastLat", "GlutMed")),
+        _mechanism("patella_tracking", "share", 0.6, _patella, "moment arms of the knee extensors change with knee angle", two_sided=True),
         _mechanism("dystonia", "activation", 0.7, _dystonia, "constant drive of an unrecorded muscle", variants=_channels("tibpost", "tfl")),
-        _mechanism("breathing_gain", "share", 0.8, _breathing, "all gains wave at 0.23 Hz"),
-        _mechanism("electrode_dropout", "share", 0.95, _dropouts, "a channel fades now and then", variants=_channels("Soleus", "VastLat", "GlutMed", "Gastroc")),
+        _mechanism("breathing_gain", "share", 0.8, _breathing, "gains of all channels oscillate at 0.23 Hz"),
+        _mechanism("electrode_dropout", "share", 0.95, _dropouts, "intermittent loss of one channel", variants=_channels("Soleus", "VastLat", "GlutMed", "Gastroc")),
         _mechanism("plate_gain", "share", 0.3, _plate_gain, "vertical force scaled", two_sided=True),
-        _mechanism("tilted_laboratory", "deg", 8.0, _tilted, "gravity is not where the laboratory thinks", two_sided=True),
+        _mechanism("tilted_laboratory", "deg", 8.0, _tilted, "vertical axis of the laboratory tilted", two_sided=True),
         _mechanism("catch_like_force", "share", 0.9, _catch, "more force while activation rises"),
     )
 }  # fmt: skip

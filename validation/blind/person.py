@@ -1,4 +1,4 @@
-"""A virtual person: what the laboratory believes of their leg, what it really is, how they walk and drive it."""
+"""Simulated person: nominal and true leg, walk, muscle parameters and muscle drive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 
 from validation.blind.anatomy import CHANNELS, Leg, channel_of, reference_leg
 from validation.blind.families import FALL_TO_RISE, FAMILIES, Family
-from validation.blind.gait import RATE, Walk, lowpass, smooth_noise, walk
+from validation.blind.gait import RATE, Walk, lowpass, simulate_walk, smooth_noise
 from validation.blind.geometry import ground_moments, paths_along
 from validation.blind.muscles import Muscles, muscle_forces
 from validation.blind.opensim_leg import muscle_paths
@@ -20,10 +20,10 @@ from validation.blind.world import Paths, World
 
 
 _SPEEDS = ((0.5, 0.8, 0.65), (0.5, 0.8, 1.0), (0.6, 1.0, 0.8), (0.7, 1.1, 1.3), (0.8, 1.2, 1.0))
-#: Mean normalised fiber length in walking, where it is not 0.95.
+#: Mean normalized fiber length in walking, if not 0.95.
 _FIBER = {"vasmed": 0.85, "vaslat": 0.85, "glmax1": 1.0, "glmax2": 1.0, "bflh": 1.0, "semimem": 1.0, "tibant": 0.9, "iliacus": 1.0, "psoas": 1.0, "recfem": 0.9}  # fmt: skip
 
-# Bursts in the manner of Perry 2010 and Winter 1991: centre and width in % of the cycle, activation.
+# EMG bursts similar to Perry 2010 and Winter 1991: center and width in % of the cycle, activation.
 _BURSTS = {
     "Iliopsoas": [(58, 9, 0.22)],
     "RecFem": [(5, 5, 0.10), (58, 6, 0.12)],
@@ -39,41 +39,43 @@ _BURSTS = {
     "TibAnt": [(4, 5, 0.25), (66, 8, 0.16), (92, 7, 0.16)],
     "PerLong": [(44, 10, 0.22)],
 }
-#: How well the drive tracks each joint (N m), and how far it may stray from the bursts.
+#: Tolerances of the drive: tracking of each joint moment (N m), and deviation from the bursts.
 _TRACKING = np.array([4.0, 6.0, 8.0, 4.0, 4.0, 8.0])
 _STRAY = 0.12
 
 
 @dataclass(frozen=True)
 class Person:
+    """Simulated person with nominal leg and true world."""
+
     name: str
     paretic: bool
-    nominal: Leg  # what the laboratory believes
-    world: World  # what is
+    nominal: Leg  # of the model file
+    world: World  # the truth
 
 
-def person(name: str, seed: tuple[int, ...], family_name: str, paretic: bool = False) -> Person:
+def draw_person(name: str, seed: tuple[int, ...], family_name: str, paretic: bool = False) -> Person:
     """Draw a person and their walk; the same seed gives the same person."""
     rng = np.random.default_rng(seed)
     mass, height = rng.uniform(58, 92), rng.uniform(1.58, 1.86)
     family = FAMILIES[family_name]
     nominal = reference_leg(float(mass), float(height))
-    real = _really(nominal, rng)
-    walked = walk(real, rng, _SPEEDS[int(rng.integers(len(_SPEEDS)))])
-    paths = paths_along(real, walked)
+    true = _with_hidden_errors(nominal, rng)
+    walked = simulate_walk(true, rng, _SPEEDS[int(rng.integers(len(_SPEEDS)))])
+    paths = paths_along(true, walked)
     nominal = _with_slack(nominal, walked)
-    muscles = _muscles(real, paths, rng)
-    target = ground_moments(real, walked)
+    muscles = _muscles(true, paths, rng)
+    target = ground_moments(true, walked)
     drive, muscles = _drive(walked, family, paths, muscles, target, rng)
     curves = family.curves()
     world = World(
-        real, walked, family, curves, muscles, paths, paths, channel_of(real.names), drive, target, paretic
+        true, walked, family, curves, muscles, paths, paths, channel_of(true.names), drive, target, paretic
     )
     return Person(name, paretic, nominal, world)
 
 
-def _really(leg: Leg, rng: np.random.Generator) -> Leg:
-    """Hide small errors of geometry: points by a millimeter or two, cylinders by a few percent."""
+def _with_hidden_errors(leg: Leg, rng: np.random.Generator) -> Leg:
+    """Add small errors of geometry: points by a millimeter or two, cylinders by a few percent."""
 
     def moved(point):
         body, place = point
@@ -97,21 +99,21 @@ def _target_fiber(leg: Leg) -> np.ndarray:
 
 
 def _with_slack(leg: Leg, walked: Walk) -> Leg:
-    """Tendon slack lengths that put the fibers where they are in walking."""
+    """Set tendon slack lengths so that fibers have their target lengths in walking."""
     lengths, _ = muscle_paths(leg, walked.angles[0][:, :: int(RATE / 5)])
     slack = lengths.mean(axis=1)
-    found = []
+    muscles = []
     for m, mean, fiber in zip(leg.muscles, slack, _target_fiber(leg), strict=True):
         reach = m.optimal_fiber_length * np.cos(m.pennation)
-        found.append(replace(m, tendon_slack_length=float(max(mean - fiber * reach, 0.01))))
-    return replace(leg, muscles=tuple(found))
+        muscles.append(replace(m, tendon_slack_length=float(max(mean - fiber * reach, 0.01))))
+    return replace(leg, muscles=tuple(muscles))
 
 
 def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
     count = len(leg.muscles)
     draw = lambda spread: np.clip(spread * rng.standard_normal(count), -2 * spread, 2 * spread)  # noqa: E731
     channel = channel_of(leg.names)
-    # Muscles of an electrode are alike, but not the same.
+    # Muscles of one channel are similar, but not identical.
     common = rng.standard_normal(channel.max() + 1)[channel]
     fiber = np.array([m.optimal_fiber_length for m in leg.muscles]) * np.exp(draw(0.06))
     pennation = np.array([m.pennation for m in leg.muscles])
@@ -124,7 +126,7 @@ def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
         optimal_fiber_length=fiber,
         tendon_slack_length=np.maximum(slack, 0.008),
         pennation=pennation,
-        scale=np.exp(draw(0.15)),  # finished by the drive
+        scale=np.exp(draw(0.15)),  # completed with the drive
         delay=np.tile(delay, (paths.length.shape[0], 1)),
         rise=0.016 * np.exp(draw(0.15)),
         fall=np.full(count, FALL_TO_RISE),
@@ -139,7 +141,7 @@ def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
 
 
 def bursts(walked: Walk) -> np.ndarray:
-    """Activations by channel that the literature shows, (recording, channel, frame)."""
+    """Compute typical activations of the channels from the literature, (recording, channel, frame)."""
     phase = 100.0 * (walked.phase % 1.0)
     out = np.zeros((phase.shape[0], len(CHANNELS), phase.shape[1]))
     for row, name in enumerate(CHANNELS):
@@ -158,18 +160,18 @@ def _drive(
     target: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, Muscles]:
-    """Envelopes near the bursts whose muscles nearly give the moments; scales that make their peaks 1."""
+    """Find envelopes near typical bursts that approximate the moments, and scales that make their peaks 1."""
     curves, every = family.curves(), 5
     channel = channel_of(reference_leg(70.0, 1.72).names)
     ratio = muscles.scale
     coarse = (slice(None), slice(None), slice(None, None, every))
     length, rate = paths.length[coarse], paths.rate[coarse]
-    arms, wanted = paths.arms[..., ::every], target[coarse]
+    arms, moments = paths.arms[..., ::every], target[coarse]
     passive = muscle_forces(curves, muscles, np.zeros_like(length), length, rate, every / RATE)
     full = muscle_forces(curves, muscles, np.ones_like(length), length, rate, every / RATE) - passive
     prior = bursts(walked)[coarse]
     members = np.stack([channel == row for row in range(len(CHANNELS))]) * ratio
-    found = np.zeros_like(prior)
+    activations = np.zeros_like(prior)
     for recording in range(prior.shape[0]):
         by_channel = np.einsum("cm,mkf,mf->fkc", members, arms[recording], full[recording])
         rest = np.einsum("mkf,mf->fk", arms[recording], passive[recording])
@@ -177,26 +179,29 @@ def _drive(
             rows = by_channel[frame] / _TRACKING[:, None]
             matrix = np.vstack([rows, np.eye(len(CHANNELS)) / _STRAY])
             right = np.concatenate(
-                [(wanted[recording, :, frame] - rest[frame]) / _TRACKING, prior[recording, :, frame] / _STRAY]
+                [
+                    (moments[recording, :, frame] - rest[frame]) / _TRACKING,
+                    prior[recording, :, frame] / _STRAY,
+                ]
             )
-            found[recording, :, frame] = nnls(matrix, right)[0]
-    return _envelopes(walked, family, muscles, channel, found, every, rng)
+            activations[recording, :, frame] = nnls(matrix, right)[0]
+    return _envelopes(walked, family, muscles, channel, activations, every, rng)
 
 
-def _envelopes(walked, family, muscles, channel, found, every, rng):
+def _envelopes(walked, family, muscles, channel, activations, every, rng):
     time, cycle = walked.time, RATE / np.median(np.diff(walked.phase[0])) / RATE
-    fine = np.stack([[np.interp(time, time[::every], row) for row in part] for part in found])
+    fine = np.stack([[np.interp(time, time[::every], row) for row in part] for part in activations])
     smooth = np.clip(lowpass(fine, 4.5 * max(1.0, 1.2 / (cycle / RATE)), RATE), 0.004, 0.9)
-    # Nobody repeats themselves: every channel wavers a little from cycle to cycle.
+    # Every channel varies slightly from cycle to cycle.
     smooth = smooth * np.exp(0.08 * smooth_noise(rng, smooth.shape, 0.5 * cycle))
     envelopes, peaks = np.zeros_like(smooth), np.zeros(len(CHANNELS))
     for row in range(len(CHANNELS)):
-        own = channel == row
-        bend = muscles.bend[own].mean()
+        driven = channel == row
+        bend = muscles.bend[driven].mean()
         grid = np.linspace(0.0, 1.0, 400)
         drive = np.interp(smooth[:, row], family.shape(grid, np.array(bend)), grid)
-        # Earlier by the delay and by what activation adds to it.
-        ahead = muscles.delay[:, own].mean() + 1.6 * muscles.rise[own].mean()
+        # Advance by the delay and by the lag of activation dynamics.
+        ahead = muscles.delay[:, driven].mean() + 1.6 * muscles.rise[driven].mean()
         envelopes[:, row] = [np.interp(time + ahead, time, part) for part in drive]
         peaks[row] = np.percentile(envelopes[:, row], 99.5)
     envelopes /= peaks[None, :, None]

@@ -1,4 +1,4 @@
-"""Which cases a bank has: who, which cause, how strong, how noisy. Fixed by the bank's seed."""
+"""Plan of a bank: person, cause, strength and noise of every case, fixed by the bank's seed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from validation.blind.library import Library
 from validation.blind.noise import EMG_LEVELS
 from validation.blind.outside_catalogue import OUTSIDE
 
-#: d* of the strata, and the share of single effects in each. Below 3 every effect is tied with every other,
-#: and any name is right: the middle stratum begins above, where names count.
+#: d* range of the strata, and the share of single effects in each. Below d* = 3 every effect is tied with
+#: every other and any name is correct, so the middle stratum begins above.
 STRATA = {"below_2": (0.5, 1.8, 0.2), "2_to_5": (3.5, 4.6, 0.3), "above_5": (5.6, 16.0, 0.5)}
 
 
 @dataclass(frozen=True)
 class Bank:
+    """Size of a bank: persons, and cases of each tier."""
+
     name: str
     seed: int
     people: int
@@ -35,15 +37,15 @@ class Bank:
 
 BANK_SIZES = {
     "test": Bank("test", 81_047, 40, 360, 120, 120, 120),
-    # Other people, for what comes after all cases of the first were opened.
+    # Other persons, for versions after all cases of the first bank were scored.
     "second_test": Bank("second_test", 26_711, 40, 360, 120, 120, 120),
     "development": Bank("development", 52_360, 40, 240, 60, 60, 40),
 }
 
 
 @dataclass(frozen=True)
-class Planned:
-    """A case to make: causes are (effect, variant) and target d*; strata are set when reaches are known."""
+class PlannedCase:
+    """Case to make, with causes (effect, variant) and target d*; strata are set once largest d* are known."""
 
     order: int
     id: str
@@ -61,7 +63,7 @@ def stratum_of(d_star: float) -> str:
 
 
 def bank_of(name: str, cases: int | None = None) -> Bank:
-    """A bank in full, or a small one of the same make-up."""
+    """Return a bank, or a smaller one with the same proportions."""
     bank = BANK_SIZES[name]
     if cases is None or cases >= len(bank):
         return bank
@@ -80,8 +82,8 @@ def family_of(bank: Bank, person: int) -> str:
     return families[(person // 2) % len(families)]
 
 
-def draft(bank: Bank, variants: dict[str, tuple[Variant, ...]]) -> list[Planned]:
-    """Spread causes, people and noise evenly, in an order that says nothing."""
+def plan_cases(bank: Bank, variants: dict[str, tuple[Variant, ...]]) -> list[PlannedCase]:
+    """Distribute causes, persons and noise levels evenly, with ids in random order."""
     rng = np.random.default_rng((bank.seed, 1))
     names = list(EFFECTS)
     causes: list[tuple[str, tuple[str, ...]]] = []
@@ -103,7 +105,7 @@ def draft(bank: Bank, variants: dict[str, tuple[Variant, ...]]) -> list[Planned]
         chosen = tuple((name, variants[name][int(rng.integers(len(variants[name])))]) for name in effects)
         signs = tuple(int(rng.choice((-1, 1))) if known[name].two_sided else 1 for name in effects)
         identity = hashlib.sha256(f"{bank.name}/{bank.seed}/{order}".encode()).hexdigest()[:12]
-        planned.append(Planned(order, identity, person, tier, float(level), chosen, signs))
+        planned.append(PlannedCase(order, identity, person, tier, float(level), chosen, signs))
     return planned
 
 
@@ -112,8 +114,8 @@ def _evenly(rng: np.random.Generator, choices: list, count: int) -> list:
     return [choices[index] for index in np.concatenate(rounds)[:count]] if count else []
 
 
-def with_targets(bank: Bank, planned: list[Planned], libraries: dict[int, Library]) -> list[Planned]:
-    """Draw target d*: 20, 30 and 50 % of single effects by stratum, as far as the effects reach."""
+def with_targets(bank: Bank, planned: list[PlannedCase], libraries: dict[int, Library]) -> list[PlannedCase]:
+    """Draw target d*: 20, 30 and 50 % of single effects by stratum, as far as their largest d* allow."""
     rng = np.random.default_rng((bank.seed, 2))
     reaches = {case.order: _reach(case, libraries[case.person]) for case in planned if case.tier == "single"}
     strata = _strata(rng, reaches)
@@ -132,20 +134,20 @@ def with_targets(bank: Bank, planned: list[Planned], libraries: dict[int, Librar
     return out
 
 
-def _reach(case: Planned, library: Library) -> float:
+def _reach(case: PlannedCase, library: Library) -> float:
     ((cause, variant),) = case.causes
     entry = library.entries.index((cause, variant))
     return float(library.reach[EMG_LEVELS.index(case.level), entry])
 
 
 def _strata(rng: np.random.Generator, reaches: dict[int, float]) -> dict[int, str]:
-    """Fill the strong stratum from those who can, then the middle one."""
-    left = [int(order) for order in rng.permutation(list(reaches))]
+    """Assign cases with a large enough d* to the strong stratum, then to the middle one."""
+    remaining = [int(order) for order in rng.permutation(list(reaches))]
     out: dict[int, str] = {}
     for name in ("above_5", "2_to_5"):
         low, _, share = STRATA[name]
-        wanted = round(share * len(reaches))
-        able = [order for order in left if reaches[order] > 1.5 * low][:wanted]
+        count = round(share * len(reaches))
+        able = [order for order in remaining if reaches[order] > 1.5 * low][:count]
         out |= dict.fromkeys(able, name)
-        left = [order for order in left if order not in out]
-    return out | dict.fromkeys(left, "below_2")
+        remaining = [order for order in remaining if order not in out]
+    return out | dict.fromkeys(remaining, "below_2")

@@ -1,4 +1,4 @@
-"""The seal: hashes of cases and of their truth, fixed before any diagnosis sees a case."""
+"""Manifest of a bank: hashes of cases and of their truth, committed before any diagnosis of a case."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import hashlib
 import json
 from pathlib import Path
 
-from validation.blind.case_selection import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, CaseSelection
 
 
 def digest(path: Path) -> str:
-    """sha256 of a file, or of a folder: of the names and the bytes of all in it."""
+    """Compute the SHA-256 of a file, or of the names and contents of all files in a folder."""
     if path.is_file():
         return hashlib.sha256(path.read_bytes()).hexdigest()
-    whole = hashlib.sha256()
+    combined = hashlib.sha256()
     for file in sorted(path.rglob("*")):
         if file.is_file():
-            whole.update(file.relative_to(path).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
-    return whole.hexdigest()
+            combined.update(file.relative_to(path).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return combined.hexdigest()
 
 
 def seal(folder: Path) -> dict[str, dict[str, str]]:
-    """Write ``manifest.json`` of a bank, sorted by id."""
+    """Write ``manifest.json`` of a bank, sorted by id; return its entries."""
     entries = {
         case.name: {
             "case": digest(case),
@@ -35,21 +35,23 @@ def seal(folder: Path) -> dict[str, dict[str, str]]:
     return entries
 
 
-def broken_seals(folder: Path, manifest: Path | None = None, lot: Lot = ALL_CASES) -> list[str]:
-    """Say what is not as it was sealed: other bytes, missing, never sealed. Of a case, its folder.
+def broken_seals(
+    folder: Path, manifest: Path | None = None, selection: CaseSelection = ALL_CASES
+) -> list[str]:
+    """Describe differences of a bank from its manifest: changed, missing or additional files or case folders.
 
-    Only cases of this lot need be there, and what it leaves out may be anything.
+    Only the selected cases must be present, and those that the selection leaves out are not checked.
     """
     sealed = json.loads((manifest or folder / "manifest.json").read_text(encoding="utf-8"))["cases"]
-    needed = set(lot.of(sealed))
+    needed = set(selection.select(sealed))
     hashes: dict[str, str] = {}
     optional: set[str] = set()
     ignored: set[str] = set()
-    for name, own in sealed.items():
+    for name, entry in sealed.items():
         places = {"case": f"cases/{name}", "truth": f"truth/{name}.json", "clean": f"truth/{name}.npy"}
-        hashes |= {place: own[kind] for kind, place in places.items()}
+        hashes |= {place: entry[kind] for kind, place in places.items()}
         optional |= set() if name in needed else set(places.values())
-        ignored |= set(places.values()) if name in lot.left_out else set()
+        ignored |= set(places.values()) if name in selection.left_out else set()
     faults = []
     for place, expected in hashes.items():
         if place in ignored:
@@ -60,5 +62,5 @@ def broken_seals(folder: Path, manifest: Path | None = None, lot: Lot = ALL_CASE
             faults.append(f"{place} is missing")
         elif digest(folder / place) != expected:
             faults.append(f"{place} is not the one that was sealed")
-    there = {f"{kind}/{path.name}" for kind in ("cases", "truth") for path in (folder / kind).glob("*")}
-    return faults + [f"{place} was never sealed" for place in sorted(there - set(hashes))]
+    present = {f"{kind}/{path.name}" for kind in ("cases", "truth") for path in (folder / kind).glob("*")}
+    return faults + [f"{place} was never sealed" for place in sorted(present - set(hashes))]

@@ -1,8 +1,8 @@
-"""A world: a person, a walk and whatever else is at work there; and what a laboratory records of it.
+"""World of a simulated person (leg, walk, muscles, effects), and the noise-free recordings of it.
 
-An effect is a function that returns another world: with other muscles, other geometry, or with something
-added at one of the places below. Effects compose. Axes: recording, (muscle, channel or coordinate), frame of
-the fine time base.
+An effect is a function that returns another world with other muscles, other geometry, or a change at one of
+the stages below. Effects can be combined. Axes: recording, (muscle, channel or coordinate), frame of the fine
+time base.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Change = Callable[["World", np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Paths:
-    """Where the muscles run: lengths (m), their rates (m/s) and moment arms (m)."""
+    """Muscle paths: lengths (m), their rates (m/s) and moment arms (m)."""
 
     length: np.ndarray  # (recording, muscle, frame)
     rate: np.ndarray
@@ -31,29 +31,31 @@ class Paths:
 
 @dataclass(frozen=True)
 class World:
-    leg: Leg  # the true one
+    """True state of a person and a walk, with the changes by effects at every stage."""
+
+    leg: Leg  # the true leg
     walk: Walk
     family: Family
     curves: Curves
     muscles: Muscles
-    paths: Paths  # what the muscles run along
-    own_paths: Paths  # of the leg above, before anything is changed
-    channel: np.ndarray  # (muscle,): who drives it, -1 nobody
+    paths: Paths  # of the muscles
+    own_paths: Paths  # of ``leg``, before any change by effects
+    channel: np.ndarray  # (muscle,): channel that drives it, -1 for none
     drive: np.ndarray  # (recording, channel, frame): true envelopes, about 1 at their peak
     inverse: np.ndarray  # moments by inverse dynamics of walk and ground, (recording, coordinate, frame)
     paretic: bool = False
     excitation: tuple[Change, ...] = ()  # change excitations (recording, muscle, frame)
     force: tuple[Change, ...] = ()  # change muscle forces
     torque: tuple[Callable[[World], np.ndarray], ...] = ()  # add joint moments
-    recorded_emg: tuple[Change, ...] = ()  # change envelopes on their way to the file
-    recorded_pose: tuple[np.ndarray, ...] = ()  # added to the pose that is recorded
-    recorded_moments: tuple[np.ndarray, ...] = ()  # added by wrong inverse dynamics
-    recorded_ground: tuple[Change, ...] = ()  # change the ground forces that are recorded
+    recorded_emg: tuple[Change, ...] = ()  # change the recorded envelopes
+    recorded_pose: tuple[np.ndarray, ...] = ()  # added to the recorded pose
+    recorded_moments: tuple[np.ndarray, ...] = ()  # added to the moments by wrong inverse dynamics
+    recorded_ground: tuple[Change, ...] = ()  # change the recorded ground forces
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What the laboratory would have without noise."""
+    """Recordings without noise."""
 
     moments: np.ndarray
     emg: np.ndarray
@@ -62,7 +64,7 @@ class Recording:
 
 
 def excitations(world: World) -> np.ndarray:
-    """Scaled and delayed envelopes, 0 for muscles that nobody drives."""
+    """Compute scaled and delayed envelopes, 0 for muscles without a channel."""
     time, muscles = world.walk.time, world.muscles
     out = np.zeros((world.drive.shape[0], world.channel.size, time.size))
     for recording in range(out.shape[0]):
@@ -92,12 +94,12 @@ def forces(world: World) -> np.ndarray:
 
 
 def moments_by_muscle(world: World) -> np.ndarray:
-    """(recording, muscle, coordinate, frame)."""
+    """Compute the moment of each muscle, (recording, muscle, coordinate, frame) in N m."""
     return world.paths.arms * forces(world)[:, :, None, :]
 
 
 def joint_moments(world: World) -> np.ndarray:
-    """True joint moments, (recording, coordinate, frame) in N m."""
+    """Compute the true joint moments, (recording, coordinate, frame) in N m."""
     total = np.einsum("rmkf,rmf->rkf", world.paths.arms, forces(world))
     for add in world.torque:
         total = total + add(world)
@@ -105,7 +107,7 @@ def joint_moments(world: World) -> np.ndarray:
 
 
 def record(world: World) -> Recording:
-    """What is recorded of a world, before noise."""
+    """Record a world without noise."""
     emg, ground = world.drive, world.walk.ground
     for change in world.recorded_emg:
         emg = change(world, emg)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from validation.blind.case_selection import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, CaseSelection
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.json_and_arrays import load_json
 
@@ -16,7 +16,7 @@ SEALED = Path(__file__).parents[1] / "blind" / "sealed"
 CLEAR = 2.0
 
 
-def cases_of(bank: Path, lot: Lot = ALL_CASES) -> list[Path]:
+def cases_of(bank: Path, selection: CaseSelection = ALL_CASES) -> list[Path]:
     """Folders of a bank's cases in the order of their ids, which are hashes.
 
     Raises
@@ -33,7 +33,7 @@ def cases_of(bank: Path, lot: Lot = ALL_CASES) -> list[Path]:
             )
         )
     by_id = {case.name: case.resolve() for case in cases}
-    return [by_id[id] for id in lot.of(by_id)]
+    return [by_id[id] for id in selection.select(by_id)]
 
 
 def development_truth(bank: Path, case: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Every cause that a case can have, by the catalogue's names."""
+"""Simulated effects by the ids of the catalogue."""
 
 from validation.blind.effects import chain, drive, fiber, joint
 from validation.blind.effects.effect import Effect as Effect
@@ -8,15 +8,15 @@ EFFECTS: dict[str, Effect] = {
     effect.id: effect for module in (fiber, drive, joint, chain) for effect in module.EFFECTS
 }
 
-#: Catalogued, and in no case: why.
-LEFT_OUT = {
-    "curve_family": "nuisance: every case has other curves than the diagnosis; never an answer",
-    "activation_family": "nuisance: every case has other activation dynamics; never an answer",
-    "emg_smoothing": "nuisance: every case's envelopes are filtered; never an answer",
-    "short_range_stiffness": "negative control: nothing in steady walking",
-    "handrail_force": "negative control; the folder has no rail",
-    "spasticity_recorded": "negative control: the recorded EMG holds it already",
-    "device_torque": "the folder has no device log",
-    "belt_acceleration": "the folder has no belt",
-    "knee_laxity": "the knee has one degree of freedom",
+#: Catalogue entries that are not simulated, with the reason.
+NOT_SIMULATED = {
+    "curve_family": "nuisance: all cases have other muscle curves; never a correct answer",
+    "activation_family": "nuisance: all cases have other activation dynamics; never a correct answer",
+    "emg_smoothing": "nuisance: the envelopes of every case are filtered; never a correct answer",
+    "short_range_stiffness": "negative control: no effect in steady walking",
+    "handrail_force": "negative control: the folder has no data of a handrail",
+    "spasticity_recorded": "negative control: the recorded EMG contains it",
+    "device_torque": "the folder has no recording of a device",
+    "belt_acceleration": "the folder has no belt speed",
+    "knee_laxity": "the simulated knee has one degree of freedom",
 }

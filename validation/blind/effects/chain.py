@@ -1,6 +1,7 @@
-"""Geometry that is not as believed, and the chain from cameras and plates to joint moments.
+"""Simulated errors of model geometry, of kinematics and of inverse dynamics.
 
-Moments change by what OpenSim's inverse dynamics makes of wrong input, less what it makes of right input.
+The change of the joint moments is the difference between OpenSim's inverse dynamics with wrong and with true
+inputs.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from validation.blind.world import World
 
 
 def _with_ground(world: World, ground: np.ndarray) -> World:
-    """Another ground force is recorded, and inverse dynamics believes it."""
+    """Record wrong ground forces, and use them for inverse dynamics."""
     change = ground_moments(world.leg, world.walk, ground=ground) - world.inverse
     wrong = ground - world.walk.ground
     return replace(
@@ -34,7 +35,7 @@ def _with_ground(world: World, ground: np.ndarray) -> World:
 
 
 def _with_leg(world: World, real: Leg, coordinates: tuple[str, ...]) -> World:
-    """The real leg differs from the believed one, with which inverse dynamics was done."""
+    """Let the true leg differ from the one that inverse dynamics uses."""
     change = world.inverse - ground_moments(real, world.walk)
     world = replace(world, recorded_moments=(*world.recorded_moments, change))
     if not coordinates:
@@ -44,7 +45,7 @@ def _with_leg(world: World, real: Leg, coordinates: tuple[str, ...]) -> World:
 
 
 def _with_pose(world: World, shift: np.ndarray) -> World:
-    """Other angles are recorded than the leg had; muscles know the true ones."""
+    """Record wrong angles; muscle paths follow the true ones."""
     change = ground_moments(world.leg, world.walk, pose=world.walk.pose + shift)
     change = change - world.inverse
     return replace(
@@ -58,28 +59,29 @@ def _center_of_pressure(world: World, amount: float, variant: Variant) -> World:
     direction = {"anterior": (1.0, 0.0), "lateral": (0.0, 1.0)}[variant[0]]
     ground = world.walk.ground.copy()
     load = ground[:, 1] / (9.80665 * world.leg.mass)
-    # A plate that bends: the offset grows a little with load.
+    # The force plate bends: the offset grows slightly with load.
     off = amount * (0.85 + 0.2 * load) * (ground[:, 1] > 20.0)
     ground[:, 3] += off * direction[0]
     ground[:, 5] += off * direction[1]
     return _with_ground(world, ground)
 
 
-def _crossed(world: World, amount: float, variant: Variant) -> World:
+def _crossed_plates(world: World, amount: float, variant: Variant) -> World:
     ground, other = world.walk.ground.copy(), world.walk.other_ground
     both = (ground[:, 1] > 20.0) & (other[:, 1] > 20.0)
     window = gaussian_filter1d(both.astype(float), 0.015 * RATE, axis=-1)
-    # The other foot's force leaks onto this plate, at this foot's point.
+    # A share of the other foot's force acts on this plate, at this foot's center of pressure.
     ground[:, :3] += amount * window[:, None] * other[:, :3] * (ground[:, 1:2] > 20.0)
     return _with_ground(world, ground)
 
 
-def _late(world: World, amount: float, variant: Variant) -> World:
+def _latency(world: World, amount: float, variant: Variant) -> World:
     time = world.walk.time
     ground = world.walk.ground.copy()
-    # Points are held where nothing stands on the plate: a mean of a place and of zeros is no place.
-    ground[:, 3:6] = _held(ground[:, 3:6], ground[:, 1:2])
-    # A fifth of the lag is that of an analogue filter, the rest a plain delay.
+    # Without load the center of pressure is undefined: use that of the nearest loaded frame, so that
+    # interpolation does not average with zeros.
+    ground[:, 3:6] = _fill_unloaded_points(ground[:, 3:6], ground[:, 1:2])
+    # A fifth of the latency is that of a first-order filter, the rest a pure delay.
     plain, filtered = 0.8 * amount, 0.2 * abs(amount)
     ground = np.array([[np.interp(time - plain, time, row) for row in recording] for recording in ground])
     if filtered > 0.0:
@@ -90,8 +92,8 @@ def _late(world: World, amount: float, variant: Variant) -> World:
     return _with_ground(world, ground)
 
 
-def _held(points: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Points where there is no load take the nearest in time where there is."""
+def _fill_unloaded_points(points: np.ndarray, load: np.ndarray) -> np.ndarray:
+    """Replace points without load by those of the nearest loaded frame."""
     out = points.copy()
     frames = np.arange(points.shape[-1])
     for recording, loads in zip(out, load[:, 0], strict=True):
@@ -122,7 +124,7 @@ def _axis(world: World, amount: float, variant: Variant) -> World:
     turn /= np.linalg.norm(turn)
     angle = np.radians(amount)
     turned = axis * np.cos(angle) + np.cross(turn, axis) * np.sin(angle)
-    # By name, which types cannot follow.
+    # Field names chosen at run time cannot be type-checked.
     changed: dict[str, Any] = {field: tuple(map(float, turned))}
     real = replace(world.leg, **changed)
     return _with_leg(world, real, (name,))
@@ -136,7 +138,7 @@ def _inertia(world: World, amount: float, variant: Variant) -> World:
     bodies = []
     for body in world.leg.bodies:
         if body.name == name:
-            # Mass that is missing in tables sits distally: the centre moves with it.
+            # The difference in mass is distal, so the mass center moves with it.
             x, y, z = body.center
             scale = 1.0 + amount
             xx, yy, zz = (float(value * scale**1.2) for value in body.inertia)
@@ -151,7 +153,7 @@ def _soft_tissue(world: World, amount: float, variant: Variant) -> World:
     knee = walk.angles[:, 3]
     load = walk.ground[:, 1] / (9.80665 * world.leg.mass)
     shock = gaussian_filter1d(np.gradient(load, 1.0 / RATE, axis=-1), 0.02 * RATE, axis=-1)
-    # Skin slides with knee flexion and shakes after the heel strike; markers show both.
+    # Markers move with skin that slides with knee flexion and vibrates after heel strike.
     slide = np.tanh((knee - np.median(knee)) / 0.6) + 0.03 * shock
     shift = np.zeros_like(walk.pose)
     shares = {"thigh": {6: 0.35, 8: 1.0, 9: -0.4}, "shank": {9: 0.5, 10: -0.5, 8: 0.5}}[variant[0]]
@@ -164,7 +166,7 @@ def _foot(world: World, amount: float, variant: Variant) -> World:
     load = world.walk.ground[:, 1] / (9.80665 * world.leg.mass)
     forward = np.clip((world.walk.stance - 0.3) / 0.6, 0.0, 1.0)
     keep = np.exp(-1.0 / (0.06 * RATE))
-    # A midfoot that creeps: load on the forefoot, a lag of 60 ms, saturating.
+    # The midfoot creeps: forefoot load, a lag of 60 ms, saturation.
     creep = lfilter([1.0 - keep], [1.0, -keep], np.nan_to_num(load * forward), axis=-1)
     shift = np.zeros_like(world.walk.pose)
     shift[:, 10] = np.radians(amount) * np.tanh(1.3 * creep)
@@ -180,7 +182,7 @@ def _wrap(world: World, amount: float, variant: Variant) -> World:
             if kind == "radius":
                 c = replace(c, radius=c.radius * (1.0 + amount))
             else:
-                # Forward and up together, and turned by as much as that tilts it.
+                # Displaced forward and up, and turned in proportion.
                 c = replace(c, translation=(x + 0.03 * amount, y + 0.012 * amount, z), rotation=(0.3 * amount, 0.5 * amount, 0.0))  # fmt: skip
         cylinders.append(c)
     real = replace(world.leg, cylinders=tuple(cylinders))
@@ -218,64 +220,64 @@ def _attachment(world: World, amount: float, variant: Variant) -> World:
 EFFECTS = (
     Effect(
         "cop_offset", "measurement", "m", 0.035, _center_of_pressure,
-        "offset of the point of force that grows with load; inverse dynamics redone",
+        "offset of the center of pressure that grows with load; inverse dynamics repeated",
         "constant offset",
         variants=lambda w: (("anterior",), ("lateral",)), two_sided=True,
     ),
     Effect(
         "hip_center_offset", "measurement", "m", 0.035, _hip_center,
-        "the real leg's hip is elsewhere: paths and inverse dynamics redone",
-        "cross product of offset and force; derivatives of paths by the offset",
+        "hip center of the true leg displaced; paths and inverse dynamics repeated",
+        "cross product of offset and force; derivatives of the paths with respect to the offset",
         variants=lambda w: (("anterior",), ("up",), ("lateral",)), two_sided=True,
     ),
     Effect(
         "joint_axis_rotation", "kinematics", "deg", 20.0, _axis,
-        "the real leg's axis is turned about a slanted line: paths and inverse dynamics redone",
-        "moments projected on an axis turned by either of two angles; derivatives of paths by these",
+        "joint axis of the true leg rotated about an oblique line; paths and inverse dynamics repeated",
+        "moments projected on an axis rotated by two angles; derivatives of the paths with respect to these",
         variants=lambda w: (("knee",), ("ankle",), ("subtalar",)), two_sided=True,
     ),
     Effect(
-        "force_latency", "measurement", "s", 0.030, _late,
-        "ground forces late and behind a first-order filter; inverse dynamics redone",
-        "first derivative of the moment",
+        "force_latency", "measurement", "s", 0.030, _latency,
+        "ground forces delayed and filtered by a first-order filter; inverse dynamics repeated",
+        "first time derivative of the moment",
         two_sided=True, parameters=lambda a, v: {"latency": a},
     ),
     Effect(
         "segment_inertia", "measurement", "share of mass", 0.6, _inertia,
-        "mass, its centre and inertia change together, the last with the power 1.2; inverse dynamics redone",
-        "derivatives by mass, centre and inertia",
+        "mass, mass center and inertia (power 1.2 of mass) change together; inverse dynamics repeated",
+        "derivatives with respect to mass, mass center and inertia",
         variants=lambda w: tuple((name,) for name in _SEGMENTS), two_sided=True,
         parameters=lambda a, v: {f"mass_fraction_{v[0]}": a},
     ),
     Effect(
-        "crossed_plates", "measurement", "share of the other foot's force", 0.5, _crossed,
-        "the other foot's three forces leak in while both stand; inverse dynamics redone",
-        "moments of double support times (1 + theta)",
+        "crossed_plates", "measurement", "share of the other foot's force", 0.5, _crossed_plates,
+        "a share of the other foot's force added in double support; inverse dynamics repeated",
+        "moments in double support times (1 + theta)",
         two_sided=True,
     ),
     Effect(
         "foot_deformation", "kinematics", "deg", 16.0, _foot,
-        "recorded ankle creeps with forefoot load, 60 ms late, saturating",
-        "recorded ankle straight in vertical force, or in its moment on the forefoot",
+        "recorded ankle angle changes with forefoot load, lagging by 60 ms, saturating",
+        "recorded ankle angle linear in the vertical force or in its moment on the forefoot",
         two_sided=True,
     ),
     Effect(
         "soft_tissue_artifact", "kinematics", "deg", 14.0, _soft_tissue,
-        "tanh of knee flexion and a shock after heel strike, on hip rotation, knee and ankle",
-        "a bell of phase, plus shares of the joint's own angle and a neighbour's",
+        "tanh of knee flexion plus a vibration after heel strike, on hip rotation, knee and ankle",
+        "Gaussian in gait phase plus shares of the joint's own angle and of a neighboring one",
         variants=lambda w: (("thigh",), ("shank",)), two_sided=True,
     ),
     Effect(
         "wrap_surface", "geometry", "share of radius, or 30 mm", 0.5, _wrap,
-        "the real cylinder has another radius, or is displaced and turned at once; OpenSim wraps",
-        "six parameters of a surrogate",
+        "true cylinder with another radius, or displaced and rotated; OpenSim's path",
+        "six wrap parameters of a surrogate",
         variants=lambda w: (("hip_front", "radius"), ("knee_front", "radius"), ("knee_front", "place")),
         two_sided=True,
     ),
     Effect(
         "muscle_attachment", "geometry", "m", 0.020, _attachment,
-        "the real point is shifted along the bone; OpenSim's path",
-        "derivatives of the path by its end points",
+        "true attachment point displaced on the bone; OpenSim's path",
+        "derivatives of the path with respect to its end points",
         variants=lambda w: tuple((name,) for name in _ATTACHMENTS), two_sided=True,
     ),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What drives the muscles, and what the electrodes make of it."""
+"""Simulated effects on muscle excitation and on recorded EMG."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from validation.blind.world import World, with_muscles
 
 
 _NAMES = tuple(CHANNELS)
-#: Electrodes near each other: what one picks up of another.
-_NEIGHBOURS = (("Soleus", "Gastroc"), ("Gastroc", "Soleus"), ("TibAnt", "PerLong"), ("PerLong", "TibAnt"), ("RecFem", "VastLat"), ("VastMed", "RecFem"), ("BicFem", "SemiMem"), ("SemiMem", "Adductors"), ("GlutMax", "GlutMed"))  # fmt: skip
+#: Channels with neighboring electrodes: (receiving, source).
+_NEIGHBORS = (("Soleus", "Gastroc"), ("Gastroc", "Soleus"), ("TibAnt", "PerLong"), ("PerLong", "TibAnt"), ("RecFem", "VastLat"), ("VastMed", "RecFem"), ("BicFem", "SemiMem"), ("SemiMem", "Adductors"), ("GlutMax", "GlutMed"))  # fmt: skip
 _BURST = {"tibpost": (42.0, 15.0), "tfl": (28.0, 16.0), "sart": (64.0, 11.0)}
 
 
@@ -27,20 +27,20 @@ def _channels(world: World) -> tuple[Variant, ...]:
     return tuple((name,) for name in ("Iliopsoas", "GlutMed", "VastLat", "Gastroc", "Soleus", "TibAnt"))
 
 
-def _recorded(world: World, change: Callable[[World, np.ndarray], np.ndarray]) -> World:
+def _with_recorded_emg(world: World, change: Callable[[World, np.ndarray], np.ndarray]) -> World:
     return replace(world, recorded_emg=(*world.recorded_emg, change))
 
 
-def _missing(world: World, amount: float, variant: Variant) -> World:
+def _missing_drive(world: World, amount: float, variant: Variant) -> World:
     muscle = world.leg.names.index(f"{variant[0]}_r")
     center, width = _BURST[variant[0]]
 
     def excite(now: World, excitations: np.ndarray) -> np.ndarray:
-        # A skewed burst, quick up and slow down, that grows with the root of speed.
+        # A skewed burst with a fast rise and slow decay that grows with the square root of speed.
         away = (100.0 * (now.walk.phase % 1.0) - center + 50.0) % 100.0 - 50.0
         burst = np.exp(-0.5 * (away / np.where(away < 0.0, 1.3 * width, 0.7 * width)) ** 2)
         speed = np.sqrt(np.array(now.walk.speeds) / now.walk.speeds[1])
-        # The amount is activation: undo what the muscle's bend will make of the excitation.
+        # The amount is an activation: invert the activation nonlinearity of the muscle.
         grid = np.linspace(0.0, 1.5, 300)
         bent = now.family.shape(grid, now.muscles.bend[muscle])
         out = excitations.copy()
@@ -50,11 +50,12 @@ def _missing(world: World, amount: float, variant: Variant) -> World:
     return replace(world, excitation=(*world.excitation, excite))
 
 
-def _spastic(world: World, amount: float, variant: Variant) -> World:
+def _spasticity(world: World, amount: float, variant: Variant) -> World:
     muscle = world.leg.names.index(f"{variant[0]}_r")
 
     def excite(now: World, excitations: np.ndarray) -> np.ndarray:
-        # Muscle spindles: a root of stretch velocity, more at long lengths, 40 ms late, smeared.
+        # Muscle spindles: square root of stretch velocity, larger at long lengths, delayed by 40 ms and
+        # smoothed.
         fiber = now.muscles.optimal_fiber_length[muscle]
         velocity = now.paths.rate[:, muscle] / fiber
         long = (now.paths.length[:, muscle] - now.paths.length[:, muscle].mean(-1, keepdims=True)) / fiber
@@ -68,7 +69,7 @@ def _spastic(world: World, amount: float, variant: Variant) -> World:
 
 
 def _delay(world: World, amount: float, variant: Variant) -> World:
-    # By cadence, not by speed, and a little more in the shank: zero on average over the first two speeds.
+    # By cadence, not by speed, and slightly larger in the shank; zero mean over the first two speeds.
     slow, fast = world.walk.speeds[0] ** -0.5, world.walk.speeds[1] ** -0.5
     place = (np.array(world.walk.speeds) ** -0.5 - 0.5 * (slow + fast)) / (slow - fast)
     shank = np.array([n.startswith(("soleus", "gas", "tib", "per")) for n in world.leg.names])
@@ -76,8 +77,8 @@ def _delay(world: World, amount: float, variant: Variant) -> World:
     return with_muscles(world, delay=np.clip(world.muscles.delay + late, 0.0, 0.2))
 
 
-def progress(world: World) -> np.ndarray:
-    """Share of the session that has passed, (recording, frame)."""
+def session_progress(world: World) -> np.ndarray:
+    """Compute the elapsed share of the session, (recording, frame)."""
     count = len(world.walk.speeds)
     within = np.clip((world.walk.time - LEAD) / (DURATION - 2 * LEAD), 0.0, 1.0)
     return (np.arange(count)[:, None] + within) / count
@@ -87,17 +88,17 @@ def _drift(world: World, amount: float, variant: Variant) -> World:
     channel = _NAMES.index(variant[0])
 
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # A gel that settles: fast at first.
-        gone = -np.expm1(-2.5 * progress(now)) / -np.expm1(-2.5)
+        # Electrode gel settles, fast at first.
+        gone = -np.expm1(-2.5 * session_progress(now)) / -np.expm1(-2.5)
         out = emg.copy()
         out[:, channel] *= 1.0 + amount * gone
         return out
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
-def _drift_seen(amount: float, variant: Variant) -> dict[str, float]:
-    """Last cycle's gain against the first one's: at their middles 5.3 and 99.7 % of the drift are there."""
+def _gain_change(amount: float, variant: Variant) -> dict[str, float]:
+    """Compute the gain change from first to last cycle; at their centers 5.3 and 99.7 % have occurred."""
     return {f"gain_change_{variant[0]}": 0.944 * amount / (1.0 + 0.053 * amount)}
 
 
@@ -105,17 +106,17 @@ def _crosstalk(world: World, amount: float, variant: Variant) -> World:
     here, there = map(_NAMES.index, variant)
 
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # Interference of two noises: powers add, not envelopes.
+        # Signals of two uncorrelated sources: powers add, not envelopes.
         out = emg.copy()
         out[:, here] = np.hypot(emg[:, here], amount * emg[:, there])
         return out
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
 def _nonlinear(world: World, amount: float, variant: Variant) -> World:
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # An amplifier or a motor pool that saturates: a logarithm, or its inverse.
+        # Saturation of an amplifier or of the motor pool: a logarithm, or its inverse.
         if abs(amount) < 1e-9:
             return emg
         steep = 6.0 * abs(amount)
@@ -123,7 +124,7 @@ def _nonlinear(world: World, amount: float, variant: Variant) -> World:
             return np.log1p(steep * emg) / np.log1p(steep)
         return np.expm1(emg * np.log1p(steep)) / steep
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
 _POSTURE = {"VastLat": 3, "Soleus": 4, "GlutMed": 1, "Gastroc": 3, "TibAnt": 4}
@@ -139,23 +140,23 @@ def _posture(world: World, amount: float, variant: Variant) -> World:
         out[:, channel] *= 1.0 + amount * np.tanh((angle - middle) / width)
         return out
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
 def _offset(world: World, amount: float, variant: Variant) -> World:
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # A noise floor adds in power: it fills the pauses and leaves the peaks.
+        # A noise floor adds in power: it raises pauses and leaves peaks nearly unchanged.
         return np.hypot(emg, amount) if amount >= 0.0 else emg
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
 def _jitter(world: World, amount: float, variant: Variant) -> World:
     walk = world.walk
-    rng = np.random.default_rng(20_11)  # which cycles are early is fixed; by how much is the amount
+    rng = np.random.default_rng(20_11)  # which cycles are early is fixed; the amount is by how much
 
     def change(now: World, emg: np.ndarray) -> np.ndarray:
-        # The EMG's clock stumbles: packets come late by a smooth wander, not by a step a cycle.
+        # The EMG clock varies smoothly, not by a step for each cycle.
         cycle = RATE / (np.ptp(walk.phase[0]) / walk.time[-1])
         wander = amount / 100.0 * smooth_noise(rng_copy(rng), walk.phase.shape, 0.6 * cycle) * cycle / RATE
         return np.stack(
@@ -165,7 +166,7 @@ def _jitter(world: World, amount: float, variant: Variant) -> World:
             ]
         )
 
-    return _recorded(world, change)
+    return _with_recorded_emg(world, change)
 
 
 def rng_copy(rng: np.random.Generator) -> np.random.Generator:
@@ -176,56 +177,56 @@ def rng_copy(rng: np.random.Generator) -> np.random.Generator:
 
 EFFECTS = (
     Effect(
-        "missing_drive", "excitation", "peak activation", 0.9, _missing,
-        "a skewed burst on one unrecorded muscle that grows with the root of speed",
+        "missing_drive", "excitation", "peak activation", 0.9, _missing_drive,
+        "skewed burst of one unrecorded muscle that grows with the square root of speed",
         "periodic splines times a power of speed",
         variants=lambda w: tuple((name,) for name in UNRECORDED),
         parameters=lambda a, v: {"peak_activation": a},
     ),
     Effect(
-        "spasticity_unrecorded", "excitation", "gain", 1.6, _spastic,
-        "root of stretch velocity over a threshold, more at long lengths, 40 ms late and smeared",
-        "straight ramp of stretch velocity over a threshold, late",
+        "spasticity_unrecorded", "excitation", "gain", 1.6, _spasticity,
+        "square root of stretch velocity above a threshold, larger at long lengths, delayed by 40 ms and smoothed",
+        "linear in stretch velocity above a threshold, delayed",
         variants=lambda w: tuple((name,) for name in UNRECORDED), paretic_only=True,
     ),
     Effect(
         "speed_dependent_delay", "excitation", "s", 0.060, _delay,
-        "delay follows cadence (inverse root of speed), more in the shank",
-        "delay straight in speed",
+        "delay in proportion to cycle time (inverse square root of speed), larger in the shank",
+        "delay linear in speed",
         two_sided=True, parameters=lambda a, v: {"delay_slow_minus_fast": a},
     ),
     Effect(
         "emg_drift", "excitation", "share, first to last cycle", 1.2, _drift,
-        "gain settles exponentially over the session",
-        "gain straight in the cycle's number",
-        variants=_channels, parameters=_drift_seen,
+        "gain approaches its final value exponentially over the session",
+        "gain linear in the number of the cycle",
+        variants=_channels, parameters=_gain_change,
     ),
     Effect(
         "emg_crosstalk", "excitation", "share of the neighbour", 0.9, _crosstalk,
-        "powers of neighbours add",
-        "envelopes of neighbours subtract",
-        variants=lambda w: _NEIGHBOURS,
+        "powers of neighboring channels add",
+        "envelopes of neighboring channels are subtracted",
+        variants=lambda w: _NEIGHBORS,
     ),
     Effect(
         "emg_nonlinearity", "excitation", "steepness / 6", 1.5, _nonlinear,
         "logarithm of the envelope, or its inverse",
-        "a power of excitation",
+        "power of excitation",
         two_sided=True,
     ),
     Effect(
         "posture_dependent_gain", "excitation", "share", 0.8, _posture,
-        "gain by the tanh of a joint's angle on one channel",
-        "gain by the sine of an angle",
+        "gain of one channel changes with the tanh of a joint angle",
+        "gain changes with the sine of a joint angle",
         variants=lambda w: tuple((name,) for name in _POSTURE), two_sided=True,
     ),
     Effect(
         "emg_offset", "excitation", "of full scale", 0.25, _offset,
         "noise floor added in power",
-        "a constant subtracted",
+        "constant subtracted",
     ),
     Effect(
         "event_jitter", "kinematics", "% of the cycle", 4.0, _jitter,
-        "the EMG's clock wanders smoothly",
-        "a shift of phase for each cycle",
+        "clock of the EMG varies smoothly",
+        "phase shift of each cycle",
     ),
 )  # fmt: skip

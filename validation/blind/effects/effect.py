@@ -1,4 +1,4 @@
-"""What an effect of the generator is."""
+"""Description of a simulated effect."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from validation.blind.world import World
 Variant = tuple[str, ...]
 
 
-def _only(world: World) -> tuple[Variant, ...]:
+def _single_variant(world: World) -> tuple[Variant, ...]:
     return ((),)
 
 
-def _parameter(amount: float, variant: Variant) -> dict[str, float]:
+def _no_parameters(amount: float, variant: Variant) -> dict[str, float]:
     return {}
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A cause that a case can have.
+    """Effect that can be the cause of a case.
 
-    ``apply`` puts it into a world in some amount, in ``unit``; ``most`` is the largest amount that is still
-    human. A variant says where it acts. ``own_form`` and ``catalogue_form`` stand side by side in
-    `EFFECTS.md`. ``parameters`` gives the numbers that a diagnosis is scored on.
+    ``apply`` returns a world with the effect in a given amount (in ``unit``) and variant; ``most`` is the
+    largest plausible amount. A variant states where the effect acts. ``generator_form`` and
+    ``catalogue_form`` describe its form in the simulator and in the catalogue for `EFFECTS.md`.
+    ``parameters`` returns the true values of the parameters that a diagnosis is scored on.
     """
 
     id: str
@@ -32,9 +33,9 @@ class Effect:
     unit: str
     most: float
     apply: Callable[[World, float, Variant], World]
-    own_form: str
+    generator_form: str
     catalogue_form: str
-    variants: Callable[[World], tuple[Variant, ...]] = _only
+    variants: Callable[[World], tuple[Variant, ...]] = _single_variant
     two_sided: bool = False
     paretic_only: bool = False
-    parameters: Callable[[float, Variant], dict[str, float]] = field(default=_parameter)
+    parameters: Callable[[float, Variant], dict[str, float]] = field(default=_no_parameters)

@@ -1,4 +1,4 @@
-"""Fibers and tendons."""
+"""Simulated effects on fibers, tendons and activation dynamics."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ def _indices(world: World, words: tuple[str, ...]) -> np.ndarray:
 
 def _tendon(world: World, amount: float, variant: Variant) -> World:
     if amount < 5e-4:
-        return world  # too stiff to integrate, and not to be seen
+        return world  # too stiff to integrate, and not detectable
     long = world.muscles.tendon_slack_length > 1.2 * world.muscles.optimal_fiber_length
     return with_muscles(world, strain=np.where(long, amount, 0.0))
 
 
-def _slow(world: World, amount: float, variant: Variant) -> World:
-    # Thick muscles of the shank are slower still: nobody slows all muscles alike.
+def _slow_fibers(world: World, amount: float, variant: Variant) -> World:
+    # Larger in the shank: real changes are not uniform over muscles.
     shank = _indices(world, ("soleus", "gas", "tib", "per"))
     return with_muscles(world, slowness=np.clip(amount * np.where(shank, 1.1, 0.95), -1.0, 0.85))
 
 
-def _longer(world: World, amount: float, variant: Variant) -> World:
+def _length_gain(world: World, amount: float, variant: Variant) -> World:
     return with_muscles(world, length_gain=np.full_like(world.muscles.length_gain, amount))
 
 
-def _enhanced(world: World, amount: float, variant: Variant) -> World:
+def _enhancement(world: World, amount: float, variant: Variant) -> World:
     return with_muscles(world, enhancement=np.full_like(world.muscles.enhancement, amount))
 
 
-def _shared(world: World, amount: float, variant: Variant) -> World:
+def _force_sharing(world: World, amount: float, variant: Variant) -> World:
     names = list(world.leg.names)
     giver = names.index("soleus_r")
     takers = [names.index("gasmed_r"), names.index("gaslat_r")]
 
     def share(now: World, forces: np.ndarray) -> np.ndarray:
-        # Fascia hands over more where the two slide on each other: the flexed knee.
+        # Fascia transmits more where the muscles slide on each other, at the flexed knee.
         knee = now.walk.angles[:, 3]
         passed = amount * (0.6 + 0.8 * np.clip(knee / 1.0, 0.0, 1.0)) * forces[:, giver]
         out = forces.copy()
@@ -56,26 +56,26 @@ def _shared(world: World, amount: float, variant: Variant) -> World:
     return replace(world, force=(*world.force, share))
 
 
-_TIGHT = {
+_CONTRACTED = {
     "plantarflexors": ("soleus", "gas"),
     "hamstrings": ("semimem", "bflh"),
     "rectus": ("recfem",),
 }
 
 
-def _tight(world: World, amount: float, variant: Variant) -> World:
-    chosen = _indices(world, _TIGHT[variant[0]])
+def _contracture(world: World, amount: float, variant: Variant) -> World:
+    chosen = _indices(world, _CONTRACTED[variant[0]])
     return with_muscles(world, tightness=np.where(chosen, amount, 0.0))
 
 
-def _asymmetric(world: World, amount: float, variant: Variant) -> World:
-    # Slow relaxation lives in the distal muscles more than in the proximal ones.
+def _slow_deactivation(world: World, amount: float, variant: Variant) -> World:
+    # Relaxation is slower in distal than in proximal muscles.
     shank = _indices(world, ("soleus", "gas", "tib", "per"))
     return with_muscles(world, fall=world.muscles.fall * np.exp(amount * np.where(shank, 1.15, 0.9)))
 
 
 def _bound(world: World, amount: float, variant: Variant) -> World:
-    """One muscle that no box of calibration holds: a delay past 125 ms, a fiber past 1.4 of its nominal."""
+    """Move a parameter of one muscle beyond the bounds of calibration: delay > 125 ms, or fiber > 1.4 of nominal."""
     kind, word = variant
     chosen = _indices(world, (word,))
     if kind == "delay":
@@ -93,48 +93,48 @@ def _bound(world: World, amount: float, variant: Variant) -> World:
 EFFECTS = (
     Effect(
         "tendon_compliance", "tendon", "strain at maximum force", 0.10, _tendon,
-        "damped fiber behind an exponential-then-straight tendon, integrated in time; tendons longer than 1.2 fibers",
-        "slack length stretched by a logarithm of force",
+        "damped fiber in series with an exponential, then linear tendon, integrated in time; tendons longer than 1.2 fibers",
+        "slack length increased by a logarithm of force",
         parameters=lambda a, v: {"strain_at_max_force": a},
     ),
     Effect(
-        "slow_fibers", "fiber", "share of maximum velocity lost", 0.75, _slow,
-        "maximum velocity less by a share that differs between shank and thigh, and a deeper hyperbola",
+        "slow_fibers", "fiber", "share of maximum velocity lost", 0.75, _slow_fibers,
+        "maximum velocity reduced by a share that differs between shank and thigh, and a more curved hyperbola",
         "maximum velocity times exp(-theta)",
         parameters=lambda a, v: {"max_velocity_factor": 1.0 - a},
     ),
     Effect(
-        "activation_dependent_fiber_length", "fiber", "share of fiber length at rest", 0.35, _longer,
-        "optimal length falls with activation as an exponential",
-        "optimal length falls with activation as a straight line",
+        "activation_dependent_fiber_length", "fiber", "share of fiber length at rest", 0.35, _length_gain,
+        "optimal length decreases exponentially with activation",
+        "optimal length decreases linearly with activation",
         parameters=lambda a, v: {"length_gain": a},
     ),
     Effect(
-        "force_enhancement", "fiber", "share of force", 0.45, _enhanced,
-        "tanh of leaky stretch of active fibers, less half a tanh of leaky shortening",
-        "leaky integral of stretch, straight",
+        "force_enhancement", "fiber", "share of force", 0.45, _enhancement,
+        "tanh of leaky-integrated stretch of active fibers minus half a tanh of leaky-integrated shortening",
+        "linear in the leaky integral of stretch",
     ),
     Effect(
-        "force_sharing", "tendon", "share of soleus force", 0.5, _shared,
-        "soleus hands force to both gastrocnemii, more with the knee flexed, and loses it",
-        "a fixed share of a neighbour's force is added",
+        "force_sharing", "tendon", "share of soleus force", 0.5, _force_sharing,
+        "soleus force passed to both gastrocnemii, more with the knee flexed",
+        "fixed share of a neighboring muscle's force added",
     ),
     Effect(
-        "contracture", "fiber", "share of passive fiber length", 0.15, _tight,
-        "passive fibers shorter by a share and stiffer, in one of three groups",
+        "contracture", "fiber", "share of passive fiber length", 0.15, _contracture,
+        "passive fibers shortened by a share and stiffened, in one of three muscle groups",
         "passive curve shifted",
-        variants=lambda w: tuple((name,) for name in _TIGHT), paretic_only=True,
+        variants=lambda w: tuple((name,) for name in _CONTRACTED), paretic_only=True,
     ),
     Effect(
-        "deactivation_asymmetry", "activation", "log of relaxation time", 1.2, _asymmetric,
-        "relaxation slower by an exponential that differs between shank and thigh, in the generator's two-stage dynamics",
+        "deactivation_asymmetry", "activation", "log of relaxation time", 1.2, _slow_deactivation,
+        "relaxation slowed by an exponential that differs between shank and thigh, in the simulator's two-stage dynamics",
         "deactivation time of first-order dynamics times (1 + theta)",
         two_sided=True,
     ),
     Effect(
         "bound_pressure", "fiber", "beyond the box (share of nominal, or 0.2 s)", 0.35, _bound,
-        "one muscle's true delay over 125 ms or true fiber over 1.4 of its nominal",
-        "the active bound of a parameter relaxed",
+        "true delay of one muscle above 125 ms, or true fiber length above 1.4 of nominal",
+        "active bound of a parameter relaxed",
         variants=lambda w: (("fiber", "soleus"), ("fiber", "vaslat"), ("fiber", "recfem"), ("delay", "soleus"), ("delay", "iliacus")),
     ),
 )  # fmt: skip

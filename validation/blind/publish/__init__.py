@@ -1,1 +1,1 @@
-"""What a README shows of a scored bank, from the scorer's JSON: a table with verdicts, and two pictures."""
+"""Table with verdicts and two figures of a scored bank, from the JSON file of the scorer."""

@@ -1,4 +1,4 @@
-"""Two pictures for a README, legible 900 pixels wide: how often it is right, and what is taken for what."""
+"""Two figures of a score: shares of correct answers, and confusion between families of effects."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.publish.scores import Judged
+from validation.blind.publish.scores import PublishedScore
 from validation.blind.publish.table import label
 from validation.blind.score.intervals import Figure
 
-#: Inches; 200 dots an inch are 1,800 pixels, shown at half of it on most pages.
+#: Width in inches and dots per inch: 1,800 pixels, legible at 900.
 WIDTH, DOTS = 9.0, 200
-#: The published one first; the others are told apart by shape, too. More lines than these nobody can follow.
+#: Colors and markers of the lines, the published answerer first; more lines would not be legible.
 COLORS = ("#0b4f8a", "#c4561b", "#4f8a3d", "#8a6d9e")
 MARKS = ("o", "s", "^", "D")
 _TEXT = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"}
 
 
-def draw_right(judged: Sequence[Judged], file: Path) -> None:
-    """Right first, and named and right, over d* and over EMG noise, with counts and intervals.
+def draw_curves(scores: Sequence[PublishedScore], file: Path) -> None:
+    """Plot how often the cause is ranked first, and correctly named, over d* and EMG noise, with intervals.
 
-    Of more answerers than there are colors the first are drawn; the table has them all.
+    At most as many answerers are drawn as there are colors; the table has all of them.
     """
     plt = _pyplot()
-    judged = judged[: len(COLORS)]
+    scores = scores[: len(COLORS)]
     rows = (
-        ("right cause first", "magnitude", "noise"),
-        ("named, and rightly", "magnitude_named", "noise_named"),
+        ("true cause ranked first", "magnitude", "noise"),
+        ("true cause named", "magnitude_named", "noise_named"),
     )
     with plt.rc_context(_TEXT):
         figure, axes = plt.subplots(
@@ -37,11 +37,11 @@ def draw_right(judged: Sequence[Judged], file: Path) -> None:
         )
         for line, (title, *keys) in zip(axes, rows, strict=True):
             for axis, key in zip(line, keys, strict=True):
-                _draw_curves(axis, judged, key)
+                _draw_panel(axis, scores, key)
             line[0].set_ylabel(f"{title} (%)")
         for axis, words in zip(
             axes[-1],
-            ("d*: how far the cause stands out (standard deviations)", "EMG noise (d* over 2)"),
+            ("detectability d* (standard deviations)", "EMG noise (cases with d* > 2)"),
             strict=True,
         ):
             axis.set_xlabel(words)
@@ -50,15 +50,15 @@ def draw_right(judged: Sequence[Judged], file: Path) -> None:
         _save(figure, file)
 
 
-def _draw_curves(axis: Any, judged: Sequence[Judged], key: str) -> None:
-    names = list(judged[0].curves[key])
-    apart = min(0.13, 0.8 / len(judged))
-    for number, one in enumerate(judged):
+def _draw_panel(axis: Any, scores: Sequence[PublishedScore], key: str) -> None:
+    names = list(scores[0].curves[key])
+    apart = min(0.13, 0.8 / len(scores))
+    for number, one in enumerate(scores):
         curve = one.curves[key]
         known = [(place, curve[name]) for place, name in enumerate(names) if _drawable(curve.get(name))]
         if not known:
             continue
-        at = np.array([place for place, _ in known]) + apart * (number - (len(judged) - 1) / 2)
+        at = np.array([place for place, _ in known]) + apart * (number - (len(scores) - 1) / 2)
         value, lower, upper = (
             100 * np.array([getattr(figure, end) for _, figure in known])
             for end in ("value", "lower", "upper")
@@ -66,7 +66,7 @@ def _draw_curves(axis: Any, judged: Sequence[Judged], key: str) -> None:
         axis.errorbar(
             at,
             value,
-            # A bootstrap's bounds need not hold the value itself.
+            # Bounds by a bootstrap need not contain the value.
             yerr=np.maximum([value - lower, upper - value], 0.0),
             color=COLORS[number],
             marker=MARKS[number],
@@ -75,7 +75,7 @@ def _draw_curves(axis: Any, judged: Sequence[Judged], key: str) -> None:
             elinewidth=1.4 if number == 0 else 0.7,
             label=one.title,
         )
-    ticks = [f"{label(name)}\nn {judged[0].curves[key][name].n}" for name in names]
+    ticks = [f"{label(name)}\nn {scores[0].curves[key][name].n}" for name in names]
     axis.set_xticks(range(len(names)), ticks, fontsize=8)
     axis.set_ylim(-3, 103)
     axis.grid(axis="y", color="0.9")
@@ -86,15 +86,16 @@ def _drawable(figure: Figure | None) -> bool:
     return figure is not None and None not in (figure.value, figure.lower, figure.upper)
 
 
-def draw_confusion(one: Judged, file: Path) -> None:
-    """By family of the cause, what was named: counts, shaded by their share of the row."""
+def draw_confusion(one: PublishedScore, file: Path) -> None:
+    """Plot which families were named for each family of causes: counts, shaded by their share of the row."""
     plt = _pyplot()
     last = ("none", "outside")
     rows = sorted(one.confusion, key=lambda name: (name in last, name))
-    found = {column for row in one.confusion.values() for column in row}
-    # Families in the order of rows, so that what is right is the diagonal; then what names nothing.
-    columns = [name for name in rows if name in found]
-    columns += sorted(found - set(rows), key=lambda name: (name.startswith("("), name))
+    answered = {column for row in one.confusion.values() for column in row}
+    # Families in the order of the rows, so that correct answers are on the diagonal; then answers without a
+    # name.
+    columns = [name for name in rows if name in answered]
+    columns += sorted(answered - set(rows), key=lambda name: (name.startswith("("), name))
     counts = np.array([[one.confusion[row].get(column, 0) for column in columns] for row in rows], float)
     share = counts / counts.sum(axis=1, keepdims=True)
     with plt.rc_context({**_TEXT, "axes.spines.left": False, "axes.spines.bottom": False}):
@@ -106,24 +107,24 @@ def draw_confusion(one: Judged, file: Path) -> None:
                 axis.text(column, row, f"{count:.0f}", ha="center", va="center", color=color)
         right = {"none": "(none)", "outside": "(unknown)"}
         for place, name in enumerate(rows):
-            if (wanted := right.get(name, name)) in columns:
-                own = columns.index(wanted)
+            if (correct := right.get(name, name)) in columns:
+                column = columns.index(correct)
                 axis.add_patch(
-                    plt.Rectangle((own - 0.5, place - 0.5), 1, 1, fill=False, edgecolor=COLORS[0], lw=1.2)
+                    plt.Rectangle((column - 0.5, place - 0.5), 1, 1, fill=False, edgecolor=COLORS[0], lw=1.2)
                 )
-        axis.set_xticks(range(len(columns)), [_spoken(name) for name in columns], rotation=35, ha="right")
+        axis.set_xticks(range(len(columns)), [_words(name) for name in columns], rotation=35, ha="right")
         totals = counts.sum(axis=1).astype(int)
-        spoken = {"none": "nothing amiss", "outside": "outside the catalogue"}
-        causes = [f"{_spoken(spoken.get(r, r))} ({n})" for r, n in zip(rows, totals, strict=True)]
+        labels = {"none": "no effect", "outside": "outside the catalogue"}
+        causes = [f"{_words(labels.get(r, r))} ({n})" for r, n in zip(rows, totals, strict=True)]
         axis.set_yticks(range(len(rows)), causes)
         axis.tick_params(length=0)
-        axis.set_xlabel("what was said: a family of effects, or how it ended (in brackets)")
-        axis.set_ylabel("family of the cause (cases; of pairs the first)")
+        axis.set_xlabel("named family of effects, or outcome without a name (in brackets)")
+        axis.set_ylabel("family of the true cause (number of cases; first cause of pairs)")
         figure.colorbar(image, label="share of the row (%)", pad=0.01)
         _save(figure, file)
 
 
-def _spoken(name: str) -> str:
+def _words(name: str) -> str:
     return name.replace("_", " ")
 
 

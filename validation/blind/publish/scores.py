@@ -1,4 +1,4 @@
-"""The scorer's JSON, read back."""
+"""Reader of the JSON file of the scorer."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from validation.blind.score.intervals import Figure, Target
 
 
 class Unreadable(Exception):
-    """A file that the scorer has not written, or a name that is not in it."""
+    """Raised for a file that the scorer has not written, or an answerer that is not in it."""
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What the scorer says of one answerer; curves by what they are over, confusion by cause and name."""
+class PublishedScore:
+    """Scores of one answerer; curves by their abscissa, confusion by family of the cause and of the name."""
 
     name: str
     rows: dict[str, Row]
@@ -31,29 +31,29 @@ class Judged:
         return self.name.replace("_", " ")
 
 
-def read_scores(file: Path, of: str | None = None) -> list[Judged]:
-    """All answerers, the one that is published (the first if not named) before those it is compared with.
+def read_scores(file: Path, of: str | None = None) -> list[PublishedScore]:
+    """Read the scores of all answerers, the published one (by default the first of the file) first.
 
     Raises
     ------
     Unreadable
-        If the file is not the scorer's, or has no such answerer.
+        If the scorer has not written the file, or it has no such answerer.
     """
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-        found = {name: _judged(name, part) for name, part in content.items()}
+        scores = {name: _read_answerer(name, part) for name, part in content.items()}
     except OSError as error:
         raise Unreadable(f"{file}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         message = f"{file}: not what this version of 'score --json' writes ({type(error).__name__}: {error})"
         raise Unreadable(message) from error
-    if not found or (of is not None and of not in found):
-        raise Unreadable(f"{file}: no answerer {of or 'at all'}; there are {', '.join(found) or 'none'}")
-    first = of or next(iter(found))
-    return [found[first], *(one for name, one in found.items() if name != first)]
+    if not scores or (of is not None and of not in scores):
+        raise Unreadable(f"{file}: no answerer {of or 'at all'}; there are {', '.join(scores) or 'none'}")
+    first = of or next(iter(scores))
+    return [scores[first], *(one for name, one in scores.items() if name != first)]
 
 
-def _judged(name: str, part: dict[str, Any]) -> Judged:
+def _read_answerer(name: str, part: dict[str, Any]) -> PublishedScore:
     rows = (
         Row(
             row["key"],
@@ -64,7 +64,7 @@ def _judged(name: str, part: dict[str, Any]) -> Judged:
         for row in part["rows"]
     )
     curves = ("magnitude", "magnitude_named", "noise", "noise_named")
-    return Judged(
+    return PublishedScore(
         name,
         {row.key: row for row in rows},
         part["confusion"],
@@ -75,4 +75,4 @@ def _judged(name: str, part: dict[str, Any]) -> Judged:
 
 
 def _figures(part: dict[str, dict[str, Any]]) -> dict[str, Figure]:
-    return {key: Figure(**own) for key, own in part.items()}
+    return {key: Figure(**entry) for key, entry in part.items()}

@@ -1,17 +1,17 @@
-"""The table of figures, targets and verdicts, others beside it, and where it fails."""
+"""Markdown table of figures with targets and verdicts for one answerer, compared with others."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from validation.blind.publish.scores import Judged
+from validation.blind.publish.scores import PublishedScore
 from validation.blind.score.breakdown import FEWEST
 from validation.blind.score.figures import Row
 from validation.blind.score.intervals import Figure, Target
 
-#: Figures that are no shares.
+#: Figures that are not shares.
 NUMBERS = {"set_size", "calibration", "shrinkage", "map", "unknown_auroc"}
-#: What those without probabilities and refits can be compared by.
+#: Figures that can be compared with answerers without probabilities and refits.
 COMPARED = {
     "first_clear",
     "first_plain",
@@ -28,9 +28,9 @@ COMPARED = {
     "pair_one",
     "pair_both",
 }
-#: Effects that are listed where it fails.
+#: Number of worst effects listed.
 FAILURES = 5
-NOTHING = "-"
+NO_VALUE = "-"
 
 _EXPLAINED = (
     "Bounds in brackets are one-sided, 95 % each, with cases clustered by person. A target is met or failed "
@@ -38,20 +38,20 @@ _EXPLAINED = (
 )
 
 
-def as_table(judged: Sequence[Judged]) -> str:
-    """Markdown: the first with targets and verdicts, the others beside it where they can be judged."""
-    first, *others = judged
+def as_table(scores: Sequence[PublishedScore]) -> str:
+    """Format the table: the first answerer with targets and verdicts, the others where comparable."""
+    first, *others = scores
     heads = ["figure", "target", first.title, "cases", "verdict", *(one.title for one in others)]
     lines = [_line(heads), "|" + "---|" * len(heads)]
     for row in first.rows.values():
-        own = [
+        cells = [
             row.text,
             _target(row),
             _cell(row.key, row.figure),
             str(row.figure.n),
             f"**{row.verdict}**" if row.verdict else "",
         ]
-        lines.append(_line([*own, *(_beside(row.key, one) for one in others)]))
+        lines.append(_line([*cells, *(_compared_cell(row.key, one) for one in others)]))
     said = f"{first.cases} cases. {_EXPLAINED}"
     return "\n".join([*lines, "", said, "", *_failures(first)]) + "\n"
 
@@ -60,13 +60,13 @@ def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _beside(key: str, other: Judged) -> str:
-    return _cell(key, other.rows[key].figure) if key in COMPARED and key in other.rows else NOTHING
+def _compared_cell(key: str, other: PublishedScore) -> str:
+    return _cell(key, other.rows[key].figure) if key in COMPARED and key in other.rows else NO_VALUE
 
 
 def _cell(key: str, figure: Figure) -> str:
     if figure.value is None:
-        return NOTHING
+        return NO_VALUE
     bounds = (
         ""
         if figure.lower is None or figure.upper is None
@@ -92,8 +92,8 @@ def _number(key: str, value: float) -> str:
     return f"{value:.2f}" if key in NUMBERS else f"{100 * value:.0f}"
 
 
-def _failures(one: Judged) -> list[str]:
-    """Say it as plainly as what goes well."""
+def _failures(one: PublishedScore) -> list[str]:
+    """List the worst effects, and the shares of correct answers by d* and EMG noise."""
     enough = {name: f for name, f in one.effects.items() if f.value is not None and f.n >= FEWEST}
     hardest = sorted(enough, key=lambda name: (enough[name].value, name))[:FAILURES]
     listed = (f"`{name}` {_cell(name, enough[name])} of {enough[name].n}" for name in hardest)
@@ -114,6 +114,6 @@ def _failures(one: Judged) -> list[str]:
 
 
 def label(key: str) -> str:
-    """A curve's key as people read it: numbers that only sort are left out."""
+    """Return the label of a curve's key without the number that only serves sorting."""
     words = key.split(": ")[-1].replace(" to inf", " and more")
     return f"under {words[5:]}" if words.startswith("0 to ") else words.lstrip("0")

@@ -1,1 +1,1 @@
-"""The scorer: opens truth once, and says of every answerer what it got right, with intervals."""
+"""Scorer of the blind bank: figures of accuracy of every answerer, with intervals."""

@@ -1,4 +1,4 @@
-"""Where an answerer fails: by family, by noise, by magnitude, by effect."""
+"""Accuracy of an answerer by family, by EMG noise, by d* and by effect."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from validation.blind.effects import EFFECTS
-from validation.blind.score.figures import first_right, people, rightly_named
+from validation.blind.score.figures import cause_among_first, correctly_named, people
 from validation.blind.score.intervals import Figure, share
-from validation.blind.score.records import SILENT, STOPPED, Case
+from validation.blind.score.records import STOPPED_OUTCOMES, UNNAMED_OUTCOMES, Case
 
-#: Edges of d* in the curve over magnitude.
+#: Bin edges of d*.
 EDGES = (0.0, 1.0, 2.0, 3.5, 5.0, 8.0, 12.0, np.inf)
-#: An effect with fewer cases is not called the worst.
+#: Least number of cases for an effect to count as the worst.
 FEWEST = 3
 
 
 def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
-    """Cases by the family of their cause (or tier) and by the family that is named, or how nothing was."""
+    """Count cases by the family of their cause (or tier) and by the named family or other outcome."""
     table: dict[str, dict[str, int]] = {}
     for case in cases:
         row = table.setdefault(case.truth.family, {})
@@ -29,19 +29,19 @@ def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
 
 def answered_family(case: Case) -> str:
     answer = case.answer
-    if answer.outcome in (*SILENT, *STOPPED):
+    if answer.outcome in (*UNNAMED_OUTCOMES, *STOPPED_OUTCOMES):
         return f"({answer.outcome})"
     named = answer.named
-    if rightly_named(case):
+    if correctly_named(case):
         return case.truth.family
     families = {EFFECTS[name].family for name in named if name in EFFECTS}
     return families.pop() if len(families) == 1 else "(several)"
 
 
 def curve(
-    cases: Sequence[Case], key: Callable[[Case], str], hit: Callable[[Case], bool] = first_right
+    cases: Sequence[Case], key: Callable[[Case], str], hit: Callable[[Case], bool] = cause_among_first
 ) -> dict[str, Figure]:
-    """Share of hits by any key."""
+    """Compute the share of hits by a key."""
     groups: dict[str, list[Case]] = {}
     for case in cases:
         groups.setdefault(key(case), []).append(case)
@@ -50,7 +50,9 @@ def curve(
     }
 
 
-def over_magnitude(cases: Sequence[Case], hit: Callable[[Case], bool] = first_right) -> dict[str, Figure]:
+def over_magnitude(
+    cases: Sequence[Case], hit: Callable[[Case], bool] = cause_among_first
+) -> dict[str, Figure]:
     def key(case: Case) -> str:
         index = int(np.searchsorted(EDGES, case.truth.d_star, side="right")) - 1
         return f"{index}: {EDGES[index]:g} to {EDGES[index + 1]:g}"
@@ -58,7 +60,7 @@ def over_magnitude(cases: Sequence[Case], hit: Callable[[Case], bool] = first_ri
     return curve(cases, key, hit)
 
 
-def over_noise(cases: Sequence[Case], hit: Callable[[Case], bool] = first_right) -> dict[str, Figure]:
+def over_noise(cases: Sequence[Case], hit: Callable[[Case], bool] = cause_among_first) -> dict[str, Figure]:
     return curve(cases, lambda case: f"{100 * case.truth.raw['emg_noise']:02.0f} %", hit)
 
 

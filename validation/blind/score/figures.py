@@ -1,4 +1,4 @@
-"""Every figure that a diagnosis is judged by: its definition, its cases, its target."""
+"""Definitions, cases and targets of all figures that a diagnosis is scored by."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from pathlib import Path
 import numpy as np
 
 from validation.blind.score.intervals import Figure, Target, share, statistic, verdict
-from validation.blind.score.moments import estimate, map_pairs, oracle_shrinkage, r_squared
+from validation.blind.score.moments import map_pairs, oracle_shrinkage, r_squared, shrinkage_estimate
 from validation.blind.score.records import Case
 
 # Tables are easier to read in one line.
 # ruff: noqa: E501
 
 
-#: Where a cause can be found at all, and where it should be easy.
+#: d* above which a cause can be identified, and above which it should be easy.
 CLEAR, PLAIN = 2.0, 5.0
 BINS = 10
-#: Relative error of a scored parameter that an answer does not give.
+#: Relative error assumed for a scored parameter that an answer does not state.
 UNSTATED = 10.0
 
 
 @dataclass(frozen=True)
 class Row:
+    """Figure with its key, text and target."""
+
     key: str
     text: str
     figure: Figure
@@ -35,26 +37,26 @@ class Row:
         return verdict(self.figure, self.target)
 
 
-def first_right(case: Case, among: int = 1) -> bool:
-    """Whether the cause, or what the generator cannot tell from it, is among the likeliest."""
+def cause_among_first(case: Case, among: int = 1) -> bool:
+    """Check whether the cause, or an effect tied with it, is among the most probable."""
     return any(name in case.truth.accepted for name in case.answer.ranking[:among])
 
 
-def strictly_first(case: Case) -> bool:
+def exact_cause_first(case: Case) -> bool:
     return case.answer.ranking[:1] == [case.truth.causes[0]]
 
 
-def rightly_named(case: Case) -> bool:
-    """All that is named must be the cause or a generator's tie of it: naming everything is naming nothing."""
+def correctly_named(case: Case) -> bool:
+    """Check whether all named effects are the cause or tied with it."""
     return case.answer.names and bool(case.answer.named) and case.answer.named <= case.truth.accepted
 
 
-def named_alone(case: Case) -> bool:
+def exactly_named(case: Case) -> bool:
     return case.answer.named == frozenset(case.truth.causes)
 
 
-def wrongly_named_withheld(case: Case) -> bool:
-    """With the cause withheld, a name is wrong unless all that it names is tied with the cause."""
+def wrongly_named_when_withheld(case: Case) -> bool:
+    """Check whether an effect that is not tied with the cause is named when the cause is withheld."""
     answer = case.withheld
     assert answer is not None
     return answer.names and not (answer.named and answer.named <= case.truth.ties)
@@ -67,8 +69,9 @@ def top_is_right(case: Case) -> bool:
 
 
 def calibration_error(values: np.ndarray) -> float:
-    """Expected calibration error over equal-count bins, less what perfect calibration would show; values
-    are (case, 2): probability, right or not.
+    """Compute the expected calibration error over equal-count bins, minus that of perfect calibration.
+
+    ``values`` are (case, 2): stated probability, and whether the answer is correct.
     """
     p, right = values[np.argsort(values[:, 0], kind="stable")].T
     bins = np.array_split(np.arange(p.size), min(BINS, p.size))
@@ -84,7 +87,7 @@ def calibration_error(values: np.ndarray) -> float:
 
 
 def auroc(values: np.ndarray) -> float:
-    """Values are (case, 2): score, positive or not."""
+    """Compute the area under the ROC curve; values are (case, 2): score, positive or not."""
     high, low = values[values[:, 1] > 0.5, 0], values[values[:, 1] < 0.5, 0]
     if not high.size or not low.size:
         return float("nan")
@@ -92,7 +95,7 @@ def auroc(values: np.ndarray) -> float:
 
 
 def all_rows(bank: Path, cases: Sequence[Case]) -> list[Row]:
-    """The table, in the order in which it is read."""
+    """Compute all rows of the table in their order."""
     by_tier = {
         tier: [c for c in cases if c.truth.tier == tier] for tier in ("single", "none", "outside", "pair")
     }
@@ -101,23 +104,23 @@ def all_rows(bank: Path, cases: Sequence[Case]) -> list[Row]:
     plain = [c for c in single if c.truth.d_star > PLAIN]
     named = [c for c in single if c.answer.names]
     held = [c for c in single if c.withheld is not None]
-    three = lambda c: first_right(c, 3)  # noqa: E731
+    three = lambda c: cause_among_first(c, 3)  # noqa: E731
     names = lambda c: c.answer.names  # noqa: E731
     rows = [
-        _share("first_clear", "right cause first, d* over 2", clear, first_right, Target(least=0.70)),
-        _share("first_plain", "right cause first, d* over 5", plain, first_right, Target(least=0.92)),
-        _share("first_all", "right cause first, all", single, first_right),
-        _share("first_strict", "the very cause first, ties not counted, d* over 2", clear, strictly_first),
+        _share("first_clear", "right cause first, d* over 2", clear, cause_among_first, Target(least=0.70)),
+        _share("first_plain", "right cause first, d* over 5", plain, cause_among_first, Target(least=0.92)),
+        _share("first_all", "right cause first, all", single, cause_among_first),
+        _share("first_strict", "the very cause first, ties not counted, d* over 2", clear, exact_cause_first),
         _share("three_clear", "right cause among three, d* over 2", clear, three, Target(least=0.85)),
         _share("three_plain", "right cause among three, d* over 5", plain, three, Target(least=0.97)),
         _share("three_all", "right cause among three, all", single, three),
         _share("coverage", "a cause is named, d* over 2", clear, names, Target(least=0.60)),
-        _share("precision", "a named cause is right, all", named, rightly_named, Target(least=0.90)),
-        _share("precision_strict", "a named cause is the very cause, d* over 2", [c for c in clear if c.answer.names], named_alone),
+        _share("precision", "a named cause is right, all", named, correctly_named, Target(least=0.90)),
+        _share("precision_strict", "a named cause is the very cause, d* over 2", [c for c in clear if c.answer.names], exactly_named),
         _share("false_alarms", "a cause is named where there is none", by_tier["none"], names, Target(most=0.05)),
         _share("false_unknown", "'unknown' where there is none", by_tier["none"], lambda c: c.answer.outcome == "unknown", Target(most=0.15)),
         _share("wrong_outside", "a cause is named for a mechanism outside", by_tier["outside"], names, Target(most=0.10)),
-        _share("withheld", "no wrong name with the cause withheld", held, lambda c: not wrongly_named_withheld(c), Target(least=0.85)),
+        _share("withheld", "no wrong name with the cause withheld", held, lambda c: not wrongly_named_when_withheld(c), Target(least=0.85)),
         _share("set_coverage", "credible set holds the cause, all", single, _set_holds, Target(least=0.90)),
         _value("set_size", "ids in the credible set, mean, d* over 2", clear, lambda c: [len(c.answer.raw.get("credible_set") or [])], np.mean, Target(most=2.0)),
         _calibration([*single, *by_tier["none"], *by_tier["outside"]]),
@@ -162,7 +165,7 @@ def _shrinkage(bank: Path, cases: Sequence[Case]) -> list[Row]:
     away, covered, who = [], [], []
     for case in cases:
         for which in ("held_out_cycles", "held_out_speed"):
-            stated = estimate((case.answer.raw.get("shrinkage") or {}).get(which))
+            stated = shrinkage_estimate((case.answer.raw.get("shrinkage") or {}).get(which))
             true = oracle_shrinkage(bank, case, which) if stated else None
             if stated and true is not None:
                 away.append(abs(stated[0] - true))
@@ -179,7 +182,7 @@ def _shrinkage(bank: Path, cases: Sequence[Case]) -> list[Row]:
 def _parameters(cases: Sequence[Case]) -> Row:
     def errors(case: Case) -> list[float]:
         (cause,) = case.truth.raw["causes"]
-        if not rightly_named(case) or cause["id"] not in case.answer.named:
+        if not correctly_named(case) or cause["id"] not in case.answer.named:
             return []
         stated = case.answer.parameters(cause["id"])
         return [

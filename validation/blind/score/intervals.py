@@ -1,4 +1,4 @@
-"""One-sided 95 % intervals of figures from people who gave several cases each, and verdicts on them."""
+"""One-sided 95 % bounds of figures with cases clustered by person, and verdicts against targets."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from scipy.stats import beta
 MET, FAILED, UNCLEAR = "met", "failed", "not distinguishable"
 LEVEL = 0.95
 _DRAWS = 500
-#: Where all cases agree, people are taken to be this much alike: a correlation of zero would be too kind.
-_LIKENESS = 0.05
+#: Correlation within persons that is assumed if all cases agree, where it cannot be estimated.
+_ASSUMED_CORRELATION = 0.05
 
 
 @dataclass(frozen=True)
 class Figure:
-    """``lower`` and ``upper`` are one-sided 95 % bounds; n cases; None where there was nothing to judge."""
+    """Value with one-sided 95 % bounds and the number of cases; None without cases."""
 
     value: float | None
     lower: float | None = None
@@ -27,7 +27,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Target:
-    """Reach ``least``, stay under ``most``, or both."""
+    """Lower bound, upper bound, or both, of a figure."""
 
     least: float | None = None
     most: float | None = None
@@ -39,7 +39,7 @@ class Target:
 
 
 def verdict(figure: Figure, target: Target | None) -> str:
-    """Met or failed where the interval is all on one side, else not distinguishable."""
+    """Return met or failed if the interval is entirely on one side, otherwise not distinguishable."""
     if target is None or figure.value is None or figure.lower is None or figure.upper is None:
         return ""
     least = -np.inf if target.least is None else target.least
@@ -50,16 +50,16 @@ def verdict(figure: Figure, target: Target | None) -> str:
 
 
 def share(hits: np.ndarray, people: np.ndarray) -> Figure:
-    """A share of cases, with Clopper and Pearson's interval for as many independent ones as these equal."""
+    """Compute a share of cases, with a Clopper-Pearson interval for the effective number of cases."""
     hits = np.asarray(hits, float)
     n = hits.size
     if n == 0:
         return Figure(None)
     mean = float(hits.mean())
-    worth = n / _design_effect(hits, np.asarray(people), mean)
-    k = mean * worth
-    lower = float(beta.ppf(1 - LEVEL, k, worth - k + 1)) if k > 0 else 0.0
-    upper = float(beta.ppf(LEVEL, k + 1, worth - k)) if k < worth else 1.0
+    effective = n / _design_effect(hits, np.asarray(people), mean)
+    k = mean * effective
+    lower = float(beta.ppf(1 - LEVEL, k, effective - k + 1)) if k > 0 else 0.0
+    upper = float(beta.ppf(LEVEL, k + 1, effective - k)) if k < effective else 1.0
     return Figure(mean, lower, upper, n)
 
 
@@ -68,7 +68,7 @@ def _design_effect(hits: np.ndarray, people: np.ndarray, mean: float) -> float:
     count = names.size
     if count < 2:
         return 1.0
-    assumed = 1.0 + _LIKENESS * (hits.size / count - 1.0)
+    assumed = 1.0 + _ASSUMED_CORRELATION * (hits.size / count - 1.0)
     if mean in (0.0, 1.0):
         return max(1.0, assumed)
     sums = np.bincount(group, hits - mean)
@@ -79,7 +79,7 @@ def _design_effect(hits: np.ndarray, people: np.ndarray, mean: float) -> float:
 def statistic(
     values: np.ndarray, people: np.ndarray, of: Callable[[np.ndarray], float], seed: int = 1
 ) -> Figure:
-    """Any statistic of rows, with a bootstrap over people."""
+    """Compute a statistic of rows, with bounds by a bootstrap over persons."""
     values, people = np.asarray(values), np.asarray(people)
     if values.shape[0] == 0:
         return Figure(None)

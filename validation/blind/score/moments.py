@@ -1,4 +1,4 @@
-"""What answers say of moments: the share of the gap that goes away, and the map of where it lies."""
+"""Accuracy of the shrinkage and of the map of explainable error that an answer states."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BIN = 5
 
 @dataclass(frozen=True)
 class Predicted:
-    """Moments of a trial before and after, (coordinate, frame)."""
+    """Predicted moments of a trial without and with the named effects, (coordinate, frame) in N m."""
 
     time: np.ndarray
     before: np.ndarray
@@ -35,7 +35,7 @@ def _table(path: Path) -> dict[str, np.ndarray]:
 
 
 def predicted(answer: Answer, recording: int, use: str) -> Predicted | None:
-    """Read ``moments/<trial>.sto`` of an answer; None where it has none."""
+    """Read ``moments/<trial>.sto`` of an answer; None if there is none."""
     path = answer.folder / "moments" / f"walk_{recording + 1}_{use}.sto"
     if not path.exists():
         return None
@@ -66,7 +66,7 @@ def _measured_at(bank: Path, truth: Truth, recording: int, time: np.ndarray) -> 
 
 
 def oracle_shrinkage(bank: Path, case: Case, which: str) -> float | None:
-    """The contract's formula with the generator's floor: held-out cycles, or the held-out speed."""
+    """Compute shrinkage with the true noise floor, over held-out cycles or over the held-out speed."""
     last = len(case.truth.raw["cycles"]) - 1
     recordings = [last] if which == "held_out_speed" else list(range(last))
     before: list[np.floating] = []
@@ -86,19 +86,19 @@ def oracle_shrinkage(bank: Path, case: Case, which: str) -> float | None:
     return float((np.mean(before) - np.mean(after)) / gap) if gap > 0 else None
 
 
-def estimate(value: Any) -> tuple[float, tuple[float, float]] | None:
-    """A shrinkage of ``gap.json``: its estimate and interval."""
+def shrinkage_estimate(value: Any) -> tuple[float, tuple[float, float]] | None:
+    """Return estimate and interval of a shrinkage in ``gap.json``; None if there is none."""
     if not isinstance(value, dict) or value.get("estimate") is None:
         return None
     interval = value.get("ci95") or (np.nan, np.nan)
     middle = value["estimate"]
-    # A tie's is the range over its members.
+    # For a tie the estimate is the range over its members.
     middle = float(np.mean(middle)) if isinstance(middle, (list, tuple)) else float(middle)
     return middle, (float(interval[0]), float(interval[1]))
 
 
 def map_pairs(case: Case) -> np.ndarray:
-    """True and stated explainable RMS of each coordinate, bin and speed, (entry, 2) in N m."""
+    """Compute true and stated explainable RMS of each coordinate, phase bin and speed, (entry, 2) in N m."""
     stated = {
         (w["coordinate"], int(w["phase_percent"][0]), round(float(w["speed_m_s"]), 3)): float(
             w["explainable_rms_Nm"]

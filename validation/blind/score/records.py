@@ -1,4 +1,4 @@
-"""What was asked and what was answered: truth and `gap.json`, as records."""
+"""Truth of a case and answer (`gap.json`), as records."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.case_selection import Lot
+from validation.blind.case_selection import CaseSelection
 
-SILENT = ("none", "unknown")
-STOPPED = ("insufficient_data", "not_converged")
+UNNAMED_OUTCOMES = ("none", "unknown")
+STOPPED_OUTCOMES = ("insufficient_data", "not_converged")
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The truth of a case; ``raw`` is the file."""
+    """Truth of a case; ``raw`` is the content of the file."""
 
     raw: dict[str, Any]
     clean_file: Path
@@ -49,7 +49,7 @@ class Truth:
 
     @property
     def ties(self) -> frozenset[str]:
-        """What the generator cannot tell from the cause."""
+        """Effects that are tied with the cause."""
         return frozenset(self.raw["ties"])
 
     @property
@@ -64,7 +64,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Answer:
-    """A diagnosis; ``raw`` is the file, beside which its moments lie."""
+    """Answer to a case; ``raw`` is the content of ``gap.json``, ``folder`` also has its moments."""
 
     raw: dict[str, Any]
     folder: Path
@@ -75,12 +75,12 @@ class Answer:
 
     @property
     def names(self) -> bool:
-        """Whether it names a cause; a tie names."""
+        """Whether it names a cause; a tie does."""
         return self.outcome in ("named", "tie")
 
     @property
     def named(self) -> frozenset[str]:
-        """All that it names, members of ties included."""
+        """Named effects, including members of ties."""
         if not self.names:
             return frozenset()
         members = (
@@ -90,23 +90,23 @@ class Answer:
 
     @cached_property
     def probabilities(self) -> dict[str, float]:
-        """By effect, `none` and `unknown`; what is not given out goes to the silent outcome."""
+        """Probabilities by effect, `none` and `unknown`; with the remainder at the outcome or `unknown`."""
         given = {str(e["id"]): float(e.get("probability") or 0.0) for e in self.raw.get("effects") or []}
-        for name in SILENT:
+        for name in UNNAMED_OUTCOMES:
             if name in self.raw and isinstance(self.raw[name], (int, float)):
                 given[name] = float(self.raw[name])
         for name, value in (self.raw.get("probabilities") or {}).items():
             given[str(name)] = float(value)
         rest = 1.0 - sum(given.values())
         if rest > 1e-6:
-            name = self.outcome if self.outcome in SILENT else "unknown"
+            name = self.outcome if self.outcome in UNNAMED_OUTCOMES else "unknown"
             given[name] = given.get(name, 0.0) + rest
         return given
 
     @property
     def ranking(self) -> list[str]:
-        """Effects by probability, the likeliest first; only those with any."""
-        some = {name: p for name, p in self.probabilities.items() if name not in SILENT and p > 0.0}
+        """Effects with positive probability, the most probable first."""
+        some = {name: p for name, p in self.probabilities.items() if name not in UNNAMED_OUTCOMES and p > 0.0}
         return sorted(some, key=lambda name: (-some[name], name))
 
     @property
@@ -123,17 +123,19 @@ class Answer:
 
 @dataclass(frozen=True)
 class Case:
+    """Truth and answer of a case, and the answer with its cause withheld."""
+
     truth: Truth
     answer: Answer
     withheld: Answer | None = None
 
 
-def read_truth(bank: Path, lot: Lot) -> list[Truth]:
-    """Open the truth of a lot, by id, and no other."""
-    there = {path.stem: path for path in (bank / "truth").glob("*.json")}
+def read_truth(bank: Path, selection: CaseSelection) -> list[Truth]:
+    """Read the truth of the selected cases only, by id."""
+    present = {path.stem: path for path in (bank / "truth").glob("*.json")}
     return [
-        Truth(json.loads(there[id].read_text(encoding="utf-8")), there[id].with_suffix(".npy"))
-        for id in lot.of(there)
+        Truth(json.loads(present[id].read_text(encoding="utf-8")), present[id].with_suffix(".npy"))
+        for id in selection.select(present)
     ]
 
 
@@ -142,7 +144,7 @@ def read_answer(folder: Path) -> Answer:
 
 
 def unanswered(truths: list[Truth], answers: Path, withheld: Path | None) -> list[str]:
-    """Cases without an answer; a scorer that prints before all are in can be stopped when it looks good."""
+    """List cases without an answer; scoring requires all, so that it cannot be stopped at a good result."""
     missing = [t.id for t in truths if not (answers / t.id / "gap.json").exists()]
     if withheld is not None:
         singles = [t for t in truths if t.tier == "single"]

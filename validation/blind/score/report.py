@@ -1,4 +1,4 @@
-"""Score answerers against a sealed bank, once, and write the table."""
+"""Scores of answerers on a sealed bank, as JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from validation.blind.case_selection import ALL_CASES, Lot
+from validation.blind.case_selection import ALL_CASES, CaseSelection
 from validation.blind.score import breakdown
-from validation.blind.score.figures import CLEAR, Row, all_rows, rightly_named
+from validation.blind.score.figures import CLEAR, Row, all_rows, correctly_named
 from validation.blind.score.intervals import Figure
 from validation.blind.score.records import Case, read_cases, read_truth, unanswered
 from validation.blind.seal import broken_seals, digest
 
 
 class NotReady(Exception):
-    """Cases without answers, or a broken seal: nothing is printed."""
+    """Raised if answers are missing or the bank differs from its manifest."""
 
 
 def score(
@@ -26,42 +26,43 @@ def score(
     answerers: Mapping[str, Path],
     withheld: Mapping[str, Path] | None = None,
     manifest: Path | None = None,
-    lot: Lot = ALL_CASES,
+    selection: CaseSelection = ALL_CASES,
 ) -> dict[str, Any]:
-    """Judge all answerers; every run is logged in ``score_log.jsonl`` of the bank.
+    """Score all answerers; every run is logged in ``score_log.jsonl`` of the bank.
 
     Parameters
     ----------
     bank, manifest
-        What was asked, and how it was sealed.
+        Folder of the bank, and its manifest (default: that of the bank).
     answerers, withheld
-        Folders of answers by name, and of those given with each single cause left out of the catalogue.
-    lot
-        Of which cases; the others stay sealed.
+        Folders of answers by name, and of answers with each single cause withheld from the catalogue.
+    selection
+        Cases to score; the truth of the others is not read.
 
     Raises
     ------
     NotReady
-        Where a seal is broken or an answer is missing.
+        If the bank differs from its manifest or an answer is missing.
     """
-    faults = broken_seals(bank, manifest, lot)
+    faults = broken_seals(bank, manifest, selection)
     if faults:
         raise NotReady(f"the seal is broken: {'; '.join(faults[:5])}" + (" ..." if len(faults) > 5 else ""))
-    truths = read_truth(bank, lot)
+    truths = read_truth(bank, selection)
     withheld = withheld or {}
     for name, folder in answerers.items():
         missing = unanswered(truths, folder, withheld.get(name))
         if missing:
             raise NotReady(f"{name}: {len(missing)} cases are without an answer, the first {missing[0]}")
     result = {
-        name: judged(bank, read_cases(truths, folder, withheld.get(name)))
+        name: score_answerer(bank, read_cases(truths, folder, withheld.get(name)))
         for name, folder in answerers.items()
     }
-    _log(bank, answerers, manifest, len(truths), lot)
+    _log(bank, answerers, manifest, len(truths), selection)
     return result
 
 
-def judged(bank: Path, cases: list[Case]) -> dict[str, Any]:
+def score_answerer(bank: Path, cases: list[Case]) -> dict[str, Any]:
+    """Compute all figures of one answerer."""
     single = [c for c in cases if c.truth.tier == "single"]
     clear = [c for c in single if c.truth.d_star > CLEAR]
     effects = breakdown.by_effect(single)
@@ -69,22 +70,24 @@ def judged(bank: Path, cases: list[Case]) -> dict[str, Any]:
         "rows": all_rows(bank, cases),
         "confusion": breakdown.confusion(cases),
         "magnitude": breakdown.over_magnitude(single),
-        "magnitude_named": breakdown.over_magnitude(single, rightly_named),
+        "magnitude_named": breakdown.over_magnitude(single, correctly_named),
         "noise": breakdown.over_noise(clear),
-        "noise_named": breakdown.over_noise(clear, rightly_named),
+        "noise_named": breakdown.over_noise(clear, correctly_named),
         "effects": effects,
         "worst": breakdown.worst(effects),
         "cases": len(cases),
     }
 
 
-def _log(bank: Path, answerers: Mapping[str, Path], manifest: Path | None, cases: int, lot: Lot) -> None:
+def _log(
+    bank: Path, answerers: Mapping[str, Path], manifest: Path | None, cases: int, selection: CaseSelection
+) -> None:
     line = {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "manifest": digest(manifest or bank / "manifest.json"),
         "cases": cases,
-        "after": lot.after,
-        "left_out": lot.left_out,
+        "after": selection.after,
+        "left_out": selection.left_out,
         "answers": {name: digest(folder) for name, folder in answerers.items()},
     }
     with (bank / "score_log.jsonl").open("a", encoding="utf-8") as file:
@@ -102,7 +105,7 @@ def as_json(result: dict[str, Any]) -> str:
 
 
 def as_markdown(result: dict[str, Any]) -> str:
-    """Tables: figures of all answerers side by side, then where each fails."""
+    """Format figures of all answerers side by side, then the confusion and curves of each."""
     names = list(result)
     lines = ["| figure | target | " + " | ".join(names) + " |", "|---|---|" + "---|" * len(names)]
     for index, row in enumerate(result[names[0]]["rows"]):
