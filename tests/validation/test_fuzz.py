@@ -1,4 +1,4 @@
-"""Who judges inputs tells what is wrong with reading them: errors, endless loops, greed, death."""
+"""Outcomes of fuzzed inputs: errors, time and memory limits, and crashes are findings."""
 
 import os
 import signal
@@ -6,10 +6,10 @@ import signal
 import pytest
 
 from validation.file_fuzzing import judgement
-from validation.file_fuzzing.judgement import ACCEPTED, REFUSED, judge, judge_apart
+from validation.file_fuzzing.judgement import ACCEPTED, REFUSED, judge, judge_in_process
 from wrapjax.errors import InputError, Problem
 
-# JAX warns of every fork; nothing of it runs in these.
+# JAX warns of every fork; these processes do not use it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork")
 
 
@@ -26,27 +26,30 @@ def hang():
         pass
 
 
-@pytest.mark.parametrize("judged", [judge, judge_apart])
+@pytest.mark.parametrize("judge_input", [judge, judge_in_process])
 @pytest.mark.parametrize(
     ("read", "outcome"),
     [
         (lambda: None, ACCEPTED),
         (lambda: refuse(Problem("a.sto", "is empty")), REFUSED),
-        (lambda: refuse(), "refused without a sentence"),
-        (fail, "KeyError at nowhere of ours"),
-        (hang, "longer than 0.2 s at nowhere of ours"),
+        (lambda: refuse(), "rejected without a message"),
+        (fail, "KeyError at outside wrapjax"),
+        (hang, "longer than 0.2 s at outside wrapjax"),
     ],
-    ids=["read", "refused", "silent", "error", "endless"],
+    ids=["read", "rejected", "no message", "error", "endless"],
 )
-def test_what_becomes_of_an_input(judged, read, outcome, monkeypatch):
+def test_outcome_of_an_input(judge_input, read, outcome, monkeypatch):
     monkeypatch.setattr(judgement, "LONGEST_S", 0.2)
-    assert judged(read).outcome == outcome
+    assert judge_input(read).outcome == outcome
 
 
-def test_a_process_that_dies_is_told():
-    assert judge_apart(lambda: os.kill(os.getpid(), signal.SIGKILL)).outcome == "the process ended by SIGKILL"
+def test_crash_of_the_process_is_a_finding():
+    assert (
+        judge_in_process(lambda: os.kill(os.getpid(), signal.SIGKILL)).outcome
+        == "the process ended by SIGKILL"
+    )
 
 
-def test_greed_is_told():
-    found = judge_apart(lambda: bytearray(2 * judgement.ROOM))
-    assert found.finding and found.outcome.startswith("MemoryError")
+def test_excessive_memory_is_a_finding():
+    result = judge_in_process(lambda: bytearray(2 * judgement.MEMORY_LIMIT))
+    assert result.finding and result.outcome.startswith("MemoryError")

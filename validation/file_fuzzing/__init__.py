@@ -1,1 +1,1 @@
-"""Rubbish for everything that reads a file: what is neither read nor refused in a sentence is a finding."""
+"""Coverage-guided fuzzing of all file readers: every input must be read or rejected with a message."""

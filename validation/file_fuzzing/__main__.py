@@ -1,11 +1,11 @@
-"""Feeds rubbish to everything of wrapjax that reads a file.
+"""Fuzzing of all file readers: ``python -m validation.file_fuzzing``.
 
-``python -m validation.file_fuzzing`` changes valid files, byte by byte and by what they are made of, keeps those that
-reach new lines of the readers (atheris), and gives 100,000 of them to wrapjax. Each is read, or refused in
-sentences that can be printed. Whatever else happens is a finding: any other error, more than 5 s of the
-processor, more than 512 MiB beside what was there, a process that dies. Findings are kept under ``--out``
-with what was said; ``--replay FILE`` reads one again. The exit status is 1 if there are any. Needs
-``pip install --group fuzz``.
+Valid files are mutated, byte by byte and by their syntax; mutations that reach new lines of the readers are
+kept for further mutation (atheris), and 100,000 of them are read by wrapjax. Each must be read, or rejected
+with printable messages. Any other result is a finding: another exception, more than 5 s of processor time,
+more than 512 MiB of additional memory, or a crash of the process. Findings are written under ``--out``;
+``--replay FILE`` reads one again. The exit status is 1 if there are findings. Requires ``pip install --group
+fuzz``.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from validation.file_fuzzing.judgement import judge, judge_apart
+from validation.file_fuzzing.judgement import judge, judge_in_process
 from validation.file_fuzzing.readers import READERS
 from validation.file_fuzzing.seeds import finished_results
 
-#: Time that a reader may take for all its inputs, in s an input; findings of lost time cost 5 s each.
-_PATIENCE_S = 1.0
+#: Time limit of a reader, s per input; findings of exceeded processor time take 5 s each.
+_LIMIT_S = 1.0
 
 
 def main() -> int:
     options = _parser().parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        finished = options.finished or Path(made) / "finished"
+    with tempfile.TemporaryDirectory() as temporary:
+        finished = options.finished or Path(temporary) / "finished"
         if not finished.exists():
             finished_results(finished)
         if options.replay:
-            return _replay(options.replay, finished, Path(made))
+            return _replay(options.replay, finished, Path(temporary))
         chosen = [name for name in READERS if not options.only or any(one in name for one in options.only)]
         total = sum(READERS[name].share for name in chosen)
         rows = {}
         for name in chosen:
             count = math.ceil(options.inputs * READERS[name].share / total)
-            rows[name] = _fed(name, count, finished, options, Path(made))
+            rows[name] = _fuzz_reader(name, count, finished, options, Path(temporary))
             print(_line(name, rows[name]), flush=True)
     sums = {
         kind: sum(row[kind] for row in rows.values()) for kind in ("inputs", "accepted", "refused", "seconds")
@@ -56,12 +56,14 @@ def main() -> int:
     return 1 if findings else 0
 
 
-def _fed(name: str, count: int, finished: Path, options: argparse.Namespace, place: Path) -> dict[str, Any]:
-    """Feed one reader in a process of its own."""
+def _fuzz_reader(
+    name: str, count: int, finished: Path, options: argparse.Namespace, place: Path
+) -> dict[str, Any]:
+    """Fuzz one reader in a separate process."""
     result = place / "result.json"
     result.unlink(missing_ok=True)
     findings = options.out / "".join(letter if letter.isalnum() else "_" for letter in name)
-    words = [sys.executable, "-m", "validation.file_fuzzing.child", name, "--inputs", str(count)]
+    words = [sys.executable, "-m", "validation.file_fuzzing.reader_process", name, "--inputs", str(count)]
     words += ["--seed", str(options.seed), "--finished", str(finished), "--findings", str(findings)]
     words += ["--result", str(result)]
     environment = os.environ | {"PYTHONHASHSEED": "0"}
@@ -69,12 +71,12 @@ def _fed(name: str, count: int, finished: Path, options: argparse.Namespace, pla
         ended = subprocess.run(
             words,
             env=environment,
-            timeout=120.0 + _PATIENCE_S * count,
+            timeout=120.0 + _LIMIT_S * count,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
     except subprocess.TimeoutExpired:
-        return _failed("never came to an end")
+        return _failed("time limit exceeded")
     if not result.exists():
         told = ended.stderr.decode(errors="replace").strip().splitlines()[-12:]
         print("\n".join(told), file=sys.stderr)
@@ -87,14 +89,14 @@ def _failed(reason: str) -> dict[str, Any]:
 
 
 def _replay(file: Path, finished: Path, place: Path) -> int:
-    """Read a finding again and say how that went."""
+    """Read a finding again and print the outcome."""
     name = file.with_suffix(".txt").read_text(encoding="utf-8").splitlines()[0]
     reader = READERS[name]
     prepared = reader.prepare(finished, place)
     prepared.file.write_bytes(file.read_bytes())
-    found = (judge_apart if reader.apart else judge)(prepared.read)
-    print(f"{name}: {found.outcome}\n{found.detail}")
-    return 1 if found.finding else 0
+    judgement = (judge_in_process if reader.separate_process else judge)(prepared.read)
+    print(f"{name}: {judgement.outcome}\n{judgement.detail}")
+    return 1 if judgement.finding else 0
 
 
 def _line(name: str, row: dict[str, Any]) -> str:
@@ -106,12 +108,18 @@ def _line(name: str, row: dict[str, Any]) -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.file_fuzzing", description=__doc__)
-    parser.add_argument("--inputs", type=int, default=100_000, help="of all readers together")
+    parser.add_argument(
+        "--inputs", type=int, default=100_000, help="number of inputs of all readers together"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="+", metavar="WORD", help="readers whose names hold one of these")
-    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="where findings are kept")
-    parser.add_argument("--finished", type=Path, help="folder of finished results, made if it is not there")
-    parser.add_argument("--replay", type=Path, metavar="FILE", help="a finding (.input) to read again")
+    parser.add_argument(
+        "--only", nargs="+", metavar="WORD", help="only readers whose names contain one of these"
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="folder for findings")
+    parser.add_argument(
+        "--finished", type=Path, help="folder of finished results, written if it does not exist"
+    )
+    parser.add_argument("--replay", type=Path, metavar="FILE", help="finding (.input) to read again")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Everything of wrapjax that reads a file: what it is given to begin with, what must hold of what is read."""
+"""All file readers of wrapjax, with valid inputs and assertions on the results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from validation.file_fuzzing import seeds
 from wrapjax.errors import InputError, Problem
 
-#: Modules whose coverage guides the search.
+#: Modules whose coverage guides the fuzzing.
 READING = (
     *(
         "wrapjax.errors",
@@ -39,16 +39,16 @@ READING = (
 
 @dataclass(frozen=True)
 class Prepared:
-    """A reader at work in a folder of its own.
+    """Reader prepared in a separate folder.
 
     Parameters
     ----------
     file
-        Where inputs are written.
+        File that inputs are written to.
     seeds
-        Valid ones.
+        Valid inputs.
     read
-        Reads, and asserts what must hold of whatever is read.
+        Function that reads the file and checks the result.
     """
 
     file: Path
@@ -58,31 +58,31 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Reader:
-    """One thing that reads.
+    """Reader of one kind of file.
 
     Parameters
     ----------
     name
-        As the table shows it.
+        Name in the table.
     prepare
-        Given finished results and an empty folder.
+        Function of the folder of finished results and an empty folder.
     share
-        Of all inputs, over that of the others.
+        Relative number of inputs.
     archive
         Whether inputs are ``.npz`` files.
-    apart
-        Whether code that is not Python's reads, and each input so needs a process of its own.
+    separate_process
+        Whether compiled code reads the file, so that each input needs a separate process.
     """
 
     name: str
     prepare: Callable[[Path, Path], Prepared]
     share: float = 1.0
     archive: bool = False
-    apart: bool = False
+    separate_process: bool = False
 
 
 def _finite(*arrays: np.ndarray) -> None:
-    assert all(np.isfinite(one).all() for one in arrays), "something that was read is not finite"
+    assert all(np.isfinite(one).all() for one in arrays), "a value is not finite"
 
 
 def _storage(finished: Path, place: Path) -> Prepared:
@@ -163,7 +163,7 @@ def _trc(path: Path) -> None:
 
     markers = read_trc(path)
     _finite(markers.time)
-    assert not np.isinf(markers.positions).any(), "a place without end"
+    assert not np.isinf(markers.positions).any(), "a position is infinite"
 
 
 def _c3d(finished: Path, place: Path) -> Prepared:
@@ -237,11 +237,11 @@ def _journal(finished: Path, place: Path) -> Prepared:
     folder = Path(shutil.copytree(finished / "journal", place / "journal"))
     question = json.loads((folder / "question.json").read_text())["question"]
     entries = sorted(folder.glob("start_*.npz"))
-    book = Checkpoints.open(folder, question, resume=True)
+    checkpoints = Checkpoints.open(folder, question, resume=True)
 
     def read() -> None:
-        # A damaged entry counts as none: that work is done again.
-        if book.read(entries[0].stem) is None:
+        # A damaged checkpoint is ignored, and its work is repeated.
+        if checkpoints.read(entries[0].stem) is None:
             raise InputError(Problem(entries[0].name, "is damaged"))
 
     return Prepared(entries[0], (entries[0].read_bytes(),), read)
@@ -276,7 +276,7 @@ def _overview(finished: Path, place: Path) -> Prepared:
     written = results / "input.json"
 
     def read() -> None:
-        # The same rubbish in the place of every kind of result.
+        # Write the same input in the place of every kind of result.
         for kind in KINDS:
             own = results / kind
             own.mkdir(exist_ok=True)
@@ -286,7 +286,7 @@ def _overview(finished: Path, place: Path) -> Prepared:
     return Prepared(written, contents, read)
 
 
-#: By name, in the order of the table.
+#: Readers by name, in the order of the table.
 READERS: dict[str, Reader] = {
     reader.name: reader
     for reader in (
@@ -312,7 +312,7 @@ READERS: dict[str, Reader] = {
         Reader("evaluation.json", _redrawn("evaluation", "evaluation.json"), 0.05),
         Reader("cohort.json", _redrawn("cohort", "cohort.json"), 0.05),
         Reader("results for an index (.json)", _overview, 0.5),
-        Reader("markers and forces (.c3d)", _c3d, 0.1, apart=True),
-        Reader("model, by OpenSim (.osim)", _opensim, 0.1, apart=True),
+        Reader("markers and forces (.c3d)", _c3d, 0.1, separate_process=True),
+        Reader("model, by OpenSim (.osim)", _opensim, 0.1, separate_process=True),
     )
 }

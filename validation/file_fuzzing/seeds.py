@@ -1,4 +1,4 @@
-"""Valid files to begin with: those that the tests begin with, and results that the commands write of them."""
+"""Valid files for fuzzing: inputs of the tests, and results that the commands write of them."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ FORCES = "forces\nnRows=2\nnColumns=7\ninDegrees=no\nendheader\ntime\t" + "\t".j
 
 
 def small_subject(place: Path) -> Path:
-    """Write a subject of two muscles and three cycles, and what its settings may name beside."""
+    """Write a subject of two muscles and three cycles, with all optional files."""
     write_subject(place)
     (place / "loads.xml").write_bytes(EXTERNAL_LOADS)
     (place / "forces.mot").write_text(f"{FORCES}\tleft_tx\tleft_ty\tleft_tz\n0{' 1' * 9}\n4{' 1' * 9}\n")
@@ -139,7 +139,7 @@ def small_subject(place: Path) -> Path:
 
 
 def nmsm_project(place: Path) -> Path:
-    """Write what a project of the NMSM Pipeline names."""
+    """Write a project of the NMSM Pipeline with its files."""
     place.mkdir(parents=True)
     (place / "model.osim").write_bytes(PLAIN_MODEL)
     (place / "muscles.osimx").write_bytes(OSIMX)
@@ -152,7 +152,7 @@ def nmsm_project(place: Path) -> Path:
 
 
 def laboratory(place: Path) -> Path:
-    """Write files of the names that a preparation's settings have."""
+    """Write placeholder files with the names in the laboratory settings."""
     place.mkdir(parents=True)
     for name in ("model.osim", "walk.trc", "walk.mot", "walk.sto"):
         (place / name).write_text("here")
@@ -160,7 +160,7 @@ def laboratory(place: Path) -> Path:
 
 
 def finished_results(place: Path) -> Path:
-    """Fit, calibrate, evaluate and gather the small subject; what a journal holds is kept, too."""
+    """Run fit, calibration, evaluation and cohort of the small subject; keep the checkpoints, too."""
     from wrapjax.calibration.calibration import calibrate
     from wrapjax.cohorts.cohort import cohort
     from wrapjax.evaluation.evaluation import evaluate

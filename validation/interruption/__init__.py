@@ -1,1 +1,1 @@
-"""Commands killed at random moments, taken up again, and compared with undisturbed ones."""
+"""Commands that are killed at random times and resumed, compared with uninterrupted runs."""

@@ -1,11 +1,10 @@
-"""Kills commands at random moments, goes on with ``--resume``, and compares what comes of it.
+"""Interruption test of commands: ``python -m validation.interruption``.
 
-``python -m validation.interruption`` makes up a small subject and does each of fit, calibrate, diagnose and cohort
-once undisturbed. Then, again and again, it starts the command, kills it with all its processes by SIGKILL at
-a moment drawn from the time that it takes, looks whether any file that can be seen is half written, and goes
-on; half of the runs may be killed up to three times. In the end every number has to be that of the
-undisturbed run, and nothing may be left beside the result. Compiled programs are kept from run to run. The
-exit status is 1 if anything was amiss.
+Each of fit, calibrate, diagnose and cohort is run on a small simulated subject without interruption. Then the
+command is repeatedly started, killed with all its processes by SIGKILL at a random time of its duration,
+checked for incomplete files, and resumed with ``--resume``; half of the runs are killed up to three times. In
+the end all numbers must equal those of the uninterrupted run, and no other file may remain. Compiled programs
+are reused. The exit status is 1 if there was a fault.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from benchmarks.machine import pin_threads
-from validation.interruption.inspection import half_written, largest_difference, left_over
-from validation.interruption.walker import write_walker
+from validation.interruption.file_checks import incomplete_files, largest_difference, remaining_files
+from validation.interruption.walking_subject import write_walking_subject
 
 COMMANDS = ("fit", "calibrate", "diagnose", "cohort")
-#: Kills before this share of an undisturbed run hit what every Python program does when it starts.
+#: Earliest kill as a share of the uninterrupted run; before it Python only imports modules.
 EARLIEST = 0.15
-#: A run that takes this many times as long as the undisturbed one hangs.
+#: A run that takes this many times as long as the uninterrupted one counts as hanging.
 HANGING = 20.0
 
 
 @dataclass
 class Tally:
-    """What came of killing one command."""
+    """Results of the interruptions of one command."""
 
     kills: int = 0
     runs: int = 0
@@ -45,12 +44,12 @@ class Tally:
 
 @dataclass(frozen=True)
 class Case:
-    """A command with what it works on, and how it ended undisturbed."""
+    """Command with its subjects, and the result of its uninterrupted run."""
 
     command: str
     subjects: tuple[Path, ...]
     compiled: Path
-    undisturbed: Path
+    expected: Path
     seconds: float
     status: int
 
@@ -58,25 +57,25 @@ class Case:
 def main() -> int:
     options = _parser().parse_args()
     pin_threads()
-    dice = random.Random(options.seed)
+    generator = random.Random(options.seed)
     tallies = {}
-    with tempfile.TemporaryDirectory() as made:
-        place = options.place or Path(made)
+    with tempfile.TemporaryDirectory() as temporary:
+        place = options.place or Path(temporary)
         subjects = _subjects(place / "subjects")
         for command in options.command or COMMANDS:
-            case = _undisturbed(command, subjects, place)
-            print(f"{command}: {case.seconds:.1f} s undisturbed, ends with {case.status}", flush=True)
+            case = _run_uninterrupted(command, subjects, place)
+            print(f"{command}: {case.seconds:.1f} s uninterrupted, exit status {case.status}", flush=True)
             tallies[command] = Tally()
             share = options.times / len(options.command or COMMANDS)
             while tallies[command].kills < share:
                 known = len(tallies[command].faults)
-                _disturb(case, place / "work", dice, tallies[command])
+                _interrupt(case, place / "work", generator, tallies[command])
                 print(f"  {tallies[command].kills} kills", flush=True)
                 for fault in tallies[command].faults[known:]:
-                    print(f"  amiss: {fault}", flush=True)
-            # Here, and not in the end alone: a long run may itself be stopped.
+                    print(f"  fault: {fault}", flush=True)
+            # Print here and not only at the end, because a long run may itself be stopped.
             print(_row(command, tallies[command]), flush=True)
-    print(f"\n{'command':12s}{'kills':>8s}{'results':>9s}{'largest difference':>20s}  amiss")
+    print(f"\n{'command':12s}{'kills':>8s}{'results':>9s}{'largest difference':>20s}  faults")
     for command, tally in tallies.items():
         print(_row(command, tally))
     return 1 if any(tally.faults for tally in tallies.values()) else 0
@@ -84,12 +83,12 @@ def main() -> int:
 
 def _row(command: str, tally: Tally) -> str:
     cells = f"{tally.kills:>8d}{tally.runs:>9d}{tally.largest:>20.1e}"
-    return f"{command:12s}{cells}  {len(tally.faults) or 'nothing'}"
+    return f"{command:12s}{cells}  {len(tally.faults) or 'none'}"
 
 
 def _subjects(place: Path) -> tuple[Path, ...]:
-    """Make up two persons of two muscles each, with as many cycles as a diagnosis asks for."""
-    return tuple(write_walker(place / name, seed) for seed, name in enumerate(("anna", "ben")))
+    """Write two subjects of two muscles each, with as many cycles as a diagnosis requires."""
+    return tuple(write_walking_subject(place / name, seed) for seed, name in enumerate(("anna", "ben")))
 
 
 def _words(case_command: str, subjects: Sequence[Path], out: Path) -> list[str]:
@@ -106,28 +105,28 @@ def _words(case_command: str, subjects: Sequence[Path], out: Path) -> list[str]:
     return [sys.executable, "-m", "wrapjax", *words, "--out", str(out), "--quiet", "--threads", "1"]
 
 
-def _undisturbed(command: str, subjects: tuple[Path, ...], place: Path) -> Case:
-    """Run twice: once to compile, once to see how long it takes and what comes of it."""
+def _run_uninterrupted(command: str, subjects: tuple[Path, ...], place: Path) -> Case:
+    """Run a command twice, first to compile, then to measure its duration and keep its result."""
     compiled = place / "compiled"
     compiled.mkdir(parents=True, exist_ok=True)
-    # Always in the same place: JAX knows compiled programs by the folder that they are kept in, too.
+    # Always in the same folder, because it is part of the key of JAX's compilation cache.
     for _ in range(2):
-        here = _fresh(place / "work", compiled)
+        here = _new_folder(place / "work", compiled)
         began = time.monotonic()
         ended = subprocess.run(
             _words(command, subjects, here / "out"), env=_environment(here), capture_output=True, text=True
         )
         seconds = time.monotonic() - began
         if ended.returncode not in (0, 1) or not (here / "out").is_dir():
-            raise RuntimeError(f"{command} fails undisturbed: {ended.stderr}")
-    kept = place / "undisturbed" / command
-    shutil.rmtree(kept, ignore_errors=True)
-    shutil.copytree(here / "out", kept)
-    return Case(command, subjects, compiled, kept, seconds, ended.returncode)
+            raise RuntimeError(f"{command} fails without interruption: {ended.stderr}")
+    expected = place / "expected" / command
+    shutil.rmtree(expected, ignore_errors=True)
+    shutil.copytree(here / "out", expected)
+    return Case(command, subjects, compiled, expected, seconds, ended.returncode)
 
 
-def _fresh(place: Path, compiled: Path) -> Path:
-    """Make a folder with a cache that knows nothing but compiled programs."""
+def _new_folder(place: Path, compiled: Path) -> Path:
+    """Create a working folder whose cache holds compiled programs only."""
     shutil.rmtree(place, ignore_errors=True)
     (place / "cache").mkdir(parents=True)
     (place / "cache" / "compiled").symlink_to(compiled.resolve())
@@ -138,40 +137,41 @@ def _environment(place: Path) -> dict[str, str]:
     return os.environ | {"WRAPJAX_CACHE": str(place / "cache")}
 
 
-def _disturb(case: Case, place: Path, dice: random.Random, tally: Tally) -> None:
-    """Kill a command once or more, let it come to its end, and look at what it wrote."""
-    here = _fresh(place, case.compiled)
+def _interrupt(case: Case, place: Path, generator: random.Random, tally: Tally) -> None:
+    """Kill a command one to three times, let it finish, and check its files."""
+    here = _new_folder(place, case.compiled)
     out = here / "out"
-    for _ in range(dice.choice((1, 1, 2, 3))):
-        after = dice.uniform(EARLIEST, 1.0) * case.seconds
+    for _ in range(generator.choice((1, 1, 2, 3))):
+        after = generator.uniform(EARLIEST, 1.0) * case.seconds
         ended = _run(case, here, after)
         if ended is not None:
             break
         tally.kills += 1
-        tally.faults += [f"killed after {after:.2f} s: {fault}" for fault in half_written(here)]
-    # A kill may fall between a whole result and the removal of the lock beside it, which bars nobody then.
+        tally.faults += [f"killed after {after:.2f} s: {fault}" for fault in incomplete_files(here)]
+    # A kill may occur between the complete result and the removal of its lock file, which then blocks
+    # nothing.
     ended_by_kill = ended is None and _complete(case.command, out)
     if not _complete(case.command, out):
         ended = _run(case, here, HANGING * case.seconds + 60.0)
         if ended != (case.status, ""):
-            tally.faults.append(f"went on, and ended with {ended} in place of {case.status}")
+            tally.faults.append(f"resumed run ended with {ended}, expected {case.status}")
             return
     tally.runs += 1
-    difference, fault = largest_difference(case.undisturbed, out)
+    difference, fault = largest_difference(case.expected, out)
     tally.largest = max(tally.largest, difference)
     tally.faults += [fault] if fault else []
-    tally.faults += half_written(here)
-    left = [name for name in left_over(here) if not (ended_by_kill and name == ".out.lock")]
-    tally.faults += [f"left beside the result: {name}" for name in left]
+    tally.faults += incomplete_files(here)
+    remaining = [name for name in remaining_files(here) if not (ended_by_kill and name == ".out.lock")]
+    tally.faults += [f"remaining file: {name}" for name in remaining]
 
 
 def _complete(command: str, out: Path) -> bool:
-    """Say whether a command came to its end; a cohort's folder is there from the start."""
+    """Check whether a command finished; the folder of a cohort exists from the start."""
     return command != "cohort" and out.exists()
 
 
 def _run(case: Case, place: Path, after: float) -> tuple[int, str] | None:
-    """Begin or go on, and kill all that was begun after so many s; None if it was killed."""
+    """Start or resume a command, and kill all its processes after a time (s); None if it was killed."""
     out = place / "out"
     words = _words(case.command, case.subjects, out)
     if (place / ".out.unfinished").exists() or out.exists() or case.command == "diagnose":
@@ -185,8 +185,8 @@ def _run(case: Case, place: Path, after: float) -> tuple[int, str] | None:
         text=True,
     )
     try:
-        _, told = process.communicate(timeout=after)
-        return process.returncode, "" if process.returncode in (0, 1) else told
+        _, errors = process.communicate(timeout=after)
+        return process.returncode, "" if process.returncode in (0, 1) else errors
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, 9)
         process.communicate()
@@ -195,10 +195,12 @@ def _run(case: Case, place: Path, after: float) -> tuple[int, str] | None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.interruption", description=__doc__)
-    parser.add_argument("--times", type=int, default=200, help="kills of all commands together")
+    parser.add_argument("--times", type=int, default=200, help="total number of kills")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--command", nargs="+", choices=COMMANDS, help="only these")
-    parser.add_argument("--place", type=Path, help="where to work, and keep what is compiled")
+    parser.add_argument("--command", nargs="+", choices=COMMANDS, help="commands to test (default: all)")
+    parser.add_argument(
+        "--place", type=Path, help="working folder that keeps compiled programs (default: temporary)"
+    )
     return parser
 
 

@@ -1,4 +1,4 @@
-"""Whether files are whole, and whether two folders hold the same numbers."""
+"""Checks for incomplete and remaining files, and comparison of all numbers of two results."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from wrapjax.io.files import PART_SUFFIX
 from wrapjax.io.json_and_arrays import load_arrays
 from wrapjax.io.storage import read_storage
 
-#: Entries that no two runs share: when, how long, and where.
-_OWN = {"seconds", "date", "folder", "model_file", "other_leg", "question"}
+#: Entries that differ between any two runs: dates, durations, folders.
+_RUN_SPECIFIC = {"seconds", "date", "folder", "model_file", "other_leg", "question"}
 
 
-def half_written(place: Path) -> list[str]:
-    """Name what is not whole among all files but temporary ones, those of the journal and cache too."""
-    found = []
+def incomplete_files(place: Path) -> list[str]:
+    """List incomplete files except temporary ones; includes checkpoints and cache."""
+    faults = []
     for file in _visible(place):
         try:
             _content(file)
         except (ValueError, InputError) as error:
-            found.append(f"{file.relative_to(place)} is half written: {error}")
-    return found
+            faults.append(f"{file.relative_to(place)} is incomplete: {error}")
+    return faults
 
 
-def left_over(place: Path) -> list[str]:
-    """Name what lies beside the result, or hidden in it."""
+def remaining_files(place: Path) -> list[str]:
+    """List files beside the result, and hidden files in it."""
     beside = [path for path in place.iterdir() if path.name not in ("out", "cache")]
     hidden = [path for path in (place / "out").rglob(".*")]
     return sorted(str(path.relative_to(place)) for path in (*beside, *hidden))
@@ -44,11 +44,11 @@ def largest_difference(expected: Path, found: Path) -> tuple[float, str]:
     Returns
     -------
     float, str
-        The largest relative difference, and what differs otherwise; empty if nothing does.
+        The largest relative difference, and a description of any other difference; empty if there is none.
     """
     names = [sorted(str(path.relative_to(one)) for path in _visible(one)) for one in (expected, found)]
     if names[0] != names[1]:
-        return math.inf, f"files {sorted(set(names[0]) ^ set(names[1]))} are in one of both only"
+        return math.inf, f"files {sorted(set(names[0]) ^ set(names[1]))} are in only one of the results"
     largest = 0.0
     for name in names[0]:
         try:
@@ -59,7 +59,7 @@ def largest_difference(expected: Path, found: Path) -> tuple[float, str]:
 
 
 def _visible(place: Path) -> Iterator[Path]:
-    """Give files that are not temporary; compiled programs are JAX's."""
+    """Iterate over files that are neither temporary nor compiled programs."""
     for path in sorted(place.rglob("*")):
         parts = path.relative_to(place).parts
         temporary = any(part.startswith(".") and PART_SUFFIX in part for part in parts)
@@ -68,7 +68,7 @@ def _visible(place: Path) -> Iterator[Path]:
 
 
 def _content(file: Path) -> Any:
-    """Read a file that is whole, as nested containers of numbers and texts."""
+    """Read a complete file as nested containers of numbers and texts."""
     if file.suffix == ".json":
         return json.loads(file.read_text(encoding="utf-8"))
     if file.suffix == ".npz":
@@ -81,7 +81,7 @@ def _content(file: Path) -> Any:
     if file.suffix == ".csv":
         return [list(map(_number, row)) for row in csv.reader(file.read_text(encoding="utf-8").splitlines())]
     if file.suffix == ".html" and not file.read_text(encoding="utf-8").rstrip().endswith("</html>"):
-        raise ValueError("no end")
+        raise ValueError("no closing tag")
     return None
 
 
@@ -93,14 +93,16 @@ def _number(cell: str) -> float | str:
 
 
 def _difference(one: Any, other: Any) -> float:
-    """Give the largest relative difference of numbers; raise an error where anything else differs."""
+    """Compute the largest relative difference of numbers; raise ValueError if anything else differs."""
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():
-            raise ValueError(f"keys {sorted(one.keys() ^ other.keys())} are in one of both only")
-        return max((_difference(one[key], other[key]) for key in one if key not in _OWN), default=0.0)
+            raise ValueError(f"keys {sorted(one.keys() ^ other.keys())} are in only one of the results")
+        return max(
+            (_difference(one[key], other[key]) for key in one if key not in _RUN_SPECIFIC), default=0.0
+        )
     if isinstance(one, list) and isinstance(other, list):
         if len(one) != len(other):
-            raise ValueError(f"{len(one)} entries in place of {len(other)}")
+            raise ValueError(f"{len(one)} entries, expected {len(other)}")
         return max(map(_difference, one, other), default=0.0)
     if isinstance(one, np.ndarray) and one.dtype.kind in "fc":
         if one.shape != other.shape:

@@ -1,4 +1,4 @@
-"""One reader, fed in a process of its own by atheris (libFuzzer), which keeps inputs that reach new code."""
+"""Process that fuzzes one reader by atheris (libFuzzer), which keeps inputs that reach new code."""
 
 from __future__ import annotations
 
@@ -15,28 +15,35 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from validation.file_fuzzing.judgement import ACCEPTED, REFUSED, Judgement, judge, judge_apart, limit_memory
+from validation.file_fuzzing.judgement import (
+    ACCEPTED,
+    REFUSED,
+    Judgement,
+    judge,
+    judge_in_process,
+    limit_memory,
+)
 from validation.file_fuzzing.mutation import mutated, mutated_archive
 from validation.file_fuzzing.readers import READERS, READING, Prepared, Reader
 
-#: Inputs that are kept of each kind of finding.
-KEPT = 3
-#: Longest input in bytes; longer ones are slower, and reach no other code.
+#: Number of inputs stored of each kind of finding.
+STORED = 3
+#: Largest input in bytes; larger ones are slower and reach no other code.
 LONGEST = 1 << 16
 
 
 @dataclass
 class Tally:
-    """What came of the inputs so far, and where findings are kept."""
+    """Counts of outcomes, and the folder for findings."""
 
     reader: str
     folder: Path
     outcomes: Counter[str] = field(default_factory=Counter)
 
     def add(self, data: bytes, judgement: Judgement) -> None:
-        """Count an input; keep it if it is a finding."""
+        """Count an input, and store it if it is a finding."""
         self.outcomes[judgement.outcome] += 1
-        if judgement.finding and self.outcomes[judgement.outcome] <= KEPT:
+        if judgement.finding and self.outcomes[judgement.outcome] <= STORED:
             name = hashlib.sha256(data).hexdigest()[:16]
             (self.folder / f"{name}.input").write_bytes(data)
             (self.folder / f"{name}.txt").write_text(
@@ -44,7 +51,7 @@ class Tally:
             )
 
     def content(self, seconds: float) -> dict[str, Any]:
-        """Say it in plain values."""
+        """Return the counts for JSON."""
         findings = {kind: n for kind, n in self.outcomes.items() if kind not in (ACCEPTED, REFUSED)}
         return {
             "inputs": self.outcomes.total(),
@@ -63,36 +70,36 @@ def main() -> None:
     except ImportError:
         sys.exit("atheris is not installed: pip install --group fuzz")
     sys.setrecursionlimit(1000)
-    with atheris.instrument_imports(include=list(READING)), tempfile.TemporaryDirectory() as made:
-        prepared = reader.prepare(options.finished, Path(made))
-        _feed(atheris, reader, prepared, options, Path(made))
+    with atheris.instrument_imports(include=list(READING)), tempfile.TemporaryDirectory() as temporary:
+        prepared = reader.prepare(options.finished, Path(temporary))
+        _fuzz(atheris, reader, prepared, options, Path(temporary))
 
 
-def _feed(atheris: Any, reader: Reader, prepared: Prepared, options: argparse.Namespace, place: Path) -> None:
-    """Hand input after input to a reader; never returns, as libFuzzer does not."""
+def _fuzz(atheris: Any, reader: Reader, prepared: Prepared, options: argparse.Namespace, place: Path) -> None:
+    """Give inputs to a reader; never returns, as libFuzzer does not."""
     tally = Tally(reader.name, options.findings)
-    asked = judge_apart if reader.apart else judge
+    judge_input = judge_in_process if reader.separate_process else judge
     change = mutated_archive if reader.archive else mutated
     corpus = place / "corpus"
     corpus.mkdir()
     options.findings.mkdir(parents=True, exist_ok=True)
-    if not reader.apart:
-        # Once without a clock: what is imported on the way is loaded once, and no input is to blame for it.
+    if not reader.separate_process:
+        # Read once without a time limit, so that imports do not count against the first input.
         prepared.file.write_bytes(prepared.seeds[0])
         prepared.read()
     for number, seed in enumerate(prepared.seeds):
         (corpus / str(number)).write_bytes(seed)
         prepared.file.write_bytes(seed)
-        judgement = asked(prepared.read)
+        judgement = judge_input(prepared.read)
         if judgement.outcome != ACCEPTED:
             sys.exit(f"{reader.name}: seed {number} is not valid: {judgement.outcome}\n{judgement.detail}")
-    if not reader.apart:
+    if not reader.separate_process:
         limit_memory()
     began = time.perf_counter()
 
     def take(data: bytes) -> None:
         prepared.file.write_bytes(data)
-        tally.add(data, asked(prepared.read))
+        tally.add(data, judge_input(prepared.read))
         if tally.outcomes.total() >= options.inputs:
             options.result.write_text(json.dumps(tally.content(time.perf_counter() - began)))
             sys.stderr.flush()
