@@ -3,7 +3,7 @@
 import numpy as np
 
 from wrapjax.diagnosis.cycle_noise import CycleNoise
-from wrapjax.diagnosis.null_covariance import periodic_kernel
+from wrapjax.diagnosis.error_sources import periodic_kernel
 
 
 def noise_of_width(between, width):

@@ -7,7 +7,12 @@ import pytest
 from wrapjax.calibration.solvers.augmented_lagrangian import ConstrainedSolution
 from wrapjax.calibration.solvers.interface import Linearization, Status
 from wrapjax.calibration.solvers.multistart import Outcome
-from wrapjax.diagnosis.convergence_check import check_convergence, conflict, decrement_of, unfinished
+from wrapjax.diagnosis.baseline import (
+    attainable_decrease,
+    check_convergence,
+    parameter_conflict,
+    unchecked_convergence,
+)
 
 
 def ended(*costs, status=Status.cost):
@@ -77,7 +82,7 @@ def test_where_nothing_can_be_explained_nothing_can_be_won():
 
 
 def test_what_was_not_looked_at_says_why():
-    got = unfinished(ended(2.0, 1.0), "too few cycles")
+    got = unchecked_convergence(ended(2.0, 1.0), "too few cycles")
     assert (got.problems, got.costs, got.spread) == (("too few cycles",), (1.0, 2.0), 1.0)
 
 
@@ -87,7 +92,7 @@ def test_the_decrement_of_a_quadratic_is_exact():
     model = quadratic(-root.T @ target, root.T @ root)
     wide = np.full(4, 1e3)
     # The cost is |root x - target|^2, at x = 0; somewhere it is zero.
-    found = decrement_of(model, np.zeros(4), -wide, wide)
+    found = attainable_decrease(model, np.zeros(4), -wide, wide)
     assert found == pytest.approx(target @ target, rel=1e-6)
 
 
@@ -97,16 +102,16 @@ def test_variables_that_bounds_hold_win_nothing():
     # Downhill is out of bounds for the first two, and into them for the third.
     lower = np.array([0.0, -10.0, -10.0, -10.0])
     upper = np.array([10.0, 0.0, 0.0, 10.0])
-    assert decrement_of(model, at, lower, upper) == pytest.approx(9.0 / 4.0 + 1.0)
-    assert decrement_of(model, at, -far, far) == pytest.approx(1.0 + 2.0 + 9.0 / 4.0 + 1.0)
-    assert decrement_of(model, at, at, at) == 0.0
+    assert attainable_decrease(model, at, lower, upper) == pytest.approx(9.0 / 4.0 + 1.0)
+    assert attainable_decrease(model, at, -far, far) == pytest.approx(1.0 + 2.0 + 9.0 / 4.0 + 1.0)
+    assert attainable_decrease(model, at, at, at) == 0.0
 
 
 def test_fits_conflict_by_kind_of_parameter():
     labels = ("soleus_l.emg_scale", "tibant_l.emg_scale", "soleus_l.tendon_slack_length")
     sd = np.array([0.1, 0.2, 1.0])
     one, other = np.array([1.0, 1.0, 2.0]), np.array([1.0, 1.4, 2.0])
-    found = conflict(labels, one, other, sd)
+    found = parameter_conflict(labels, one, other, sd)
     # The difference of two fits is as wide as the root of two of one.
     assert found == pytest.approx(
         {"emg_scale": 2.0 / np.sqrt(2.0) / np.sqrt(2.0), "tendon_slack_length": 0.0}

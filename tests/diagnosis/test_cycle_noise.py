@@ -5,7 +5,7 @@ import pytest
 
 from tests.diagnosis.noise import noise_of_width
 from wrapjax.diagnosis.cycle_noise import cycle_noise
-from wrapjax.diagnosis.null_covariance import InputErrors, input_blocks, periodic_kernel
+from wrapjax.diagnosis.error_sources import InputErrors, input_blocks, periodic_kernel
 
 COORDINATES, PHASES = 2, 12
 BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])

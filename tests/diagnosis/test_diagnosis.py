@@ -9,7 +9,7 @@ import pytest
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
-from wrapjax.diagnosis import conclusion, pipeline
+from wrapjax.diagnosis import decision, score
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
@@ -98,7 +98,7 @@ def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(
     assert afterwards.withheld == at_once.withheld == withheld
     assert [one.id for one in afterwards.effects] == ["joint_damping"]
     assert afterwards.effects == at_once.effects
-    for one, other in zip(afterwards.alternatives, at_once.alternatives, strict=True):
+    for one, other in zip(afterwards.refits, at_once.refits, strict=True):
         assert one.held_out_cycles == other.held_out_cycles
         np.testing.assert_array_equal(one.predicted, other.predicted)
     with pytest.raises(InputError, match="joint_damping"):
@@ -108,20 +108,20 @@ def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(
 def test_several_effects_are_fitted_together_and_share_what_they_remove(found, monkeypatch, tmp_path):
     """Where they stand together and each helps; whether these two do is not asked here."""
     both = ("joint_damping", "emg_drift")
-    monkeypatch.setattr(pipeline, "standing_together", lambda *_: both)
-    monkeypatch.setattr(conclusion, "may_be_several", lambda *_: True)
-    monkeypatch.setattr(conclusion, "each_helps", lambda *_: True)
+    monkeypatch.setattr(score, "jointly_significant_effects", lambda *_: both)
+    monkeypatch.setattr(decision, "may_name_jointly", lambda *_: True)
+    monkeypatch.setattr(decision, "each_effect_improves", lambda *_: True)
     named = found.without(*WITHOUT)
     result = named.result
     assert result.outcome == "named" and result.named == both and not result.ties
-    fitted = {one.ids: one for one in result.alternatives}
-    assert result.alternatives[0].ids == both and {both[:1], both[1:]} < set(fitted)
+    fitted = {one.ids: one for one in result.refits}
+    assert result.refits[0].ids == both and {both[:1], both[1:]} < set(fitted)
     if fitted[both].held_out_cycles.known:
         assert sum(result.shares.values()) == pytest.approx(fitted[both].held_out_cycles.value)
     named.save(tmp_path / "gap")
     assert json.loads((tmp_path / "gap" / "gap.json").read_text())["named"] == list(both)
     assert "joint damping with emg drift" in (tmp_path / "gap" / "report.html").read_text()
-    monkeypatch.setattr(conclusion, "each_helps", lambda *_: False)
+    monkeypatch.setattr(decision, "each_effect_improves", lambda *_: False)
     assert found.without(*WITHOUT).result.named == found.result.named
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.error_budget import binned, repeatable_error_map
+from wrapjax.diagnosis.localization import binned, repeatable_error_map
 
 CYCLES, COORDINATES, FRAMES = 6, 3, 101
 SPEEDS = np.repeat([0, 1], CYCLES)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.muscle_share import muscle_share
+from wrapjax.diagnosis.localization import muscle_share
 
 CYCLES, PHASES = 4, 25
 SPEEDS = np.array([0, 1, 0, 1])

@@ -11,27 +11,22 @@ from tests.diagnosis.noise import noise_of_width
 from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis import null_replicates
-from wrapjax.diagnosis.linearization import (
-    LinearizedModel,
-    expectations,
-    moment_slopes,
-    phase_frames,
-    speed_numbers,
-)
-from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors, input_blocks
+from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, input_blocks
+from wrapjax.diagnosis.input import phase_frames, speed_numbers
+from wrapjax.diagnosis.linearization import LinearizedModel, moment_slopes, parameter_prior
 from wrapjax.diagnosis.null_replicates import (
     NullModel,
-    TwinCurves,
-    _twin_moments,
-    _with_arms,
-    _with_noise,
+    ReplicateCurves,
+    _replicate_moments,
+    _with_emg_noise,
+    _with_scaled_arms,
     null_replicate_residuals,
 )
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
-PEOPLE = [TwinCurves.drawn(jax.random.key(seed)) for seed in range(20)]
+PEOPLE = [ReplicateCurves.drawn(jax.random.key(seed)) for seed in range(20)]
 
 
 @pytest.mark.parametrize("person", PEOPLE[:3])
@@ -87,15 +82,15 @@ def world():
     start = free.start()
     frames = phase_frames(measured.shape[-1])
     slopes = moment_slopes(problem, start, recording, frames)
-    spread, away = expectations(problem, start)
+    prior_root, from_prior_mean = parameter_prior(problem, start)
     fitted = np.random.default_rng(0).normal(size=slopes.shape[1:])
     cycles, coordinates, phases = fitted.shape
-    gap = LinearizedModel(
-        residual=fitted + np.tensordot(away, slopes, axes=1),
-        fitted=fitted,
+    linearized = LinearizedModel(
+        residual=fitted + np.tensordot(from_prior_mean, slopes, axes=1),
+        fitted_residual=fitted,
         slopes=slopes,
-        spread=spread,
-        away=away,
+        prior_root=prior_root,
+        from_prior_mean=from_prior_mean,
         nuisances=np.zeros((0, *fitted.shape)),
         candidates=(),
         input_errors=(),
@@ -104,7 +99,9 @@ def world():
         ),
         speeds=speed_numbers(context.speeds),
     )
-    return NullModel(problem, np.asarray(start), recording, gap, noise_of_width(np.eye(coordinates), 0.05))
+    return NullModel(
+        problem, np.asarray(start), recording, linearized, noise_of_width(np.eye(coordinates), 0.05)
+    )
 
 
 def test_equal_seeds_give_equal_twins(world):
@@ -113,7 +110,7 @@ def test_equal_seeds_give_equal_twins(world):
     np.testing.assert_array_equal(null_replicate_residuals(world, 2, seed=3), two)
     other = null_replicate_residuals(world, 2, seed=4)
     assert np.isfinite(two).all()
-    assert two.shape == (2, world.gap.residual.size)
+    assert two.shape == (2, world.linearized.residual.size)
     everyone = np.concatenate([two, other])
     for place, own in enumerate(everyone):
         assert all(np.abs(own - one).max() > 1e-3 for one in everyone[:place])
@@ -127,12 +124,12 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
         lived.append(np.asarray(joint_moments(CURVES, parameters, recording)))
         return lived[-1]
 
-    monkeypatch.setattr(null_replicates, "_twin_moments", own_moments)
+    monkeypatch.setattr(null_replicates, "_replicate_moments", own_moments)
     monkeypatch.setattr(null_replicates, "PARAMETER_ERROR", 0.02)
-    gap = replace(world.gap, fitted=0.01 * world.gap.fitted)
-    silent = replace(world, gap=gap, noise=noise_of_width(1e-9 * np.eye(3), 0.05))
+    linearized = replace(world.linearized, fitted_residual=0.01 * world.linearized.fitted_residual)
+    silent = replace(world, linearized=linearized, noise=noise_of_width(1e-9 * np.eye(3), 0.05))
     residuals = null_replicate_residuals(silent, 2, seed=3)
-    basis = np.linalg.qr(gap.slopes.reshape(len(gap.slopes), -1).T)[0]
+    basis = np.linalg.qr(linearized.slopes.reshape(len(linearized.slopes), -1).T)[0]
     frames = phase_frames(lived[0].shape[-1])
     expected = _along(world)
     for residual, moments in zip(residuals, lived, strict=True):
@@ -145,14 +142,14 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
 
 def _along(world):
     """What the way to where parameters were expected makes of the moments."""
-    return np.tensordot(world.gap.away, world.gap.slopes, axes=1).ravel()
+    return np.tensordot(world.linearized.from_prior_mean, world.linearized.slopes, axes=1).ravel()
 
 
 def test_arms_that_are_off_change_lengths_as_they_must(world):
     """Of virtual work: velocity is the arm times the joint's, length is about its mean as much longer."""
     path = world.recording.path.nominal
     scale = jnp.linspace(0.8, 1.3, len(MUSCLES))
-    other = _with_arms(path, scale)
+    other = _with_scaled_arms(path, scale)
     np.testing.assert_allclose(other.moment_arm, path.moment_arm * scale[:, None, None, None])
     np.testing.assert_allclose(other.velocity, path.velocity * scale[:, None, None])
     means = [one.length.mean(axis=(1, 2)) for one in (path, other)]
@@ -164,7 +161,7 @@ def test_arms_that_are_off_change_lengths_as_they_must(world):
 def test_muscles_of_one_electrode_have_its_noise(world):
     """A tenth of the envelope, smooth, and new in each cycle."""
     emg = world.recording.emg
-    noisy = jax.jit(lambda key: _with_noise(emg, jnp.asarray(0.10), key).coefficients)
+    noisy = jax.jit(lambda key: _with_emg_noise(emg, jnp.asarray(0.10), key).coefficients)
     factors = np.log(np.asarray([noisy(jax.random.key(seed)) / emg.coefficients for seed in range(40)]))
     np.testing.assert_array_equal(factors[:, 1], factors[:, 2], err_msg="both gastrocnemii")
     assert np.abs(factors[:, 0] - factors[:, 1]).max() > 0.05
@@ -176,12 +173,12 @@ def test_muscles_of_one_electrode_have_its_noise(world):
 def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
     """EMG's go through its muscles; what errors of angles make joins the noise of moments, cycle by cycle."""
     generator = np.random.default_rng(0)
-    shape = world.gap.slopes.shape[1:]
+    shape = world.linearized.slopes.shape[1:]
     emg, angles = (InputErrors(generator.normal(size=(2, *shape)), 0.05) for _ in range(2))
     noise = replace(world.noise, input_shares=(0.5, 2.0))
-    noisy = replace(world, gap=replace(world.gap, input_errors=(emg, angles)), noise=noise)
+    noisy = replace(world, linearized=replace(world.linearized, input_errors=(emg, angles)), noise=noise)
     assert noisy.emg_error == pytest.approx(0.05) and world.emg_error == pytest.approx(0.10)
-    root = noisy.measured_noise(shape[-1])
+    root = noisy.noise_root(shape[-1])
     expected = noise.block(shape[-1])[None] + 4.0 * input_blocks(angles)
     np.testing.assert_allclose(np.einsum("cij,ckj->cik", root, root), expected, atol=1e-8)
 
@@ -189,7 +186,7 @@ def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
 def test_a_twins_muscles_are_not_the_models(world):
     parameters = world.problem.parameters(jnp.asarray(world.variables))
     lived = [
-        np.asarray(_twin_moments(parameters, world.recording, jnp.asarray(0.10), jax.random.key(seed)))
+        np.asarray(_replicate_moments(parameters, world.recording, jnp.asarray(0.10), jax.random.key(seed)))
         for seed in (0, 1)
     ]
     for one in lived:

@@ -9,17 +9,22 @@ from scipy.stats import multivariate_normal, norm
 
 from tests.diagnosis.noise import noise_of_width
 from wrapjax.diagnosis.cycle_noise import cycle_noise
+from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, periodic_kernel
+from wrapjax.diagnosis.linearization import Candidate
 from wrapjax.diagnosis.null_covariance import (
-    InputErrors,
-    MuscleErrors,
+    Null,
     input_covariance,
     muscle_covariance,
     parameter_covariance,
-    periodic_kernel,
-    repeated_covariance,
+    repeatable_covariance,
 )
-from wrapjax.diagnosis.projection import Candidate, Null, project
-from wrapjax.diagnosis.score import SIZES, evidence_of, likeness, score_each
+from wrapjax.diagnosis.score_test import (
+    PRIOR_FACTORS,
+    distinguishability,
+    effect_evidence,
+    project,
+    score_each,
+)
 
 CYCLES, COORDINATES, PHASES = 6, 2, 10
 ROWS = CYCLES * COORDINATES * PHASES
@@ -48,9 +53,9 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
     residual = generator.multivariate_normal(np.zeros(ROWS), covariance)
     (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
     (signature,) = effect.variants
-    with_effect = [covariance + signature.T @ signature * (0.7 * size) ** 2 for size in SIZES]
+    with_effect = [covariance + signature.T @ signature * (0.7 * size) ** 2 for size in PRIOR_FACTORS]
     likelihoods = [multivariate_normal(cov=cov).logpdf(residual) for cov in with_effect]
-    expected = np.logaddexp.reduce(likelihoods) - np.log(len(SIZES))
+    expected = np.logaddexp.reduce(likelihoods) - np.log(len(PRIOR_FACTORS))
     expected -= multivariate_normal(cov=covariance).logpdf(residual)
     assert found.evidence == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
@@ -66,19 +71,19 @@ def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
     )
     assert without.effect_sizes[0] > 9.0 and within.effect_sizes[0] == 0.5
     assert within.evidence < without.evidence
-    prior_sd = [np.minimum(0.7 * size, [0.25, np.inf]) for size in SIZES]
+    prior_sd = [np.minimum(0.7 * size, [0.25, np.inf]) for size in PRIOR_FACTORS]
     likelihoods = [
         multivariate_normal(cov=covariance + signature.T @ np.diag(sd**2) @ signature).logpdf(residual)
         for sd in prior_sd
     ]
-    expected = np.logaddexp.reduce(likelihoods) - np.log(len(SIZES))
+    expected = np.logaddexp.reduce(likelihoods) - np.log(len(PRIOR_FACTORS))
     expected -= multivariate_normal(cov=covariance).logpdf(residual)
     assert within.evidence == pytest.approx(expected, rel=1e-9)
 
 
 def test_evidence_of_a_one_sided_amount_is_that_of_a_half_normal_prior():
     for slope in (-3.0, 0.5, 6.0):
-        evidence, effect_sizes, _, _ = evidence_of(
+        evidence, effect_sizes, _, _ = effect_evidence(
             np.array([slope]), np.array([[2.0]]), np.array([0.7]), np.array([True])
         )
         integral, _ = quad(
@@ -101,10 +106,10 @@ def test_variants_and_nulls_are_averaged(generator, covariance):
         return multivariate_normal(cov=own).logpdf(residual)
 
     with_effect = [
-        np.log(weight / 2 / len(SIZES)) + likelihood(scale, signature, size)
+        np.log(weight / 2 / len(PRIOR_FACTORS)) + likelihood(scale, signature, size)
         for weight, scale in ((0.2, 1.0), (0.8, 3.0))
         for signature in effect.variants
-        for size in SIZES
+        for size in PRIOR_FACTORS
     ]
     without = [np.log(weight) + likelihood(scale) for weight, scale in ((0.2, 1.0), (0.8, 3.0))]
     expected = np.logaddexp.reduce(with_effect) - np.logaddexp.reduce(without)
@@ -128,7 +133,7 @@ def test_an_effect_larger_than_expected_counts_for_more_than_one_of_its_prior_al
     residual = np.full(4, 5.0 * 0.7) @ signature
     (found,) = score_each(residual[None], [Null(covariance)], [effect])[0].scores
     inverse = np.linalg.inv(covariance)
-    of_prior, *_ = evidence_of(
+    of_prior, *_ = effect_evidence(
         signature @ inverse @ residual,
         signature @ inverse @ signature.T,
         effect.prior_sd,
@@ -155,7 +160,7 @@ def test_two_effects_with_one_signature_are_a_tie(generator, covariance):
     one, other = (candidate(generator, name).variants[0] for name in ("one", "other"))
     null_replicate = np.concatenate([2.0 * one, other])
     signals = (one[0], other[0], np.array([0.5, 1.0]) @ null_replicate)
-    apart = likeness(signals, (one, other, null_replicate), covariance)
+    apart = distinguishability(signals, (one, other, null_replicate), covariance)
     assert apart[0, 2] < 1e-9 and np.diag(apart).max() < 1e-9
     assert apart[0, 1] > 9.0 and apart[2, 0] > 9.0
 
@@ -195,7 +200,7 @@ def test_covariances_are_what_random_draws_have(generator):
 
 
 def test_what_repeats_is_the_same_in_all_cycles_of_a_speed():
-    found = repeated_covariance(np.array([1.0, 3.0]), np.array([0, 0, 1]), 5).reshape(3, 2, 5, 3, 2, 5)
+    found = repeatable_covariance(np.array([1.0, 3.0]), np.array([0, 0, 1]), 5).reshape(3, 2, 5, 3, 2, 5)
     np.testing.assert_allclose(found[0, 1, 2, 1, 1, 2], 9.0)
     np.testing.assert_allclose(found[0, 1, 2, 2, 1, 2], 0.7 * 9.0)
     assert found[0, 0, 2, 0, 1, 2] == 0.0

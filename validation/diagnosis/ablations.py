@@ -1,7 +1,8 @@
-"""What each term of the null hypothesis is worth: the score test again, whole and with one term left out.
+"""Score test with one term of the null hypothesis left out, to measure the contribution of each term.
 
-They rank by the straight lines' evidence alone, without refits and without what is made of it afterwards, so
-that each differs from `score_alone` by its term and by nothing else. The alarm level is the diagnosis's.
+Effects are ranked by the evidence of the linearized model alone, without refits and further decisions, so
+that each ablation differs from `score_alone` only by its term. The detection threshold is that of the
+diagnosis.
 """
 
 from __future__ import annotations
@@ -13,59 +14,68 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.score import score_each
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.score_test import score_each
 
-Sizes = Float[np.ndarray, " coordinate"]
-#: Straight lines, and standard deviations of measured moments (N m), with a term left out of them.
-Ablation = Callable[[LinearizedModel, Sizes], tuple[LinearizedModel, Sizes]]
+MomentSd = Float[np.ndarray, " coordinate"]
+#: Function that removes a term from a linearized model and the standard deviations of measured moments (N m).
+Ablation = Callable[[LinearizedModel, MomentSd], tuple[LinearizedModel, MomentSd]]
 
 
-def ablated(
-    ablation: Ablation, gap: LinearizedModel, sizes: Sizes, detection_threshold: float
+def score_ablated(
+    ablation: Ablation, linearized: LinearizedModel, moment_sd: MomentSd, detection_threshold: float
 ) -> dict[str, tuple[float, bool]]:
     """Score all effects with a term left out.
 
     Returns
     -------
-    By id, the evidence in nats, and whether it is above the alarm level.
+    dict
+        Log Bayes factor (nats) of each effect, and whether it exceeds the detection threshold.
     """
-    gap, sizes = ablation(gap, sizes)
-    (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
-    return {one.id: (one.evidence, one.evidence > detection_threshold) for one in found.scores}
+    linearized, moment_sd = ablation(linearized, moment_sd)
+    (scored,) = score_each(
+        linearized.residual.reshape(1, -1), nulls(linearized, moment_sd), linearized.candidates
+    )
+    return {one.id: (one.evidence, one.evidence > detection_threshold) for one in scored.scores}
 
 
-def _whole(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    return gap, sizes
+def _complete(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+    return linearized, moment_sd
 
 
-def _without_input_errors(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    """EMG and angles are taken for exact; what differs between cycles is all noise of moments."""
-    return replace(gap, input_errors=()), sizes
+def _without_input_errors(
+    linearized: LinearizedModel, moment_sd: MomentSd
+) -> tuple[LinearizedModel, MomentSd]:
+    """Assume exact EMG and angles, so that all cycle noise is noise of moments."""
+    return replace(linearized, input_errors=()), moment_sd
 
 
-def _without_muscle_errors(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    none = replace(gap.muscle_errors, arms=np.zeros_like(gap.muscle_errors.arms))
-    return replace(gap, muscle_errors=none), sizes
+def _without_muscle_errors(
+    linearized: LinearizedModel, moment_sd: MomentSd
+) -> tuple[LinearizedModel, MomentSd]:
+    none = replace(linearized.muscle_errors, arms=np.zeros_like(linearized.muscle_errors.arms))
+    return replace(linearized, muscle_errors=none), moment_sd
 
 
-def _without_repeated(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    return gap, np.zeros_like(sizes)
+def _without_repeated(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+    return linearized, np.zeros_like(moment_sd)
 
 
-def _without_nuisances(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    """No other force curves or activation dynamics, and envelopes that no filter has touched."""
-    return replace(gap, nuisances=np.zeros_like(gap.nuisances)), sizes
+def _without_nuisances(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+    """Assume the model's muscle curves and activation dynamics, and unfiltered envelopes."""
+    return replace(linearized, nuisances=np.zeros_like(linearized.nuisances)), moment_sd
 
 
-def _without_give(gap: LinearizedModel, sizes: Sizes) -> tuple[LinearizedModel, Sizes]:
-    """What was calibrated is taken for known: it gives way to nothing, and residuals are as it left them."""
-    return replace(gap, spread=np.zeros_like(gap.spread), residual=gap.fitted), sizes
+def _without_give(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+    """Assume known calibrated parameters, which do not compensate for effects."""
+    return replace(
+        linearized, prior_root=np.zeros_like(linearized.prior_root), residual=linearized.fitted_residual
+    ), moment_sd
 
 
-#: By the name under which it is scored.
+#: Ablations by the name of the answerer.
 ABLATIONS: dict[str, Ablation] = {
-    "score_alone": _whole,
+    "score_alone": _complete,
     "without_input_errors": _without_input_errors,
     "without_muscle_errors": _without_muscle_errors,
     "without_repeated": _without_repeated,

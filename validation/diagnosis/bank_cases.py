@@ -1,4 +1,4 @@
-"""Cases of a blind bank: as those see them who answer, and with their truth where that may be looked at."""
+"""Case folders of a blind bank, and the truth of cases of development banks."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from validation.blind.case_selection import ALL_CASES, CaseSelection
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.json_and_arrays import load_json
 
-#: Manifests of test banks.
+#: Folder of the manifests of test banks.
 SEALED = Path(__file__).parents[1] / "blind" / "sealed"
-#: d* from which on a cause can be found at all.
+#: d* above which a cause can be identified.
 CLEAR = 2.0
 
 
 def cases_of(bank: Path, selection: CaseSelection = ALL_CASES) -> list[Path]:
-    """Folders of a bank's cases in the order of their ids, which are hashes.
+    """Return the folders of a bank's selected cases, ordered by id.
 
     Raises
     ------
     InputError
-        If there are none.
+        If the bank has no cases.
     """
     folder = bank / "cases"
     cases = sorted(path.parent for path in folder.glob("*/subject.toml"))
@@ -37,20 +37,20 @@ def cases_of(bank: Path, selection: CaseSelection = ALL_CASES) -> list[Path]:
 
 
 def development_truth(bank: Path, case: str) -> dict[str, Any]:
-    """Read what is true of a case of a development bank.
+    """Read the truth of a case of a development bank.
 
     Raises
     ------
     InputError
-        If the case was sealed for a test bank (nothing is opened then), or is of no development bank.
+        If the case belongs to a test bank (its truth is not read), or to no development bank.
     OSError
-        If there is none.
+        If the truth file is missing.
     """
     file = bank / "truth" / f"{case}.json"
-    no_other = InputError(Problem(str(file), "expected a case of a development bank: others teach nothing"))
+    not_development = InputError(Problem(str(file), "expected a case of a development bank"))
     if any(case in load_json(manifest)["cases"] for manifest in SEALED.glob("*.json")):
-        raise no_other
+        raise not_development
     truth = json.loads(file.read_text(encoding="utf-8"))
     if truth["bank"] != "development":
-        raise no_other
+        raise not_development
     return dict(truth)

@@ -1,6 +1,7 @@
-"""What textbooks would do in place of a diagnosis: three ways of ranking effects, on the same straight lines.
+"""Three standard statistics that rank effects, on the same linearized models as the score test.
 
-They see what the score of `wrapjax.diagnosis` sees and answer in the same files: one scorer judges all.
+They use the same data as the score of `wrapjax.diagnosis` and write answers in the same format, so that one
+scorer evaluates all.
 """
 
 from __future__ import annotations
@@ -20,76 +21,81 @@ from wrapjax.io.files import write_json
 
 Rows = Float[np.ndarray, "column row"]
 
-#: Family-wise level of the modification index, shared by all effects (Bonferroni).
+#: Family-wise error rate of the modification index over all effects (Bonferroni).
 LEVEL = 0.05
-#: Blocks of cycles that are left out in turn.
+#: Number of blocks of cycles that are held out in turn.
 BLOCKS = 5
 
 
-def raw_correlation(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
-    """Correlate each effect's signatures with the residual; it has no threshold, so that all are named.
+def raw_correlation(linearized: LinearizedModel) -> dict[str, tuple[float, bool]]:
+    """Correlate the signatures of each effect with the residual; there is no threshold.
 
     Returns
     -------
-    By id, the multiple correlation of the best shape, and whether it would be named.
+    dict
+        Multiple correlation of the best variant of each effect, and True.
     """
-    residual = gap.fitted.ravel()
+    residual = linearized.fitted_residual.ravel()
     length = np.linalg.norm(residual)
 
     def of(signature: Rows) -> float:
         basis = scipy.linalg.orth(signature.T)
         return float(np.linalg.norm(basis.T @ residual) / length)
 
-    return {one.id: (max(map(of, one.variants)), True) for one in gap.candidates}
+    return {one.id: (max(map(of, one.variants)), True) for one in linearized.candidates}
 
 
-def modification_index(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
-    """Test effects as structural equation models do: independent noise, what is calibrated projected out.
+def modification_index(linearized: LinearizedModel) -> dict[str, tuple[float, bool]]:
+    """Test effects by the modification index of structural equation models.
+
+    Noise is independent, and the derivatives by calibrated variables are projected out.
 
     Returns
     -------
-    By id, less the logarithm of its p-value, and whether that passes Bonferroni's level.
+    dict
+        Negative logarithm of the p-value of each effect, and whether it passes the Bonferroni level.
     """
-    residual = gap.fitted.ravel()
-    calibrated = scipy.linalg.orth(gap.slopes.reshape(len(gap.slopes), -1).T)
+    residual = linearized.fitted_residual.ravel()
+    calibrated = scipy.linalg.orth(linearized.slopes.reshape(len(linearized.slopes), -1).T)
 
     def without(columns: np.ndarray) -> np.ndarray:
         return np.asarray(columns - calibrated @ (calibrated.T @ columns))
 
     left = without(residual)
     variance = left @ left / (left.size - calibrated.shape[1])
-    limit = -np.log(LEVEL / len(gap.candidates))
+    limit = -np.log(LEVEL / len(linearized.candidates))
 
     def of(signature: Rows) -> float:
         basis = scipy.linalg.orth(without(signature.T))
         index = float(np.sum((basis.T @ left) ** 2) / variance)
         return -float(chi2.logsf(index, basis.shape[1]))
 
-    found = {one.id: max(map(of, one.variants)) for one in gap.candidates}
+    found = {one.id: max(map(of, one.variants)) for one in linearized.candidates}
     return {id: (value, value > limit) for id, value in found.items()}
 
 
-def held_out_drop(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
-    """Refit each effect along straight lines, with all that is calibrated, to parts of the cycles.
+def held_out_drop(linearized: LinearizedModel) -> dict[str, tuple[float, bool]]:
+    """Refit each effect with all calibrated variables in the linearized model, and predict held-out cycles.
 
     Returns
     -------
-    By id, the share of the squared error of left-out cycles that it takes away, and whether that is any.
+    dict
+        Share of the squared error of held-out cycles that each effect removes, and whether it is positive.
     """
-    cycles = len(gap.residual)
+    cycles = len(linearized.residual)
     blocks = np.arange(cycles) % min(BLOCKS, cycles)
-    residual = gap.residual.reshape(cycles, -1)
-    calibrated = gap.calibrated.reshape(len(gap.spread.T), cycles, -1)
-    variance = float(np.mean(gap.fitted**2))
+    residual = linearized.residual.reshape(cycles, -1)
+    calibrated = linearized.calibrated.reshape(len(linearized.prior_root.T), cycles, -1)
+    variance = float(np.mean(linearized.fitted_residual**2))
 
     def error(columns: Float[np.ndarray, "column cycle own"]) -> float:
-        """All columns are in prior standard deviations."""
+        """Compute the held-out squared error; columns are per prior standard deviation."""
         total = 0.0
         for block in range(blocks.max() + 1):
-            seen, left_out = blocks != block, blocks == block
-            known = columns[:, seen].reshape(len(columns), -1)
+            fitted, left_out = blocks != block, blocks == block
+            known = columns[:, fitted].reshape(len(columns), -1)
             weights = np.linalg.solve(
-                known @ known.T + variance * np.eye(len(columns)), known @ residual[seen].ravel()
+                known @ known.T + variance * np.eye(len(columns)), known @ residual[fitted].ravel()
             )
             total += float(np.sum((residual[left_out] - np.tensordot(weights, columns[:, left_out], 1)) ** 2))
         return total
@@ -100,7 +106,7 @@ def held_out_drop(gap: LinearizedModel) -> dict[str, tuple[float, bool]]:
             1.0 - error(np.concatenate([calibrated, _in_deviations(shape, one.prior_sd, cycles)])) / before
             for shape in one.variants
         )
-        for one in gap.candidates
+        for one in linearized.candidates
     }
     return {id: (drop, drop > 0.0) for id, drop in drops.items()}
 
@@ -111,7 +117,7 @@ def _in_deviations(
     return (signature * prior_sd[:, None]).reshape(len(signature), cycles, -1)
 
 
-#: By the name under which it is scored.
+#: Baselines by the name of the answerer.
 BASELINES: dict[str, Callable[[LinearizedModel], dict[str, tuple[float, bool]]]] = {
     "modification_index": modification_index,
     "raw_correlation": raw_correlation,
@@ -120,7 +126,7 @@ BASELINES: dict[str, Callable[[LinearizedModel], dict[str, tuple[float, bool]]]]
 
 
 def write_answer(statistics: dict[str, tuple[float, bool]], folder: Path) -> None:
-    """Write what a scorer reads of ``gap.json``: the first is named if it may be."""
+    """Write the parts of ``gap.json`` that the scorer reads; the first effect is named if it may be."""
     order = sorted(statistics, key=lambda id: -statistics[id][0])
     first = order[0]
     names = statistics[first][1]
@@ -129,8 +135,8 @@ def write_answer(statistics: dict[str, tuple[float, bool]], folder: Path) -> Non
     _write(folder, "named" if names else "none", [first] if names else [], [first], effects)
 
 
-def write_silence(outcome: str, folder: Path) -> None:
-    """Write that there was nothing to rank."""
+def write_no_answer(outcome: str, folder: Path) -> None:
+    """Write an answer without effects."""
     _write(folder, outcome, [], [], [])
 
 

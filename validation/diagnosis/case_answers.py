@@ -1,4 +1,4 @@
-"""One case of a blind bank, diagnosed in a process of its own; its answers for the scorer."""
+"""Diagnosis of one case of a blind bank in a worker process, and its answers for the scorer."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 if TYPE_CHECKING:
     from wrapjax.diagnosis.diagnosis import Diagnosis
 
-#: Beside an answer: what it is an answer to.
+#: File beside an answer with the fingerprint of its inputs.
 QUESTION = "question.json"
 
 
 @dataclass(frozen=True)
 class Job:
-    """A case, where its answers go (None: not asked for), and how many starts its calibration has."""
+    """Case, folders of its answers (None: not requested), and number of calibration starts."""
 
     case: Path
     answer: Path
@@ -32,93 +32,99 @@ class Job:
 
     @property
     def cause(self) -> str | None:
-        """Its only cause, from the bank's truth, where that is one of the catalogue; else None."""
+        """Its single cause of the catalogue from the bank's truth; otherwise None."""
         file = self.case.parent.parent / "truth" / f"{self.case.name}.json"
         truth = json.loads(file.read_text(encoding="utf-8"))
         return truth["causes"][0]["id"] if truth["tier"] == "single" else None
 
 
 def answer(job: Job) -> str:
-    """Answer all that is asked of a case and not answered yet; give what is said, in words."""
+    """Write all requested answers of a case that do not exist yet; return a description."""
     began = time.perf_counter()
     set_up_jax()
     try:
-        said = _answer(job)
+        description = _answer(job)
     finally:
         clear_caches_near_map_limit()
-    return f"{said} ({time.perf_counter() - began:.0f} s)"
+    return f"{description} ({time.perf_counter() - began:.0f} s)"
 
 
 def _answer(job: Job) -> str:
-    # Imported by a worker, after its threads are set.
+    # Imported in the worker process after its thread counts are set.
     import wrapjax
 
     question = calibration_fingerprint(job.case)
-    kept = _kept(job.answer, question)
-    # Beside an answer to another question they are of that one, too.
-    others = {name: own for name, own in _others(job).items() if not (kept and (own / "gap.json").exists())}
-    # What is withheld is asked for after the answer is there, and only then.
-    if kept and not others and (job.withheld is None or _kept_withheld(job, question)):
-        return "as before"
+    current = _is_current(job.answer, question)
+    # Answers of other methods beside an outdated answer are outdated, too.
+    others = {
+        name: folder
+        for name, folder in _other_answers(job).items()
+        if not (current and (folder / "gap.json").exists())
+    }
+    # Answers with the cause withheld are requested only once the answer itself exists.
+    if current and not others and (job.withheld is None or _is_withheld_current(job, question)):
+        return "unchanged"
     subject = wrapjax.load_subject(job.case)
     paths = wrapjax.fit(subject, "engine", processes=1)
     done = wrapjax.diagnose(subject, "NGA", paths, starts=job.starts)
-    write_others(done, others)
-    if not kept:
-        _keep(done, job.answer, question)
-    said = _in_words(done)
+    write_other_answers(done, others)
+    if not current:
+        _save(done, job.answer, question)
+    description = _describe(done)
     if job.withheld is not None and (cause := job.cause) is not None:
         blinded = done.without(cause)
-        _keep(blinded, job.withheld / job.case.name, question | {"without": [cause]})
-        said += f"; withheld: {_in_words(blinded)}"
-    return said
+        _save(blinded, job.withheld / job.case.name, question | {"without": [cause]})
+        description += f"; withheld: {_describe(blinded)}"
+    return description
 
 
 def calibration_fingerprint(case: Path) -> dict[str, object]:
-    """Name what an answer depends on: a subject's files and the package."""
+    """Return the fingerprint of the inputs of an answer: the subject's files and the package."""
     from wrapjax.io.files import code_hash, content_hash
 
     files = sorted(path for path in case.rglob("*") if path.is_file())
     return {"case": content_hash(*files), "code": code_hash(), "without": []}
 
 
-def _others(job: Job) -> dict[str, Path]:
-    """Who else answers, by name, and where."""
+def _other_answers(job: Job) -> dict[str, Path]:
+    """Return the answer folders of baselines and ablations by name."""
     from validation.diagnosis.ablations import ABLATIONS
     from validation.diagnosis.baselines import BASELINES
 
-    asked = ((job.baselines, BASELINES), (job.ablations, ABLATIONS))
-    return {name: place / name / job.case.name for place, known in asked if place for name in known}
+    requested = ((job.baselines, BASELINES), (job.ablations, ABLATIONS))
+    return {name: place / name / job.case.name for place, known in requested if place for name in known}
 
 
-def write_others(done: Diagnosis, folders: Mapping[str, Path]) -> None:
-    """Let those who rank effects on the lines of a finished diagnosis answer, each into its folder."""
-    from validation.diagnosis.ablations import ABLATIONS, ablated
-    from validation.diagnosis.baselines import BASELINES, write_answer, write_silence
+def write_other_answers(done: Diagnosis, folders: Mapping[str, Path]) -> None:
+    """Rank effects by the other methods on the linearised model of a diagnosis, each into its folder."""
+    from validation.diagnosis.ablations import ABLATIONS, score_ablated
+    from validation.diagnosis.baselines import BASELINES, write_answer, write_no_answer
 
-    lines = done.result.lines
+    linearized = done.result.linearized
     for name, folder in folders.items():
-        if lines is None:
-            write_silence(done.result.outcome, folder)
+        if linearized is None:
+            write_no_answer(done.result.outcome, folder)
         elif name in BASELINES:
-            write_answer(BASELINES[name](lines), folder)
+            write_answer(BASELINES[name](linearized), folder)
         else:
-            sizes = done.case.measured_sizes
-            write_answer(ablated(ABLATIONS[name], lines, sizes, done.result.detection_threshold), folder)
+            moment_sd = done.data.moment_sd
+            write_answer(
+                score_ablated(ABLATIONS[name], linearized, moment_sd, done.result.detection_threshold), folder
+            )
 
 
-def _kept(folder: Path, question: Mapping[str, object]) -> bool:
-    kept = folder / QUESTION
-    return kept.exists() and bool(json.loads(kept.read_text(encoding="utf-8")) == question)
+def _is_current(folder: Path, question: Mapping[str, object]) -> bool:
+    file = folder / QUESTION
+    return file.exists() and bool(json.loads(file.read_text(encoding="utf-8")) == question)
 
 
-def _kept_withheld(job: Job, question: dict[str, object]) -> bool:
+def _is_withheld_current(job: Job, question: dict[str, object]) -> bool:
     assert job.withheld is not None
     cause = job.cause
-    return cause is None or _kept(job.withheld / job.case.name, question | {"without": [cause]})
+    return cause is None or _is_current(job.withheld / job.case.name, question | {"without": [cause]})
 
 
-def _keep(done: Diagnosis, folder: Path, question: Mapping[str, object]) -> None:
+def _save(done: Diagnosis, folder: Path, question: Mapping[str, object]) -> None:
     from wrapjax.io.files import write_json
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -126,5 +132,5 @@ def _keep(done: Diagnosis, folder: Path, question: Mapping[str, object]) -> None
     write_json(folder / QUESTION, dict(question))
 
 
-def _in_words(done: Diagnosis) -> str:
+def _describe(done: Diagnosis) -> str:
     return f"{done.result.outcome} {', '.join(done.result.named or sum(done.result.ties, ()))}".strip()

@@ -1,8 +1,8 @@
-"""Straight lines of a bank's cases, kept so that constants of the score can be tried in seconds.
+"""Linearized models of a bank's cases, stored so that statistics of the score take seconds.
 
-``python -m validation.diagnosis.linearizations --bank BANK --out LINES`` calibrates each case, draws its straight lines (see
-`wrapjax.diagnosis.linearization`) and keeps them, one file a case. Nothing is scored or refitted here, and
-the truth is not looked at. `development_lines` gives lines with it, of development banks alone.
+``python -m validation.diagnosis.linearizations --bank BANK --out LINES`` calibrates each case, linearizes it
+(see `wrapjax.diagnosis.linearization`) and writes one file per case. Nothing is scored or refitted, and the
+truth is not read. `development_linearizations` reads them with the truth, for development banks only.
 """
 
 from __future__ import annotations
@@ -19,29 +19,39 @@ import numpy as np
 from jaxtyping import Float
 
 from benchmarks.machine import pin_threads
-from validation.blind.case_selection import add_lot, lot_of
+from validation.blind.case_selection import add_selection_arguments, selection_of
 from validation.diagnosis.bank_cases import cases_of, development_truth
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null_covariance import InputErrors, MuscleErrors
-from wrapjax.diagnosis.projection import Candidate
+from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors
+from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_atomically
 from wrapjax.io.json_and_arrays import load_arrays
 
-_ARRAYS = ("residual", "fitted", "slopes", "spread", "away", "nuisances", "speeds")
+#: Attributes of `LinearizedModel` by their names in files.
+_ARRAYS = {
+    "residual": "residual",
+    "fitted": "fitted_residual",
+    "slopes": "slopes",
+    "spread": "prior_root",
+    "away": "from_prior_mean",
+    "nuisances": "nuisances",
+    "speeds": "speeds",
+}
 
 
 @dataclass(frozen=True)
-class Lines:
-    """A case's straight lines, and standard deviations of its measured moments (N m)."""
+class LinearizedCase:
+    """Linearized model of a case, and standard deviations of its measured moments (N m)."""
 
-    gap: LinearizedModel
-    sizes: Float[np.ndarray, " coordinate"]
+    linearized: LinearizedModel
+    moment_sd: Float[np.ndarray, " coordinate"]
 
 
 @dataclass(frozen=True)
 class Job:
+    """Case to linearize, file to write, and number of calibration starts."""
+
     case: Path
     file: Path
     starts: int
@@ -49,10 +59,10 @@ class Job:
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX is loaded, which reads it once.
+    # JAX reads the thread counts once, when it is imported.
     pin_threads()
     try:
-        cases = cases_of(options.bank, lot_of(options))
+        cases = cases_of(options.bank, selection_of(options))
     except InputError as error:
         print(error, file=sys.stderr)
         return 2
@@ -63,17 +73,17 @@ def main() -> int:
         if not (file := out / f"{case.name}.npz").exists()
     }
     failed = 0
-    for number, one in enumerate(run_jobs(draw, jobs, workers=options.workers) if jobs else (), 1):
+    for number, one in enumerate(run_jobs(linearize_case, jobs, workers=options.workers) if jobs else (), 1):
         failed += bool(one.failure)
         print(f"{number}/{len(jobs)} {one.name}: {one.failure or one.value}", file=sys.stderr, flush=True)
     return 1 if failed else 0
 
 
-def draw(job: Job) -> str:
-    """Calibrate a case and keep its straight lines."""
+def linearize_case(job: Job) -> str:
+    """Calibrate and linearize a case, and write the result."""
     import wrapjax
-    from wrapjax.diagnosis.diagnosis import diagnosis_input
-    from wrapjax.diagnosis.pipeline import linearize_effects
+    from wrapjax.diagnosis.input import diagnosis_input
+    from wrapjax.diagnosis.linearization import linearize
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
     set_up_jax()
@@ -82,86 +92,103 @@ def draw(job: Job) -> str:
         subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
     )
     case = diagnosis_input(calibration)
-    _, _, gap = linearize_effects(case, case.variables)
-    save(Lines(gap, case.measured_sizes), job.file)
+    linearized = linearize(case, case.variables)
+    save(LinearizedCase(linearized, case.moment_sd), job.file)
     clear_caches_near_map_limit()
-    return f"{len(gap.candidates)} effects"
+    return f"{len(linearized.candidates)} effects"
 
 
-def save(lines: Lines, file: Path) -> None:
-    """Keep in single precision: a sixth figure decides nothing."""
-    gap = lines.gap
-    arrays: dict[str, Any] = {name: getattr(gap, name) for name in _ARRAYS}
-    arrays |= {"sizes": lines.sizes, "states": gap.muscle_errors.states, "arms": gap.muscle_errors.arms}
-    for place, errors in enumerate(gap.input_errors):
+def save(lines: LinearizedCase, file: Path) -> None:
+    """Write a linearized case in single precision, which is sufficient for the score."""
+    linearized = lines.linearized
+    arrays: dict[str, Any] = {name: getattr(linearized, attribute) for name, attribute in _ARRAYS.items()}
+    arrays |= {
+        "sizes": lines.moment_sd,
+        "states": linearized.muscle_errors.states,
+        "arms": linearized.muscle_errors.arms,
+    }
+    for place, errors in enumerate(linearized.input_errors):
         arrays |= {f"input_{place}": errors.signatures, f"width_{place}": np.array(errors.width)}
-    told = []
-    for place, one in enumerate(gap.candidates):
+    descriptions = []
+    for place, one in enumerate(linearized.candidates):
         arrays[f"variants_{place}"] = np.stack(one.variants)
         arrays[f"prior_{place}"] = one.prior_sd
         arrays[f"limit_{place}"] = np.broadcast_to(one.limit, one.prior_sd.shape)
-        told.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
-    arrays["candidates"] = np.array(json.dumps(told))
-    small = {name: own.astype(np.float32) if own.dtype == np.float64 else own for name, own in arrays.items()}
-    write_atomically(file, lambda temporary: np.savez(temporary, **small))
+        descriptions.append({"id": one.id, "one_sided": one.one_sided.tolist(), "parts": one.parts})
+    arrays["candidates"] = np.array(json.dumps(descriptions))
+    single = {
+        name: array.astype(np.float32) if array.dtype == np.float64 else array
+        for name, array in arrays.items()
+    }
+    write_atomically(file, lambda temporary: np.savez(temporary, **single))
 
 
-def load(file: Path) -> Lines:
-    """Read lines back."""
+def load(file: Path) -> LinearizedCase:
+    """Read a linearized case."""
     arrays = {
-        name: own.astype(float) if own.dtype == np.float32 else own for name, own in load_arrays(file).items()
+        name: array.astype(float) if array.dtype == np.float32 else array
+        for name, array in load_arrays(file).items()
     }
     candidates = tuple(
         Candidate(
-            told["id"],
+            entry["id"],
             tuple(arrays[f"variants_{place}"]),
             arrays[f"prior_{place}"],
-            np.array(told["one_sided"], dtype=bool),
-            tuple(tuple(part) for part in told["parts"]),
+            np.array(entry["one_sided"], dtype=bool),
+            tuple(tuple(part) for part in entry["parts"]),
             arrays[f"limit_{place}"],
         )
-        for place, told in enumerate(json.loads(str(arrays["candidates"])))
+        for place, entry in enumerate(json.loads(str(arrays["candidates"])))
     )
     inputs = sum(name.startswith("input_") for name in arrays)
-    gap = LinearizedModel(
-        **{name: arrays[name] for name in _ARRAYS},
+    linearized = LinearizedModel(
+        **{attribute: arrays[name] for name, attribute in _ARRAYS.items()},
         candidates=candidates,
         input_errors=tuple(
             InputErrors(arrays[f"input_{place}"], float(arrays[f"width_{place}"])) for place in range(inputs)
         ),
         muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
     )
-    return Lines(gap, arrays["sizes"])
+    return LinearizedCase(linearized, arrays["sizes"])
 
 
-def development_lines(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any], Lines]]:
-    """Give the truth and the lines of all cases of a development bank whose lines are there.
+def development_linearizations(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any], LinearizedCase]]:
+    """Iterate over truth and linearized model of all linearized cases of a development bank.
 
     Raises
     ------
     InputError
-        If a case is of no development bank (see `development_truth`), or there are no lines, or no whole
-        ones.
+        If a case belongs to no development bank (see `development_truth`), or files are missing or invalid.
     OSError
-        If a truth is missing.
+        If a truth file is missing.
     """
     files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
     if not files:
         raise InputError(
             Problem(
-                str(lines), "no lines", hint="draw them with python -m validation.diagnosis.linearizations"
+                str(lines),
+                "no linearized cases",
+                hint="write them with python -m validation.diagnosis.linearizations",
             )
         )
     truths = [development_truth(bank, file.stem) for file in files]
     for file, truth in zip(files, truths, strict=True):
         try:
-            own = load(file)
+            case = load(file)
         except ValueError as error:
             raise InputError(Problem(str(file), str(error))) from None
         except KeyError as error:
-            hint = "they are of another version: draw them anew"
-            raise InputError(Problem(str(file), f"lines without {error}", hint=hint)) from None
-        yield truth, own
+            hint = "the file is of another version: linearize the cases again"
+            raise InputError(Problem(str(file), f"linearized case without {error}", hint=hint)) from None
+        yield truth, case
+
+
+def linearizations_parser(module: str, description: str | None) -> argparse.ArgumentParser:
+    """Create the parser of a script that reads linearized cases: ``--bank`` and ``--lines``."""
+    parser = argparse.ArgumentParser(prog=f"python -m validation.diagnosis.{module}", description=description)
+    parser.add_argument("--bank", type=Path, required=True, help="folder of the development bank")
+    parser.add_argument("--lines", type=Path, required=True, help="folder of the linearized cases")
+    return parser
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -172,7 +199,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--starts", type=int, default=2)
-    add_lot(parser)
+    add_selection_arguments(parser)
     return parser
 
 

@@ -1,36 +1,38 @@
-"""How often several effects stand out together, where one, two or none are true.
+"""Number of cases in which several effects are significant together, for one, two or no true causes.
 
-``python -m validation.diagnosis.multiple_effects --bank BANK --lines LINES`` takes a development bank and its straight lines
-(see `validation.diagnosis.linearizations`), and looks for effects that each stand out beside the others, as a diagnosis does
-before it asks whether each helps with cycles kept back. The alarm is the shipped one; a diagnosis' own people
-with nothing amiss may raise it.
+``python -m validation.diagnosis.multiple_effects --bank BANK --lines LINES`` reads the linearized models of a
+development bank (see `validation.diagnosis.linearizations`) and selects the effects that are each significant
+beside the others, as a diagnosis does before it tests them on held-out cycles. The detection threshold is the
+shipped one; in a diagnosis its own null replicates may raise it.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from validation.diagnosis.linearizations import Lines, development_lines
-from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.projection import project
-from wrapjax.diagnosis.score import score_projected
-from wrapjax.diagnosis.together import standing_together
-from wrapjax.diagnosis.verdict import DecisionConstants
+from validation.diagnosis.linearizations import (
+    LinearizedCase,
+    development_linearizations,
+    linearizations_parser,
+)
+from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.score import jointly_significant_effects
+from wrapjax.diagnosis.score_test import project, score_projected
 from wrapjax.errors import InputError
 
-#: Cases whose causes the catalogue has, by how many they are.
+#: Tiers of cases with causes in the catalogue.
 TIERS = ("none", "single", "pair")
 
 
 def main() -> int:
-    options = _parser().parse_args()
+    options = linearizations_parser("multiple_effects", __doc__).parse_args()
     found: dict[str, list[tuple[tuple[str, ...], set[str]]]] = defaultdict(list)
     try:
-        for tier, together, causes in judged(options.bank, options.lines):
+        for tier, together, causes in significant_in_cases(options.bank, options.lines):
             found[tier].append((together, causes))
             print(f"{tier:8s}{', '.join(sorted(causes)):60s}{', '.join(together)}", flush=True)
     except (InputError, OSError) as error:
@@ -45,31 +47,26 @@ def main() -> int:
     return 0
 
 
-def judged(bank: Path, lines: Path) -> Iterator[tuple[str, tuple[str, ...], set[str]]]:
-    """Give of each case what it is called, what stands out together, and its causes."""
+def significant_in_cases(bank: Path, lines: Path) -> Iterator[tuple[str, tuple[str, ...], set[str]]]:
+    """Iterate over cases: tier, effects that are significant together, and causes."""
     constants = DecisionConstants.shipped()
-    for truth, own in development_lines(bank, lines):
+    for truth, own in development_linearizations(bank, lines):
         if truth["tier"] in TIERS:
             yield truth["tier"], together(own, constants), {cause["id"] for cause in truth["causes"]}
 
 
-def together(lines: Lines, constants: DecisionConstants) -> tuple[str, ...]:
-    """Name the effects that each stand out beside the others; none where one explains as much."""
-    gap = lines.gap
-    residual = lines.gap.residual.reshape(1, -1)
-    projections = [project(residual, null, gap.candidates) for null in nulls(gap, lines.sizes)]
-    (scored,) = score_projected(projections, gap.candidates)
+def together(lines: LinearizedCase, constants: DecisionConstants) -> tuple[str, ...]:
+    """Return the effects that are each significant beside the others; none if one effect suffices."""
+    linearized = lines.linearized
+    residual = lines.linearized.residual.reshape(1, -1)
+    projections = [
+        project(residual, null, linearized.candidates) for null in nulls(linearized, lines.moment_sd)
+    ]
+    (scored,) = score_projected(projections, linearized.candidates)
     scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}
-    return standing_together(projections, gap.candidates, scores, constants.detection_threshold)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m validation.diagnosis.multiple_effects", description=__doc__
+    return jointly_significant_effects(
+        projections, linearized.candidates, scores, constants.detection_threshold
     )
-    parser.add_argument("--bank", type=Path, required=True)
-    parser.add_argument("--lines", type=Path, required=True)
-    return parser
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cases of a development bank: what a score says along their straight lines, beside their truth."""
+"""Cases of a development bank scored in their linearized models, with their truth."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from pathlib import Path
 from typing import Any
 
 from validation.diagnosis.bank_cases import CLEAR
-from validation.diagnosis.linearizations import development_lines
-from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.score import score_each
-from wrapjax.diagnosis.verdict import Probabilities
+from validation.diagnosis.linearizations import development_linearizations
+from wrapjax.diagnosis.decision import Probabilities
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.score_test import score_each
 
-#: What a truth without any effect is called among probabilities; pairs have no one right name.
-_OTHERWISE = {"none": "none", "outside": "unknown"}
+#: Correct outcome of cases without a cause in the catalogue; pairs have no single correct answer.
+_OUTCOMES = {"none": "none", "outside": "unknown"}
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What a score says of a case, and its truth.
+class ScoredCase:
+    """Score of a case, with its truth.
 
     Parameters
     ----------
     truth
-        Of the bank.
+        Truth of the case.
     evidence, structured
-        See `probabilities`.
+        Log Bayes factor of each effect, and evidence for a structured residual, see `probabilities`; nats.
     """
 
     truth: dict[str, Any]
@@ -35,43 +35,45 @@ class Scored:
 
     @property
     def accepted(self) -> set[str]:
-        """Effects that are right to name: the causes, and what the simulator cannot tell from them."""
+        """Effects that are correct to name: the causes, and those tied with them."""
         return {*(cause["id"] for cause in self.truth["causes"]), *self.truth["ties"]}
 
     @property
     def clear(self) -> bool:
-        """Whether it has one cause, that can be found at all."""
+        """Whether it has a single, identifiable cause."""
         return bool(self.truth["tier"] == "single" and self.truth["d_star"] > CLEAR)
 
     @property
     def ranked(self) -> list[str]:
-        """Effects, the strongest evidence first."""
+        """Effects by decreasing evidence."""
         return sorted(self.evidence, key=lambda id: -self.evidence[id])
 
-    def right(self, found: Probabilities) -> float | None:
-        """Give the probability of what is true of the case; None for a pair."""
+    def correct_probability(self, stated: Probabilities) -> float | None:
+        """Return the probability of the correct answers; None for a pair."""
         tier = self.truth["tier"]
         if tier == "pair":
             return None
-        if tier in _OTHERWISE:
-            return float(getattr(found, _OTHERWISE[tier]))
-        return sum(share for id, share in found.effects.items() if id in self.accepted)
+        if tier in _OUTCOMES:
+            return float(getattr(stated, _OUTCOMES[tier]))
+        return sum(share for id, share in stated.effects.items() if id in self.accepted)
 
 
-def read(bank: Path, lines: Path) -> list[Scored]:
-    """Score all cases whose lines are there; raises what `development_lines` does."""
+def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
+    """Score all linearized cases; raises the errors of `development_linearizations`."""
     found = []
-    for truth, own in development_lines(bank, lines):
-        residual = own.gap.residual.reshape(1, -1)
-        (scored,) = score_each(residual, nulls(own.gap, own.sizes), own.gap.candidates)
-        found.append(Scored(truth, {one.id: one.evidence for one in scored.scores}, scored.structured))
+    for truth, own in development_linearizations(bank, lines):
+        residual = own.linearized.residual.reshape(1, -1)
+        (scored,) = score_each(residual, nulls(own.linearized, own.moment_sd), own.linearized.candidates)
+        found.append(
+            ScoredCase(truth, {one.id: one.evidence for one in scored.scores}, scored.structured_evidence)
+        )
     return found
 
 
-def ranking(cases: Sequence[Scored]) -> str:
-    """Say how often the cause is first and among three, over all cases with a clear one and by EMG noise."""
+def ranking(cases: Sequence[ScoredCase]) -> str:
+    """Describe how often an identifiable cause is first and among the first three, and by EMG noise."""
 
-    def first_of(own: Sequence[Scored]) -> str:
+    def first_of(own: Sequence[ScoredCase]) -> str:
         return f"{sum(one.ranked[0] in one.accepted for one in own)} of {len(own)}"
 
     clear = [one for one in cases if one.clear]

@@ -1,4 +1,4 @@
-"""A recording with something amiss: evidence along straight lines, or a whole diagnosis."""
+"""Evidence in the linearized model, or complete diagnosis, of a recording with an added error."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from wrapjax.diagnosis.effects.drive import drive_over_cycle
 
 import wrapjax
 from wrapjax.calibration.calibration import Calibration, cached_calibration
-from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
+from wrapjax.diagnosis.diagnosis import diagnose_calibrated
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null import nulls
-from wrapjax.diagnosis.pipeline import linearize_effects
-from wrapjax.diagnosis.refit import fit_jointly, joint_problem
-from wrapjax.diagnosis.score import Score, score_each
+from wrapjax.diagnosis.effects.unrecorded_excitation import drive_over_cycle
+from wrapjax.diagnosis.input import diagnosis_input
+from wrapjax.diagnosis.joint_fit import fit_jointly, joint_problem
+from wrapjax.diagnosis.linearization import LinearizedModel, linearize
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.score_test import Score, score_each
 from wrapjax.subject.subject import Subject
 
-#: Phases of a cycle in which drives are compared, and by how many of them activation may be later than EMG.
-PHASES, LATEST = 101, 10
+#: Phases of a cycle at which excitation is compared with EMG, and the largest delay in phases.
+PHASES, LARGEST_DELAY = 101, 10
 
 
 def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]:
@@ -33,40 +33,40 @@ def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]
     Parameters
     ----------
     folder
-        Of the subject.
+        Subject folder.
     starts
-        Of its calibration.
+        Starts of its calibration.
     beside
-        Variables where another calibration of the same person ended, from where to start as well.
+        Variables of another calibration of the same person, used as an additional starting point.
 
     Returns
     -------
     dict
-        Evidence in nats by effect, the cost, and the variables where the calibration ended.
+        Log Bayes factor (nats) of each effect, the cost, and the calibrated variables.
     """
     case = diagnosis_input(_calibrated(wrapjax.load_subject(folder), starts))
     problem = joint_problem(case.problem, Effects(()), case.variables, np.zeros(0), 0.0)
     begun = [case.variables, *([np.array(beside)] if len(beside) else [])]
     fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
-    _, _, gap = linearize_effects(case, fitted.calibrated)
+    linearized = linearize(case, fitted.calibrated)
     return {
-        "evidence": {one.id: one.evidence for one in _scores(gap, case.measured_sizes)},
+        "evidence": {one.id: one.evidence for one in _scores(linearized, case.moment_sd)},
         "cost": float(fitted.cost),
         "variables": fitted.calibrated.tolist(),
     }
 
 
 def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, Any]:
-    """Diagnose a recording; where an electrode was hidden, compare the drive that is found with it.
+    """Diagnose a recording; for a hidden electrode, compare the estimated excitation with its EMG.
 
     Parameters
     ----------
     folder, starts
-        As of `scored`.
+        As in `scored`.
     whole
-        Folder of the subject with all electrodes.
+        Subject folder with all electrodes.
     hidden
-        The channel that was taken away; empty where none was.
+        Removed channel; empty for none.
     """
     subject = wrapjax.load_subject(folder)
     done = diagnose_calibrated(_calibrated(subject, starts))
@@ -78,10 +78,10 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
         "probabilities": {one.id: one.probability for one in found.effects[:5]},
         "drive": None,
     }
-    others = done.case.context.undriven_muscles
-    if hidden and found.lines is not None and others is not None:
-        sizes = done.case.measured_sizes
-        out["drive"] = _drive(found.lines, sizes, others.groups, wrapjax.load_subject(whole), hidden)
+    others = done.data.context.undriven_muscles
+    if hidden and found.linearized is not None and others is not None:
+        moment_sd = done.data.moment_sd
+        out["drive"] = _drive(found.linearized, moment_sd, others.groups, wrapjax.load_subject(whole), hidden)
     return out
 
 
@@ -90,59 +90,67 @@ def _calibrated(subject: Subject, starts: int) -> Calibration:
     return cached_calibration(alone, "NGA", wrapjax.fit(alone, "engine", processes=1), starts=starts)
 
 
-def _scores(gap: LinearizedModel, sizes: Float[np.ndarray, " coordinate"]) -> tuple[Score, ...]:
-    (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
+def _scores(linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate"]) -> tuple[Score, ...]:
+    (found,) = score_each(
+        linearized.residual.reshape(1, -1), nulls(linearized, moment_sd), linearized.candidates
+    )
     return found.scores
 
 
 def _drive(
-    gap: LinearizedModel,
-    sizes: Float[np.ndarray, " coordinate"],
+    linearized: LinearizedModel,
+    moment_sd: Float[np.ndarray, " coordinate"],
     groups: Sequence[tuple[str, tuple[str, ...]]],
     whole: Subject,
     hidden: str,
 ) -> dict[str, Any]:
-    """Compare the drive of every group without an electrode with the hidden channel, the likeliest first."""
-    candidate = next(one for one in gap.candidates if one.id == "missing_drive")
+    """Compare the excitation of every group without an electrode with the hidden channel."""
+    candidate = next(one for one in linearized.candidates if one.id == "missing_drive")
     channel = whole.trials.channels.index(hidden)
     drove = {
         muscle
         for muscle, own in zip(whole.muscles.names, whole.muscle_channels, strict=True)
         if own == channel
     }
-    emg = heard(whole, channel)
-    # Each group for itself, as if it were the only one.
+    emg = mean_emg(whole, channel)
+    # Score each group separately.
     each = tuple(
         replace(candidate, id=group, variants=(shape,))
         for (group, _), shape in zip(groups, candidate.variants, strict=True)
     )
     found = []
-    for (group, members), score in zip(groups, _scores(replace(gap, candidates=each), sizes), strict=True):
+    for (group, members), score in zip(
+        groups, _scores(replace(linearized, candidates=each), moment_sd), strict=True
+    ):
         drive = np.asarray(drive_over_cycle(jnp.asarray(score.effect_sizes), PHASES))
         found.append(
             {
                 "group": group,
                 "own": bool(drove & set(members)),
                 "evidence": score.evidence,
-                **likeness(drive, emg),
+                **correlations(drive, emg),
             }
         )
     return {"groups": sorted(found, key=lambda one: -one["evidence"])}
 
 
-def heard(subject: Subject, channel: int) -> Float[np.ndarray, " phase"]:
-    """Mean of a channel over calibration cycles, at the phases that drives are compared in."""
+def mean_emg(subject: Subject, channel: int) -> Float[np.ndarray, " phase"]:
+    """Compute the mean of a channel over calibration cycles at `PHASES` phases."""
     trials = subject.trials
     inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
-    seen = [number for number, use in enumerate(trials.uses) if use == "calibration"]
-    mean = trials.emg[seen, channel, inside].mean(axis=0)
+    calibration = [number for number, use in enumerate(trials.uses) if use == "calibration"]
+    mean = trials.emg[calibration, channel, inside].mean(axis=0)
     return np.asarray(np.interp(np.linspace(0.0, 1.0, PHASES), np.linspace(0.0, 1.0, mean.size), mean))
 
 
-def likeness(drive: Float[np.ndarray, " phase"], emg: Float[np.ndarray, " phase"]) -> dict[str, float | None]:
-    """Correlate a drive with EMG, as it is and at the delay that suits it best; None for a drive of zero."""
+def correlations(
+    drive: Float[np.ndarray, " phase"], emg: Float[np.ndarray, " phase"]
+) -> dict[str, float | None]:
+    """Correlate excitation with EMG, undelayed and at the best delay; None for excitation of zero."""
     if np.ptp(drive) == 0.0:
         return {"correlation": None, "correlation_delayed": None}
-    # The last phase is the first of the next cycle.
-    found = [float(np.corrcoef(drive[:-1], np.roll(emg[:-1], later))[0, 1]) for later in range(LATEST + 1)]
+    # The last phase equals the first of the next cycle.
+    found = [
+        float(np.corrcoef(drive[:-1], np.roll(emg[:-1], later))[0, 1]) for later in range(LARGEST_DELAY + 1)
+    ]
     return {"correlation": found[0], "correlation_delayed": max(found)}

@@ -1,7 +1,8 @@
-"""How residuals differ from cycle to cycle: a covariance from the deviations within each speed.
+"""Noise that differs from cycle to cycle: its covariance, estimated from deviations within each speed.
 
-Part of it are errors of what was recorded, run through the model: they join coordinates as muscles do. How
-large those are is read off the deviations as well, and what they explain is not counted twice.
+A part of the deviations comes from errors of the recorded inputs through the model, which correlate joint
+moments as muscles do. The sizes of these errors are estimated from the deviations as well, so that what they
+explain is not counted twice.
 """
 
 from __future__ import annotations
@@ -14,34 +15,35 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float, Int
 
-from wrapjax.diagnosis.null_covariance import InputErrors, Matrix, input_blocks, within_cycles
+from wrapjax.diagnosis.error_sources import InputErrors, Matrix, block_diagonal, input_blocks
 
-#: Sizes of the errors of inputs that are tried, in what is expected of them.
+#: Sizes of the input errors that are tried, relative to the expected size.
 INPUT_SHARES = (0.0, 0.35, 0.7, 1.0, 1.5, 2.2)
-# Deviations weigh so many cycles against coordinates that are independent: few cycles say little of
+# Weight, in cycles, of a prior without correlation between coordinates: few cycles hold little information on
 # correlations.
 _PRIOR_CYCLES = 2.0
-# Of the variance of a coordinate or a harmonic, at least so much is left for noise that no input makes; and
-# so much of the mean power for every harmonic: filters leave nothing of some, and no model is as exact.
+# Smallest share of the variance of a coordinate or harmonic that is left for noise that no input causes; and
+# smallest power of a harmonic, relative to the mean: filters remove some harmonics completely, but no model
+# is as exact.
 _LEAST_NOISE, _LEAST_POWER = 0.05, 0.02
-# Covariance and spectrum are found in turn: they settle in two or three.
-_TURNS = 4
+# Covariance and spectrum are estimated in alternation, which converges in two or three iterations.
+_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
 class CycleNoise:
-    """Noise that is new in each cycle, alike at all its phases.
+    """Noise that is independent between cycles and stationary over the gait cycle.
 
     Parameters
     ----------
     between
-        Covariance of coordinates at one phase, (N m)^2, of what no input makes.
+        Covariance between coordinates at one phase, (N m)^2, of noise that no input causes.
     spectrum
-        Power of each harmonic of the gait cycle, from its mean up; only their ratios count. The kernel of no
-        one width fits what a laboratory's filters and a person's steps leave, and where it is wrong, slow
-        noise is taken for more than it is and fast noise for an effect.
+        Power of each harmonic of the gait cycle, from the mean up; only ratios count. A kernel of one width
+        does not fit what filters and a person's steps leave; where it is wrong, slow noise is overestimated
+        and fast noise passes for an effect.
     input_shares
-        How large errors of each input are, in what is expected of them.
+        Size of the errors of each input, relative to the expected size.
     """
 
     between: Float[np.ndarray, "coordinate coordinate"]
@@ -50,23 +52,23 @@ class CycleNoise:
 
     @property
     def independent_phases(self) -> float:
-        """Number of independent values in a cycle that tell as much of its variance."""
-        power = _both_ways(self.spectrum)
+        """Number of independent values in a cycle with the same information on the variance."""
+        power = _sine_and_cosine(self.spectrum)
         return float(power.sum() ** 2 / (power**2).sum())
 
     @property
     def independent_values(self) -> float:
-        """The same over all coordinates."""
+        """Number of independent values in a cycle over all coordinates."""
         return self.independent_phases * len(self.between)
 
     def block(self, phases: int) -> Float[np.ndarray, "own own"]:
-        """Give the covariance within one cycle, without errors of inputs."""
-        return np.kron(self.between, _kernel(phases, self.spectrum))
+        """Compute the covariance within one cycle, without errors of inputs, (N m)^2."""
+        return np.kron(self.between, _stationary_kernel(phases, self.spectrum))
 
     def covariance(self, cycles: int, phases: int) -> Matrix:
-        """Give the covariance of several cycles, without errors of inputs."""
+        """Compute the covariance of several cycles, without errors of inputs, (N m)^2."""
         block = self.block(phases)
-        return within_cycles(np.broadcast_to(block, (cycles, *block.shape)))
+        return block_diagonal(np.broadcast_to(block, (cycles, *block.shape)))
 
 
 def cycle_noise(
@@ -74,71 +76,76 @@ def cycle_noise(
     speeds: Int[np.ndarray, " cycle"],
     inputs: Sequence[InputErrors] = (),
 ) -> CycleNoise:
-    """Estimate the noise from how cycles of one speed differ, by maximum likelihood.
+    """Estimate the noise from the deviations of cycles from the mean of their speed, by maximum likelihood.
 
     Parameters
     ----------
     residuals
         Measured less predicted moments, N m.
     speeds
-        Which speed each cycle was walked at, counted from 0; at least two cycles of one of them.
+        Speed number of each cycle, counted from 0; at least one speed has two cycles.
     inputs
-        Errors of what was recorded, at their expected sizes.
+        Errors of recorded inputs, at their expected sizes.
+
+    Raises
+    ------
+    ValueError
+        If no speed has two cycles.
     """
     counts = np.bincount(speeds)
-    # Each cycle's deviation from its speed's mean is smaller than from the truth.
+    # A deviation from the sample mean is smaller than that from the true mean.
     scale = np.sqrt(counts / np.maximum(counts - 1.0, 1.0))[speeds]
     means = np.stack([residuals[speeds == speed].mean(axis=0) for speed in range(len(counts))])
-    several = counts[speeds] > 1
-    deviations = ((residuals - means[speeds]) * scale[:, None, None])[several]
+    repeated = counts[speeds] > 1
+    deviations = ((residuals - means[speeds]) * scale[:, None, None])[repeated]
     if not len(deviations):
-        raise ValueError(f"cycles a speed: {counts.tolist()}; two of one are the fewest that show noise")
-    blocks = [input_blocks(errors)[several] for errors in inputs]
-    found = [_at(deviations, blocks, shares) for shares in product(INPUT_SHARES, repeat=len(blocks))]
-    return max(found, key=lambda one: one[0])[1]
+        raise ValueError(f"cycles at each speed: {counts.tolist()}; noise needs two cycles at one speed")
+    blocks = [input_blocks(errors)[repeated] for errors in inputs]
+    fits = [_fit(deviations, blocks, shares) for shares in product(INPUT_SHARES, repeat=len(blocks))]
+    return max(fits, key=lambda one: one[0])[1]
 
 
-def _at(
+def _fit(
     deviations: Float[np.ndarray, "cycle coordinate phase"],
     blocks: Sequence[Float[np.ndarray, "cycle own own"]],
     shares: tuple[float, ...],
 ) -> tuple[float, CycleNoise]:
-    """Give the likelihood of sizes of input errors, with the noise that they leave."""
+    """Fit the noise beside input errors of given sizes; return the log likelihood and the noise."""
     cycles, coordinates, phases = deviations.shape
-    made = np.zeros((cycles, coordinates * phases, coordinates * phases))
+    by_inputs = np.zeros((cycles, coordinates * phases, coordinates * phases))
     for share, block in zip(shares, blocks, strict=True):
-        made += share**2 * block
+        by_inputs += share**2 * block
     waves = np.fft.rfft(deviations)
-    whole = np.einsum("ckh,clh->hkl", waves, waves.conj()).real / (cycles * phases)
-    least = _LEAST_NOISE * whole
-    between, spectrum = _settled(
-        _no_less(whole - _by_harmonic(made.mean(axis=0), coordinates), least), phases
+    total = np.einsum("ckh,clh->hkl", waves, waves.conj()).real / (cycles * phases)
+    least = _LEAST_NOISE * total
+    between, spectrum = _separate(
+        _at_least(total - _by_harmonic(by_inputs.mean(axis=0), coordinates), least), phases
     )
     rows = deviations.reshape(cycles, -1)
-    for _ in range(_TURNS if blocks else 0):
-        # What is expected of the noise, given deviations and this guess, is a better guess (Dempster, Laird &
-        # Rubin 1977).
-        alone = np.kron(between, _kernel(phases, spectrum))
-        precision = np.stack([_inverse(alone + block) for block in made])
-        expected = np.einsum("cij,cj->ci", precision, rows) @ alone
-        spread = alone - alone @ precision.mean(axis=0) @ alone
-        again = _by_harmonic(spread + expected.T @ expected / cycles, coordinates)
-        between, spectrum = _settled(_no_less(again, least), phases)
+    for _ in range(_ITERATIONS if blocks else 0):
+        # Expectation maximisation: the expected noise, given the deviations and this estimate, gives a better
+        # estimate (Dempster, Laird & Rubin 1977).
+        noise = np.kron(between, _stationary_kernel(phases, spectrum))
+        precision = np.stack([_inverse(noise + block) for block in by_inputs])
+        expected = np.einsum("cij,cj->ci", precision, rows) @ noise
+        posterior = noise - noise @ precision.mean(axis=0) @ noise
+        updated = _by_harmonic(posterior + expected.T @ expected / cycles, coordinates)
+        between, spectrum = _separate(_at_least(updated, least), phases)
     independent = np.diag(np.diag(between))
-    noise = CycleNoise(
+    estimate = CycleNoise(
         (cycles * between + _PRIOR_CYCLES * independent) / (cycles + _PRIOR_CYCLES), spectrum, shares
     )
-    alone = np.kron(between, _kernel(phases, spectrum))
+    noise = np.kron(between, _stationary_kernel(phases, spectrum))
     likelihood = 0.0
-    for own, block in zip(rows, made, strict=True):
-        factor = scipy.linalg.cholesky(alone + block, lower=True, check_finite=False)
-        seen = scipy.linalg.solve_triangular(factor, own, lower=True, check_finite=False)
-        likelihood -= 0.5 * float(seen @ seen) + float(np.sum(np.log(np.diag(factor))))
-    return likelihood, noise
+    for row, block in zip(rows, by_inputs, strict=True):
+        factor = scipy.linalg.cholesky(noise + block, lower=True, check_finite=False)
+        white = scipy.linalg.solve_triangular(factor, row, lower=True, check_finite=False)
+        likelihood -= 0.5 * float(white @ white) + float(np.sum(np.log(np.diag(factor))))
+    return likelihood, estimate
 
 
 def _inverse(covariance: Float[np.ndarray, "own own"]) -> Float[np.ndarray, "own own"]:
-    """Invert by Cholesky's factors: a third of the work of any other matrix."""
+    """Invert a covariance by its Cholesky factor, at a third of the cost of a general inverse."""
     factor = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
     lower, _ = scipy.linalg.lapack.dpotri(factor, lower=True)
     return np.asarray(lower + np.tril(lower, -1).T)
@@ -147,52 +154,55 @@ def _inverse(covariance: Float[np.ndarray, "own own"]) -> Float[np.ndarray, "own
 def _by_harmonic(
     covariance: Float[np.ndarray, "own own"], coordinates: int
 ) -> Float[np.ndarray, "harmonic coordinate coordinate"]:
-    """Say what a covariance within a cycle puts into each harmonic."""
+    """Compute the covariance between coordinates of each harmonic from the covariance within a cycle."""
     phases = len(covariance) // coordinates
     wave = np.fft.rfft(np.eye(phases))
     apart = covariance.reshape(coordinates, phases, coordinates, phases)
     return np.asarray(np.einsum("ph,kplq,qh->hkl", wave, apart, wave.conj(), optimize=True).real / phases)
 
 
-def _settled(
+def _separate(
     powers: Float[np.ndarray, "harmonic coordinate coordinate"], phases: int
 ) -> tuple[Float[np.ndarray, "coordinate coordinate"], Float[np.ndarray, " harmonic"]]:
-    """Split the powers of all harmonics into a covariance of coordinates and one spectrum for all of them.
+    """Separate the powers of all harmonics into a covariance of coordinates and one spectrum.
 
-    The likelihood is greatest where each is the mean of what the other leaves. Harmonics weigh as their
-    number of waves: two, of a cycle's mean and of what turns at every phase one.
+    The likelihood is greatest where each is the mean of what the other leaves. A harmonic has the weight of
+    its number of waves: two, but one for the mean and for the highest harmonic of an even number of phases.
     """
     waves = np.where((np.arange(len(powers)) == 0) | (2 * np.arange(len(powers)) == phases), 1.0, 2.0)
     spectrum = np.ones(len(powers))
-    for _ in range(_TURNS):
+    for _ in range(_ITERATIONS):
         between = np.einsum("h,hkl->kl", waves / spectrum, powers) / waves.sum()
         power = np.einsum("kl,hlk->h", np.linalg.inv(between), powers)
-        # Neighbours are alike, and together better known; logarithms, as power falls steeply.
+        # Neighbouring harmonics have similar power, so smoothing makes the estimate more precise; of
+        # logarithms, as power falls steeply.
         ends = np.log(np.maximum(np.concatenate([power[:1], power, power[-1:]]), 1e-12 * power.max()))
         power = np.exp((ends[:-2] + 2.0 * ends[1:-1] + ends[2:]) / 4.0)
         spectrum = power * waves.sum() / (waves * power).sum()
-    return between, np.maximum(spectrum, _LEAST_POWER) * waves / _both_ways(np.ones(len(powers)))
+    return between, np.maximum(spectrum, _LEAST_POWER) * waves / _sine_and_cosine(np.ones(len(powers)))
 
 
-def _no_less(
+def _at_least(
     powers: Float[np.ndarray, "harmonic coordinate coordinate"],
     least: Float[np.ndarray, "harmonic coordinate coordinate"],
 ) -> Float[np.ndarray, "harmonic coordinate coordinate"]:
-    """Keep every harmonic's covariance positive: no coordinate of it less than the diagonal of ``least``."""
+    """Keep each harmonic's covariance positive definite: no eigenvalue below 1 in units of ``least``."""
     floor = np.sqrt(np.einsum("hkk->hk", least))
     scale = floor[:, :, None] * floor[:, None, :]
     values, vectors = np.linalg.eigh(powers / scale)
     return np.asarray(np.einsum("hki,hi,hli->hkl", vectors, np.maximum(values, 1.0), vectors) * scale)
 
 
-def _kernel(phases: int, spectrum: Float[np.ndarray, " harmonic"]) -> Float[np.ndarray, "phase phase"]:
-    """Correlation between phases: positive definite where there are as many waves as phases."""
-    power = _both_ways(spectrum)
+def _stationary_kernel(
+    phases: int, spectrum: Float[np.ndarray, " harmonic"]
+) -> Float[np.ndarray, "phase phase"]:
+    """Compute the correlation between phases; positive definite with as many waves as phases."""
+    power = _sine_and_cosine(spectrum)
     lag = np.subtract.outer(np.arange(phases), np.arange(phases)) / phases
-    turns = np.cos(2.0 * np.pi * np.arange(len(spectrum)) * lag[..., None])
-    return np.asarray(turns @ power / power.sum())
+    waves = np.cos(2.0 * np.pi * np.arange(len(spectrum)) * lag[..., None])
+    return np.asarray(waves @ power / power.sum())
 
 
-def _both_ways(spectrum: Float[np.ndarray, " harmonic"]) -> Float[np.ndarray, " harmonic"]:
-    """Count each harmonic for its sine and its cosine, the mean once."""
+def _sine_and_cosine(spectrum: Float[np.ndarray, " harmonic"]) -> Float[np.ndarray, " harmonic"]:
+    """Count each harmonic twice, for its sine and its cosine, and the mean once."""
     return spectrum * np.where(np.arange(len(spectrum)) == 0, 1.0, 2.0)

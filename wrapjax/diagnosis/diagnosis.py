@@ -1,4 +1,4 @@
-"""``diagnose``: where the remaining error is, which effect explains it best, and how far it shrinks."""
+"""``diagnose``: where a calibrated model's error is, which effect explains it, and how far it shrinks."""
 
 from __future__ import annotations
 
@@ -8,26 +8,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibration
-from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.path_penalties import PATH_PENALTIES
-from wrapjax.calibration.result import CalibrationResult
-from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.diagnosis.case import DiagnosisInput, Look
-from wrapjax.diagnosis.effects.catalogue import catalogue
-from wrapjax.diagnosis.effects.catalogue import refuse_unknown as refuse_unknown
-from wrapjax.diagnosis.pipeline import investigate
+from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.effects.catalogue import refuse_unknown
+from wrapjax.diagnosis.input import DiagnosisInput, diagnosis_input
+from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
-from wrapjax.diagnosis.subject_context import diagnosis_context
-from wrapjax.diagnosis.verdict import DecisionConstants
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.paths import PathState, fixed_path
-from wrapjax.io.files import cache_folder
-from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import Subject
@@ -35,36 +24,37 @@ from wrapjax.subject.subject import Subject
 if TYPE_CHECKING:
     from xarray import Dataset
 
-#: No-effect twins that the alarm level is read off.
+#: Number of null replicates from which the detection threshold is computed.
 NULL_REPLICATES = 60
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What remains to be explained of a subject's moments, and what explains it best.
+    """Diagnosis of one leg: its calibration, the result, and what another catalogue can use again.
 
     Parameters
     ----------
     calibration, result
-        What was calibrated, and what is said of it.
-    case, look
-        What was looked at, and what the plain model leaves of it (None where that was not asked): all that
-        another catalogue needs.
+        Calibration that was diagnosed, and the result.
+    data
+        Input of the diagnosis.
+    independent
+        Part of the computation that does not depend on the catalogue; None with too few cycles.
     """
 
     calibration: Calibration
     result: DiagnosisResult
-    case: DiagnosisInput = field(repr=False)
-    look: Look | None = field(repr=False)
+    data: DiagnosisInput = field(repr=False)
+    independent: CatalogueIndependent | None = field(repr=False)
 
     @property
     def subject(self) -> Subject:
-        """Whose."""
+        """Subject that was diagnosed."""
         return self.calibration.subject
 
     @property
     def dataset(self) -> Dataset:
-        """Moments measured and predicted, and evidence by effect, as an `xarray.Dataset` with units."""
+        """Measured and predicted moments, and evidence by effect, as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import diagnosis_dataset
 
         return diagnosis_dataset(self.result)
@@ -75,29 +65,29 @@ class Diagnosis:
         constants: DecisionConstants | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> Diagnosis:
-        """Say what would be said if nobody knew of these effects; what does not depend on them is kept.
+        """Diagnose again with a catalogue without these effects; what does not depend on it is not repeated.
 
         Parameters
         ----------
         effects
-            Ids of effects to leave out of the catalogue.
-        tuning, tell
-            As of `diagnose`.
+            Identifiers of effects to leave out of the catalogue.
+        constants, log
+            See `diagnose`.
 
         Raises
         ------
         InputError
-            If one of them is no effect.
+            If an identifier is not in the catalogue.
         """
-        case = replace(self.case, entries=catalogue(self.case.context, effects), withheld=effects)
-        found, look = investigate(
-            case,
+        data = self.data.without(effects)
+        result, independent = run_diagnosis(
+            data,
             constants=constants or DecisionConstants.shipped(),
             null_replicates=NULL_REPLICATES,
-            seen=self.look,
+            known=self.independent,
             log=log,
         )
-        return Diagnosis(self.calibration, found, case, look)
+        return Diagnosis(self.calibration, result, data, independent)
 
     def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
         """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
@@ -119,42 +109,41 @@ def diagnose(
     callback: IterationCallback | None = None,
     log: Callable[[str], None] = lambda line: None,
 ) -> Diagnosis:
-    """Calibrate one leg and say what its model still lacks.
+    """Calibrate one leg, and diagnose the remaining error of its model.
 
     Parameters
     ----------
     subject
-        From `load_subject`. Its other leg is left alone.
+        Subject from `load_subject`. The other leg is not used.
     method, fit
-        As of `calibrate`; paths are held as calibration leaves them.
+        See `calibrate`; paths are held as the calibration leaves them.
     without
-        Ids of effects to leave out of the catalogue: what would be said if nobody knew of them?
+        Identifiers of effects to leave out of the catalogue.
     starts, seed, callback
-        As of `calibrate`. The calibration is kept in the cache, and not done twice.
-    twins
-        How many people with nothing amiss the alarm level is read off.
-    tuning
-        Constants of the verdict; those that are shipped if not given.
-    tell
-        Called with a line at each step.
+        See `calibrate`. The calibration is cached, and not repeated.
+    null_replicates
+        Number of null replicates from which the detection threshold is computed.
+    constants
+        Constants of the decision; those that come with the package if not given.
+    log
+        Function called with a line at each step.
 
     Returns
     -------
     Diagnosis
-        Best explained by, among the effects that can be tested with this recording: never a proof of cause.
+        The best explanation among the effects that can be tested with this recording, not a proof of cause.
 
     Raises
     ------
     InputError
-        If ``without`` names no effect.
+        If ``without`` contains an unknown effect.
     KeyboardInterrupt
-        If it was interrupted; the next time it goes on where it stopped, and the fits that it had done are
-        recalled.
+        If it was interrupted; the next call continues there, and finished fits are read from the cache.
     """
     refuse_unknown(without)
     began = time.perf_counter()
-    alone = replace(subject, other_leg=None)
-    calibration = cached_calibration(alone, method, fit, starts=starts, seed=seed, callback=callback)
+    one_leg = replace(subject, other_leg=None)
+    calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
     if calibration.status is Status.interrupted:
         raise KeyboardInterrupt
     calibrated = time.perf_counter() - began
@@ -179,77 +168,25 @@ def diagnose_calibrated(
     log: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
 ) -> Diagnosis:
-    """Say what a calibrated model of one leg still lacks; see `diagnose`.
+    """Diagnose the remaining error of a calibrated model of one leg; see `diagnose`.
 
     Raises
     ------
     InputError
-        If the calibration had compliant tendons, or ``without`` names no effect.
+        If the calibration had compliant tendons, or ``without`` contains an unknown effect.
     """
     if calibration.result.tendon != "rigid":
-        message = (
-            "has tendons that stretch, where rigid ones were expected: stretch is one of a diagnosis' effects"
-        )
+        message = "has compliant tendons, expected rigid ones: tendon compliance is one of the effects"
         where = f"the calibration of {calibration.subject.name}"
         raise InputError(Problem(where, message, hint='calibrate with tendon="rigid"'))
     began = time.perf_counter()
-    case = diagnosis_input(calibration, without)
-    known = dict(seconds or {}, context=time.perf_counter() - began)
-    found, look = investigate(
-        case,
+    data = diagnosis_input(calibration, without)
+    result, independent = run_diagnosis(
+        data,
         constants=constants or DecisionConstants.shipped(),
         null_replicates=null_replicates,
         seed=seed,
         log=log,
-        seconds=known,
+        seconds=dict(seconds or {}, context=time.perf_counter() - began),
     )
-    return Diagnosis(calibration, found, case, look)
-
-
-def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:
-    """Gather what is looked at; paths are held as calibration left them."""
-    recording, context = diagnosis_context(calibration)
-    subject, result = calibration.subject, calibration.result
-    trials, solution = subject.trials, result.solution
-    problem, variables = solution.problem, np.asarray(solution.variables)
-    assert isinstance(problem, Objective)
-    if problem.variables.modes:
-        problem = _held(problem, result)
-        variables = np.asarray(problem.start(result.parameters))
-    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
-    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
-    order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
-    inputs = (
-        trials.angles[:, columns],
-        trials.angular_velocities[:, columns],
-        trials.emg[..., inside],
-        order,
-    )
-    return DiagnosisInput(
-        problem=problem,
-        variables=variables,
-        outcomes=result.outcomes,
-        recording=recording,
-        context=context,
-        entries=catalogue(context, without),
-        withheld=tuple(without),
-        recordings=trials.recordings,
-        uses=trials.uses,
-        time=trials.time,
-        measured=trials.moments,
-        inputs=np.concatenate(inputs, axis=1),
-        kept=SolveCache(cache_folder("diagnoses")),
-    )
-
-
-def _held(problem: Objective, result: CalibrationResult) -> Objective:
-    """Hold paths, and drop what a calibration asks of them."""
-    path = problem.recording.path.at(result.parameters.path_changes)
-    held = fixed_path(PathState(path.length, path.velocity, path.moment_arm))
-    return replace(
-        problem,
-        recording=replace(problem.recording, path=held),
-        variables=free_variables(result.parameters, result.freedom.with_held_paths(), result.muscles),
-        penalties=tuple(one for one in problem.penalties if one.name not in PATH_PENALTIES),
-        limits=(),
-    )
+    return Diagnosis(calibration, result, data, independent)

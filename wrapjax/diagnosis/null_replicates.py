@@ -1,9 +1,9 @@
-"""People like the subject, with nothing amiss: what evidence is found where there is nothing to find.
+"""Null replicates: simulated residuals of subjects like the diagnosed one, without any effect.
 
-A twin has the subject's angles, EMG and calibrated parameters, but muscles with force curves of another
-form, moment arms that are a little off, electrodes and moments with noise of their own. It is calibrated
-again, to first order, and scored. No threshold from a table of distributions would do: what is left of a
-model whose curves are not a person's own is not noise.
+A replicate has the subject's angles, EMG and calibrated parameters, but muscles with force curves by other
+formulas, slightly different moment arms, and other noise of electrodes and moments. It is calibrated again,
+and its residual is scored. Tabulated distributions give no usable detection threshold, because the residual
+of a model whose curves differ from the person's is not noise.
 """
 
 from __future__ import annotations
@@ -18,37 +18,38 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.cycle_noise import CycleNoise
-from wrapjax.diagnosis.linearization import EMG_ERROR, EMG_WIDTH, LinearizedModel, moment_slopes, phase_frames
-from wrapjax.diagnosis.null_covariance import input_blocks
+from wrapjax.diagnosis.error_sources import EMG_ERROR, EMG_WIDTH, input_blocks
+from wrapjax.diagnosis.input import phase_frames
+from wrapjax.diagnosis.linearization import LinearizedModel, moment_slopes
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import Recording, joint_moments
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.excitation import EmgSpline
 
-#: How far moment arms are off, as a share of themselves, and parameters, in prior standard deviations.
+#: Standard deviation of relative errors of moment arms; and of parameters, in prior standard deviations.
 ARM_ERROR, PARAMETER_ERROR = 0.08, 0.3
-# Steps of calibrating a twin again, each with slopes of its own, and how many lengths of each are tried.
-_ROUNDS, _TRIES = 5, 4
+# Gauss-Newton steps of each calibration, each with its own derivatives, and step lengths tried for each.
+_STEPS, _TRIES = 5, 4
 
 
-class TwinCurves(AbstractCurves):
-    """Force curves by other formulas than the model's, each person's a little different."""
+class ReplicateCurves(AbstractCurves):
+    """Force curves by other formulas than the model's, with parameters that differ between replicates."""
 
-    #: Of the active curve's flanks: short side, long side.
+    #: Widths of the active curve: ascending limb, descending limb.
     width: Float[Array, "2"]
-    #: How flat its top is; 2 for a normal curve.
+    #: Exponent of the active curve; 2 for a normal curve, larger for a flatter top.
     power: Float[Array, ""]
     #: Hill's a over F0, and the largest force of lengthening fibers.
     shortening: Float[Array, ""]
     plateau: Float[Array, ""]
-    #: Strain at which passive force is F0, and how steep it gets there.
+    #: Strain at which the passive force is F0, and steepness of the passive curve.
     strain: Float[Array, ""]
     steepness: Float[Array, ""]
 
     @classmethod
-    def drawn(cls, key: PRNGKeyArray) -> TwinCurves:
-        """Draw a person's curves; ranges are those of textbooks and common models."""
+    def drawn(cls, key: PRNGKeyArray) -> ReplicateCurves:
+        """Draw curves; ranges are those of textbooks and common models."""
         share = jax.random.uniform(key, (7,))
 
         def between(place: int, low: float, high: float) -> Float[Array, ""]:
@@ -65,11 +66,11 @@ class TwinCurves(AbstractCurves):
 
     def active_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
         """Active force over normalised fiber length."""
-        off = jnp.sqrt((length - 1.0) ** 2 + 1e-6)
-        return jnp.exp(-((off / jnp.where(length < 1.0, self.width[0], self.width[1])) ** self.power))
+        distance = jnp.sqrt((length - 1.0) ** 2 + 1e-6)
+        return jnp.exp(-((distance / jnp.where(length < 1.0, self.width[0], self.width[1])) ** self.power))
 
     def force_velocity(self, velocity: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Hill's hyperbola, and another one for lengthening fibers with the slope that it has at zero."""
+        """Hill's hyperbola, and for lengthening fibers another hyperbola with the same slope at zero."""
         slow = jnp.clip(velocity, -1.0, 0.0)
         fast = jnp.clip(velocity, 0.0, 1.5)
         shortening = (1.0 + slow) / (1.0 - slow / self.shortening)
@@ -78,119 +79,125 @@ class TwinCurves(AbstractCurves):
         return jnp.where(velocity < 0.0, shortening, 1.0 + gain * slope * fast / (gain + slope * fast))
 
     def passive_force(self, length: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Nothing below optimal length, exponential above."""
+        """Zero below optimal length, exponential above."""
         stretch = jnp.clip(length - 1.0, 0.0, 1.2) / self.strain
         return jnp.expm1(self.steepness * stretch) / jnp.expm1(self.steepness)
 
 
 @dataclass(frozen=True)
 class NullModel:
-    """What all twins of a subject share.
+    """Model that all null replicates of a subject share.
 
     Parameters
     ----------
     problem, variables
-        The calibrated plain model.
+        Calibration of the plain model, and its variables.
     recording
-        Of the cycles that are looked at.
-    gap
-        Its straight lines.
+        Inputs of the forward model over the cycles that are scored.
+    linearized
+        Linearised model over these cycles.
     noise
-        Of measured moments, and how large errors of EMG and angles are.
+        Noise of the measured moments, and sizes of the errors of EMG and angles.
     """
 
     problem: Objective
     variables: Float[np.ndarray, " variable"]
     recording: Recording
-    gap: LinearizedModel
+    linearized: LinearizedModel
     noise: CycleNoise
 
     @property
     def emg_error(self) -> float:
-        """Error of an envelope as a share of itself; what is expected where nothing is known of it."""
+        """Relative error of an EMG envelope; the expected one where it could not be estimated."""
         shares = self.noise.input_shares
         return EMG_ERROR * (shares[0] if shares else 1.0)
 
-    def measured_noise(self, phases: int) -> Float[np.ndarray, "cycle own own"]:
-        """Give a root of the covariance within each cycle of noise of moments and of errors of angles.
+    def noise_root(self, phases: int) -> Float[np.ndarray, "cycle own own"]:
+        """Compute a root of the covariance within each cycle of moment noise and errors of angles, N m.
 
-        Errors of EMG are no part of it: a twin lives by other envelopes than were recorded.
+        Errors of EMG are not part of it: replicates are simulated with other envelopes than were recorded.
         """
         block = self.noise.block(phases)
-        whole = np.repeat(block[None], self.gap.slopes.shape[1], axis=0)
-        for share, errors in zip(self.noise.input_shares[1:], self.gap.input_errors[1:], strict=True):
-            whole += share**2 * input_blocks(errors)
-        return np.linalg.cholesky(whole + 1e-9 * np.eye(len(block)))
+        total = np.repeat(block[None], self.linearized.slopes.shape[1], axis=0)
+        for share, errors in zip(self.noise.input_shares[1:], self.linearized.input_errors[1:], strict=True):
+            total += share**2 * input_blocks(errors)
+        return np.linalg.cholesky(total + 1e-9 * np.eye(len(block)))
 
 
-def null_replicate_residuals(world: NullModel, count: int, seed: int = 0) -> Float[np.ndarray, "twin row"]:
-    """Make twins and calibrate them; give residuals as a score test takes them in (see `LinearizedModel`).
+def null_replicate_residuals(
+    model: NullModel, count: int, seed: int = 0
+) -> Float[np.ndarray, "replicate row"]:
+    """Simulate and calibrate null replicates; return their residuals at the prior mean, N m.
 
     Parameters
     ----------
-    world
-        The subject.
+    model
+        Model of the subject.
     count
-        How many twins.
+        Number of replicates.
     seed
-        Equal seeds give equal twins.
+        Seed; a replicate does not depend on their number.
     """
-    recording, gap, layout = world.recording, world.gap, world.problem.variables
-    _, cycles, coordinates, phases = gap.slopes.shape
+    recording, linearized, layout = model.recording, model.linearized, model.problem.variables
+    _, cycles, coordinates, phases = linearized.slopes.shape
     frames = phase_frames(recording.path.nominal.length.shape[-1])
-    noise = world.measured_noise(phases)
+    noise = model.noise_root(phases)
     residuals: list[np.ndarray] = []
     for number, key in enumerate(jax.random.split(jax.random.key(seed), count)):
-        own = jax.random.split(key, 2)
-        shift = PARAMETER_ERROR * gap.spread @ np.asarray(jax.random.normal(own[0], gap.away.shape))
-        truth = np.clip(world.variables + shift, layout.lower, layout.upper)
-        lived = _twin_moments(
-            layout.unpack(jnp.asarray(truth)), recording, jnp.asarray(world.emg_error), own[1]
+        parameter_key, muscle_key = jax.random.split(key, 2)
+        deviates = np.asarray(jax.random.normal(parameter_key, linearized.from_prior_mean.shape))
+        shift = PARAMETER_ERROR * linearized.prior_root @ deviates
+        true = np.clip(model.variables + shift, layout.lower, layout.upper)
+        moments = _replicate_moments(
+            layout.unpack(jnp.asarray(true)), recording, jnp.asarray(model.emg_error), muscle_key
         )
         draws = np.random.default_rng([seed, number]).normal(size=(cycles, coordinates * phases))
-        measured = np.asarray(lived)[..., frames].reshape(cycles, -1)
+        measured = np.asarray(moments)[..., frames].reshape(cycles, -1)
         measured = measured + np.einsum("cij,cj->ci", noise, draws)
-        residuals.append(_expected_residual(world, measured.ravel(), frames))
+        residuals.append(_residual_at_prior_mean(model, measured.ravel(), frames))
     return np.array(residuals)
 
 
-def _expected_residual(
-    world: NullModel, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
+def _residual_at_prior_mean(
+    model: NullModel, measured: Float[np.ndarray, " row"], frames: Int[np.ndarray, " phase"]
 ) -> Float[np.ndarray, " row"]:
-    """Calibrate by damped Gauss-Newton steps, and take what is left to where parameters are expected."""
-    problem, gap = world.problem, world.gap
+    """Calibrate by damped Gauss-Newton steps, and move the residual to the prior mean of the variables."""
+    problem, linearized = model.problem, model.linearized
     lower, upper = np.asarray(problem.lower), np.asarray(problem.upper)
-    # Moments as exact as the subject's fit left them, parameters as free as they were.
-    prior = np.mean(gap.fitted**2) * np.linalg.inv(gap.spread @ gap.spread.T)
-    expected = world.variables - gap.away
+    # Moments are as precise as the subject's fit left them, and the prior is that of the calibration.
+    prior = np.mean(linearized.fitted_residual**2) * np.linalg.inv(
+        linearized.prior_root @ linearized.prior_root.T
+    )
+    prior_mean = model.variables - linearized.from_prior_mean
 
-    def left(at: Float[np.ndarray, " variable"]) -> Float[np.ndarray, " row"]:
-        predicted = _moments(problem, jnp.asarray(at), world.recording)
+    def residual_at(variables: Float[np.ndarray, " variable"]) -> Float[np.ndarray, " row"]:
+        predicted = _moments(problem, jnp.asarray(variables), model.recording)
         return measured - np.asarray(predicted)[..., frames].ravel()
 
-    def cost(at: Float[np.ndarray, " variable"], residual: Float[np.ndarray, " row"]) -> float:
-        return float(residual @ residual + (at - expected) @ prior @ (at - expected))
+    def cost(variables: Float[np.ndarray, " variable"], residual: Float[np.ndarray, " row"]) -> float:
+        deviation = variables - prior_mean
+        return float(residual @ residual + deviation @ prior @ deviation)
 
-    at = np.array(world.variables)
-    residual = left(at)
-    slopes = gap.slopes.reshape(len(gap.slopes), -1)
+    variables = np.array(model.variables)
+    residual = residual_at(variables)
+    slopes = linearized.slopes.reshape(len(linearized.slopes), -1)
     damping = 1e-2
-    for number in range(_ROUNDS):
+    for number in range(_STEPS):
         if number:
-            anew = moment_slopes(problem, jnp.asarray(at), world.recording, frames)
-            slopes = anew.reshape(len(slopes), -1)
+            updated = moment_slopes(problem, jnp.asarray(variables), model.recording, frames)
+            slopes = updated.reshape(len(slopes), -1)
         gram = slopes @ slopes.T + prior
-        downhill = slopes @ residual - prior @ (at - expected)
+        downhill = slopes @ residual - prior @ (variables - prior_mean)
         for _ in range(_TRIES):
             step = np.linalg.solve(gram + damping * np.diag(np.diag(gram)), downhill)
-            tried = np.clip(at + step, lower, upper)
-            found = left(tried)
-            if cost(tried, found) < cost(at, residual):
-                at, residual, damping = tried, found, 0.2 * damping
+            tried = np.clip(variables + step, lower, upper)
+            residual_tried = residual_at(tried)
+            if cost(tried, residual_tried) < cost(variables, residual):
+                variables, residual, damping = tried, residual_tried, 0.2 * damping
                 break
             damping *= 10.0
-    # Straight lines are the subject's: it is its score that is tried.
-    return residual + (at - expected) @ gap.slopes.reshape(len(gap.slopes), -1)
+    # The subject's derivatives are used, as its score test is what the replicates are for.
+    return residual + (variables - prior_mean) @ linearized.slopes.reshape(len(linearized.slopes), -1)
 
 
 @eqx.filter_jit
@@ -201,32 +208,35 @@ def _moments(
 
 
 @jax.jit
-def _twin_moments(
+def _replicate_moments(
     parameters: ModelParameters, recording: Recording, emg_error: Float[Array, ""], key: PRNGKeyArray
 ) -> Float[Array, "trial coordinate frame"]:
-    """Give what inverse dynamics of a twin would measure, without noise."""
-    curves, arms, electrodes = jax.random.split(key, 3)
+    """Simulate the moments that inverse dynamics of a replicate would give, without noise."""
+    curve_key, arm_key, electrode_key = jax.random.split(key, 3)
     path = recording.path.at(parameters.path_changes)
-    scale = 1.0 + ARM_ERROR * jax.random.normal(arms, path.length.shape[:1])
-    lived = replace(
+    scale = 1.0 + ARM_ERROR * jax.random.normal(arm_key, path.length.shape[:1])
+    simulated = replace(
         recording,
-        emg=_with_noise(recording.emg, emg_error, electrodes),
-        path=fixed_path(_with_arms(path, scale)),
+        emg=_with_emg_noise(recording.emg, emg_error, electrode_key),
+        path=fixed_path(_with_scaled_arms(path, scale)),
     )
-    return joint_moments(TwinCurves.drawn(curves), parameters, lived)
+    return joint_moments(ReplicateCurves.drawn(curve_key), parameters, simulated)
 
 
-def _with_arms(path: PathState, scale: Float[Array, " muscle"]) -> PathState:
+def _with_scaled_arms(path: PathState, scale: Float[Array, " muscle"]) -> PathState:
     """Scale moment arms, and the changes of length that go with them."""
     mean = path.length.mean(axis=(1, 2), keepdims=True)
-    by = scale[:, None, None]
-    return PathState(mean + by * (path.length - mean), by * path.velocity, by[..., None] * path.moment_arm)
+    factor = scale[:, None, None]
+    return PathState(
+        mean + factor * (path.length - mean), factor * path.velocity, factor[..., None] * path.moment_arm
+    )
 
 
-def _with_noise(emg: EmgSpline, error: Float[Array, ""], key: PRNGKeyArray) -> EmgSpline:
-    """Let every electrode be off by a share of itself that wanders over each cycle.
+def _with_emg_noise(emg: EmgSpline, error: Float[Array, ""], key: PRNGKeyArray) -> EmgSpline:
+    """Multiply every envelope by smooth noise, independent between cycles and electrodes.
 
-    Muscles of one electrode have the same envelope: one that a number made of it draws the noise by.
+    Muscles of one electrode have the same envelope. A number computed from it seeds the noise, so that they
+    get the same noise.
     """
     intervals = emg.coefficients.shape[-1]
     waves = max(2, round(1.0 / (2.0 * EMG_WIDTH)))
@@ -235,14 +245,14 @@ def _with_noise(emg: EmgSpline, error: Float[Array, ""], key: PRNGKeyArray) -> E
         [wave(2.0 * jnp.pi * jnp.arange(1, waves + 1)[:, None] * phase[None]) for wave in (jnp.sin, jnp.cos)]
     )
 
-    def of_one(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial 4 interval"]:
-        own = jax.random.fold_in(key, _number_of(coefficients))
-        weights = jax.random.normal(own, (coefficients.shape[0], 2 * waves)) / jnp.sqrt(waves)
+    def noisy(coefficients: Float[Array, "trial 4 interval"]) -> Float[Array, "trial 4 interval"]:
+        electrode_key = jax.random.fold_in(key, _envelope_number(coefficients))
+        weights = jax.random.normal(electrode_key, (coefficients.shape[0], 2 * waves)) / jnp.sqrt(waves)
         return coefficients * jnp.exp(error * weights @ basis)[:, None, :]
 
-    return replace(emg, coefficients=jax.lax.map(of_one, emg.coefficients))
+    return replace(emg, coefficients=jax.lax.map(noisy, emg.coefficients))
 
 
-def _number_of(coefficients: Float[Array, "trial 4 interval"]) -> UInt[Array, ""]:
+def _envelope_number(coefficients: Float[Array, "trial 4 interval"]) -> UInt[Array, ""]:
     mean = jnp.mean(jnp.abs(coefficients))
     return jnp.asarray(jax.lax.bitcast_convert_type(mean.astype(jnp.float32), jnp.int32)).astype(jnp.uint32)

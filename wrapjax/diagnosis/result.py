@@ -1,64 +1,33 @@
-"""What a diagnosis found, as plain arrays."""
+"""Result of a diagnosis as plain arrays, assembled from the results of all steps."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.effects.effect import NotTestable
-from wrapjax.diagnosis.error_budget import Budget
+from wrapjax.diagnosis.advice import Advice, advise
+from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
+from wrapjax.diagnosis.decision import MIN_DETECTABILITY, Decision, describe_effect
+from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
+from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.joint_fit import effect_size_covariance
 from wrapjax.diagnosis.linearization import LinearizedModel
-
-#: How a diagnosis can end.
-#:
-#: named
-#:     One effect explains the error best, or several do together, each of them needed beside the others.
-#: tie
-#:     Several do that this recording cannot tell apart.
-#: unknown
-#:     Something is wrong with the model that no effect of the catalogue explains.
-#: none
-#:     Nothing that is larger than what such data show where nothing is amiss.
-#: insufficient_data
-#:     Too few cycles to tell what repeats from what does not.
-#: not_converged
-#:     The plain model was not fitted as well as it can be; what is left is the fit's.
-OUTCOMES = ("named", "tie", "unknown", "none", "insufficient_data", "not_converged")
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number with its 95 % interval, or why there is none.
-
-    Parameters
-    ----------
-    value, low, high
-        NaN where there is a ``reason``.
-    reason
-        Why it cannot be told; empty where it can.
-    """
-
-    value: float
-    low: float
-    high: float
-    reason: str = ""
-
-    @property
-    def known(self) -> bool:
-        """Whether it can be told."""
-        return not self.reason
-
-    @classmethod
-    def unknown(cls, reason: str) -> Estimate:
-        """Say why it cannot be told."""
-        return cls(np.nan, np.nan, np.nan, reason)
+from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, MuscleShare
+from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.refit import Ids, Refit
+from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.score_test import Score
+from wrapjax.diagnosis.verification import Verification, VerifiedRefit, shapley_values
 
 
 @dataclass(frozen=True)
 class EffectSize:
-    """How much of an effect there is, in physical units."""
+    """Value and standard deviation of one reported quantity of an effect, in physical units."""
 
     name: str
     value: float
@@ -68,24 +37,24 @@ class EffectSize:
 
 @dataclass(frozen=True)
 class EffectFinding:
-    """What is said of one effect that this recording can test.
+    """Finding on one effect that is testable with this recording.
 
     Parameters
     ----------
     id
-        Of the effect.
+        Identifier of the effect.
     probability
-        Among all effects, nothing, and what is not in the catalogue; 0 to 1.
+        Probability among all effects, no effect, and causes outside the catalogue; 0 to 1.
     evidence
-        For it against no effect, nats.
+        Log Bayes factor of the effect against no effect, nats.
     detectability
-        In standard deviations, of an effect of expected size: below 2 this recording could not show it.
+        Signal-to-noise ratio of an effect of its prior size, d'; below 2 this recording could not show it.
     decision
-        A phrase: what to make of it.
-    amounts
-        Most plausible ones.
+        Phrase that describes the decision on the effect.
+    effect_sizes
+        Most plausible effect sizes.
     negative_control
-        It must stay quiet in such a recording.
+        Whether the effect cannot be present in such a recording.
     """
 
     id: str
@@ -98,174 +67,52 @@ class EffectFinding:
 
 
 @dataclass(frozen=True)
-class Released:
-    """A calibrated parameter, before and after the effect was there to take its part.
-
-    Parameters
-    ----------
-    label
-        As ``soleus_l.emg_scale``.
-    before, after, sd
-        Solver units; the last is how far the calibration expects it to be from its mean.
-    at_bound
-        Whether it stood on a bound before.
-    """
-
-    label: str
-    before: float
-    after: float
-    sd: float
-    at_bound: bool
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """The model with an effect, fitted again together with all that is calibrated.
-
-    Parameters
-    ----------
-    ids
-        Of the effect, or of several at once.
-    predicted
-        Joint moments, N m; every cycle from a fit that has not seen it.
-    held_out_cycles, held_out_speed
-        Share of the explainable error that the effect removes there.
-    gains
-        By how much each left-out block of cycles became likelier, nats.
-    speed_conflict
-        Squared difference of the amounts fitted to each speed, in squared standard deviations; a wrong
-        mechanism usually needs another amount for each. None where there is one speed.
-    released
-        What calibration had put in its place.
-    """
-
-    ids: tuple[str, ...]
-    predicted: Float[np.ndarray, "cycle coordinate frame"]
-    held_out_cycles: Estimate
-    held_out_speed: Estimate
-    gains: tuple[float, ...]
-    speed_conflict: float | None
-    released: tuple[Released, ...]
-
-
-@dataclass(frozen=True)
-class ConvergenceCheck:
-    """Whether the plain model was fitted as well as it can be.
-
-    Parameters
-    ----------
-    problems
-        Sentences; none where it was.
-    costs
-        Where each start ended, lowest first.
-    spread
-        Of the two lowest: relative difference.
-    decrement
-        By how much the cost could still fall, as a share of the explainable error.
-    conflicts
-        By kind of parameter: how far fits to each speed (``by_speed``) and to each half of the cycles are
-        apart, in standard deviations, root mean square.
-    """
-
-    problems: tuple[str, ...]
-    costs: tuple[float, ...]
-    spread: float
-    decrement: float
-    conflicts: dict[str, dict[str, float]] = field(default_factory=dict)
-
-    @property
-    def holds(self) -> bool:
-        """Whether a diagnosis may be built on it."""
-        return not self.problems
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What would tell apart effects that this recording cannot.
-
-    Parameters
-    ----------
-    splits
-        Ids of the effects.
-    experiment
-        What to record.
-    minutes
-        In the laboratory.
-    cycles
-        How many would make one 20 times as likely as the other; None where that is not known.
-    """
-
-    splits: tuple[str, ...]
-    experiment: str
-    minutes: int
-    cycles: int | None = None
-
-
-@dataclass(frozen=True)
-class MuscleShare:
-    """Which muscle forces would take the error away, as far as moment arms can tell.
-
-    Parameters
-    ----------
-    force
-        Change of force, N; mean over the cycles of each speed.
-    resolution
-        0 where moment arms cannot tell this muscle's part, 1 where they tell all of it.
-    """
-
-    muscles: tuple[str, ...]
-    force: Float[np.ndarray, "muscle speed phase"]
-    resolution: Float[np.ndarray, " muscle"]
-
-
-@dataclass(frozen=True)
 class DiagnosisResult:
-    """Where the error is, which effect explains it best, and how far it shrinks.
+    """Where the moment error is, which effect explains it best, and how far it shrinks.
 
     Parameters
     ----------
-    outcome
-        One of `OUTCOMES`.
-    reason
-        A sentence for it.
+    outcome, reason
+        One of `decision.OUTCOMES`, and a sentence that gives the reason.
     named, ties, credible_set
-        Ids; see `wrapjax.diagnose`. The set may hold ``none_of_these``.
+        Identifiers of effects; see `decision.Decision`. The set may contain ``none_of_these``.
     effects
-        All that could be tested, the most probable first.
+        Findings on all effects that could be tested, the most probable first.
     none_probability, unknown_probability
-        Of nothing amiss, and of something that is not in the catalogue.
+        Probability of no effect, and of a cause outside the catalogue.
     not_testable, withheld
         Effects that this recording cannot show, and those left out of the catalogue on request.
     coordinates, trials, recordings, uses, speeds, time
-        Names of coordinates and cycles, the recording each cycle is from, and what it was for; m/s (NaN:
-        unknown); s.
+        Names of the coordinates; and name, recording, use, speed (m/s, NaN if unknown) and time (s) of each
+        cycle.
     measured, plain
-        Joint moments, N m, and what the plain model says of each cycle from fits that have not seen it.
+        Measured joint moments, and those of the plain model from fits that did not use the cycle, N m.
     budget, budget_speeds
-        The plain model's error split into parts, and the speed of each of its rows, m/s; None where cycles
-        are too few.
-    map
-        Root mean square of the error that repeats, N m, by speed as the budget; empty where that is None.
+        Parts of the plain model's error, and the speed of each row, m/s; None with too few cycles.
+    error_map
+        Root mean square of the repeatable error, N m, by speed as the budget; empty where that is None.
     explainable_share
-        Of the whole error.
-    alternatives
-        Effects that were fitted, the most probable first.
+        Share of the error above the noise floor.
+    refits
+        Refits with effects, the most probable first.
     shares
-        Part of the explainable error that each accepted effect removes, Shapley's over all orders.
-    likeness
-        Ids, and how much of each effect (row) each other one (column) cannot imitate, in squared standard
-        deviations.
-    muscles
-        None where it could not be told.
-    alarm, global_p
-        Evidence that data without any effect exceed in few cases, nats, and the share of those that
-        exceed what was found.
-    advice, certificate
-        See there.
+        Share of the explainable error that each named effect removes: Shapley values over all orders.
+    distinguishability
+        Identifiers, and the squared distance of each effect (row) from the span of each other one (column),
+        in squared standard deviations.
+    muscle_share
+        Muscle forces that would remove the error; None without a diagnosis.
+    detection_threshold, global_p
+        Evidence that few null replicates exceed, nats; and the share of null replicates whose strongest
+        evidence reaches that of the subject.
+    advice
+        Experiments that would tell members of a tie apart.
+    convergence_check
+        Whether the baseline fit may be used.
     seconds
-        By part of the work.
-    lines
-        What effects were scored on; None where there is no diagnosis.
+        Time of each step, s.
+    linearized
+        Linearised model that was scored; None without a diagnosis.
     """
 
     outcome: str
@@ -286,17 +133,231 @@ class DiagnosisResult:
     time: Float[np.ndarray, "cycle frame"]
     measured: Float[np.ndarray, "cycle coordinate frame"]
     plain: Float[np.ndarray, "cycle coordinate frame"]
-    budget: Budget | None
+    budget: ErrorBudget | None
     budget_speeds: Float[np.ndarray, " speed"]
-    map: Float[np.ndarray, "speed coordinate bin"]
+    error_map: Float[np.ndarray, "speed coordinate bin"]
     explainable_share: Estimate
-    alternatives: tuple[Alternative, ...]
+    refits: tuple[VerifiedRefit, ...]
     shares: dict[str, float]
-    likeness: tuple[tuple[str, ...], Float[np.ndarray, "effect effect"]]
-    muscles: MuscleShare | None
+    distinguishability: tuple[tuple[str, ...], Float[np.ndarray, "effect effect"]]
+    muscle_share: MuscleShare | None
     detection_threshold: float
     global_p: float
     advice: tuple[Advice, ...]
     convergence_check: ConvergenceCheck
     seconds: dict[str, float]
-    lines: LinearizedModel | None = None
+    linearized: LinearizedModel | None = None
+
+
+def result_without_diagnosis(
+    data: DiagnosisInput,
+    outcome: str,
+    reason: str,
+    seconds: dict[str, float],
+    baseline: BaselineFit | None = None,
+    localization: Localization | None = None,
+) -> DiagnosisResult:
+    """Assemble the result of a diagnosis that ended before effects were scored.
+
+    Parameters
+    ----------
+    data
+        Input of the diagnosis.
+    outcome, reason
+        Outcome, and a sentence that gives the reason.
+    seconds
+        Time of each step, s.
+    baseline, localization
+        Results of the steps before the end; None where they were not run.
+    """
+    if baseline is None:
+        plain = data.prediction(Effects(()))(data.variables, np.zeros(0))
+        check = unchecked_convergence(data.outcomes, reason)
+    else:
+        plain, check = baseline.fit.predicted, baseline.convergence_check
+    return DiagnosisResult(
+        outcome=outcome,
+        reason=reason,
+        named=(),
+        ties=(),
+        credible_set=(),
+        effects=(),
+        none_probability=0.0,
+        unknown_probability=1.0,
+        not_testable=tuple(entry for entry in data.entries if isinstance(entry, NotTestable)),
+        withheld=data.withheld,
+        coordinates=data.context.coordinates,
+        trials=data.context.trials,
+        recordings=data.recordings,
+        uses=data.uses,
+        speeds=data.context.speeds,
+        time=data.time,
+        measured=data.measured,
+        plain=plain,
+        budget=None if localization is None else localization.budget,
+        budget_speeds=np.zeros(0) if localization is None else localization.speeds,
+        error_map=(
+            np.zeros((0, len(data.context.coordinates), BINS))
+            if localization is None
+            else localization.error_map
+        ),
+        explainable_share=(
+            Estimate.unknown(reason) if localization is None else localization.explainable_share
+        ),
+        refits=(),
+        shares={},
+        distinguishability=((), np.zeros((0, 0))),
+        muscle_share=None,
+        detection_threshold=np.nan,
+        global_p=np.nan,
+        advice=(),
+        convergence_check=check,
+        seconds=seconds,
+    )
+
+
+def diagnosis_result(
+    *,
+    data: DiagnosisInput,
+    baseline: BaselineFit,
+    linearized: LinearizedModel,
+    localization: Localization,
+    scores: Scores,
+    refits: Mapping[Ids, Refit],
+    verification: Verification,
+    decision: Decision,
+    seconds: dict[str, float],
+) -> DiagnosisResult:
+    """Assemble the result of a diagnosis from the results of all steps.
+
+    Parameters
+    ----------
+    data, baseline, linearized, localization, scores
+        Results of the steps up to the scores.
+    refits
+        Refits of single effects; their effect sizes are reported.
+    verification, decision
+        Verified refits, and the decision.
+    seconds
+        Time of each step, s.
+    """
+    probability = decision.probabilities
+    assert probability is not None
+    findings = tuple(
+        _finding(data, baseline, scores, decision, scores.by_id[id], refits.get((id,)))
+        for id in sorted(scores.by_id, key=lambda id: -probability.effects[id])
+    )
+    undetectable = tuple(
+        NotTestable(
+            id, f"one of expected size would show by {one.detectability:.1f} standard deviations only"
+        )
+        for id, one in scores.by_id.items()
+        if one.detectability < MIN_DETECTABILITY and id not in decision.accepted
+    )
+    shown = _shown_refits(decision, verification, tuple(refits))
+    result = result_without_diagnosis(
+        data, decision.outcome, decision.reason, seconds, baseline, localization
+    )
+    return replace(
+        result,
+        named=decision.named,
+        ties=(decision.tie,) if decision.tie else (),
+        credible_set=decision.credible_set,
+        effects=findings,
+        none_probability=probability.none,
+        unknown_probability=probability.unknown,
+        not_testable=(*result.not_testable, *undetectable),
+        refits=shown,
+        shares=_shares(shown, decision.named),
+        distinguishability=(scores.compared, scores.distinguishability),
+        muscle_share=localization.muscle_share,
+        detection_threshold=scores.detection_threshold,
+        global_p=scores.global_p,
+        advice=_advice(data, scores, decision.tie),
+        linearized=linearized,
+    )
+
+
+def _shown_refits(
+    decision: Decision, verification: Verification, singles: Sequence[Ids]
+) -> tuple[VerifiedRefit, ...]:
+    """Order refits: those of accepted effects first, jointly named ones before their subsets.
+
+    Refits of subsets are shown only where several effects are named.
+    """
+    if len(decision.named) > 1:
+        sizes = range(len(decision.named), 0, -1)
+        first = [subset for size in sizes for subset in combinations(decision.named, size)]
+    else:
+        first = [ids for ids in singles if ids[0] in decision.accepted]
+    others = [ids for ids in singles if ids not in first]
+    return tuple(verification.refits[ids] for ids in (*first, *others))
+
+
+def _shares(refits: Sequence[VerifiedRefit], named: Ids) -> dict[str, float]:
+    """Distribute the shrinkage by named effects; not for a tie, whose members would remove the same error."""
+    removed = {one.ids: one.held_out_cycles.value for one in refits if one.held_out_cycles.known}
+    if not all(part in removed for size in range(len(named)) for part in combinations(named, size + 1)):
+        return {}
+    return shapley_values(named, lambda part: removed[part] if part else 0.0)
+
+
+def _finding(
+    data: DiagnosisInput,
+    baseline: BaselineFit,
+    scores: Scores,
+    decision: Decision,
+    score: Score,
+    refit: Refit | None,
+) -> EffectFinding:
+    """Report an effect with the sizes of its refit where there is one, else with those of its score."""
+    assert decision.probabilities is not None
+    effect = data.calibration_effects[score.id]
+    effect_sizes, sd = score.effect_sizes, score.sd
+    if refit is not None:
+        part = list(score.part)
+        effect_sizes, sd = np.zeros(len(score.effect_sizes)), np.zeros(len(score.effect_sizes))
+        effect_sizes[part] = refit.fit.effect_sizes
+        sd[part] = np.sqrt(np.diag(effect_size_covariance(refit.fit, baseline.effect_size_weight)))
+    return EffectFinding(
+        id=score.id,
+        probability=decision.probabilities.effects[score.id],
+        evidence=score.evidence,
+        detectability=score.detectability,
+        decision=describe_effect(
+            score.evidence, score.detectability, scores.detection_threshold, score.id in decision.accepted
+        ),
+        effect_sizes=_reported_sizes(effect, effect_sizes, sd),
+        negative_control=effect.negative_control,
+    )
+
+
+def _reported_sizes(
+    effect: Effect, effect_sizes: Float[np.ndarray, " parameter"], sd: Float[np.ndarray, " parameter"]
+) -> tuple[EffectSize, ...]:
+    """Convert effect sizes to the reported quantities; their standard deviations by finite differences."""
+    values = {name: float(value) for name, value in effect.reported_values(jnp.asarray(effect_sizes)).items()}
+    variances = dict.fromkeys(values, 0.0)
+    for place, deviation in enumerate(sd):
+        moved = np.array(effect_sizes, dtype=float)
+        moved[place] += 1e-3 * deviation
+        for name, value in effect.reported_values(jnp.asarray(moved)).items():
+            variances[name] += ((float(value) - values[name]) / 1e-3) ** 2
+    units = dict(effect.reported) or {entry.name: entry.unit for entry in effect.parameters}
+    return tuple(
+        EffectSize(name, value, float(np.sqrt(variances[name])), units[name])
+        for name, value in values.items()
+    )
+
+
+def _advice(data: DiagnosisInput, scores: Scores, tie: Sequence[str]) -> tuple[Advice, ...]:
+    """Advise on the experiment that tells members of a tie apart."""
+    if not tie:
+        return ()
+    places = [scores.compared.index(id) for id in tie]
+    distances = scores.distinguishability
+    pairs = [
+        max(distances[one, other], distances[other, one]) for one in places for other in places if one < other
+    ]
+    advice = advise(tie, float(min(pairs)), len(data.plan.calibration))
+    return () if advice is None else (advice,)

@@ -1,267 +1,259 @@
-"""How much better each effect explains residuals than no effect does, without refitting anything.
+"""Scores of all effects: evidence, detection threshold, effects that are jointly significant, and ties.
 
-A score test in Bayes' form. With residuals r of null covariance V, an effect's signatures J and the prior
-N(0, T) of its amounts, s = J'V^-1 r and I = J'V^-1 J give the amounts that are most plausible,
-(I + T^-1)^-1 s, and the logarithm of the ratio of the evidence for the effect to that against it. It is a
-modification index with a scale for what is plausible and a price for what is flexible.
+Effects can be significant only jointly: one cause can hide another, and two can resemble a third. So effects
+are scored again beside each of the strongest: against nulls that contain it, with its own prior. Several
+effects are jointly significant where each is significant beside all the others. This criterion also removes
+an earlier effect that a later one has made unnecessary.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import product
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
 
 import numpy as np
-import scipy.linalg
-from jaxtyping import Bool, Float, Int
-from scipy.special import log_ndtr, logsumexp
+from jaxtyping import Float, Int
 
-from wrapjax.diagnosis.null_covariance import Matrix
-from wrapjax.diagnosis.projection import Candidate, Null, Projection, project
+from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_covariance import Null, nulls
+from wrapjax.diagnosis.score_test import (
+    PRIOR_FACTORS,
+    Projection,
+    Score,
+    ScoreTest,
+    distinguishability,
+    project,
+    score_projected,
+)
 
-#: An effect may be smaller or larger than its prior expects: its amounts share one of these sizes, as far as
-#: their limits let them.
-SIZES = (0.1, 0.3, 1.0, 3.0)
-
-
-@dataclass(frozen=True)
-class Score:
-    """What a score test says of an effect.
-
-    Parameters
-    ----------
-    id
-        Of the effect.
-    evidence
-        Logarithm of the ratio of evidences, in nats: positive for the effect.
-    variant, part, size
-        The shape that explains most, the numbers of the amounts that are not zero, and how large they are as
-        a rule, in what their prior expects.
-    amounts, sd
-        Most plausible amounts of that shape, in their units, and how well they are known.
-    detectability
-        Of an effect of the size that its prior expects, in standard deviations: below 2 the recording
-        cannot show it, whatever it says.
-    """
-
-    id: str
-    evidence: float
-    variant: int
-    part: tuple[int, ...]
-    size: float
-    effect_sizes: Float[np.ndarray, " parameter"]
-    sd: Float[np.ndarray, " parameter"]
-    detectability: float
+#: Share of null replicates whose strongest evidence exceeds the detection threshold.
+FALSE_ALARM_RATE = 0.025
+#: Number of effects, the strongest first, that are compared with one another.
+COMPARED = 8
+#: Number of effects, the strongest alone first, that are scored beside one another.
+POOL = 10
+#: Largest number of effects that are named together.
+MOST = 3
+# Nulls less plausible than the most plausible one by this many nats do not change the result and are omitted.
+_NEGLIGIBLE = 12.0
 
 
 @dataclass(frozen=True)
-class Scored:
-    """What a score test says of a residual.
+class Scores:
+    """Scores of all effects of a subject.
 
     Parameters
     ----------
-    scores
-        One a candidate, in their order.
-    plausible
-        Logarithm of how plausible each null is, without any effect.
+    by_id
+        Score of each effect, the strongest evidence first.
+    structured_evidence
+        Evidence for errors that no effect of the catalogue explains, nats.
+    null_maxima
+        Strongest evidence in each null replicate, nats.
+    detection_threshold
+        Evidence that few null replicates exceed, nats.
+    jointly_significant
+        Effects that are each significant beside the others, the strongest alone first; empty if none are.
+    compared, distinguishability
+        Strongest effects, and the squared distance of each (row) from the span of each other (column); see
+        `score_test.distinguishability`.
     """
 
-    scores: tuple[Score, ...]
-    plausible: Float[np.ndarray, " null"]
+    by_id: dict[str, Score]
+    structured_evidence: float
+    null_maxima: Float[np.ndarray, " replicate"]
+    detection_threshold: float
+    jointly_significant: tuple[str, ...]
+    compared: tuple[str, ...]
+    distinguishability: Float[np.ndarray, "effect effect"]
 
     @property
-    def structured(self) -> float:
-        """Evidence (nats) for errors that no effect is known for, against the first null, which has least."""
-        return float(logsumexp(self.plausible) - self.plausible[0])
+    def evidence(self) -> dict[str, float]:
+        """Evidence of each effect, nats, the strongest first."""
+        return {id: score.evidence for id, score in self.by_id.items()}
+
+    @property
+    def global_p(self) -> float:
+        """Share of null replicates whose strongest evidence reaches the subject's; 1 without effects."""
+        strongest = next(iter(self.evidence.values()), None)
+        if strongest is None:
+            return 1.0
+        return float((1 + np.sum(self.null_maxima >= strongest)) / (1 + len(self.null_maxima)))
 
 
-def score_each(
-    residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]
-) -> tuple[Scored, ...]:
-    """Score every candidate against all nulls together, on several residuals that share these.
-
-    Each hypothesis is averaged over the nulls for itself: an effect that explains the residual earns the
-    evidence of a null that has less to explain.
+def score(
+    linearized: LinearizedModel,
+    moment_sd: Float[np.ndarray, " coordinate"],
+    null_residuals: Float[np.ndarray, "replicate row"],
+    least_threshold: float,
+) -> Scores:
+    """Score all effects on the subject's residual and on null replicates.
 
     Parameters
     ----------
-    residuals
-        Each at the prior mean of what was calibrated: its give is part of the nulls.
-    nulls
-        Of different strengths of what cannot be named.
+    linearized
+        Linearised model.
+    moment_sd
+        Standard deviation of the measured moment of each coordinate, N m.
+    null_residuals
+        Residuals of null replicates, N m.
+    least_threshold
+        Smallest detection threshold, nats.
+    """
+    candidates = linearized.candidates
+    residuals = np.concatenate([linearized.residual.reshape(1, -1), null_residuals])
+    projections = [project(residuals, null, candidates) for null in nulls(linearized, moment_sd)]
+    test, *of_replicates = score_projected(projections, candidates)
+    null_maxima = np.array(
+        [max((one.evidence for one in replicate.scores), default=0.0) for replicate in of_replicates]
+    )
+    quantile = float(np.quantile(null_maxima, 1.0 - FALSE_ALARM_RATE)) if len(null_maxima) else 0.0
+    threshold = max(least_threshold, quantile)
+    by_id = {one.id: one for one in sorted(test.scores, key=lambda one: -one.evidence)}
+    of_subject = [replace(one, weight=one.weight[:1], slope=one.slope[:1]) for one in projections]
+    compared = tuple(by_id)[:COMPARED]
+    return Scores(
+        by_id=by_id,
+        structured_evidence=test.structured_evidence,
+        null_maxima=null_maxima,
+        detection_threshold=threshold,
+        jointly_significant=jointly_significant_effects(of_subject, candidates, by_id, threshold),
+        compared=compared,
+        distinguishability=_distances(linearized, moment_sd, test, [by_id[id] for id in compared]),
+    )
+
+
+def _distances(
+    linearized: LinearizedModel,
+    moment_sd: Float[np.ndarray, " coordinate"],
+    test: ScoreTest,
+    scores: Sequence[Score],
+) -> Float[np.ndarray, "effect effect"]:
+    """Compute the distinguishability of effects under the most plausible null."""
+    if not scores:
+        return np.zeros((0, 0))
+    candidates = {candidate.id: candidate for candidate in linearized.candidates}
+    variants = [candidates[one.id].variants[one.variant] for one in scores]
+    signatures = [variant[list(one.part)] for one, variant in zip(scores, variants, strict=True)]
+    signals = [one.effect_sizes @ variant for one, variant in zip(scores, variants, strict=True)]
+    return distinguishability(
+        signals, signatures, most_plausible_null(linearized, moment_sd, test).covariance
+    )
+
+
+def most_plausible_null(
+    linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate"], test: ScoreTest
+) -> Null:
+    """Compute the null hypothesis with the largest posterior probability."""
+    best = int(np.argmax(test.null_weights))
+    return next(null for number, null in enumerate(nulls(linearized, moment_sd)) if number == best)
+
+
+def jointly_significant_effects(
+    projections: Sequence[Projection],
+    candidates: Sequence[Candidate],
+    scores: Mapping[str, Score],
+    detection_threshold: float,
+) -> tuple[str, ...]:
+    """Select effects that are each significant beside the others.
+
+    Parameters
+    ----------
+    projections
+        Projections of one residual by every null.
     candidates
-        In any order.
+        Effects, in the order of the projections' columns.
+    scores
+        Score of each effect alone, by id, the strongest first.
+    detection_threshold
+        Evidence (nats) that an effect alone has to exceed. As pairs are selected among many, both effects of
+        a pair have to exceed it by the logarithm of the number of pairs.
+
+    Returns
+    -------
+    ids
+        Identifiers, the strongest alone first; empty where no effect or one explains as much.
     """
-    return score_projected([project(residuals, null, candidates) for null in nulls], candidates)
+    pool = [one for one in candidates if one.id in list(scores)[:POOL]]
+    if len(pool) < 2:
+        return ()
+    columns, reduced = _most_plausible_parts(candidates, pool, scores)
+    largest = max(float(one.weight[0]) for one in projections)
+    plausible = [
+        _select_columns(one, columns) for one in projections if one.weight[0] > largest - _NEGLIGIBLE
+    ]
 
-
-def score_projected(projections: Sequence[Projection], candidates: Sequence[Candidate]) -> tuple[Scored, ...]:
-    """Score every candidate against all nulls together; see `score_each`."""
-    by_null = [_against_all(one, candidates) for one in projections]
-    plausible = np.array([one.weight for one in projections])
-    usual = logsumexp(plausible, axis=0)
-    every = []
-    for sample in range(plausible.shape[1]):
-        own = []
-        for number, candidate in enumerate(candidates):
-            found = [own_null[number] for own_null in by_null]
-            joint = plausible[:, sample] + [one_null.evidence[sample] for one_null in found]
-            chosen = found[int(np.argmax(joint))]
-            place = int(chosen.best[sample])
-            one = chosen.hypotheses[place]
-            # Of the null that residuals speak for, whatever the effect.
-            detectability = found[int(np.argmax(plausible[:, sample]))].detectability
-            own.append(
-                Score(
-                    candidate.id,
-                    float(logsumexp(joint) - usual[sample]),
-                    one.variant,
-                    one.part,
-                    one.size,
-                    one.effect_sizes[sample],
-                    one.sd,
-                    detectability,
-                )
+    def evidence_beside(*given: str) -> dict[str, float]:
+        allowed = [
+            _with_prior_of_factors(
+                one.allowing(_prior_sd(reduced, dict(zip(given, factors, strict=True)))), len(factors)
             )
-        every.append(Scored(tuple(own), plausible[:, sample]))
-    return tuple(every)
+            for one in plausible
+            for factors in product(PRIOR_FACTORS, repeat=len(given))
+        ]
+        (test,) = score_projected(allowed, reduced)
+        # The prior counts the other variants and parts, which were plausible before as well.
+        return {
+            one.id: one.evidence + candidate.log_prior(scores[one.id].part)
+            for one, candidate in zip(test.scores, pool, strict=True)
+            if one.id not in given
+        }
+
+    beside_one = {one.id: evidence_beside(one.id) for one in pool}
+    pairs = list(combinations([one.id for one in pool], 2))
+    least = detection_threshold + float(np.log(len(pairs)))
+    significant = [(a, b) for a, b in pairs if min(beside_one[a][b], beside_one[b][a]) > least]
+    if not significant:
+        return ()
+    chosen: tuple[str, ...] = max(
+        significant, key=lambda pair: scores[pair[0]].evidence + beside_one[pair[0]][pair[1]]
+    )
+    while len(chosen) < MOST:
+        more = evidence_beside(*chosen)
+        if not more or max(more.values()) <= least:
+            break
+        wider = (*chosen, max(more, key=lambda id: more[id]))
+        if any(evidence_beside(*(other for other in wider if other != id))[id] <= least for id in chosen):
+            break
+        chosen = wider
+    return tuple(id for id in scores if id in chosen)
 
 
-@dataclass(frozen=True)
-class _Hypothesis:
-    variant: int
-    part: tuple[int, ...]
-    size: float
-    evidence: Float[np.ndarray, " sample"]
-    #: Zero beside the part.
-    effect_sizes: Float[np.ndarray, "sample parameter"]
-    sd: Float[np.ndarray, " parameter"]
-    detectability: float
-    log_prior: float
+def _most_plausible_parts(
+    candidates: Sequence[Candidate], pool: Sequence[Candidate], scores: Mapping[str, Score]
+) -> tuple[Int[np.ndarray, " column"], tuple[Candidate, ...]]:
+    """Reduce each candidate of the pool to the variant and the part that are most plausible alone.
 
-
-@dataclass(frozen=True)
-class _Found:
-    hypotheses: tuple[_Hypothesis, ...]
-    evidence: Float[np.ndarray, " sample"]
-    #: Which hypothesis explains most.
-    best: Int[np.ndarray, " sample"]
-
-    @property
-    def detectability(self) -> float:
-        return max(one.detectability for one in self.hypotheses)
-
-
-def _against_all(projection: Projection, candidates: Sequence[Candidate]) -> list[_Found]:
-    """Score all candidates against one null."""
-    found, first = [], 0
+    Returns
+    -------
+    columns, reduced
+        Their columns among those of all candidates, and the reduced candidates.
+    """
+    columns, reduced, first = [], [], 0
     for candidate in candidates:
-        shapes = []
-        for _ in candidate.variants:
-            own = slice(first, first := first + len(candidate.prior_sd))
-            shapes.append((projection.slope[:, own], projection.information[own, own]))
-        found.append(_against(shapes, candidate))
-    return found
+        if any(candidate is other for other in pool):
+            alone = scores[candidate.id]
+            part = np.array(alone.part)
+            columns.append(first + alone.variant * len(candidate.prior_sd) + part)
+            signature = candidate.variants[alone.variant][part]
+            limit = np.broadcast_to(candidate.limit, candidate.prior_sd.shape)[part]
+            prior_sd, one_sided = candidate.prior_sd[part], candidate.one_sided[part]
+            reduced.append(Candidate(candidate.id, (signature,), prior_sd, one_sided, limit=limit))
+        first += len(candidate.prior_sd) * len(candidate.variants)
+    return np.concatenate(columns), tuple(reduced)
 
 
-def _against(
-    shapes: Sequence[tuple[Float[np.ndarray, "sample parameter"], Float[np.ndarray, "parameter parameter"]]],
-    candidate: Candidate,
-) -> _Found:
-    """Score one candidate by s and I of its shapes; these are equally plausible before."""
-    tried = []
-    limit = np.broadcast_to(candidate.limit, candidate.prior_sd.shape)
-    for variant, (slope, information) in enumerate(shapes):
-        for (part, share), size in product(candidate.hypotheses, SIZES):
-            own = np.array(part)
-            evidence, effect_sizes, sd, detectability = evidence_of(
-                slope[:, own],
-                information[np.ix_(own, own)],
-                candidate.expected(size)[own],
-                candidate.one_sided[own],
-            )
-            placed = np.zeros((len(slope), len(candidate.prior_sd)))
-            # A normal posterior ends nowhere.
-            placed[:, own] = np.clip(effect_sizes, -limit[own], limit[own])
-            spread = np.zeros(len(candidate.prior_sd))
-            spread[own] = sd
-            log_prior = np.log(share / len(candidate.variants) / len(SIZES))
-            tried.append(
-                _Hypothesis(variant, part, size, evidence, placed, spread, detectability / size, log_prior)
-            )
-    weighed = np.array([one.evidence + one.log_prior for one in tried])
-    return _Found(tuple(tried), logsumexp(weighed, axis=0), np.argmax(weighed, axis=0))
+def _select_columns(projection: Projection, columns: Int[np.ndarray, " column"]) -> Projection:
+    information = projection.information[np.ix_(columns, columns)]
+    return Projection(projection.weight, projection.slope[:, columns], information)
 
 
-def evidence_of(
-    slope: Float[np.ndarray, "*sample parameter"],
-    information: Float[np.ndarray, "parameter parameter"],
-    prior_sd: Float[np.ndarray, " parameter"],
-    one_sided: Bool[np.ndarray, " parameter"],
-) -> tuple[
-    Float[np.ndarray, "*sample"],
-    Float[np.ndarray, "*sample parameter"],
-    Float[np.ndarray, " parameter"],
-    float,
-]:
-    """Give evidence (nats), most plausible amounts, their standard deviations, and detectability.
-
-    Parameters
-    ----------
-    slope, information
-        s and I.
-    prior_sd
-        Of normal priors; of half-normal ones before they are folded.
-    one_sided
-        Which amounts cannot be negative. Their shares of the posterior on the right side of zero are
-        taken one by one, which is exact for a single one.
-    """
-    scaled = information * np.outer(prior_sd, prior_sd)
-    precision = np.eye(len(prior_sd)) + scaled
-    covariance = np.linalg.inv(precision)
-    unit = (slope * prior_sd) @ covariance
-    sd = np.sqrt(np.diag(covariance))
-    evidence = 0.5 * np.sum(slope * prior_sd * unit, axis=-1) - 0.5 * np.linalg.slogdet(precision)[1]
-    kept = unit.copy()
-    if one_sided.any():
-        own = unit[..., one_sided]
-        evidence = evidence + np.sum(np.log(2.0) + log_ndtr(own / sd[one_sided]), axis=-1)
-        kept[..., one_sided] = np.maximum(own, 0.0)
-    detectability = float(np.sqrt(np.max(np.diag(scaled))))
-    return np.asarray(evidence), kept * prior_sd, sd * prior_sd, detectability
+def _prior_sd(candidates: Sequence[Candidate], factors: Mapping[str, float]) -> Float[np.ndarray, " column"]:
+    """Prior standard deviations of all parameters: scaled by the factor of each effect, zero without one."""
+    return np.concatenate([one.scaled_prior_sd(factors.get(one.id, 0.0)) for one in candidates])
 
 
-def likeness(
-    signals: Sequence[Float[np.ndarray, " row"]],
-    # Of as many rows each, but of any number of amounts.
-    signatures: Sequence[Float[np.ndarray, "_ row"]],
-    covariance: Matrix,
-) -> Float[np.ndarray, "effect other"]:
-    """Say how much of each effect (row) each other (column) cannot imitate: squared deviations.
-
-    Below 9 both ways, two effects are a tie: this recording cannot tell one from the other.
-
-    Parameters
-    ----------
-    signals
-        What each effect does at its most plausible amounts.
-    signatures
-        Of each, by unit amounts.
-    covariance
-        The null's.
-    """
-    factor = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
-
-    def white(rows: Float[np.ndarray, "_ row"]) -> Float[np.ndarray, "row _"]:
-        return scipy.linalg.solve_triangular(factor, rows.T, lower=True, check_finite=False)
-
-    seen = white(np.array(signals))
-    total = np.sum(seen**2, axis=0)
-    found = np.zeros((len(signals), len(signatures)))
-    for column, signature in enumerate(signatures):
-        # A basis of all that this effect can do; what is nearly zero of it is rounding.
-        left, sizes, _ = np.linalg.svd(white(signature), full_matrices=False)
-        basis = left[:, sizes > 1e-8 * sizes.max(initial=0.0)]
-        found[:, column] = total - np.sum((basis.T @ seen) ** 2, axis=0)
-    return np.maximum(found, 0.0)
+def _with_prior_of_factors(projection: Projection, effects: int) -> Projection:
+    """Give all factors on the prior of this number of effects equal prior probabilities."""
+    return replace(projection, weight=projection.weight - effects * np.log(len(PRIOR_FACTORS)))

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.diagnosis.error_budget import BINS, bin_weights, driven_variance, split_error
+from wrapjax.diagnosis.localization import BINS, bin_weights, split_error
+from wrapjax.diagnosis.noise_floor import input_driven_variance
 
 FRAMES = 101
 PHASE = np.linspace(0.0, 1.0, FRAMES)
@@ -88,8 +89,8 @@ def test_what_follows_an_input_is_told_from_noise():
     drift = np.linspace(-1.0, 1.0, 6)[np.tile(np.arange(6), 2)][:, None, None]
     order = np.broadcast_to(drift, (12, 1, FRAMES))
     followed = 3.0 * order * smooth(generator, 1)[None]
-    quiet = driven_variance(noise, np.concatenate([inputs, order], axis=1), speeds).mean()
-    share = driven_variance(
+    quiet = input_driven_variance(noise, np.concatenate([inputs, order], axis=1), speeds).mean()
+    share = input_driven_variance(
         noise + followed, np.concatenate([inputs, order], axis=1), speeds
     ).mean() / np.mean(followed**2)
     assert abs(quiet) < 0.2
@@ -103,7 +104,7 @@ def test_many_unrelated_inputs_drive_nothing():
         generator = np.random.default_rng(seed)
         speeds = np.repeat([0, 1, 2], 7)
         noise, inputs = (smooth(generator, 21, count, harmonics=8) for count in (6, 25))
-        found.append(driven_variance(noise, inputs, speeds).mean() / np.mean(noise**2))
+        found.append(input_driven_variance(noise, inputs, speeds).mean() / np.mean(noise**2))
     assert abs(np.mean(found)) < 0.05 and max(found) < 0.15
 
 
@@ -113,6 +114,6 @@ def test_a_drift_has_no_mean_and_is_explainable_all_the_same():
     order = np.tile(np.linspace(-1.0, 1.0, 6), 2)[:, None, None] * np.ones((1, 1, FRAMES))
     residuals = 4.0 * order * smooth(generator, 2)[None] + 0.5 * smooth(generator, 12, 2)
     without = split_error(residuals, speeds)
-    budget = split_error(residuals, speeds, driven_variance(residuals, order, speeds))
+    budget = split_error(residuals, speeds, input_driven_variance(residuals, order, speeds))
     assert without.explainable_share < 0.1
     assert budget.explainable_share > 0.6

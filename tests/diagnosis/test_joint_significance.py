@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.projection import Candidate, Null, project
-from wrapjax.diagnosis.score import score_projected
-from wrapjax.diagnosis.together import standing_together
-from wrapjax.diagnosis.verdict import Verdict, each_helps, may_be_several
+from wrapjax.diagnosis.decision import Decision, each_effect_improves, may_name_jointly
+from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.null_covariance import Null
+from wrapjax.diagnosis.score import jointly_significant_effects
+from wrapjax.diagnosis.score_test import project, score_projected
 
 ROWS, ALARM = 60, 4.5
 
@@ -29,7 +30,7 @@ def found(residual, candidates, scales=(1.0, 1.5)):
     seen = [project(residual[None], Null(scale * np.eye(ROWS)), candidates) for scale in scales]
     (scored,) = score_projected(seen, candidates)
     scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}
-    return standing_together(seen, candidates, scores, ALARM), {
+    return jointly_significant_effects(seen, candidates, scores, ALARM), {
         id: one.evidence for id, one in scores.items()
     }
 
@@ -117,22 +118,22 @@ def test_causes_that_hide_each_other_are_found():
 @pytest.mark.parametrize(
     ("verdict", "excluded", "may"),
     [
-        (Verdict("named", "", named=("a",)), (), True),
-        (Verdict("named", "", named=("c",)), (), False),
-        (Verdict("none", ""), (), True),
-        (Verdict("none", ""), ("b",), False),
-        (Verdict("unknown", ""), (), False),
-        (Verdict("tie", "", tie=("a", "c")), (), False),
+        (Decision("named", "", named=("a",)), (), True),
+        (Decision("named", "", named=("c",)), (), False),
+        (Decision("none", ""), (), True),
+        (Decision("none", ""), ("b",), False),
+        (Decision("unknown", ""), (), False),
+        (Decision("tie", "", tie=("a", "c")), (), False),
     ],
 )
 def test_what_was_said_of_single_effects_decides_whether_several_may_be_named(verdict, excluded, may):
-    assert may_be_several(verdict, ("a", "b"), excluded) is may
-    assert may_be_several(verdict, (), excluded) is False
+    assert may_name_jointly(verdict, ("a", "b"), excluded) is may
+    assert may_name_jointly(verdict, (), excluded) is False
 
 
 def test_each_has_to_help_with_cycles_kept_back_beside_the_other():
     both, one = [3.0, 2.0, 4.0, 1.0, 2.0], [1.0, 1.0, 1.0, 0.5, 1.0]
     gains = {("a", "b"): both, ("a",): one, ("b",): one}
-    assert each_helps(("a", "b"), gains)
-    assert not each_helps(("a", "b"), gains | {("b",): both})
-    assert not each_helps(("a", "b"), gains | {("a",): [4.0, 3.0, 1.0, 0.0, 0.0]})
+    assert each_effect_improves(("a", "b"), gains)
+    assert not each_effect_improves(("a", "b"), gains | {("b",): both})
+    assert not each_effect_improves(("a", "b"), gains | {("a",): [4.0, 3.0, 1.0, 0.0, 0.0]})

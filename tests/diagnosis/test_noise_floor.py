@@ -5,14 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.diagnosis.shrinkage import (
-    Floor,
-    cycle_errors,
-    cycle_floor,
-    explainable_share,
-    shapley,
-    shrinkage,
-)
+from wrapjax.diagnosis.noise_floor import NoiseFloor, cycle_errors, explainable_share, noise_floor, shrinkage
+from wrapjax.diagnosis.verification import shapley_values
 
 PHASE = np.arange(25) / 25
 WAVES = np.concatenate([[np.sin(2 * np.pi * k * PHASE), np.cos(2 * np.pi * k * PHASE)] for k in (1, 2, 3)])
@@ -32,9 +26,9 @@ def test_the_floor_is_the_variance_of_the_noise_on_average():
     repeats = 5.0 * smooth(generator, 2, 3)
     found = np.mean(
         [
-            cycle_floor(
+            noise_floor(
                 repeats[speeds] + sizes[speeds][:, None, None] * smooth(generator, 6, 3), speeds, 18.0
-            ).each
+            ).by_cycle
             for _ in range(1500)
         ],
         axis=0,
@@ -45,22 +39,26 @@ def test_the_floor_is_the_variance_of_the_noise_on_average():
 def test_what_follows_an_input_is_no_noise():
     generator = np.random.default_rng(1)
     residuals, speeds = smooth(generator, 8, 2), np.repeat([0, 1], 4)
-    whole = cycle_floor(residuals, speeds, 12.0).each
+    whole = noise_floor(residuals, speeds, 12.0).by_cycle
     driven = np.array([0.25 * whole[:4].mean(), -1.0])
-    less = cycle_floor(residuals, speeds, 12.0, driven)
-    np.testing.assert_allclose(less.each[:4], 0.75 * whole[:4])
-    np.testing.assert_allclose(less.each[4:], whole[4:], err_msg="below zero there is nothing to take off")
-    np.testing.assert_array_equal(less.most, whole, err_msg="what may be driven may be noise as well")
-    some = cycle_floor(residuals, speeds, 12.0, 9.0 * np.ones(2)).each
+    less = noise_floor(residuals, speeds, 12.0, driven)
+    np.testing.assert_allclose(less.by_cycle[:4], 0.75 * whole[:4])
+    np.testing.assert_allclose(
+        less.by_cycle[4:], whole[4:], err_msg="below zero there is nothing to take off"
+    )
+    np.testing.assert_array_equal(
+        less.without_driven, whole, err_msg="what may be driven may be noise as well"
+    )
+    some = noise_floor(residuals, speeds, 12.0, 9.0 * np.ones(2)).by_cycle
     np.testing.assert_allclose(some, 0.2 * whole, err_msg="some of it is always noise")
 
 
 def test_a_cycle_alone_at_its_speed_has_the_floor_of_the_others():
     generator = np.random.default_rng(2)
     residuals = smooth(generator, 5, 2)
-    floor = cycle_floor(residuals, np.array([0, 0, 1, 0, 2]), 12.0).each
+    floor = noise_floor(residuals, np.array([0, 0, 1, 0, 2]), 12.0).by_cycle
     np.testing.assert_allclose(floor[[2, 4]], floor[[0, 1, 3]].mean())
-    assert not cycle_floor(residuals, np.arange(5), 12.0).known
+    assert not noise_floor(residuals, np.arange(5), 12.0).known
 
 
 def test_a_share_of_what_can_be_explained_is_exact():
@@ -69,9 +67,9 @@ def test_a_share_of_what_can_be_explained_is_exact():
     above = np.array([8.0, 6.0, 9.0, 7.0, 8.0, 6.0])
     speeds = np.repeat([0, 1], 3)
     for share in (0.5, 1.25, -0.5):
-        found = shrinkage(floor + above, floor + (1.0 - share) * above, Floor(floor, floor, 0.0), speeds)
+        found = shrinkage(floor + above, floor + (1.0 - share) * above, NoiseFloor(floor, floor, 0.0), speeds)
         np.testing.assert_allclose([found.value, found.low, found.high], share)
-    part = explainable_share(floor + above, Floor(floor, floor, 0.0), speeds)
+    part = explainable_share(floor + above, NoiseFloor(floor, floor, 0.0), speeds)
     assert part.value == pytest.approx(44.0 / 54.0)
     assert part.low < part.value < part.high
 
@@ -82,7 +80,11 @@ def test_an_estimated_floor_widens_the_interval_and_does_not_move_the_share():
     before, after = floor + above, floor + 0.5 * above
     exact, most_is_more, doubtful = (
         shrinkage(before, after, one, speeds)
-        for one in (Floor(floor, floor, 0.0), Floor(floor, 2.0 * floor, 0.0), Floor(floor, floor, 0.1))
+        for one in (
+            NoiseFloor(floor, floor, 0.0),
+            NoiseFloor(floor, 2.0 * floor, 0.0),
+            NoiseFloor(floor, floor, 0.1),
+        )
     )
     for one in (most_is_more, doubtful):
         assert one.value == exact.value == pytest.approx(0.5)
@@ -103,7 +105,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
         repeats = (4.0 * smooth(generator, 2, 3))[speeds] * size
         noise = (1.0, 3.0)[number % 2] * smooth(generator, cycles, 3)
         before, after = cycle_errors(repeats + noise), cycle_errors(0.4 * repeats + noise)
-        found = shrinkage(before, after, cycle_floor(repeats + noise, speeds, 18.0), speeds, seed=number)
+        found = shrinkage(before, after, noise_floor(repeats + noise, speeds, 18.0), speeds, seed=number)
         known += found.known
         held += found.known and found.low <= truth <= found.high
     assert known > 400
@@ -118,11 +120,11 @@ def test_an_error_that_may_be_noise_cannot_shrink():
     for _ in range(100):
         noise = smooth(generator, 8, 3)
         before = cycle_errors(noise)
-        found = shrinkage(before, 0.9 * before, cycle_floor(noise, speeds, 18.0), speeds)
+        found = shrinkage(before, 0.9 * before, noise_floor(noise, speeds, 18.0), speeds)
         assert found.known == np.isfinite(found.value) == (not found.reason)
         told += found.known
     assert told <= 10
-    alone = Floor(np.full(2, np.nan), np.full(2, np.nan), 0.1)
+    alone = NoiseFloor(np.full(2, np.nan), np.full(2, np.nan), 0.1)
     for found in (
         shrinkage(np.ones(2), np.ones(2), alone, np.arange(2)),
         explainable_share(np.ones(2), alone, np.arange(2)),
@@ -136,15 +138,15 @@ def test_shares_add_up_and_do_not_depend_on_the_order(worth, order):
     parts = [frozenset(), *(frozenset({name}) for name in MEMBERS)]
     parts += [frozenset(MEMBERS) - {name} for name in MEMBERS] + [frozenset(MEMBERS)]
     value = dict(zip(parts, [0.5, *worth], strict=True))
-    shares = shapley(MEMBERS, lambda part: value[frozenset(part)])
+    shares = shapley_values(MEMBERS, lambda part: value[frozenset(part)])
     assert sum(shares.values()) == pytest.approx(value[frozenset(MEMBERS)] - 0.5)
-    again = shapley(order, lambda part: value[frozenset(part)])
+    again = shapley_values(order, lambda part: value[frozenset(part)])
     assert again == pytest.approx(shares)
 
 
 def test_shares_of_two_that_overlap_are_split_evenly():
     """Each alone removes 3 and 5, both 6: what they share, 2, is halved."""
     value = {(): 0.0, ("a",): 3.0, ("b",): 5.0, ("a", "b"): 6.0}
-    assert shapley(("a", "b"), value.__getitem__) == pytest.approx({"a": 2.0, "b": 4.0})
-    idle = shapley(("a", "b", "idle"), lambda part: value[tuple(n for n in part if n != "idle")])
+    assert shapley_values(("a", "b"), value.__getitem__) == pytest.approx({"a": 2.0, "b": 4.0})
+    idle = shapley_values(("a", "b", "idle"), lambda part: value[tuple(n for n in part if n != "idle")])
     assert idle == pytest.approx({"a": 2.0, "b": 4.0, "idle": 0.0})

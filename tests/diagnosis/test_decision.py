@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wrapjax.diagnosis.result import OUTCOMES
-from wrapjax.diagnosis.verdict import (
-    LEVEL_WITH,
-    TIE,
+from wrapjax.diagnosis.decision import (
+    OUTCOMES,
+    TIE_DISTANCE,
+    TIE_EVIDENCE,
     DecisionConstants,
     Probabilities,
     credible_set,
-    decision,
-    judge,
+    decide_on_single_effect,
+    describe_effect,
     probabilities,
-    tie_of,
+    tied_effects,
 )
 
 NAMES = ("one", "two", "three", "four")
@@ -65,7 +65,7 @@ def test_offsets_are_where_an_effect_is_as_probable_as_none():
 
 
 def alike(*pairs):
-    apart = np.full((4, 4), 10.0 * TIE)
+    apart = np.full((4, 4), 10.0 * TIE_DISTANCE)
     for one, other in pairs:
         apart[NAMES.index(one), NAMES.index(other)] = apart[NAMES.index(other), NAMES.index(one)] = 1.0
     return apart
@@ -74,25 +74,25 @@ def alike(*pairs):
 def test_a_tie_is_of_every_pair():
     level = dict(zip(NAMES, (10.0, 9.0, 8.0, 7.0), strict=True))
     chain = alike(("one", "two"), ("two", "three"), ("three", "four"))
-    assert tie_of("one", NAMES, chain, level) == ("one", "two")
+    assert tied_effects("one", NAMES, chain, level) == ("one", "two")
     ring = alike(("one", "two"), ("two", "three"), ("one", "three"))
-    assert tie_of("one", NAMES, ring, level) == ("one", "two", "three")
-    assert tie_of("one", NAMES, alike(), level) == ("one",)
+    assert tied_effects("one", NAMES, ring, level) == ("one", "two", "three")
+    assert tied_effects("one", NAMES, alike(), level) == ("one",)
 
 
 def test_a_tie_is_both_ways_and_among_those_level():
     apart = alike(("one", "two"), ("one", "three"), ("two", "three"))
-    apart[1, 0] = 10.0 * TIE
-    level = dict(zip(NAMES, (10.0, 9.0, 10.0 - LEVEL_WITH, 7.0), strict=True))
-    assert tie_of("one", NAMES, apart, level) == ("one", "three")
+    apart[1, 0] = 10.0 * TIE_DISTANCE
+    level = dict(zip(NAMES, (10.0, 9.0, 10.0 - TIE_EVIDENCE, 7.0), strict=True))
+    assert tied_effects("one", NAMES, apart, level) == ("one", "three")
     level["three"] -= 0.1
-    assert tie_of("one", NAMES, apart, level) == ("one",)
+    assert tied_effects("one", NAMES, apart, level) == ("one",)
 
 
 def test_of_those_that_exclude_each_other_the_more_plausible_is_tied():
     level = dict(zip(NAMES, (10.0, 8.0, 9.0, 7.0), strict=True))
     apart = alike(("one", "two"), ("one", "three"))
-    assert tie_of("one", NAMES, apart, level) == ("one", "three")
+    assert tied_effects("one", NAMES, apart, level) == ("one", "three")
 
 
 def test_a_credible_set_is_the_fewest_in_order():
@@ -124,13 +124,17 @@ EVIDENCE = {"one": 20.0, "two": 18.0}
 
 
 def test_every_outcome_has_its_ground():
-    clear = judge(found(one=0.8, two=0.1, none=0.1), EVIDENCE, ("one",), 5.0, ())
+    clear = decide_on_single_effect(found(one=0.8, two=0.1, none=0.1), EVIDENCE, ("one",), 5.0, ())
     assert (clear.outcome, clear.named, clear.tie) == ("named", ("one",), ())
-    tied = judge(found(one=0.4, two=0.35, none=0.25), EVIDENCE, ("one", "two"), 5.0, ())
+    tied = decide_on_single_effect(found(one=0.4, two=0.35, none=0.25), EVIDENCE, ("one", "two"), 5.0, ())
     assert (tied.outcome, tied.named, tied.tie) == ("tie", (), ("one", "two"))
-    strange = judge(found(one=0.2, two=0.1, none=0.2, unknown=0.5), EVIDENCE, ("one",), 5.0, ())
-    quiet = judge(found(one=0.2, two=0.1, none=0.5, unknown=0.2), EVIDENCE, ("one",), 5.0, ())
-    empty = judge(found(none=1.0), {}, (), 5.0, ())
+    strange = decide_on_single_effect(
+        found(one=0.2, two=0.1, none=0.2, unknown=0.5), EVIDENCE, ("one",), 5.0, ()
+    )
+    quiet = decide_on_single_effect(
+        found(one=0.2, two=0.1, none=0.5, unknown=0.2), EVIDENCE, ("one",), 5.0, ()
+    )
+    empty = decide_on_single_effect(found(none=1.0), {}, (), 5.0, ())
     assert [one.outcome for one in (strange, quiet, empty)] == ["unknown", "none", "none"]
     for one in (clear, tied, strange, quiet, empty):
         assert one.outcome in OUTCOMES
@@ -139,26 +143,26 @@ def test_every_outcome_has_its_ground():
 
 def test_nothing_is_named_below_the_alarm():
     """However probable beside the others: twins with nothing amiss show as much."""
-    got = judge(found(one=0.9, two=0.05, none=0.05), EVIDENCE, ("one",), 20.0, ())
+    got = decide_on_single_effect(found(one=0.9, two=0.05, none=0.05), EVIDENCE, ("one",), 20.0, ())
     assert (got.outcome, got.named) == ("none", ())
 
 
 def test_a_leading_negative_control_means_something_unknown():
     shares = found(one=0.9, two=0.05, none=0.05)
-    got = judge(shares, EVIDENCE, ("one",), 5.0, ("one",))
+    got = decide_on_single_effect(shares, EVIDENCE, ("one",), 5.0, ("one",))
     assert (got.outcome, got.named, got.tie) == ("unknown", (), ())
     assert "one" in got.reason
-    assert judge(shares, EVIDENCE, ("one", "two"), 5.0, ("one",)).outcome == "unknown"
-    assert judge(shares, EVIDENCE, ("one",), 5.0, ("two",)).outcome == "named"
-    assert judge(shares, EVIDENCE, ("one",), 30.0, ("one",)).outcome == "none"
+    assert decide_on_single_effect(shares, EVIDENCE, ("one", "two"), 5.0, ("one",)).outcome == "unknown"
+    assert decide_on_single_effect(shares, EVIDENCE, ("one",), 5.0, ("two",)).outcome == "named"
+    assert decide_on_single_effect(shares, EVIDENCE, ("one",), 30.0, ("one",)).outcome == "none"
 
 
 def test_what_is_made_of_an_effect_follows_what_could_be_seen():
-    assert "best" in decision(20.0, 1.0, 5.0, named=True)
-    assert "not testable" in decision(20.0, 1.0, 5.0, named=False)
-    assert "others" in decision(20.0, 8.0, 5.0, named=False)
-    assert "missed" in decision(1.0, 3.0, 5.0, named=False)
-    assert decision(1.0, 8.0, 5.0, named=False) == "not seen; one of expected size would be"
+    assert "best" in describe_effect(20.0, 1.0, 5.0, named=True)
+    assert "not testable" in describe_effect(20.0, 1.0, 5.0, named=False)
+    assert "others" in describe_effect(20.0, 8.0, 5.0, named=False)
+    assert "missed" in describe_effect(1.0, 3.0, 5.0, named=False)
+    assert describe_effect(1.0, 8.0, 5.0, named=False) == "not seen; one of expected size would be"
 
 
 def test_shipped_constants_are_usable():
@@ -173,8 +177,8 @@ def test_shipped_constants_are_usable():
 
 def test_what_the_recording_could_not_show_is_not_named():
     found = Probabilities({"one": 0.9}, none=0.06, unknown=0.04)
-    assert judge(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
-    verdict = judge(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
+    assert decide_on_single_effect(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
+    verdict = decide_on_single_effect(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
     assert verdict.outcome == "unknown" and "could not show" in verdict.reason and not verdict.named
 
 
@@ -189,7 +193,11 @@ def test_what_does_not_help_with_cycles_kept_back_is_not_named():
         ((1.0, 2.0, -0.5, -0.1, 3.0, 1.0, 0.0, 1.0), "unknown"),
         ((0.1, 0.1, -3.0, 0.1, 0.1), "unknown"),
     ):
-        verdict = judge(got, EVIDENCE, ("one",), 5.0, (), (), {"one": gains, "two": (-1.0,) * 5})
+        verdict = decide_on_single_effect(
+            got, EVIDENCE, ("one",), 5.0, (), (), {"one": gains, "two": (-1.0,) * 5}
+        )
         assert verdict.outcome == outcome
-    assert "kept back" in verdict.reason
-    assert judge(got, EVIDENCE, ("one",), 5.0, (), (), {"two": (-1.0,) * 5}).outcome == "named"
+    assert "held-out cycles" in verdict.reason
+    assert (
+        decide_on_single_effect(got, EVIDENCE, ("one",), 5.0, (), (), {"two": (-1.0,) * 5}).outcome == "named"
+    )

@@ -13,10 +13,11 @@ from tests.diagnosis.subject import CURVES, MUSCLES, small_recording_and_context
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
-from wrapjax.diagnosis.linearization import in_the_mean, linearized_model, moment_slopes, phase_frames
-from wrapjax.diagnosis.null import known_covariance, nulls
+from wrapjax.diagnosis.input import phase_frames
+from wrapjax.diagnosis.linearization import linearized_model, mean_emg, moment_slopes
+from wrapjax.diagnosis.null_covariance import fixed_covariance, nulls
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.score import score_each
+from wrapjax.diagnosis.score_test import score_each
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
@@ -30,7 +31,7 @@ def setting():
     recording, context = small_recording_and_context()
     base = context.parameters
     free = free_variables(base, nga_freedom(base), context.muscles)
-    effects = tuple(CATALOGUE[id].on(context) for id in EFFECTS)
+    effects = tuple(CATALOGUE[id].build(context) for id in EFFECTS)
     damping = Effects(effects[:1])
     effect_sizes = 2.0 * damping.prior_sd
     moments = np.asarray(predicted_moments(CURVES, base, recording, damping, jnp.asarray(effect_sizes)))
@@ -44,24 +45,26 @@ def setting():
         variables=free,
         penalties=(),
     )
-    gap = linearized_model(problem, free.start(), recording, measured, context, effects)
-    return problem, recording, measured, gap, effect_sizes
+    linearized = linearized_model(problem, free.start(), recording, measured, context, effects)
+    return problem, recording, measured, linearized, effect_sizes
 
 
 def test_residual_is_taken_to_where_parameters_were_expected(setting):
     """To first order it is what the model leaves there: halving the way quarters the difference."""
-    problem, recording, measured, gap, _ = setting
+    problem, recording, measured, linearized, _ = setting
     free, frames = problem.variables, phase_frames(measured.shape[-1])
     start = np.asarray(free.start())
     precision = np.asarray(free.prior_precision)
-    to_expected = -gap.away
+    to_expected = -linearized.from_prior_mean
     # Of as many muscles as variables of a kind, and no penalty, that is the mean of the prior, but for a
     # little that bounds pull.
     known = precision > 0.0
-    np.testing.assert_allclose((start - gap.away)[known], np.asarray(free.prior_mean)[known], atol=0.15)
-    slope = np.tensordot(to_expected, gap.slopes, axes=1)
-    np.testing.assert_allclose(gap.residual, gap.fitted - slope, atol=1e-9)
-    quiet = dataclasses.replace(recording, emg=in_the_mean(recording.emg, gap.speeds))
+    np.testing.assert_allclose(
+        (start - linearized.from_prior_mean)[known], np.asarray(free.prior_mean)[known], atol=0.15
+    )
+    slope = np.tensordot(to_expected, linearized.slopes, axes=1)
+    np.testing.assert_allclose(linearized.residual, linearized.fitted_residual - slope, atol=1e-9)
+    quiet = dataclasses.replace(recording, emg=mean_emg(recording.emg, linearized.speeds))
 
     def left(share):
         moments = joint_moments(CURVES, free.unpack(jnp.asarray(start + share * to_expected)), quiet)
@@ -74,9 +77,9 @@ def test_residual_is_taken_to_where_parameters_were_expected(setting):
 
 def test_parameters_far_from_expected_leave_no_noise_of_emg(setting):
     """All that the residual takes back, calibrated parameters of the null hypothesis can take back again."""
-    gap = setting[3]
-    moved = (gap.residual - gap.fitted).ravel()
-    lines = gap.calibrated.reshape(gap.calibrated.shape[0], -1)
+    linearized = setting[3]
+    moved = (linearized.residual - linearized.fitted_residual).ravel()
+    lines = linearized.calibrated.reshape(linearized.calibrated.shape[0], -1)
     effect_sizes = np.linalg.lstsq(lines.T, moved, rcond=None)[0]
     np.testing.assert_allclose(lines.T @ effect_sizes, moved, atol=1e-9 * np.abs(moved).max())
 
@@ -87,7 +90,7 @@ def test_noise_of_emg_is_not_in_the_lines(setting):
     free, context = problem.variables, small_recording_and_context()[1]
     # All of one speed, and the same but for noise.
     context = dataclasses.replace(context, speeds=np.full(len(context.trials), 0.8))
-    emg = in_the_mean(recording.emg, np.zeros(len(context.trials), dtype=int))
+    emg = mean_emg(recording.emg, np.zeros(len(context.trials), dtype=int))
     true = dataclasses.replace(recording, emg=emg)
     measured = np.asarray(joint_moments(CURVES, free.unpack(free.start()), true))
     gains = [row for row, label in enumerate(free.labels) if label.endswith("emg_scale")]
@@ -97,10 +100,15 @@ def test_noise_of_emg_is_not_in_the_lines(setting):
         noise = np.random.default_rng(seed).normal(size=emg.coefficients[:, :, :1].shape)
         heard = dataclasses.replace(emg, coefficients=emg.coefficients * (1.0 + 0.3 * noise))
         noisy = dataclasses.replace(true, emg=heard)
-        gap = linearized_model(problem, free.start(), noisy, measured, context, ())
+        linearized = linearized_model(problem, free.start(), noisy, measured, context, ())
         as_recorded = moment_slopes(problem, free.start(), noisy, frames)
-        lines = np.stack([as_recorded[gains], gap.slopes[gains]]).reshape(2, len(gains), -1)
-        alike.append(lines @ gap.fitted.ravel() / np.linalg.norm(lines, axis=-1) / np.linalg.norm(gap.fitted))
+        lines = np.stack([as_recorded[gains], linearized.slopes[gains]]).reshape(2, len(gains), -1)
+        alike.append(
+            lines
+            @ linearized.fitted_residual.ravel()
+            / np.linalg.norm(lines, axis=-1)
+            / np.linalg.norm(linearized.fitted_residual)
+        )
     recorded, mean = np.mean(alike, axis=(0, 2))
     assert recorded < -0.05
     assert abs(mean) < 0.5 * abs(recorded)
@@ -108,61 +116,61 @@ def test_noise_of_emg_is_not_in_the_lines(setting):
 
 def test_envelopes_are_averaged_over_the_cycles_of_a_speed(setting):
     emg = setting[1].emg
-    mean = in_the_mean(emg, np.array([0, 1, 1, 0]))
+    mean = mean_emg(emg, np.array([0, 1, 1, 0]))
     np.testing.assert_allclose(
         mean.coefficients[:, 0], 0.5 * (emg.coefficients[:, 0] + emg.coefficients[:, 3])
     )
     np.testing.assert_array_equal(mean.coefficients[:, 1], mean.coefficients[:, 2])
-    apart = in_the_mean(emg, np.arange(4))
+    apart = mean_emg(emg, np.arange(4))
     np.testing.assert_allclose(apart.coefficients, emg.coefficients, rtol=1e-12)
 
 
 def test_an_error_of_emg_is_an_error_of_all_muscles_of_its_channel(setting):
-    problem, _, _, gap, _ = setting
-    free, (emg, angles) = problem.variables, gap.input_errors
+    problem, _, _, linearized, _ = setting
+    free, (emg, angles) = problem.variables, linearized.input_errors
     # The second channel drives both gastrocnemii.
     rows = [free.labels.index(f"{name}.emg_scale") for name in ("gasmed_l", "gaslat_l")]
     values = np.asarray(free.start())[rows]
-    expected = 0.10 * np.tensordot(values, gap.slopes[rows], axes=1)
+    expected = 0.10 * np.tensordot(values, linearized.slopes[rows], axes=1)
     np.testing.assert_allclose(emg.signatures[1], expected, rtol=1e-9, atol=1e-12)
     assert angles.signatures.shape[0] == 3
     assert np.abs(angles.signatures).max() > 0.1
 
 
 def test_muscle_errors_are_in_maximum_isometric_forces(setting):
-    problem, recording, _, gap, _ = setting
+    problem, recording, _, linearized, _ = setting
     arms = np.asarray(recording.path.nominal.moment_arm)[
         ..., phase_frames(recording.path.nominal.length.shape[-1])
     ]
     force = np.asarray(problem.initial.max_isometric_force)[:, None, None, None]
-    np.testing.assert_allclose(gap.muscle_errors.arms, arms * force)
-    assert gap.muscle_errors.states.shape[0] == len(MUSCLES)
+    np.testing.assert_allclose(linearized.muscle_errors.arms, arms * force)
+    assert linearized.muscle_errors.states.shape[0] == len(MUSCLES)
 
 
 def test_nuisances_are_part_of_the_null_and_never_candidates(setting):
-    gap = setting[3]
-    assert {candidate.id for candidate in gap.candidates} == set(EFFECTS) - {"curve_family"}
-    assert len(gap.nuisances)
+    linearized = setting[3]
+    assert {candidate.id for candidate in linearized.candidates} == set(EFFECTS) - {"curve_family"}
+    assert len(linearized.nuisances)
 
 
 def test_candidates_know_how_large_amounts_may_be(setting):
-    *_, gap, _ = setting
+    *_, linearized, _ = setting
     _, context = small_recording_and_context()
-    for candidate in gap.candidates:
-        effect = CATALOGUE[candidate.id].on(context)
+    for candidate in linearized.candidates:
+        effect = CATALOGUE[candidate.id].build(context)
         np.testing.assert_array_equal(candidate.limit, [entry.limit for entry in effect.parameters])
         # A score and a joint fit expect the same.
         large = Effects((effect.of_size(3.0),))
-        np.testing.assert_array_equal(candidate.expected(3.0), large.prior_sd)
-    covariance = known_covariance(gap)
+        np.testing.assert_array_equal(candidate.scaled_prior_sd(3.0), large.prior_sd)
+    covariance = fixed_covariance(linearized)
     np.testing.assert_allclose(covariance, covariance.T)
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
 def test_the_effect_at_work_has_most_evidence(setting):
-    *_, measured, gap, effect_sizes = setting
+    *_, measured, linearized, effect_sizes = setting
     sizes = measured.std(axis=(0, 2))
-    (found,) = score_each(gap.residual.reshape(1, -1), nulls(gap, sizes), gap.candidates)
+    (found,) = score_each(linearized.residual.reshape(1, -1), nulls(linearized, sizes), linearized.candidates)
     first = max(found.scores, key=lambda one: one.evidence)
     assert first.id == "joint_damping"
     assert first.evidence > 5.0

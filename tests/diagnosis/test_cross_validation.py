@@ -9,11 +9,12 @@ import pytest
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
 from tests.diagnosis.subject import CURVES
 from wrapjax.calibration.solvers.interface import Linearization
-from wrapjax.diagnosis import held_out
-from wrapjax.diagnosis.held_out import cross_fit, effect_size_covariance, plan_of, speed_conflict
-from wrapjax.diagnosis.linearization import speed_numbers
+from wrapjax.diagnosis import cross_validation
+from wrapjax.diagnosis.cross_validation import cross_fit, cross_validation_plan
+from wrapjax.diagnosis.input import speed_numbers
+from wrapjax.diagnosis.joint_fit import allowed_errors, effect_size_covariance, fit_jointly, joint_problem
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.refit import allowed_errors, fit_jointly, joint_problem
+from wrapjax.diagnosis.verification import speed_conflict
 
 SPEEDS = np.array([0, 0, 1, 1])
 
@@ -27,7 +28,7 @@ def blocks_of(plan):
 
 
 def test_of_few_cycles_single_ones_are_left_out():
-    plan = plan_of(uses("cvccc"), np.array([0, 0, 1, 1, 0]))
+    plan = cross_validation_plan(uses("cvccc"), np.array([0, 0, 1, 1, 0]))
     assert plan.calibration.tolist() == [0, 2, 3, 4]
     assert plan.speeds.tolist() == [0, 1, 1, 0]
     assert blocks_of(plan) == [[0], [1], [2], [3]]
@@ -36,35 +37,35 @@ def test_of_few_cycles_single_ones_are_left_out():
 
 
 def test_of_five_cycles_a_speed_one_of_each_is_left_out():
-    plan = plan_of(uses("c" * 10), np.arange(10) % 2)
+    plan = cross_validation_plan(uses("c" * 10), np.arange(10) % 2)
     assert blocks_of(plan) == [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9]]
-    one_short = plan_of(uses("c" * 9), np.arange(9) % 2)
+    one_short = cross_validation_plan(uses("c" * 9), np.arange(9) % 2)
     assert blocks_of(one_short) == [[number] for number in range(9)]
 
 
 def test_more_cycles_are_left_out_with_earlier_ones():
     """Five blocks at most, each cycle in one."""
-    plan = plan_of(uses("c" * 13), np.repeat([0, 1], [7, 6]))
+    plan = cross_validation_plan(uses("c" * 13), np.repeat([0, 1], [7, 6]))
     assert blocks_of(plan) == [[0, 5, 7, 12], [1, 6, 8], [2, 9], [3, 10], [4, 11]]
 
 
 def test_a_speed_that_only_validation_has_is_new():
-    plan = plan_of(uses("ccvvcc"), np.array([1, 1, 0, 2, 2, 2]))
+    plan = cross_validation_plan(uses("ccvvcc"), np.array([1, 1, 0, 2, 2, 2]))
     assert plan.new_speed.tolist() == [False, False, True, False, False, False]
     assert plan.speeds.tolist() == [0, 0, 1, 1], "those that fits see are counted from 0"
 
 
 def test_one_speed_and_unknown_speeds_are_one():
     for speeds in (np.full(4, 0.7), np.full(4, np.nan)):
-        plan = plan_of(uses("ccvc"), speed_numbers(speeds))
+        plan = cross_validation_plan(uses("ccvc"), speed_numbers(speeds))
         assert plan.counts.tolist() == [3]
         assert not plan.new_speed.any()
-    mixed = plan_of(uses("cccc"), speed_numbers(np.array([0.5, np.nan, 0.8, np.nan])))
+    mixed = cross_validation_plan(uses("cccc"), speed_numbers(np.array([0.5, np.nan, 0.8, np.nan])))
     assert mixed.counts.tolist() == [1, 1, 2]
 
 
 def test_without_calibration_cycles_nothing_is_left_out():
-    plan = plan_of(uses("vv"), np.array([0, 1]))
+    plan = cross_validation_plan(uses("vv"), np.array([0, 1]))
     assert (blocks_of(plan), plan.counts.tolist()) == ([], [])
     assert plan.new_speed.all()
 
@@ -99,13 +100,13 @@ def from_one_start(leg):
     problem, start, predict = leg
     seen = []
 
-    def fit(problem, _, used=None, kept=None):
+    def fit(problem, _, used=None, cache=None):
         seen.append(None if used is None else used.tolist())
         return fit_jointly(problem, start, used)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(held_out, "fit_jointly", fit)
-        plan = plan_of(uses("cccc"), SPEEDS)
+        patch.setattr(cross_validation, "fit_jointly", fit)
+        plan = cross_validation_plan(uses("cccc"), SPEEDS)
         first = cross_fit(problem, start, plan, SPEEDS, predict)
         of_first = list(seen)
         return first, cross_fit(changed(problem, 1), start, plan, SPEEDS, predict), of_first
@@ -142,7 +143,7 @@ def test_each_cycle_is_left_out_once_and_each_speed_fitted_alone(from_one_start)
 def test_starting_at_the_whole_fit_gives_little_away(leg):
     """It has seen the cycle, and fits end a little apart: by little of what seeing the cycle would do."""
     problem, start, predict = leg
-    plan = plan_of(uses("cccc"), SPEEDS)
+    plan = cross_validation_plan(uses("cccc"), SPEEDS)
     first, second = (cross_fit(own, start, plan, SPEEDS, predict) for own in (problem, changed(problem, 1)))
     left_out = np.std((first.predicted - second.predicted)[1])
     whole = [predict(fit.full.calibrated, fit.full.effect_sizes)[1] for fit in (first, second)]
@@ -159,7 +160,7 @@ def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
 
     for speed, new in ((0, False), (2, True)):
         speeds = np.array([*SPEEDS, speed])
-        found = cross_fit(problem, start, plan_of(uses("ccccv"), speeds), speeds, five)
+        found = cross_fit(problem, start, cross_validation_plan(uses("ccccv"), speeds), speeds, five)
         expected = five(found.full.calibrated, found.full.effect_sizes)[4]
         np.testing.assert_array_equal(found.predicted[4], expected)
         assert np.array_equal(found.at_other_speed[4], expected) is new
@@ -170,7 +171,7 @@ def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
 def test_of_one_speed_there_is_no_other(leg):
     problem, start, predict = leg
     one = np.zeros(4, dtype=int)
-    found = cross_fit(problem, start, plan_of(uses("cccc"), one), one, predict)
+    found = cross_fit(problem, start, cross_validation_plan(uses("cccc"), one), one, predict)
     assert (found.of_speeds, found.at_other_speed) == ((), None)
     assert speed_conflict(found, WEIGHT) is None
 
@@ -210,7 +211,7 @@ def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_st
     shared = np.array(alone.model.gauss_newton)
     shared[0, place] = shared[place, 0] = 0.8
     mixed = replace(alone, model=replace(alone.model, gauss_newton=jnp.asarray(shared)))
-    sizes = np.asarray(fit.problem.amount_sd) ** 2
+    sizes = np.asarray(fit.problem.effect_size_sd) ** 2
     np.testing.assert_allclose(np.diag(effect_size_covariance(alone, 0.1)), 0.1 * sizes, rtol=1e-6)
     ratio = np.diag(effect_size_covariance(mixed, 0.1)) / np.diag(effect_size_covariance(alone, 0.1))
     np.testing.assert_allclose(ratio, [1.0 / (1.0 - 0.64), 1.0, 1.0, 1.0], rtol=1e-6)

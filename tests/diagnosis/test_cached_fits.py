@@ -9,7 +9,7 @@ import pytest
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
 from wrapjax.calibration.solvers.checkpoints import SolveCache, solve_fingerprint
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
-from wrapjax.diagnosis.refit import SOLVER, fit_jointly, joint_problem
+from wrapjax.diagnosis.joint_fit import SOLVER, fit_jointly, joint_problem
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def leg():
 def done(leg, tmp_path_factory):
     """The folder and the fit that it keeps."""
     kept = SolveCache(tmp_path_factory.mktemp("kept"))
-    return kept, fit_jointly(*leg, kept=kept)
+    return kept, fit_jointly(*leg, cache=kept)
 
 
 def solving(monkeypatch, wrong=KeyboardInterrupt):
@@ -39,7 +39,7 @@ def solving(monkeypatch, wrong=KeyboardInterrupt):
 def test_what_was_done_is_not_done_again(leg, done, monkeypatch):
     kept, first = done
     solving(monkeypatch, AssertionError("solved again"))
-    again = fit_jointly(*leg, kept=kept)
+    again = fit_jointly(*leg, cache=kept)
     assert again.status is first.status
     assert again.cost == first.cost
     np.testing.assert_array_equal(again.variables, first.variables)
@@ -63,7 +63,9 @@ def test_what_decides_where_a_fit_ends_is_in_its_name(leg):
         ),
         "curves": replace(problem, plain=replace(plain, curves=curves)),
         "cycles": replace(problem, plain=replace(plain, moment_error=np.ones((4, 1, 1)))),
-        "effects": replace(problem, forms=problem.forms[::-1], counts=problem.counts[::-1]),
+        "effects": replace(
+            problem, alteration_functions=problem.alteration_functions[::-1], counts=problem.counts[::-1]
+        ),
         "priors": replace(problem, effect_size_weight=2.0 * problem.effect_size_weight),
     }
     names = {solve_fingerprint(one, start, SOLVER) for one in others.values()}
@@ -82,12 +84,12 @@ def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content)
     (whole,) = kept.folder.iterdir()
     own = SolveCache(tmp_path)
     (tmp_path / whole.name).write_bytes(whole.read_bytes()[:100] if content is None else content)
-    np.testing.assert_array_equal(fit_jointly(*leg, kept=own).variables, first.variables)
+    np.testing.assert_array_equal(fit_jointly(*leg, cache=own).variables, first.variables)
     assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
 
 
 def test_an_interrupted_fit_ends_the_work_and_is_not_kept(leg, monkeypatch, tmp_path):
     solving(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
-        fit_jointly(*leg, kept=SolveCache(tmp_path))
+        fit_jointly(*leg, cache=SolveCache(tmp_path))
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,390 @@
+"""Decision on the effects: probabilities, ties, credible set and outcome, by constants and thresholds.
+
+The constants were chosen on cases with known causes (see `DecisionConstants`). No fit is made here.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from itertools import combinations
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit, logsumexp
+
+from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.refit import Ids
+from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.score_test import PRIOR_FACTORS
+from wrapjax.diagnosis.verification import Verification
+
+#: Squared distance, in squared standard deviations, below which two effects cannot be told apart.
+TIE_DISTANCE = 9.0
+#: Largest difference of evidence (nats) between the strongest effect and the other members of its tie.
+TIE_EVIDENCE = 5.0
+#: Smallest probability of an effect that is named, or of all members of a tie together.
+MIN_PROBABILITY = 0.5
+#: Detectability below which a recording cannot show an effect, and below which it could miss it.
+MIN_DETECTABILITY, RELIABLE_DETECTABILITY = 2.0, 5.0
+
+#: How a diagnosis can end.
+#:
+#: named
+#:     One effect explains the error best, or several do together, each of them needed beside the others.
+#: tie
+#:     Several effects do that this recording cannot tell apart.
+#: unknown
+#:     The model has an error that no effect of the catalogue explains.
+#: none
+#:     The error is not larger than that of null replicates.
+#: insufficient_data
+#:     There are too few cycles to separate the repeatable error from noise.
+#: not_converged
+#:     The convergence check failed; the error may be that of an unfinished fit.
+OUTCOMES = ("named", "tie", "unknown", "none", "insufficient_data", "not_converged")
+
+
+@dataclass(frozen=True)
+class DecisionConstants:
+    """Constants of the decision, from a blind bank: cases of a simulator that shares nothing with the model.
+
+    Parameters
+    ----------
+    bank, sha256
+        Name of the blind bank, and hash of its manifest.
+    temperature
+        Divisor of the evidence; see temperature scaling (Guo et al. 2017).
+    offset
+        Evidence at which an effect is as probable as none, nats.
+    detection_threshold
+        Evidence that is rarely exceeded without any effect, nats.
+    structured_offset, structured_scale
+        Evidence for unexplained errors at which an unknown cause is as probable as none, and the scale over
+        which that changes, nats.
+    set_level
+        Nominal probability of a credible set, so that it covers 90 %.
+    """
+
+    bank: str
+    sha256: str
+    temperature: float
+    offset: float
+    detection_threshold: float
+    structured_offset: float
+    structured_scale: float
+    set_level: float
+
+    @classmethod
+    def shipped(cls) -> DecisionConstants:
+        """Read the constants that come with the package."""
+        text = (
+            resources.files("wrapjax.diagnosis")
+            .joinpath("decision_constants.json")
+            .read_text(encoding="utf-8")
+        )
+        return cls(**json.loads(text))
+
+
+@dataclass(frozen=True)
+class Probabilities:
+    """Probability of each effect, of no effect, and of a cause outside the catalogue; their sum is 1."""
+
+    effects: dict[str, float]
+    none: float
+    unknown: float
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Outcome of a diagnosis.
+
+    Parameters
+    ----------
+    outcome, reason
+        One of `OUTCOMES`, and a sentence that gives the reason.
+    named, tie
+        Effects that are named, and members of a tie.
+    probabilities
+        Probabilities of the effects; None where they were not scored.
+    credible_set
+        Smallest set of effects with 90 % probability; can contain ``none_of_these``.
+    """
+
+    outcome: str
+    reason: str
+    named: tuple[str, ...] = ()
+    tie: tuple[str, ...] = ()
+    probabilities: Probabilities | None = None
+    credible_set: tuple[str, ...] = ()
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Effects that are named or in the tie."""
+        return self.named or self.tie
+
+
+def decide(
+    data: DiagnosisInput, scores: Scores, verification: Verification, constants: DecisionConstants
+) -> Decision:
+    """Decide which effects to name.
+
+    Jointly significant effects are named only if refits of all their subsets are among the verified ones;
+    see `subsets_to_refit`.
+
+    Parameters
+    ----------
+    data, scores, verification
+        Input of the diagnosis, scores of all effects, and verified refits.
+    constants
+        Constants of the decision.
+    """
+    evidence = scores.evidence
+    strongest = next(iter(evidence), None)
+    tie = (
+        ()
+        if strongest is None
+        else tied_effects(strongest, scores.compared, scores.distinguishability, evidence)
+    )
+    probability = probabilities(evidence, scores.structured_evidence, constants)
+    gains = verification.gains
+    decision = decide_on_single_effect(
+        probability,
+        evidence,
+        tie,
+        scores.detection_threshold,
+        _negative_controls(data),
+        _undetectable(scores),
+        {id: gains[(id,)] for id in evidence if (id,) in gains},
+    )
+    decision = replace(
+        decision,
+        probabilities=probability,
+        credible_set=credible_set(probability, tie, constants.set_level),
+    )
+    joint = scores.jointly_significant
+    if (
+        may_name_jointly(decision, joint, (*_negative_controls(data), *_undetectable(scores)))
+        and all(subset in gains for subset in _subsets(joint))
+        and each_effect_improves(joint, gains)
+    ):
+        reason = "these effects explain the error together"
+        decision = replace(decision, outcome="named", reason=reason, named=joint, tie=())
+    return decision
+
+
+def subsets_to_refit(
+    data: DiagnosisInput, scores: Scores, verification: Verification, decision: Decision
+) -> tuple[Ids, ...]:
+    """Select the subsets of jointly significant effects that have to be refitted before these may be named.
+
+    Parameters
+    ----------
+    data, scores, verification
+        Input of the diagnosis, scores of all effects, and refits of single effects.
+    decision
+        Decision on single effects; none is returned where it excludes naming several.
+    """
+    joint = scores.jointly_significant
+    if not may_name_jointly(decision, joint, (*_negative_controls(data), *_undetectable(scores))):
+        return ()
+    return tuple(subset for subset in _subsets(joint) if subset not in verification.refits)
+
+
+def _subsets(ids: Ids) -> tuple[Ids, ...]:
+    """List all subsets of effects but the empty one, in their order."""
+    return tuple(subset for size in range(1, len(ids) + 1) for subset in combinations(ids, size))
+
+
+def _negative_controls(data: DiagnosisInput) -> tuple[str, ...]:
+    return tuple(id for id, effect in data.calibration_effects.items() if effect.negative_control)
+
+
+def _undetectable(scores: Scores) -> tuple[str, ...]:
+    """List effects that the recording could not show even at the largest size that is tried."""
+    return tuple(
+        id
+        for id, score in scores.by_id.items()
+        if max(PRIOR_FACTORS) * score.detectability < MIN_DETECTABILITY
+    )
+
+
+def probabilities(
+    evidence: Mapping[str, float], structured_evidence: float, constants: DecisionConstants
+) -> Probabilities:
+    """Compute probabilities from evidence by temperature scaling.
+
+    Parameters
+    ----------
+    evidence
+        Evidence of each effect, nats.
+    structured_evidence
+        Evidence for errors that no effect explains, nats.
+    constants
+        Constants of the decision.
+    """
+    ids = list(evidence)
+    logits = np.array([*(evidence[id] for id in ids), constants.offset]) / constants.temperature
+    share = np.exp(logits - logsumexp(logits))
+    unknown = float(expit((structured_evidence - constants.structured_offset) / constants.structured_scale))
+    no_effect = float(share[-1])
+    return Probabilities(
+        dict(zip(ids, share[:-1].tolist(), strict=True)), no_effect * (1.0 - unknown), no_effect * unknown
+    )
+
+
+def tied_effects(
+    first: str,
+    ids: Sequence[str],
+    distances: Float[np.ndarray, "effect effect"],
+    evidence: Mapping[str, float],
+) -> tuple[str, ...]:
+    """Select the effects that form a tie with the strongest: no two members can be told apart.
+
+    Parameters
+    ----------
+    first
+        The strongest effect.
+    ids
+        Effects of the rows and columns of ``distances``.
+    distances
+        Squared distance of each effect (row) from the span of each other one (column).
+    evidence
+        Evidence of each effect, nats.
+    """
+    members = [first]
+    for id in sorted(ids, key=lambda one: -evidence[one]):
+        if id in members or evidence[first] - evidence[id] > TIE_EVIDENCE:
+            continue
+        places = [ids.index(member) for member in members]
+        row = ids.index(id)
+        if all(max(distances[row, place], distances[place, row]) < TIE_DISTANCE for place in places):
+            members.append(id)
+    return tuple(members)
+
+
+def credible_set(probability: Probabilities, tie: Sequence[str], level: float) -> tuple[str, ...]:
+    """Select the smallest set with a probability of at least ``level``.
+
+    A tie is added as a whole. No effect and an unknown cause are one member, ``none_of_these``.
+    """
+    none_of_these = probability.none + probability.unknown
+    classes = [(tuple(tie), sum(probability.effects[id] for id in tie))] if tie else []
+    classes += [((id,), share) for id, share in probability.effects.items() if id not in tie]
+    classes.append((("none_of_these",), none_of_these))
+    members: list[str] = []
+    total = 0.0
+    for ids, share in sorted(classes, key=lambda one: -one[1]):
+        if total >= level:
+            break
+        members += ids
+        total += share
+    return tuple(members)
+
+
+def decide_on_single_effect(
+    probability: Probabilities,
+    evidence: Mapping[str, float],
+    tie: Sequence[str],
+    detection_threshold: float,
+    negative_controls: Sequence[str],
+    undetectable: Sequence[str] = (),
+    gains: Mapping[str, Sequence[float]] = MappingProxyType({}),
+) -> Decision:
+    """Decide whether one effect is named, or a tie.
+
+    Parameters
+    ----------
+    probability, evidence
+        Probabilities, and evidence of each effect, nats.
+    tie
+        The strongest effect and those that cannot be told from it.
+    detection_threshold
+        Evidence that has to be exceeded, nats.
+    negative_controls
+        Effects that cannot be present in such a recording: if one is the strongest, the cause is another.
+    undetectable
+        Effects that this recording could not show at any plausible size: none of them is named.
+    gains
+        Increase of the log likelihood of each left-out block of cycles by each refitted effect, nats.
+    """
+    first = tie[0] if tie else None
+    of_tie = sum(probability.effects[id] for id in tie)
+    significant = first is not None and evidence[first] > detection_threshold and of_tie >= MIN_PROBABILITY
+    if significant and first in undetectable:
+        return Decision(
+            "unknown",
+            f"{first} would explain most, but this recording could not show it if it were present",
+        )
+    if first is not None and significant:
+        if first in negative_controls:
+            reason = f"{first} would explain most, but cannot be present in such a recording"
+            return Decision("unknown", f"{reason}: the cause is another")
+        if not _improves(gains.get(first, ())):
+            return Decision(
+                "unknown", f"{first} would explain most, but does not reduce the error on held-out cycles"
+            )
+        if len(tie) == 1:
+            return Decision("named", "one effect explains the error best", named=(first,))
+        return Decision("tie", "this recording cannot tell these effects apart", tie=tuple(tie))
+    if probability.unknown > probability.none:
+        return Decision("unknown", "there is structured error that no effect of the catalogue explains")
+    return Decision("none", "no effect has more evidence than null replicates show")
+
+
+def may_name_jointly(decision: Decision, joint: Sequence[str], excluded: Sequence[str]) -> bool:
+    """Return whether jointly significant effects may be named in place of the decision on single effects.
+
+    Parameters
+    ----------
+    decision
+        Decision on single effects. One effect may have hidden another, but a tie or an unknown cause is kept.
+    joint
+        Effects that are jointly significant.
+    excluded
+        Negative controls, and effects that this recording could not show.
+    """
+    if not joint or set(joint) & set(excluded):
+        return False
+    return decision.named[0] in joint if decision.named else decision.outcome == "none"
+
+
+def each_effect_improves(joint: Ids, gains: Mapping[Ids, Sequence[float]]) -> bool:
+    """Return whether each of several effects reduces the error on held-out cycles beside the others.
+
+    Parameters
+    ----------
+    joint
+        Identifiers of the effects.
+    gains
+        Increase of the log likelihood of each block of cycles by each refit, nats.
+    """
+    together = gains[tuple(joint)]
+    for id in joint:
+        others = tuple(other for other in joint if other != id)
+        if not _improves([more - less for more, less in zip(together, gains[others], strict=True)]):
+            return False
+    return True
+
+
+def _improves(gains: Sequence[float]) -> bool:
+    """Return whether the sum of gains is positive, and four of five blocks gain (six of eight)."""
+    losses = sum(gain <= 0.0 for gain in gains)
+    return not len(gains) or (sum(gains) > 0.0 and losses <= math.ceil(len(gains) / 5))
+
+
+def describe_effect(evidence: float, detectability: float, detection_threshold: float, named: bool) -> str:
+    """Describe the decision on one effect in words."""
+    if named:
+        return "explains the error best"
+    if detectability < MIN_DETECTABILITY:
+        return "not testable with these data"
+    if evidence > detection_threshold:
+        return "would explain error, but others do better"
+    if detectability < RELIABLE_DETECTABILITY:
+        return "not seen; a weak one could be missed"
+    return "not seen; one of expected size would be"

@@ -1,0 +1,203 @@
+"""Input of a diagnosis: a calibrated model, all recorded cycles, and the catalogue for the subject."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from wrapjax.calibration.calibration import Calibration
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.path_penalties import PATH_PENALTIES
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.solvers.checkpoints import SolveCache
+from wrapjax.calibration.solvers.multistart import Outcome
+from wrapjax.diagnosis.context import Context
+from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMoments, cross_validation_plan
+from wrapjax.diagnosis.effects.catalogue import catalogue, effects_in
+from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
+from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.subject_context import build_context
+from wrapjax.geometry.paths import PathState, fixed_path
+from wrapjax.io.files import cache_folder
+from wrapjax.model.forward import Recording
+from wrapjax.model.variables import free_variables
+
+#: Number of equally spaced phases of the gait cycle at which residuals are scored.
+PHASES = 25
+
+
+def speed_numbers(speeds: Float[np.ndarray, " cycle"]) -> Int[np.ndarray, " cycle"]:
+    """Assign numbers from 0 to speeds (m/s), the slowest first; unknown speeds (NaN) count as one speed."""
+    known = np.unique(speeds[np.isfinite(speeds)])
+    return np.where(np.isfinite(speeds), np.searchsorted(known, speeds), len(known)).astype(int)
+
+
+def phase_frames(frames: int) -> Int[np.ndarray, " phase"]:
+    """Select equally spaced frames of a cycle, whose last frame has the phase of the first; none twice."""
+    phases = min(PHASES, frames - 1)
+    return np.round(np.arange(phases) * (frames - 1) / phases).astype(int)
+
+
+@dataclass(frozen=True)
+class DiagnosisInput:
+    """A calibrated model and all recorded cycles.
+
+    Parameters
+    ----------
+    problem, variables
+        Objective of the calibration of one leg over its calibration cycles, in their order, with held paths;
+        and the variables at which it ended.
+    outcomes
+        Result of each start of the calibration.
+    recording, context
+        Inputs of the forward model and context of the effects, over all cycles.
+    entries
+        Catalogue for this subject over all cycles: each effect, or why it is not testable.
+    withheld
+        Ids of effects left out of the catalogue on request.
+    recordings, uses, time
+        Recording, use and time (s) of each cycle.
+    measured
+        Measured moments of all cycles, N m.
+    inputs
+        Recorded quantities that may drive differences between cycles, in any units.
+    cache
+        Earlier fits; None: no fit is kept.
+    """
+
+    problem: Objective
+    variables: Float[np.ndarray, " variable"]
+    outcomes: Sequence[Outcome]
+    recording: Recording
+    context: Context
+    entries: Sequence[Effect | NotTestable]
+    withheld: tuple[str, ...]
+    recordings: tuple[str, ...]
+    uses: tuple[str, ...]
+    time: Float[np.ndarray, "cycle frame"]
+    measured: Float[np.ndarray, "cycle coordinate frame"]
+    inputs: Float[np.ndarray, "cycle input frame"]
+    cache: SolveCache | None = None
+
+    @property
+    def speeds(self) -> Int[np.ndarray, " cycle"]:
+        """Speed number of each cycle, counted from 0."""
+        return speed_numbers(self.context.speeds)
+
+    @cached_property
+    def plan(self) -> CrossValidationPlan:
+        """Calibration cycles, and the blocks of them that are left out together."""
+        return cross_validation_plan(self.uses, self.speeds)
+
+    @cached_property
+    def calibration_context(self) -> Context:
+        """Context of the calibration cycles."""
+        return self.context.select(self.plan.calibration.tolist())
+
+    @cached_property
+    def calibration_effects(self) -> dict[str, Effect]:
+        """Testable effects on the calibration cycles, by id."""
+        return {
+            effect.id: effect for effect in effects_in(catalogue(self.calibration_context, self.withheld))
+        }
+
+    @cached_property
+    def calibration_recording(self) -> Recording:
+        """Inputs of the forward model over the calibration cycles."""
+        return self.recording.select_trials(self.plan.calibration)
+
+    @property
+    def effects(self) -> dict[str, Effect]:
+        """Testable effects on all cycles, by id."""
+        return {effect.id: effect for effect in effects_in(self.entries)}
+
+    @property
+    def moment_sd(self) -> Float[np.ndarray, " coordinate"]:
+        """Standard deviation of the measured moments of the calibration cycles, N m."""
+        return self.measured[self.plan.calibration].std(axis=(0, 2))
+
+    def prediction(self, effects: Effects) -> PredictMoments:
+        """Return the function that predicts the moments of all cycles with these effects."""
+
+        def predict(
+            variables: Float[np.ndarray, " variable"], effect_sizes: Float[np.ndarray, " effect_size"]
+        ) -> Float[np.ndarray, "cycle coordinate frame"]:
+            parameters = self.problem.parameters(jnp.asarray(variables))
+            moments = predicted_moments(
+                self.problem.curves, parameters, self.recording, effects, jnp.asarray(effect_sizes)
+            )
+            return np.asarray(moments)
+
+        return predict
+
+    def without(self, effects: Sequence[str]) -> DiagnosisInput:
+        """Return this input with a catalogue without these effects, by their ids.
+
+        Raises
+        ------
+        InputError
+            If an id is not in the catalogue.
+        """
+        return replace(self, entries=catalogue(self.context, effects), withheld=tuple(effects))
+
+
+def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:
+    """Collect the input of a diagnosis from a calibration; paths are held as the calibration left them.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of one leg.
+    without
+        Ids of effects to leave out of the catalogue.
+    """
+    recording, context = build_context(calibration)
+    subject, result = calibration.subject, calibration.result
+    trials, solution = subject.trials, result.solution
+    problem, variables = solution.problem, np.asarray(solution.variables)
+    assert isinstance(problem, Objective)
+    if problem.variables.modes:
+        problem = _with_held_paths(problem, result)
+        variables = np.asarray(problem.start(result.parameters))
+    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
+    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
+    inputs = (
+        trials.angles[:, columns],
+        trials.angular_velocities[:, columns],
+        trials.emg[..., inside],
+        order,
+    )
+    return DiagnosisInput(
+        problem=problem,
+        variables=variables,
+        outcomes=result.outcomes,
+        recording=recording,
+        context=context,
+        entries=catalogue(context, without),
+        withheld=tuple(without),
+        recordings=trials.recordings,
+        uses=trials.uses,
+        time=trials.time,
+        measured=trials.moments,
+        inputs=np.concatenate(inputs, axis=1),
+        cache=SolveCache(cache_folder("diagnoses")),
+    )
+
+
+def _with_held_paths(problem: Objective, result: CalibrationResult) -> Objective:
+    """Fix the paths where the calibration ended, and remove the terms of the objective that concern them."""
+    path = problem.recording.path.at(result.parameters.path_changes)
+    held = fixed_path(PathState(path.length, path.velocity, path.moment_arm))
+    return replace(
+        problem,
+        recording=replace(problem.recording, path=held),
+        variables=free_variables(result.parameters, result.freedom.with_held_paths(), result.muscles),
+        penalties=tuple(one for one in problem.penalties if one.name not in PATH_PENALTIES),
+        limits=(),
+    )
