@@ -1,11 +1,11 @@
 # %% [markdown]
-# # Calibrate a leg, and check the gradients it was calibrated with
+# # Calibrate a leg, and check the gradients of the objective
 #
-# A virtual person walks; its muscle parameters are known. We calibrate the model to its recorded joint
-# moments, look at what came out, and then do what only a differentiable model allows: take the gradient
-# of the whole objective and compare it with differences.
+# We calibrate the EMG-driven model of a virtual subject, whose true muscle parameters are known, to its
+# joint moments during walking. Then we compute the gradient of the objective by automatic
+# differentiation and compare it with finite differences.
 #
-# Run it as a script, or cell by cell in any editor that knows the percent format.
+# Run this file as a script, or cell by cell in an editor that supports the percent format.
 
 # %%
 import tempfile
@@ -15,7 +15,7 @@ import jax
 
 from wrapjax.jax_setup import set_up_jax
 
-set_up_jax()  # 64 bits; what is compiled is kept for the next run
+set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,33 +26,34 @@ from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 # %% [markdown]
 # ## A subject
 #
-# A subject is a folder: a model, and joint angles, moments and EMG of some gait cycles. Use your own in
-# place of this one.
+# A subject is a folder with an OpenSim model and joint angles, joint moments and EMG envelopes of
+# several gait cycles. Here a virtual subject is simulated; you can load your own folder instead.
 
 # %%
 folder = Path(tempfile.mkdtemp()) / "virtual"
-truth = write_virtual_subject(folder, seed=1)
+write_virtual_subject(folder, seed=1)
 subject = wrapjax.load_subject(folder)
 print(f"{len(subject.muscles.names)} muscles, {len(subject.trials.names)} gait cycles")
 
 # %% [markdown]
 # ## Muscle paths as polynomials
 #
-# OpenSim says how long each muscle is at 500 poses, and polynomials take its place. Errors are measured on
-# poses that were not used.
+# OpenSim computes the length and moment arms of each muscle in 500 poses, and polynomials are fitted to
+# them. Errors are evaluated in poses that were not used for fitting.
 
 # %%
 paths = wrapjax.fit(subject)
 worst = max(paths.errors, key=lambda name: paths.errors[name].moment_arm_rmse_mm)
 print(
-    f"largest moment-arm error: {worst}, {paths.errors[worst].moment_arm_rmse_mm:.2f} mm (root mean square)"
+    f"largest moment arm error: {worst}, {paths.errors[worst].moment_arm_rmse_mm:.2f} mm (root mean square)"
 )
 
 # %% [markdown]
 # ## Calibrate
 #
-# NGA adjusts delays, activation, EMG scales, fiber and slack lengths. Problems of this kind have several
-# minima, so it runs from several starts.
+# NGA adjusts electromechanical delays, activation parameters, EMG scale factors, optimal fiber lengths
+# and tendon slack lengths; muscle paths are fixed. The objective has several local minima, so the
+# calibration is run from several starting points.
 
 # %%
 calibration = wrapjax.calibrate(subject, "NGA", paths, starts=3)
@@ -72,8 +73,9 @@ for name, old, new in zip(result.coordinates, before, after, strict=True):
 # %% [markdown]
 # ## The objective is a pure function
 #
-# It takes a tree of parameters and gives the cost; `jax.grad`, `jax.jit` and `jax.vmap` apply. Its gradient
-# is exact, so differences of the cost must agree with it to their own accuracy, in any direction.
+# `wrapjax.objective` returns the cost as a function of the parameter tree, to which `jax.grad`,
+# `jax.jit` and `jax.vmap` can be applied. Its gradient is exact, so it must agree with finite
+# differences of the cost in any direction, within the accuracy of the differences.
 
 # %%
 cost = wrapjax.objective(subject, "NGA", paths)
@@ -87,21 +89,21 @@ pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True)
 slope = float(sum(jnp.vdot(*pair) for pair in pairs))
 
 
-def moved(step: float) -> float:
-    """Cost at a distance from the start, along the direction."""
+def cost_along(step: float) -> float:
+    """Compute the cost at a distance from the start along the direction."""
     return float(cost(jax.tree.map(lambda leaf, along: leaf + step * along, start, direction)))
 
 
 STEP = 1e-5
-difference = (moved(STEP) - moved(-STEP)) / (2.0 * STEP)
+difference = (cost_along(STEP) - cost_along(-STEP)) / (2.0 * STEP)
 print(f"slope by jax.grad {slope:.8g}, by differences {difference:.8g}")
 assert abs(slope - difference) <= 1e-6 * abs(slope)
 
 # %% [markdown]
 # ## What the data determine
 #
-# Where the moments cannot tell, calibration returns what its priors say. Before believing a parameter, look
-# at how much it differs between starts, and at `report.html`.
+# Parameters that the joint moments do not determine stay near their prior means. Before interpreting a
+# parameter, check how much it differs between starts, and the intervals in `report.html`.
 
 # %%
 calibration.save(folder.parent / "run")

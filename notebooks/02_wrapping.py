@@ -1,13 +1,14 @@
 # %% [markdown]
-# # Wrap muscles round cylinders, in two ways
+# # Muscle paths round wrapping cylinders
 #
-# A muscle that runs over bone is modelled as a line that wraps round a cylinder. Where the cylinder is
-# decides the muscle's moment arms, and few people have ever been measured: calibration may move it. For
-# that one has to know how length and moment arms follow the cylinder, exactly.
+# A muscle that passes over bone is modelled as a line that wraps round a cylinder. The position of the
+# cylinder determines the moment arms of the muscle, and it is rarely known for an individual, so a
+# calibration can adjust it. This requires exact derivatives of path length and moment arms with respect
+# to the wrap parameters.
 #
-# The engine lays a path in either of two ways. The *shortest* way is what a taut string does: only then are
-# moment arms the derivatives of the length. *OpenSim's* way reproduces OpenSim 4.6 to rounding, with its
-# defects. Here they are side by side.
+# The exact engine computes paths in two ways. *Geodesic* paths are the shortest ones, for which moment
+# arms are the derivatives of the length. *Parity* paths reproduce those of OpenSim 4.6 to rounding,
+# including its inaccuracies. This notebook compares them.
 
 # %%
 import tempfile
@@ -18,7 +19,7 @@ import jax
 
 from wrapjax.jax_setup import set_up_jax
 
-set_up_jax()  # 64 bits; what is compiled is kept for the next run
+set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 import numpy as np
 
@@ -33,9 +34,10 @@ from wrapjax.report.paths import MovedPath, describe_move
 from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
 # %% [markdown]
-# ## A model as names and numbers
+# ## Model description
 #
-# OpenSim is asked once what its model holds. From then on nothing needs OpenSim.
+# The model is read by OpenSim once, into a description of names and numbers. Path computations do not
+# use OpenSim.
 
 # %%
 folder = Path(tempfile.mkdtemp()) / "virtual"
@@ -48,8 +50,9 @@ for muscle in model.muscles:
         print(f"{muscle.name:12s} round {', '.join(entry.wrap for entry in muscle.wraps)}")
 
 # %% [markdown]
-# In this model no muscle has two cylinders; in many models the gastrocnemii do, one at the femur's condyles
-# and one at the upper end of the tibia. A description is plain data, so we give this one a second cylinder.
+# In this model each muscle wraps round at most one cylinder. In many models the gastrocnemii wrap round
+# two, at the femoral condyles and at the proximal tibia, so we add a second cylinder to the
+# description.
 
 # %%
 HIP, CALF = f"iliacus_{side}", f"gasmed_{side}"
@@ -70,10 +73,10 @@ model = replace(
 )
 
 # %% [markdown]
-# ## Paths in poses, then round cylinders
+# ## Paths as functions of wrap parameters
 #
-# Joint angles put the bones where they are; that is done once. After it, wrapping is a pure function of the
-# cylinders' parameters: where they are, how they are turned, how thick they are.
+# Path points and cylinders are first placed in the poses given by the joint angles. The wrapped path is
+# then a function of the wrap parameters: translation, rotation and radius of each cylinder.
 
 # %%
 trials = subject.trials
@@ -89,28 +92,29 @@ for wrapping in (GEODESIC, PARITY):
     )
 
 # %% [markdown]
-# ## Where they differ
+# ## Differences between geodesic and parity paths
 #
-# Round one cylinder OpenSim's path is nearly the shortest, and its moment arms are off by a fraction of a
-# millimeter where the path slants. Round two it may settle on a length that is no taut string's: its moment
-# arms still follow the line of action, its length does not follow them.
+# Round one cylinder OpenSim's path is nearly the shortest, and its moment arms differ from -dL/dq by a
+# fraction of a millimeter where the path crosses the cylinder obliquely. Round two cylinders its path
+# may not be the shortest: its moment arms follow the line of action, but its length is not consistent
+# with them.
 
 # %%
 compared = [compare_wrapping_modes(model, name, coordinates, cycle) for name in (HIP, CALF)]
 for one in compared:
     print(
-        f"{one.muscle:10s} moment arm from -dL/dq at most: OpenSim's way "
-        f"{1e3 * one.opensim.disagreement:.2g} mm, the shortest way {1e3 * one.shortest.disagreement:.1g} mm"
+        f"{one.muscle:10s} largest difference of moment arm from -dL/dq: parity "
+        f"{1e3 * one.opensim.disagreement:.2g} mm, geodesic {1e3 * one.shortest.disagreement:.1g} mm"
     )
     assert one.shortest.disagreement < 1e-7
 figure = wrapping_modes_figure(compared)
 figure.savefig(folder.parent / "wrapping_modes.png", dpi=120)
 
 # %% [markdown]
-# ## How a length follows a cylinder
+# ## Derivatives with respect to wrap parameters
 #
-# The gradient of a length by the wrap parameters, at heel strike. Differences must agree with it to their own
-# accuracy.
+# The gradient of the path length with respect to the wrap parameters at heel strike, compared with finite
+# differences.
 
 # %%
 STEP = 1e-6
@@ -128,7 +132,7 @@ def check_gradient(name, wraps):
         step = np.zeros_like(nominal)
         step[place] = STEP
         difference[place] = (both(nominal + step)[0] - both(nominal - step)[0]) / (2.0 * STEP)
-    print(f"{name}: length by wrap parameters (m a unit), by jax.grad and by differences")
+    print(f"{name}: derivative of length by wrap parameters (m per unit), by jax.grad and by differences")
     for wrap, parameter in np.ndindex(*nominal.shape):
         print(
             f"  cylinder {wrap + 1}, {WRAP_PARAMETERS[parameter]:16s} "
@@ -141,9 +145,9 @@ check_gradient(HIP, 1)
 check_gradient(CALF, 2)
 
 # %% [markdown]
-# ## Move a cylinder and look
+# ## Path before and after a change of the cylinder
 #
-# Ten millimeters to the front, turned by ten degrees, a tenth thicker: the path in space, before and after.
+# The cylinder is moved forward by 10 mm and rotated by 10 degrees, and its radius is increased by 10 %.
 
 # %%
 moved = nominal_parameters(1)
@@ -167,17 +171,18 @@ print(f"moment arm about {move.coordinate}: {1e3 * move.arm_before:.1f} to {1e3 
 path_view_figure([move]).savefig(folder.parent / "moved_cylinder.png", dpi=120)
 
 # %% [markdown]
-# ## Which way feeds what
+# ## When to use which
 #
-# - **Whatever moves cylinders: the shortest way.** PGA takes it directly (`--geometry engine`) or through a
-#   surrogate. Lengths, velocities and moment arms must be one function and its derivatives, or a solver is
-#   told one thing and shown another. Methods that move no cylinder take polynomials that are fitted to
-#   OpenSim's paths, or to these where they are compared with PGA; `wrapjax fit --geometry` has the choice.
-# - **What a model will do in OpenSim: OpenSim's way.** It is also how the engine is tested: against OpenSim
-#   itself, to rounding.
+# - **Geodesic paths for calibrations that adjust wrap parameters.** PGA uses them directly (`--geometry
+#   engine`) or through a surrogate. Length, velocity and moment arms must be consistent derivatives of
+#   one function, otherwise the solver's gradients are wrong. Methods with fixed cylinders use
+#   polynomials fitted to OpenSim's paths, or to geodesic paths for a comparison with PGA (`wrapjax fit
+#   --geometry`).
+# - **Parity paths to predict what a model does in OpenSim.** They are also used to test the engine
+#   against OpenSim.
 #
-# Where the two differ much, as round two cylinders, expect OpenSim to show another length than calibration
-# used; its moment arms differ little.
+# Where both differ, as for paths round two cylinders, OpenSim shows other lengths for a calibrated
+# model than the calibration used; moment arms differ less.
 
 # %%
 print(f"figures are in {folder.parent}")
