@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.machine import pin_threads
-from benchmarks.subjects import default_subject
+from benchmarks.subjects import add_subject_argument, default_subject
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -43,12 +43,7 @@ def main() -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument(
-        "--subject",
-        type=Path,
-        metavar="DIR",
-        help="subject folder (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
-    )
+    add_subject_argument(parser)
     parser.add_argument(
         "--only",
         nargs="+",

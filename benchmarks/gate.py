@@ -18,7 +18,7 @@ from benchmarks.gate_limits import read_limits, violations_of
 from benchmarks.machine import pin_threads, processor
 from benchmarks.metric import Metric, text_table
 from benchmarks.regressions import regressions
-from benchmarks.subjects import default_subject
+from benchmarks.subjects import add_subject_argument, default_subject
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
@@ -89,12 +89,7 @@ def _measure(folder: Path) -> list[Metric]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.gate", description=__doc__)
-    parser.add_argument(
-        "--subject",
-        type=Path,
-        metavar="DIR",
-        help="subject folder (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
-    )
+    add_subject_argument(parser)
     parser.add_argument(
         "--against", type=Path, metavar="FILE.json", help="file of an earlier run to compare with"
     )

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+
+def add_subject_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--subject``, the folder for `default_subject`."""
+    parser.add_argument(
+        "--subject",
+        type=Path,
+        metavar="DIR",
+        help="subject folder (default: $WRAPJAX_DATA/s1_left if set, otherwise a virtual subject)",
+    )
 
 
 @contextmanager
