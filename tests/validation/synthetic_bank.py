@@ -1,4 +1,4 @@
-"""Made-up truth and answerers whose figures are known beforehand."""
+"""Synthetic bank and answerers with known scores."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ FLOOR = 1.0
 
 
 def write_bank(folder: Path, single: int = 64, other: int = 12, people: int = 8) -> list[dict]:
-    """Truths with simple moments: clean ones are sines, the measured ones differ from them by 1 N m."""
+    """Write a bank with sinusoidal clean moments; measured ones differ from them by 1 N m."""
     rng = np.random.default_rng(7)
     truths = []
     tiers = ["single"] * single + ["none"] * other + ["outside"] * other + ["pair"] * other
@@ -57,7 +57,7 @@ def write_bank(folder: Path, single: int = 64, other: int = 12, people: int = 8)
         for recording in range(3):
             place = folder / "cases" / name / "trials" / f"walk_{recording + 1}"
             place.mkdir(parents=True)
-            if order % 8 == 2:  # figures on moments need only some
+            if order % 8 == 2:  # moments of some cases suffice
                 columns = {
                     f"{c}_moment": row + noise for c, row in zip(COORDINATES, clean[recording], strict=True)
                 }
@@ -92,7 +92,7 @@ def gap(outcome: str, probabilities: dict[str, float], **more) -> dict:
 
 
 def perfect(truth: dict, withheld: bool = False) -> dict:
-    """Knows the truth."""
+    """Answer correctly."""
     causes = [c["id"] for c in truth["causes"]]
     if truth["tier"] == "none":
         return gap("none", {"none": 1.0})
@@ -106,7 +106,7 @@ def perfect(truth: dict, withheld: bool = False) -> dict:
 
 
 def guessing(truth: dict, withheld: bool = False) -> dict:
-    """Draws an effect, and says that it does not know better."""
+    """Name a random effect with equal probabilities of all."""
     rng = np.random.default_rng(int(truth["id"], 16) + 99)
     drawn = [NAMES[i] for i in rng.permutation(len(NAMES))]
     weights = {name: 1.0 / len(NAMES) + (1e-6 if name == drawn[0] else 0.0) for name in drawn}
@@ -114,7 +114,7 @@ def guessing(truth: dict, withheld: bool = False) -> dict:
 
 
 def tying(truth: dict, withheld: bool = False) -> dict:
-    """Calls everything a tie, so that the truth is always in it."""
+    """Answer a tie of all effects."""
     return gap("tie", dict.fromkeys(NAMES, 1.0 / len(NAMES)), ties=[list(NAMES)], credible_set=list(NAMES))
 
 
@@ -123,7 +123,7 @@ def silent(truth: dict, withheld: bool = False) -> dict:
 
 
 def confident(truth: dict, withheld: bool = False) -> dict:
-    """Is always sure, and always of the same."""
+    """Name the same effect with certainty."""
     return gap("named", {NAMES[0]: 1.0}, named=[NAMES[0]], credible_set=[NAMES[0]])
 
 

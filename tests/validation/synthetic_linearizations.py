@@ -1,36 +1,35 @@
-"""Straight lines of a case that nobody recorded."""
+"""Synthetic linearized cases."""
 
 import numpy as np
 
-from validation.diagnosis.linearizations import Lines
-from wrapjax.diagnosis.linearization import LinearizedModel
-from wrapjax.diagnosis.null_covariance import MuscleErrors
-from wrapjax.diagnosis.projection import Candidate
+from validation.diagnosis.linearizations import LinearizedCase
+from wrapjax.diagnosis.error_sources import MuscleErrors
+from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 
 CYCLES, COORDINATES, PHASES = 4, 2, 25
 SHAPE = (CYCLES, COORDINATES, PHASES)
 
 
 def lines(signal, signatures, *, calibrated=None):
-    """Lines of a residual of a signal beside noise, with effects that have these signatures.
+    """Linearize a synthetic case: residual of signal and noise, and effects with given signatures.
 
-    Signals lead with cycle, phase and coordinate, as the simulator's do.
+    Axes of signals are cycle, phase and coordinate, as in the simulator.
     """
     generator = np.random.default_rng(1)
     rows = signal.transpose(0, 2, 1)
-    gap = LinearizedModel(
+    linearized = LinearizedModel(
         residual=rows + generator.normal(size=SHAPE),
-        fitted=generator.normal(size=SHAPE),
+        fitted_residual=generator.normal(size=SHAPE),
         slopes=np.zeros((1, *SHAPE)) if calibrated is None else calibrated.transpose(0, 2, 1)[None],
-        spread=np.array([[100.0]]),
-        away=np.zeros(1),
+        prior_root=np.array([[100.0]]),
+        from_prior_mean=np.zeros(1),
         nuisances=np.zeros((1, *SHAPE)),
         candidates=tuple(
-            Candidate(id, (own.transpose(0, 2, 1).reshape(1, -1),), np.ones(1), np.zeros(1, bool))
-            for id, own in signatures.items()
+            Candidate(id, (signature.transpose(0, 2, 1).reshape(1, -1),), np.ones(1), np.zeros(1, bool))
+            for id, signature in signatures.items()
         ),
         input_errors=(),
         muscle_errors=MuscleErrors(np.zeros((1, CYCLES, PHASES, 3)), np.zeros((1, *SHAPE))),
         speeds=np.zeros(CYCLES, dtype=int),
     )
-    return Lines(gap, np.full(COORDINATES, 1e-3))
+    return LinearizedCase(linearized, np.full(COORDINATES, 1e-3))

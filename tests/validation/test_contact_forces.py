@@ -1,4 +1,4 @@
-"""Defends: figures of contact forces are peaks in bodyweights, each beside where in the gait cycle it is."""
+"""Table of contact force peaks in bodyweights and their phases."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from validation.calibration.contact_forces import peak_table
 from wrapjax.contact_forces.contact_force import contact
 
 
-def test_peaks_are_those_of_the_curves(tmp_path):
+def test_table_has_the_peaks_of_the_curves(tmp_path):
     subject = with_forces(tmp_path / "person")
     runs = [
         write_run(tmp_path / method, subject, method, factor=size)

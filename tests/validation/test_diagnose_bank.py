@@ -1,4 +1,4 @@
-"""Defends: a bank is answered once a question, one failing case costs no other, and a fault is told."""
+"""Diagnosis of a bank: reuse of answers, failures of single cases, baselines and withheld causes."""
 
 import json
 import pickle
@@ -14,8 +14,8 @@ from wrapjax.errors import InputError, Problem
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """Cases that were really asked, and what was withheld; one called 'bad' fails."""
+def diagnosed(monkeypatch):
+    """Record diagnosed cases and their withheld effects; diagnosis of the case 'bad' fails."""
     seen = []
 
     def diagnose(subject, method, paths, *, starts):
@@ -25,11 +25,11 @@ def asked(monkeypatch):
 
     def answered(subject, *withheld):
         seen.append((subject.name, withheld))
-        result = types.SimpleNamespace(outcome="named", named=("joint_damping",), ties=(), lines=None)
+        result = types.SimpleNamespace(outcome="named", named=("joint_damping",), ties=(), linearized=None)
 
         def without(*effects):
             answer = subject.parent.parent / "answers" / subject.name / "question.json"
-            assert answer.exists(), "the truth is for after the answer"
+            assert answer.exists(), "the truth is read only after the answer is written"
             return answered(subject, *effects)
 
         return types.SimpleNamespace(
@@ -51,23 +51,23 @@ def bank(folder, *names):
 
 
 def answer(monkeypatch, folder, *more):
-    arguments = ["diagnosed", "--bank", str(folder), "--out", str(folder / "answers"), *more]
+    arguments = ["diagnose_bank", "--bank", str(folder), "--out", str(folder / "answers"), *more]
     monkeypatch.setattr("sys.argv", arguments)
     return diagnose_bank.main()
 
 
-def test_a_case_is_asked_again_only_if_it_or_the_question_is_another(asked, monkeypatch, tmp_path, capsys):
+def test_case_is_diagnosed_again_only_if_its_inputs_changed(diagnosed, monkeypatch, tmp_path, capsys):
     folder = bank(tmp_path, "one", "two")
     assert answer(monkeypatch, folder) == 0
     assert answer(monkeypatch, folder) == 0
-    assert [name for name, _ in asked] == ["one", "two"]
-    assert capsys.readouterr().err.count("as before") == 2
+    assert [name for name, _ in diagnosed] == ["one", "two"]
+    assert capsys.readouterr().err.count("unchanged") == 2
     (folder / "cases" / "two" / "subject.toml").write_text("# another two\n")
     assert answer(monkeypatch, folder) == 0
-    assert [name for name, _ in asked] == ["one", "two", "two"]
+    assert [name for name, _ in diagnosed] == ["one", "two", "two"]
 
 
-def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_path, capsys):
+def test_failed_case_is_reported_and_others_continue(diagnosed, monkeypatch, tmp_path, capsys):
     folder = bank(tmp_path, "bad", "one")
     assert answer(monkeypatch, folder) == 1
     assert "bad: FAILED: ValueError: no such muscle" in capsys.readouterr().err
@@ -75,7 +75,7 @@ def test_one_case_that_fails_costs_no_other_and_is_told(asked, monkeypatch, tmp_
     assert not (folder / "answers" / "bad" / "question.json").exists()
 
 
-def test_withheld_asks_of_single_causes_alone_and_once_the_case_is_answered(asked, monkeypatch, tmp_path):
+def test_single_causes_are_withheld_after_the_answer(diagnosed, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one", "pair", "strange")
     (folder / "truth").mkdir()
     known = {
@@ -88,29 +88,29 @@ def test_withheld_asks_of_single_causes_alone_and_once_the_case_is_answered(aske
         (folder / "truth" / f"{name}.json").write_text(json.dumps(truth))
     for _ in range(2):
         assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
-        assert asked == [("one", ()), ("one", ("cop_offset",)), ("pair", ()), ("strange", ())]
+        assert diagnosed == [("one", ()), ("one", ("cop_offset",)), ("pair", ()), ("strange", ())]
     assert [path.name for path in (folder / "withheld").iterdir()] == ["one"]
 
 
-def test_the_first_few_are_those_by_id(asked, monkeypatch, tmp_path):
+def test_first_cases_are_selected_by_id(diagnosed, monkeypatch, tmp_path):
     assert answer(monkeypatch, bank(tmp_path, "c", "a", "b"), "--first", "2") == 0
-    assert [name for name, _ in asked] == ["a", "b"]
+    assert [name for name, _ in diagnosed] == ["a", "b"]
 
 
-def test_what_is_withheld_can_be_asked_for_later(asked, monkeypatch, tmp_path):
+def test_withheld_causes_can_be_added_later(diagnosed, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
     (folder / "truth").mkdir()
     (folder / "truth" / "one.json").write_text('{"tier": "single", "causes": [{"id": "cop_offset"}]}')
     assert answer(monkeypatch, folder) == 0
     assert answer(monkeypatch, folder, "--withheld", str(folder / "withheld")) == 0
-    assert asked[-1] == ("one", ("cop_offset",))
+    assert diagnosed[-1] == ("one", ("cop_offset",))
     assert (folder / "withheld" / "one" / "question.json").exists()
 
 
-def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, monkeypatch, tmp_path):
+def test_baselines_can_be_added_later(diagnosed, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
     assert answer(monkeypatch, folder) == 0
-    (folder / "answers" / "one" / "untouched").write_text("an answer that is there is not written again")
+    (folder / "answers" / "one" / "untouched").write_text("an existing answer is not written again")
     assert answer(monkeypatch, folder, "--baselines", str(folder / "others")) == 0
     assert (folder / "answers" / "one" / "untouched").exists()
     found = sorted(path.relative_to(folder / "others").as_posix() for path in folder.rglob("gap.json"))
@@ -119,23 +119,23 @@ def test_baselines_answer_beside_it_also_when_they_are_asked_for_later(asked, mo
     ]
 
 
-def test_ablations_answer_beside_it(asked, monkeypatch, tmp_path):
+def test_ablations_are_answered(diagnosed, monkeypatch, tmp_path):
     folder = bank(tmp_path, "one")
     assert answer(monkeypatch, folder, "--ablations", str(folder / "others")) == 0
     found = {path.parent.parent.name for path in (folder / "others").rglob("gap.json")}
     assert {"score_alone", "without_input_errors", "without_muscle_errors", "without_repeated"} < found
 
 
-def test_a_process_makes_room_after_every_case_also_one_that_fails(asked, monkeypatch, tmp_path):
-    looked = []
-    monkeypatch.setattr(case_answers, "clear_caches_near_map_limit", lambda: looked.append(True))
+def test_caches_are_cleared_after_every_case(diagnosed, monkeypatch, tmp_path):
+    cleared = []
+    monkeypatch.setattr(case_answers, "clear_caches_near_map_limit", lambda: cleared.append(True))
     assert answer(monkeypatch, bank(tmp_path, "bad", "one"), "--workers", "1") == 1
-    assert len(looked) == 2
+    assert len(cleared) == 2
 
 
 @pytest.mark.parametrize("more", [("--workers", "3"), ("--scheduler", "tcp://host:8786")])
-def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys):
-    """Under the runner that users get: what its workers are given says all, wherever they are."""
+def test_workers_run_jobs_of_a_cohort(more, diagnosed, monkeypatch, tmp_path, capsys):
+    """Check that jobs can be pickled and do not depend on the working folder."""
     called = []
 
     def run_jobs(work, jobs, *, scheduler, workers):
@@ -155,11 +155,11 @@ def test_several_run_as_a_cohort_does(more, asked, monkeypatch, tmp_path, capsys
     assert (tmp_path / "answers" / "one" / "question.json").exists()
 
 
-def test_a_scheduler_that_is_not_there_is_told_in_a_sentence(asked, monkeypatch, tmp_path, capsys):
-    def nobody(*given, **more):
+def test_missing_scheduler_is_an_input_error(diagnosed, monkeypatch, tmp_path, capsys):
+    def no_scheduler(*given, **more):
         raise InputError(Problem("tcp://host:8786", "no dask scheduler answers there"))
         yield
 
-    monkeypatch.setattr(diagnose_bank, "run_jobs", nobody)
+    monkeypatch.setattr(diagnose_bank, "run_jobs", no_scheduler)
     assert answer(monkeypatch, bank(tmp_path, "one"), "--scheduler", "tcp://host:8786") == 2
     assert "no dask scheduler answers there" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Defends: hidden cylinders are those OpenSim wraps round, and how near arms came to the truth is counted."""
+"""Simulated persons with displaced wraps, and the evaluation of their moment arms."""
 
 import json
 from dataclasses import replace
@@ -18,15 +18,15 @@ from validation.blind.hidden_wraps import (
     clearance,
     write_hidden,
 )
-from validation.blind.hidden_wraps import hidden_wraps as somebody
+from validation.blind.hidden_wraps import hidden_wraps as simulate
 from validation.blind.opensim_leg import muscle_paths
 from validation.calibration import hidden_wraps
 from validation.calibration.hidden_wraps import (
-    Asked,
-    answer_all,
+    Question,
     arm_errors,
-    arms_that_count,
-    fallen,
+    decrease,
+    evaluate_all,
+    identifiable_and_touched,
     lines,
     summary,
     with_prior,
@@ -39,11 +39,11 @@ WRAPPED = ("iliacus_r", "psoas_r", "recfem_r", "vasmed_r", "vaslat_r", "gasmed_r
 
 @pytest.fixture(scope="module")
 def hidden():
-    """Somebody who walks for a few seconds only."""
+    """Simulate a person with a short walk."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gait, "DURATION", 4.0)
         patch.setattr(person, "_SPEEDS", ((1.1, 1.2),) * len(person._SPEEDS))
-        yield somebody(3)
+        yield simulate(3)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def folder(hidden, tmp_path_factory):
     return place
 
 
-def test_every_cylinder_is_displaced_as_far_as_is_said_and_no_other_muscle_knows(hidden):
+def test_cylinders_are_displaced_within_limits_and_other_muscles_unchanged(hidden):
     before, after = hidden.who.world, hidden.world
     for own, true in zip(before.leg.cylinders, after.leg.cylinders, strict=True):
         away = (np.array(true.translation) - own.translation) / PLACE
@@ -67,10 +67,10 @@ def test_every_cylinder_is_displaced_as_far_as_is_said_and_no_other_muscle_knows
     assert (after.paths.arms[:, others] == before.paths.arms[:, others]).all()
 
 
-def test_paths_are_those_that_opensim_lays_round_displaced_cylinders(hidden):
+def test_paths_are_those_of_opensim_round_displaced_cylinders(hidden):
     world = hidden.world
     rows = [world.leg.names.index(name) for name in WRAPPED]
-    frames = np.arange(200, 1700, 130)  # mostly frames at which nobody was asked before
+    frames = np.arange(200, 1700, 130)  # mostly frames that were interpolated
     length, arms = muscle_paths(world.leg, world.walk.angles[0][:, frames], rows)
     assert np.abs(world.paths.length[0][rows][:, frames] - length).max() < 2e-4
     off = world.paths.arms[0][rows][..., frames] - arms
@@ -79,13 +79,13 @@ def test_paths_are_those_that_opensim_lays_round_displaced_cylinders(hidden):
     assert np.abs(moved).mean(axis=-1).max() > 1e-3
 
 
-def test_fibers_stay_where_they_were(hidden):
+def test_mean_fiber_lengths_are_unchanged(hidden):
     before, after = hidden.who.world, hidden.world
     stretch = [(w.paths.length.mean(axis=(0, 2)) - w.muscles.tendon_slack_length) for w in (before, after)]
     assert np.allclose(*stretch, atol=1e-12)
 
 
-def test_the_laboratory_gets_the_believed_model_and_the_truth_lies_beside(hidden, folder):
+def test_subject_has_the_nominal_model_and_truth_files_the_true_one(hidden, folder):
     subject = load_subject(folder / "subject")
     text = (folder / "subject" / "model.osim").read_text(encoding="utf-8")
     for cylinder in hidden.who.nominal.cylinders:
@@ -97,7 +97,7 @@ def test_the_laboratory_gets_the_believed_model_and_the_truth_lies_beside(hidden
     with np.load(folder / "truth.npz") as truth:
         assert truth["arms"].shape == (len(subject.trials.names), len(hidden.world.leg.muscles), 6, 101)
         assert tuple(truth["coordinates"]) == COORDINATES
-        # Cycles and frames are the subject's: a spot check by OpenSim at the angles that were recorded.
+        # Cycles and frames are those of the subject: spot check by OpenSim at the recorded angles.
         columns = [subject.trials.coordinates.index(name) for name in COORDINATES]
         angles = subject.trials.angles[-1][columns][:, [10, 55]]
         row = hidden.world.leg.names.index("vasmed_r")
@@ -105,14 +105,14 @@ def test_the_laboratory_gets_the_believed_model_and_the_truth_lies_beside(hidden
         assert truth["arms"][-1, row][:, [10, 55]] == pytest.approx(arms[0], abs=3e-4)
 
 
-def test_the_truth_is_sampled_from_the_first_frame_of_a_cycle_to_its_last(hidden):
+def test_true_arms_are_sampled_over_whole_cycles(hidden):
     world = hidden.world
     times = at_frames(world, np.tile(world.walk.time, (len(world.walk.speeds), 1)))
     assert (np.diff(times) > 0.0).all() and np.ptp(np.diff(times), axis=1).max() < 1e-9
 
 
-def test_axes_turn_as_opensim_turns_them():
-    """Body-fixed: about x first, then about the new y."""
+def test_rotation_is_body_fixed_as_in_opensim():
+    """Rotate about x first, then about the rotated y axis."""
     x, y = 0.2, -0.3
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -120,25 +120,25 @@ def test_axes_turn_as_opensim_turns_them():
     assert axis_of(cylinder) == pytest.approx(about_x @ about_y @ [0, 0, 1])
 
 
-def test_a_cylinder_that_swallows_a_point_is_told():
+def test_clearance_is_negative_for_a_point_inside():
     leg = reference_leg(72.0, 1.72)
     (hip, *_) = leg.cylinders
     assert clearance(leg, hip) > 0.0
     assert clearance(leg, replace(hip, radius=2.0 * hip.radius)) < 0.0
 
 
-def test_another_prior_is_of_places_alone_whatever_their_boxes():
+def test_other_prior_applies_to_translations_only():
     wraps = freed_wraps([["wide", "narrow"]], {"wide": 0.02, "narrow": 0.005})
     asked = with_prior(wraps, 0.015).prior_sd
     assert (asked[:, :3] == 0.015).all() and (asked[:, 3:] == wraps.prior_sd[:, 3:]).all()
 
 
 def arms(*values):
-    """One muscle a row, one coordinate a column; alike in two cycles of three frames."""
+    """Build arms with a row for each muscle and a column for each coordinate, constant over cycles."""
     return np.broadcast_to(np.array(values)[:, None, :, None], (len(values), 2, len(values[0]), 3))
 
 
-def test_errors_are_of_the_chosen_arms_alone():
+def test_errors_are_over_chosen_arms_only():
     true, before, after = arms((0.0, 0.0)), arms((3e-3, 9.0)), arms((1e-3, 7.0))
     own = arm_errors(true, before, after, np.array([[True, False]]))
     assert own == {
@@ -152,26 +152,28 @@ def test_errors_are_of_the_chosen_arms_alone():
     assert arm_errors(true, before, after, np.array([[False, False]]))["ratio"] is None
 
 
-def test_arms_count_that_were_displaced_and_may_move_and_can_be_told():
+def test_identifiable_arms_are_displaced_free_and_determined():
     true = arms(*[(2e-3, 2e-3, 2e-3, 0.0)] * 2)
-    undisplaced = arms(*[(0.0, 0.0, 2e-3, 0.0)] * 2)  # the third coordinate's arm knows of no cylinder
-    believed = arms(*[(1e-3, 1e-3, 1e-3, 1e-3)] * 2)
+    undisplaced = arms(*[(0.0, 0.0, 2e-3, 0.0)] * 2)  # the arm about the third coordinate is not changed
+    nominal = arms(*[(1e-3, 1e-3, 1e-3, 1e-3)] * 2)
     deviation = np.array([[9e-5, 1.1e-4, 0.0, 0.0]] * 2)
-    touched, told = arms_that_count(true, undisplaced, believed, deviation, np.array([True, False]))
+    touched, identifiable = identifiable_and_touched(
+        true, undisplaced, nominal, deviation, np.array([True, False])
+    )
     assert touched.tolist() == [[True, True, False, False], [False] * 4]
-    assert told.tolist() == [[True, False, False, False], [False] * 4]
+    assert identifiable.tolist() == [[True, False, False, False], [False] * 4]
 
 
-def test_who_cannot_be_judged_has_not_fallen():
-    own = fallen([0.5, 0.9, 1.2, None])
+def test_person_without_arms_counts_as_no_decrease():
+    own = decrease([0.5, 0.9, 1.2, None])
     assert (own["fallen"], own["of"], own["judged"], own["median_ratio"]) == (2, 4, 3, 0.9)
-    # Twenty: the 6th and the 15th, by the binomial distribution.
-    many = fallen([0.1 * step for step in range(1, 21)])
+    # For twenty values the bounds are the 6th and the 15th, by the binomial distribution.
+    many = decrease([0.1 * step for step in range(1, 21)])
     assert many["median_interval"] == [pytest.approx(0.6), pytest.approx(1.5)]
-    assert fallen([None])["median_interval"] == [None, None]
+    assert decrease([None])["median_interval"] == [None, None]
 
 
-def made_up(ratio):
+def result_with(ratio):
     judged = {"arms": 2, "before_m": 2e-3, "after_m": 2e-3 * ratio, "ratio": ratio}
     moments = {
         "NGA": {"calibration": 6.0, "validation": 8.0},
@@ -180,25 +182,25 @@ def made_up(ratio):
     return {"told": judged, "touched": judged, "moments_Nm": moments, "converged": {"PGA": True}}
 
 
-def test_a_summary_says_in_how_many_errors_fell_and_what_moments_do():
-    said = lines(summary([made_up(0.5), made_up(1.5), made_up(0.7)]))
-    assert said[0].startswith("arms that can be told from gains: errors fall in 2 of 3, median ratio 0.70")
-    assert said[2] == "calibration cycles: NGA 6.00, PGA 5.40 N m (-10.0 %)"
+def test_summary_counts_decreases_and_moment_errors():
+    text = lines(summary([result_with(0.5), result_with(1.5), result_with(0.7)]))
+    assert text[0].startswith("identifiable arms: errors decrease in 2 of 3, median ratio 0.70")
+    assert text[2] == "calibration cycles: NGA 6.00, PGA 5.40 N m (-10.0 %)"
 
 
-def test_a_person_who_was_answered_is_not_asked_again(monkeypatch, tmp_path, capsys):
+def test_stored_results_are_reused(monkeypatch, tmp_path, capsys):
     asked = []
 
-    def answer(one, place):
+    def evaluate(one, place):
         asked.append(one.result)
-        result = {"asked": vars(one), **made_up(0.5)}
+        result = {"asked": vars(one), **result_with(0.5)}
         (place / one.result).write_text(json.dumps(result), encoding="utf-8")
         return result
 
-    monkeypatch.setattr(hidden_wraps, "answer", answer)
-    people = [Asked(0, 0.1), Asked(1, 0.1)]
-    answer_all(people[:1], tmp_path)
-    assert len(answer_all(people, tmp_path)) == 2
-    answer_all([Asked(1, 0.1, prior=0.005)], tmp_path)
-    assert asked == [people[0].result, people[1].result, Asked(1, 0.1, prior=0.005).result]
+    monkeypatch.setattr(hidden_wraps, "evaluate", evaluate)
+    people = [Question(0, 0.1), Question(1, 0.1)]
+    evaluate_all(people[:1], tmp_path)
+    assert len(evaluate_all(people, tmp_path)) == 2
+    evaluate_all([Question(1, 0.1, prior=0.005)], tmp_path)
+    assert asked == [people[0].result, people[1].result, Question(1, 0.1, prior=0.005).result]
     assert "1/2 seed 0: told 2 arms 2.00 -> 1.00 mm (0.50)" in capsys.readouterr().err

@@ -1,26 +1,26 @@
-"""The judge shares nothing with the judged."""
+"""Independence of the blind bank from the package, and of its banks from each other."""
 
 import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "validation" / "blind"
-#: What the generator and the scorer may import besides Python's own.
+#: Packages that the simulator and the scorer may import besides the standard library.
 ALLOWED = {"numpy", "scipy", "opensim", "matplotlib", "validation"}
 
 
 def _imports(file: Path) -> set[str]:
-    found = set()
+    names = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
-            found.add(node.module or "")
-    return found
+            names.add(node.module or "")
+    return names
 
 
-def test_nothing_of_ours_is_imported_and_nothing_by_name():
+def test_blind_bank_does_not_import_the_package():
     import sys
 
     for file in sorted(PACKAGE.rglob("*.py")):
@@ -32,12 +32,12 @@ def test_nothing_of_ours_is_imported_and_nothing_by_name():
         assert "__import__" not in file.read_text(encoding="utf-8")
 
 
-def test_opensim_is_asked_in_one_place():
+def test_opensim_is_imported_by_one_module():
     where = {f.name for f in PACKAGE.rglob("*.py") if "opensim" in {n.split(".")[0] for n in _imports(f)}}
     assert where == {"opensim_leg.py"}
 
 
-def test_the_judged_curves_are_the_test_banks_alone():
+def test_curves_of_test_banks_are_not_in_the_development_bank():
     from validation.blind.families import BANKS
 
     assert set(BANKS["test"]).isdisjoint(BANKS["development"])
@@ -51,7 +51,7 @@ def test_banks_share_no_seed():
     assert all(bank.people >= 40 for bank in BANK_SIZES.values())
 
 
-def test_table_of_forms_is_up_to_date():
+def test_effects_table_is_up_to_date():
     from validation.blind.effect_table import effect_table
 
     assert (PACKAGE / "EFFECTS.md").read_text(encoding="utf-8") == effect_table()

@@ -1,4 +1,4 @@
-"""A bank is made person by person, resumes where it stopped, and comes out the same."""
+"""Reproducible and resumable simulation of a bank."""
 
 import os
 import shutil
@@ -19,7 +19,7 @@ from validation.blind.seal import broken_seals, digest
 
 
 @pytest.mark.slow
-def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
+def test_interrupted_bank_is_completed_identically(tmp_path, monkeypatch, capsys):
     quick = {"slow_fibers", "missing_drive", "joint_damping", "ankle_foot_orthosis"}
     for name in set(EFFECTS) - quick:
         monkeypatch.delitem(EFFECTS, name)
@@ -37,7 +37,7 @@ def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
     ]
     assert all(t.d_star > 0.3 for t in truths if t.tier != "none")
 
-    # Lose half of what was made, of either person: it is made again to the byte.
+    # Delete half of the cases of both persons: they are made again identically.
     for truth in truths[::2]:
         shutil.rmtree(tmp_path / "cases" / truth.id)
     assert len(broken_seals(tmp_path)) == len(truths[::2])
@@ -51,23 +51,23 @@ def test_a_bank_resumes_and_is_the_same_again(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
 
 
-#: Makes two people and three cases in the folder that it is given.
+#: Script that makes two persons and three cases in a given folder.
 TINY = """
 import sys
 from pathlib import Path
 from validation.blind import make, plan
 from validation.blind.effects import EFFECTS
 from validation.blind.outside_catalogue import OUTSIDE
-for known, kept in ((EFFECTS, {"joint_damping", "ankle_foot_orthosis"}), (OUTSIDE, {"joint_friction"})):
-    for name in set(known) - kept:
+for known, used in ((EFFECTS, {"joint_damping", "ankle_foot_orthosis"}), (OUTSIDE, {"joint_friction"})):
+    for name in set(known) - used:
         del known[name]
 make.make(plan.Bank("development", 11, 2, 1, 1, 1, 0), Path(sys.argv[1]))
 """
 
 
 @pytest.mark.slow
-def test_another_process_in_another_folder_makes_the_same_bytes(tmp_path, capsys):
-    """No folder's name, no process's order of sets, and no clock is in any file."""
+def test_bytes_do_not_depend_on_process_or_folder(tmp_path, capsys):
+    """Check that files depend neither on the folder, nor on the order of sets, nor on the clock."""
     found = []
     for name, order in (("one", "1"), ("another_place", "2")):
         folder = tmp_path / name

@@ -1,4 +1,4 @@
-"""Defends: what is said of several effects is counted where two are true, one, or none."""
+"""Number of cases with several significant effects, for two, one or no true causes."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ from validation.diagnosis.multiple_effects import main
 
 @pytest.fixture
 def bank(tmp_path):
-    """Three people of a development bank, whose effects are hard to mistake."""
+    """Write three linearized cases of a development bank with clearly distinct effects."""
     generator = np.random.default_rng(5)
     signatures = {name: generator.normal(size=(CYCLES, PHASES, COORDINATES)) for name in "abcd"}
     for folder in ("truth", "lines"):
@@ -26,16 +26,20 @@ def bank(tmp_path):
     return tmp_path
 
 
-def test_two_are_said_where_two_are_true(bank, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["several", "--bank", str(bank), "--lines", str(bank / "lines")])
+def test_two_effects_are_found_for_two_causes(bank, monkeypatch, capsys):
+    monkeypatch.setattr(
+        sys, "argv", ["multiple_effects", "--bank", str(bank), "--lines", str(bank / "lines")]
+    )
     assert main() == 0
     counted = capsys.readouterr().out.split("all of them true\n")[1].split()
     assert counted == ["none", "1", "0", "0", "single", "1", "0", "0", "pair", "1", "1", "1"]
 
 
-def test_what_is_no_development_bank_is_refused(bank, monkeypatch, capsys):
+def test_case_of_a_test_bank_is_rejected(bank, monkeypatch, capsys):
     truth = bank / "truth" / "pair.json"
     truth.write_text(truth.read_text().replace("development", "test"))
-    monkeypatch.setattr(sys, "argv", ["several", "--bank", str(bank), "--lines", str(bank / "lines")])
+    monkeypatch.setattr(
+        sys, "argv", ["multiple_effects", "--bank", str(bank), "--lines", str(bank / "lines")]
+    )
     assert main() == 2
     assert "expected a case of a development bank" in capsys.readouterr().err

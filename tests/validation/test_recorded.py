@@ -1,4 +1,4 @@
-"""Defends: errors go into recordings as they are described, by files alone, and what came of them is told."""
+"""Known errors added to recordings, and the summary of their diagnoses."""
 
 import shutil
 from dataclasses import replace
@@ -33,7 +33,7 @@ def table(columns, values, in_degrees=False):
 
 @pytest.fixture
 def cycles():
-    """Two cycles a speed; a channel that rises by one a second, and one that is one."""
+    """Build two cycles for each of two speeds, with a rising channel and a constant one."""
     emg = table(EMG, [TIME, np.ones_like(TIME)])
     moments = table(["ankle_angle_l_moment"], [np.sin(40.0 * TIME)])
     angles = table(["ankle_angle_l"], [np.full_like(TIME, 10.0)], in_degrees=True)
@@ -44,11 +44,11 @@ def cycles():
 
 
 def inner(cycle, channel="Sol"):
-    """Without the ends, where nothing was recorded to shift in."""
+    """Return a channel without the ends, where shifted values are extrapolated."""
     return cycle.emg.values[20:-20, EMG.index(channel)]
 
 
-def test_delays_differ_by_speed_and_not_on_average(cycles):
+def test_delays_differ_by_speed_with_zero_mean(cycles):
     slow, _, _, fast = with_delay(cycles, 0.040)
     assert inner(slow) == pytest.approx(TIME[20:-20] - 0.020)
     assert inner(fast) == pytest.approx(TIME[20:-20] + 0.020)
@@ -60,13 +60,13 @@ def test_drift_is_a_ramp_over_cycles_in_one_channel(cycles):
     assert all((inner(c, "TibAnt") == 1.0).all() for c in found)
 
 
-def test_crosstalk_adds_what_was_recorded(cycles):
+def test_crosstalk_adds_the_recorded_signal(cycles):
     first = with_crosstalk(cycles, "Sol", "TibAnt", 0.3)[0]
     assert inner(first, "TibAnt") == pytest.approx(1.0 + 0.3 * TIME[20:-20])
     assert (inner(first) == TIME[20:-20]).all()
 
 
-def test_a_spring_pulls_back_what_is_measured(cycles):
+def test_spring_changes_measured_moments(cycles):
     first = with_spring(cycles, "ankle_angle_l", 1.5)[0]
     assert first.moments.values - cycles[0].moments.values == pytest.approx(-15.0)
     radians = replace(cycles[0], angles=replace(cycles[0].angles, in_degrees=False))
@@ -74,14 +74,14 @@ def test_a_spring_pulls_back_what_is_measured(cycles):
         with_spring([radians], "ankle_angle_l", 1.5)
 
 
-def test_a_filter_smooths_one_kind_and_a_mass_scales_moments(cycles):
+def test_filter_smooths_one_signal_and_mass_scales_moments(cycles):
     first = with_filter(cycles, "moments", 3.0)[0]
     assert np.ptp(first.moments.values[50:-50]) < 0.5 * np.ptp(cycles[0].moments.values)
     assert first.emg is cycles[0].emg
     assert with_wrong_mass(cycles, 1.15)[0].moments.values == pytest.approx(1.15 * cycles[0].moments.values)
 
 
-def test_every_variant_has_a_name_of_its_own_and_what_it_injects_is_in_the_catalogue():
+def test_variants_have_unique_names_and_effects_of_the_catalogue():
     from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
     every = [*injections("l"), *knock_outs()]
@@ -89,7 +89,7 @@ def test_every_variant_has_a_name_of_its_own_and_what_it_injects_is_in_the_catal
     assert {one.effect for one in every} - {None} <= set(CATALOGUE)
 
 
-def test_files_of_the_recording_are_left_alone_and_a_hidden_channel_is_gone(s1_left, tmp_path):
+def test_source_files_are_unchanged_and_hidden_channel_is_removed(s1_left, tmp_path):
     source, folder = tmp_path / "source", tmp_path / "made"
     shutil.copytree(s1_left, source, ignore=shutil.ignore_patterns("reference_geometry"))
     before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
@@ -109,7 +109,7 @@ def test_files_of_the_recording_are_left_alone_and_a_hidden_channel_is_gone(s1_l
         write_variant(source, folder, Variant("x", "", list, None, hidden="Nobody"))
 
 
-def test_rises_are_against_the_untouched_recording_and_the_share_counts_twice_the_size():
+def test_increases_are_relative_to_the_original_recording():
     before = {"evidence": {"emg_drift": 5.0, "emg_crosstalk": 1.0, "cop_offset": 9.0}}
     variants = [
         Variant(name, f"{name}!", list, "emg_drift") for name in ("drift_1", "drift_2", "other_2", "more_2")
@@ -132,30 +132,30 @@ def test_rises_are_against_the_untouched_recording_and_the_share_counts_twice_th
             },
         },
     }
-    summary = recorded.summarised(before, variants, kept)
+    summary = recorded.summarize(before, variants, kept)
     assert [row["place"] for row in summary["rows"][:4]] == [2, 1, 2, 1]
     assert summary["rows"][0]["first"] == "emg_crosstalk" and summary["rows"][4]["found"] is True
     assert summary["rose_most_at_twice"] == pytest.approx(2 / 3)
     text = recorded.as_text(summary)
     assert "| drift_2! | +20.0 | 1 | `emg_drift` +20.0 |" in text and "in 67 % of 3 (target: 80 %)" in text
-    assert "| tie missing_drive, cop_offset | 0.70, 0.85 (tibpost, place 2 of 2 groups) |" in text
+    assert "| tie missing_drive, cop_offset | 0.70, 0.85 (tibpost, rank 2 of 2 groups) |" in text
 
 
-def test_what_is_not_known_is_told_in_a_sentence(s1_left, monkeypatch, tmp_path, capsys):
+def test_unknown_variant_is_an_input_error(s1_left, monkeypatch, tmp_path, capsys):
     arguments = ["recorded", "--subject", str(s1_left), "--out", str(tmp_path), "--only", "nobody"]
     monkeypatch.setattr("sys.argv", arguments)
     assert recorded.main() == 2
     assert "there is no variant 'nobody'" in capsys.readouterr().err
 
 
-def test_drives_are_compared_with_emg_before_them():
-    """Activation comes later than EMG, never before it; what is not driven is like nothing."""
-    from validation.recorded.variant_results import PHASES, likeness
+def test_excitation_is_compared_with_earlier_emg():
+    """Check that excitation may lag behind EMG but not lead it; zero excitation has no correlation."""
+    from validation.recorded.variant_results import PHASES, correlations
 
     emg = np.exp(-(((np.linspace(0.0, 1.0, PHASES) - 0.4) / 0.05) ** 2))
     later, earlier = (np.append(np.roll(emg[:-1], shift), emg[0]) for shift in (5, -5))
-    assert likeness(emg, emg)["correlation"] == pytest.approx(1.0)
-    assert likeness(later, emg)["correlation"] < 0.7
-    assert likeness(later, emg)["correlation_delayed"] == pytest.approx(1.0)
-    assert likeness(earlier, emg)["correlation_delayed"] < 0.7
-    assert likeness(0.0 * emg, emg) == {"correlation": None, "correlation_delayed": None}
+    assert correlations(emg, emg)["correlation"] == pytest.approx(1.0)
+    assert correlations(later, emg)["correlation"] < 0.7
+    assert correlations(later, emg)["correlation_delayed"] == pytest.approx(1.0)
+    assert correlations(earlier, emg)["correlation_delayed"] < 0.7
+    assert correlations(0.0 * emg, emg) == {"correlation": None, "correlation_delayed": None}

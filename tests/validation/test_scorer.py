@@ -1,4 +1,4 @@
-"""The scorer says what is known of answerers: one knows all, others guess, tie, keep silent, are sure."""
+"""Scores of synthetic answerers: perfect, guessing, tying, silent and overconfident."""
 
 import json
 import shutil
@@ -42,7 +42,7 @@ def values(scored, name):
     return {key: row.figure.value for key, row in rows(scored, name).items()}
 
 
-def test_perfect(scored):
+def test_perfect_answerer(scored):
     found = values(scored, "perfect")
     assert found["first_clear"] == found["first_all"] == found["three_plain"] == found["precision"] == 1.0
     assert found["coverage"] == found["withheld"] == found["set_coverage"] == found["pair_both"] == 1.0
@@ -54,45 +54,45 @@ def test_perfect(scored):
     assert set(table["outside"]) == {"(unknown)"}
 
 
-def test_guessing_is_as_good_as_chance(scored):
+def test_guessing_scores_at_chance(scored):
     found = values(scored, "guessing")
     assert found["first_strict"] < 0.15
     assert found["false_alarms"] == found["wrong_outside"] == 1.0
-    assert abs(found["calibration"]) < 0.06  # it never claimed to know
+    assert abs(found["calibration"]) < 0.06  # its probabilities are uniform
 
 
-def test_tying_everything_earns_nothing(scored):
+def test_tie_of_all_effects_scores_zero_precision(scored):
     found = values(scored, "tying")
     assert found["precision"] == 0.0 and found["withheld"] == 0.0 and found["false_alarms"] == 1.0
     assert found["set_coverage"] == 1.0 and found["set_size"] == len(NAMES)
     assert rows(scored, "tying")["set_size"].verdict == FAILED
 
 
-def test_silence_is_safe_and_useless(scored):
+def test_silent_answerer_has_no_false_alarms_and_no_coverage(scored):
     found = values(scored, "silent")
     assert found["false_alarms"] == found["wrong_outside"] == found["coverage"] == found["first_all"] == 0.0
     assert found["withheld"] == 1.0 and found["precision"] is None
-    assert found["calibration"] > 0.5  # it was sure that there was nothing
+    assert found["calibration"] > 0.5  # it was certain of no effect
     assert rows(scored, "silent")["coverage"].verdict == FAILED
 
 
-def test_confidence_is_punished(scored):
+def test_overconfidence_is_miscalibrated(scored):
     found = values(scored, "confident")
     assert found["calibration"] > 0.7 and found["precision"] < 0.2 and found["false_alarms"] == 1.0
     assert rows(scored, "confident")["calibration"].verdict == FAILED
 
 
-def test_generators_ties_are_right_and_not_withheld_faults(bank, tmp_path):
-    """Naming what the generator cannot tell from the cause is right, and no fault with the cause withheld."""
+def test_tied_effects_are_correct(bank, tmp_path):
+    """Check that naming a tied effect is correct, also with the cause withheld."""
     folder, truths = bank
     for truth in truths:
-        told = perfect(truth)
+        content = perfect(truth)
         if truth["ties"]:
             (tie,) = truth["ties"]
-            told = {**told, "named": [tie], "effects": [{"id": tie, "probability": 1.0}]}
-        answer(tmp_path / "answers", truth, told)
+            content = {**content, "named": [tie], "effects": [{"id": tie, "probability": 1.0}]}
+        answer(tmp_path / "answers", truth, content)
         if truth["tier"] == "single":
-            answer(tmp_path / "withheld", truth, told)
+            answer(tmp_path / "withheld", truth, content)
     result = score(folder, {"it": tmp_path / "answers"}, {"it": tmp_path / "withheld"})
     found = values(result, "it")
     tied = sum(bool(t["ties"]) for t in truths)
@@ -102,21 +102,21 @@ def test_generators_ties_are_right_and_not_withheld_faults(bank, tmp_path):
 
 
 def test_moments_shrinkage_and_map(bank, tmp_path):
-    """An answerer 2 N m off before and 1 N m after, at a floor of 1: the truth is (5 - 2)/(5 - 1)."""
+    """Check moments 2 N m off before and 1 N m after, with a floor of 1: shrinkage (5 - 2)/(5 - 1)."""
     folder, truths = bank
     time = np.arange(0.5, 12.0, 0.005)
     for order, truth in enumerate(truths):
-        told = perfect(truth)
+        content = perfect(truth)
         if order % 8 == 2 and truth["tier"] == "single":
-            told["shrinkage"] = {
+            content["shrinkage"] = {
                 k: {"estimate": 0.70, "ci95": [0.6, 0.8]} for k in ("held_out_cycles", "held_out_speed")
             }
             grid = [(c, p, v) for c in COORDINATES for p in range(0, 100, 5) for v in SPEEDS]
             keys = ("coordinate", "phase_percent", "speed_m_s", "explainable_rms_Nm")
-            told["where"] = [
+            content["where"] = [
                 dict(zip(keys, (c, [p, p + 5], v, 2 + 0.01 * p), strict=True)) for c, p, v in grid
             ]
-        answer(tmp_path, truth, told)
+        answer(tmp_path, truth, content)
         if order % 8 == 2 and truth["tier"] == "single":
             clean = np.load(folder / "truth" / f"{truth['id']}.npy")
             (tmp_path / truth["id"] / "moments").mkdir()
@@ -132,10 +132,10 @@ def test_moments_shrinkage_and_map(bank, tmp_path):
     found = rows(score(folder, {"it": tmp_path}), "it")
     assert found["shrinkage"].figure.value == pytest.approx(0.05, abs=0.01)
     assert found["shrinkage_intervals"].figure.value == 1.0
-    assert found["map"].figure.n > 300 and found["map"].figure.value < 0.5  # the truth is flat
+    assert found["map"].figure.n > 300 and found["map"].figure.value < 0.5  # the true map is constant
 
 
-def test_nothing_is_printed_before_all_is_answered(bank, tmp_path):
+def test_scoring_requires_all_answers(bank, tmp_path):
     folder, truths = bank
     for truth in truths[1:]:
         answer(tmp_path, truth, perfect(truth))
@@ -143,8 +143,8 @@ def test_nothing_is_printed_before_all_is_answered(bank, tmp_path):
         score(folder, {"it": tmp_path})
 
 
-def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
-    """By their ids, which are hashes: no choice is left to who asks."""
+def test_first_cases_can_be_scored_alone(tmp_path):
+    """Check the selection by id, which is a hash and so cannot be chosen."""
     truths = sorted(write_bank(tmp_path / "bank", single=4, other=2), key=lambda truth: truth["id"])
     for truth in truths[:5]:
         answer(tmp_path / "it", truth, perfect(truth))
@@ -161,24 +161,24 @@ def test_the_first_few_can_be_judged_while_the_others_stay_sealed(tmp_path):
     assert json.loads(log[0])["cases"] == 5
 
 
-def test_what_was_left_can_be_judged_without_those_that_judged_before(tmp_path):
+def test_remaining_cases_can_be_scored_alone(tmp_path):
     truths = sorted(write_bank(tmp_path / "bank", single=4, other=2), key=lambda truth: truth["id"])
     manifest = tmp_path / "committed.json"
     manifest.write_text((tmp_path / "bank" / "manifest.json").read_text())
     for truth in truths[2:]:
         answer(tmp_path / "it", truth, perfect(truth))
-    left = CaseSelection(after=truths[1]["id"])
-    whole = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=left)["it"]
+    remaining = CaseSelection(after=truths[1]["id"])
+    complete = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=remaining)["it"]
     for truth in truths[:2]:  # only the selected cases are present
         shutil.rmtree(tmp_path / "bank" / "cases" / truth["id"])
         for kind in ("json", "npy"):
             (tmp_path / "bank" / "truth" / f"{truth['id']}.{kind}").unlink()
-    alone = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=left)["it"]
-    assert whole["cases"] == alone["cases"] == len(truths) - 2 and whole["rows"] == alone["rows"]
+    alone = score(tmp_path / "bank", {"it": tmp_path / "it"}, manifest=manifest, selection=remaining)["it"]
+    assert complete["cases"] == alone["cases"] == len(truths) - 2 and complete["rows"] == alone["rows"]
 
 
 @pytest.mark.parametrize("what", ["truth", "clean", "case", "extra"])
-def test_a_broken_seal_is_seen(tmp_path, what):
+def test_changed_bank_is_rejected(tmp_path, what):
     truths = write_bank(tmp_path, single=2, other=1)
     name = truths[0]["id"]
     if what == "truth":
@@ -194,14 +194,14 @@ def test_a_broken_seal_is_seen(tmp_path, what):
         score(tmp_path, {})
 
 
-def test_runs_are_logged_and_results_are_text(scored, bank):
+def test_runs_are_logged_and_formatted(scored, bank):
     log = (bank[0] / "score_log.jsonl").read_text().splitlines()
     assert set(json.loads(log[0])["answers"]) == {answerer.__name__ for answerer in ANSWERERS}
     assert "right cause first" in as_markdown(scored)
     assert json.loads(as_json(scored))["perfect"]["rows"][0]["verdict"] == MET
 
 
-def test_shares_of_few_people_are_less_certain():
+def test_bounds_are_wider_for_few_persons():
     hits = np.repeat([1, 1, 0, 1, 0, 1, 1, 1], 20)
     same, apart = np.repeat(np.arange(8), 20), np.arange(160)
     clustered, plain = share(hits, same), share(hits, apart)

@@ -1,4 +1,4 @@
-"""Defends: whether a bank is the sealed one is told byte for byte, by the names of what differs."""
+"""Comparison of a bank with its manifest."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from validation.blind.__main__ import main
 
 @pytest.fixture
 def banks(tmp_path):
-    """A sealed bank, and the same made again elsewhere."""
+    """Write a bank and the same bank in another folder."""
     for name in ("sealed", "again"):
         truths = write_bank(tmp_path / name, single=3, other=1)
     return tmp_path, truths[2]["id"]
@@ -20,13 +20,13 @@ def check(folder):
     )
 
 
-def test_a_bank_made_again_is_the_sealed_one(banks, capsys):
+def test_identical_bank_passes(banks, capsys):
     assert check(banks[0]) == 0
     assert "byte for byte" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("what", ["changed", "missing", "a byte", "a file", "more"])
-def test_what_differs_is_named(banks, what, capsys):
+def test_differences_are_listed(banks, what, capsys):
     folder, name = banks[0] / "again", banks[1]
     recording = folder / "cases" / name / "trials" / "walk_1"
     if what == "changed":
@@ -51,7 +51,7 @@ def test_what_differs_is_named(banks, what, capsys):
     assert all(line.startswith(start) for line, start in zip(lines, expected, strict=True))
 
 
-def test_a_case_that_is_known_to_differ_can_be_left_out_and_no_other_with_it(banks, capsys):
+def test_a_differing_case_can_be_left_out_by_id(banks, capsys):
     folder, name = banks[0] / "again", banks[1]
     again = ["check", "--bank", str(folder), "--manifest", str(banks[0] / "sealed/manifest.json")]
     (folder / "cases" / name / "subject.toml").write_text("")
@@ -62,7 +62,7 @@ def test_a_case_that_is_known_to_differ_can_be_left_out_and_no_other_with_it(ban
     assert name in capsys.readouterr().out
 
 
-def test_without_a_manifest_nothing_is_said(banks, capsys):
+def test_missing_manifest_is_an_error(banks, capsys):
     (banks[0] / "sealed" / "manifest.json").unlink()
     assert check(banks[0]) == 1
     assert "no such manifest" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Virtual people walk like people, and their cases are sealed folders that say nothing but signals."""
+"""Simulated walking, effects, detectability, and case folders of the blind bank."""
 
 import json
 from dataclasses import replace
@@ -21,7 +21,7 @@ from validation.blind.world import joint_moments, record
 from wrapjax.subject.subject import load_subject
 
 BANK = Bank("development", 9, 4, 4, 2, 2, 2)
-#: Effects that need no further hour of OpenSim.
+#: Effects that need few OpenSim computations.
 QUICK = ("slow_fibers", "missing_drive", "emg_drift", "joint_damping", "ankle_foot_orthosis")
 LEVEL = EMG_LEVELS[1]
 
@@ -51,8 +51,8 @@ def library(who, oracle):
     return Library(tuple((e.id, v) for e, v in entries), signals, np.tile(reach, (3, 1)))
 
 
-def test_moments_are_those_of_walking(who):
-    """Ranges of recorded walkers at 0.5 to 1.3 m/s, with room: sagittal peaks in N m/kg."""
+def test_moments_are_in_the_range_of_walking(who):
+    """Compare with wide ranges of recorded walkers at 0.5 to 1.3 m/s: peaks in N m/kg."""
     world = who.world
     used = slice(500, 6000)
     moments = joint_moments(world)[..., used] / world.leg.mass
@@ -68,8 +68,8 @@ def test_moments_are_those_of_walking(who):
         assert high < values.max() < most, name
 
 
-def test_cycles_differ_as_recorded_ones_do(who):
-    """From cycle to cycle recorded walkers differ by 4 to 10 N m at hip, knee and ankle, 1 to 3 elsewhere."""
+def test_cycle_noise_is_in_the_recorded_range(who):
+    """Compare with recorded walkers: 4 to 10 N m at hip, knee and ankle, 1 to 3 N m elsewhere."""
     world = who.world
     recorded = joint_moments(world) + moment_noise(world.walk, world.leg.mass, np.random.default_rng(3))
     for recording, pairs in enumerate(cycles(world)):
@@ -80,7 +80,7 @@ def test_cycles_differ_as_recorded_ones_do(who):
         assert np.all(apart < [11, 11, 5, 11, 11, 5])
 
 
-def test_electrodes_see_bursts_where_textbooks_have_them(who):
+def test_emg_bursts_are_at_typical_phases(who):
     world = who.world
     phase = world.walk.phase[1] % 1.0
     soleus, tibialis, vasti = world.drive[1, 10], world.drive[1, 11], world.drive[1, 8]
@@ -90,7 +90,7 @@ def test_electrodes_see_bursts_where_textbooks_have_them(who):
     assert bursts(world.walk).min() > 0.0 and world.drive.min() >= 0.0
 
 
-def test_ground_forces_and_moments_belong_together(who):
+def test_moments_follow_inverse_dynamics(who):
     world = who.world
     away = joint_moments(world) - world.inverse
     assert np.sqrt((away[..., 500:6000] ** 2).mean(axis=(0, 2))).max() < 0.25 * world.leg.mass
@@ -100,7 +100,7 @@ def test_ground_forces_and_moments_belong_together(who):
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_no_effect_at_zero(who, base, name):
+def test_quick_effects_vanish_at_zero(who, base, name):
     effect = EFFECTS[name]
     changed = record(effect.apply(who.world, 0.0, effect.variants(who.world)[0]))
     assert np.array_equal(changed.emg, base.emg) and np.array_equal(changed.pose, base.pose)
@@ -109,7 +109,7 @@ def test_no_effect_at_zero(who, base, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in {**EFFECTS, **OUTSIDE} if n != "bound_pressure"])
-def test_all_effects_start_at_zero_and_stay_finite(who, base, name):
+def test_all_effects_vanish_at_zero_and_are_finite(who, base, name):
     effect = {**EFFECTS, **OUTSIDE}[name]
     for variant in effect.variants(who.world):
         still = record(effect.apply(who.world, 0.0, variant))
@@ -118,14 +118,14 @@ def test_all_effects_start_at_zero_and_stay_finite(who, base, name):
         assert np.isfinite(strong.moments).all()
 
 
-def test_d_star_grows_with_the_amount_and_is_hit(who, oracle, library):
+def test_amount_reaches_target_d_star(who, oracle, library):
     effect = EFFECTS["ankle_foot_orthosis"]
     effect_size, reached = find_amount(who.world, oracle[LEVEL], effect, (), 1, 6.0, None)
     assert 5.2 < reached < 6.8 and 0.0 < effect_size < effect.most
 
 
-def test_d_star_is_what_can_be_detected(who, oracle):
-    """A signal that a gain can absorb has no detectability to speak of; the same one on a joint has."""
+def test_d_star_excludes_what_calibration_absorbs(who, oracle):
+    """Compare a signal that an EMG gain absorbs with one of equal size at a joint."""
     world = who.world
     gain = record(replace(world, muscles=replace(world.muscles, scale=world.muscles.scale * 1.05)))
     absorbed = flat(world, gain.moments - record(world).moments)
@@ -137,8 +137,8 @@ def test_d_star_is_what_can_be_detected(who, oracle):
     assert np.sqrt(spring @ oracle[LEVEL].whiten(spring)) > 1.0
 
 
-def test_ties_need_both_ways(who, oracle, library):
-    """A weak effect is tied with what can imitate it; a strong one with what still can."""
+def test_ties_are_mutual(who, oracle, library):
+    """Check that a weak effect is tied with all others and a strong one with none."""
     world = who.world
     _, strong = difference(world, EFFECTS["ankle_foot_orthosis"], 3.0, ())
     strong = flat(world, strong)
@@ -151,8 +151,8 @@ def test_ties_need_both_ways(who, oracle, library):
     assert tied(1e-3 * strong) == known
 
 
-def test_activation_follows_its_families():
-    """Rises in about the time it is given, falls four times as slowly, and never leaves 0 to 1."""
+def test_activation_dynamics_of_families():
+    """Check rise time, the fall about four times as slow, and the range 0 to 1."""
     step = 0.002
     pulse = np.zeros((1, 1, 1000))
     pulse[..., 100:500] = 1.0
@@ -172,8 +172,8 @@ def _case(who, oracle, library, folder, order, tier, causes):
     return identity
 
 
-def test_cases_say_nothing_but_signals(who, oracle, library, tmp_path):
-    """Names, sizes, order and time stamps are the same in all cases, and no file has a cause's name."""
+def test_cases_differ_in_signals_only(who, oracle, library, tmp_path):
+    """Check that names, sizes and time stamps are equal in all cases, and no file contains a cause."""
     causes = [(), (("ankle_foot_orthosis", ()),), (("emg_drift", ("Soleus",)),)]
     library = replace(
         library, entries=tuple((n, ("Soleus",) if n == "emg_drift" else v) for n, v in library.entries)
@@ -195,7 +195,7 @@ def test_cases_say_nothing_but_signals(who, oracle, library, tmp_path):
     assert truth["causes"][0]["parameters"].keys() == {"dorsiflexion_stiffness"}
     assert 5.0 < truth["d_star"] < 7.0 and 0 < truth["floor_Nm2"]["held_out_speed"] < 100
 
-    assert len(load_subject(tmp_path / "cases" / names[0]).recordings) == 5  # as the contract has it
+    assert len(load_subject(tmp_path / "cases" / names[0]).recordings) == 5  # trials by speed and use
 
     again = tmp_path / "again"
     _case(who, oracle, library, again, 1, "single", causes[1])
@@ -206,7 +206,7 @@ def test_cases_say_nothing_but_signals(who, oracle, library, tmp_path):
         )
 
 
-def test_plans_are_even_and_hit_their_strata():
+def test_plans_are_balanced_and_match_strata():
     bank = bank_of("test")
     variants = {name: (("a",), ("b",)) for name in {**EFFECTS, **OUTSIDE}}
     planned = plan_cases(bank, variants)
@@ -223,7 +223,7 @@ def test_plans_are_even_and_hit_their_strata():
     targets = np.array([case.targets[0] for case in single])
     assert np.mean(targets > 5) == pytest.approx(0.5, abs=0.01)
     assert np.mean((targets > 2) & (targets < 5)) == pytest.approx(0.3, abs=0.01)
-    # Sorted by name, as a folder lists them, cases of all kinds are mixed.
+    # Sorted by id, cases of all tiers are mixed.
     listed = [case.tier for case in sorted(planned, key=lambda case: case.id)]
     for tier in ("single", "none", "outside", "pair"):
         assert np.mean([kind == tier for kind in listed[:360]]) == pytest.approx(

@@ -1,20 +1,20 @@
-"""How near PGA brings moment arms to the truth where cylinders are hidden and EMG is noisy.
+"""Accuracy of moment arms after PGA for displaced wraps and noisy EMG.
 
-``python -m validation.calibration.hidden_wraps --subjects 20 --emg-noise 0.10`` makes people with the blind bank's
-simulator, which shares nothing with the package (`validation.blind.hidden_wraps`): OpenSim's paths, Millard's
-curves, own noise of electrodes and of moments. Their cylinders are not where the model file has them. Each
-is calibrated by NGA and by PGA through the exact engine, and moment arms are held against the simulator's
-over all recorded cycles, round nominal cylinders (before, as NGA has them) and round those that PGA found.
+``python -m validation.calibration.hidden_wraps --subjects 20 --emg-noise 0.10`` simulates persons with the
+simulator of the blind bank, which is independent of the package (`validation.blind.hidden_wraps`): OpenSim's
+paths, Millard's curves, noise of EMG and of moments. Their cylinders differ from those of the model file.
+Each person is calibrated by NGA and by PGA with the exact engine, and moment arms over all recorded cycles,
+with nominal cylinders (as in NGA) and with those of PGA, are compared with the true ones.
 
-An arm counts as touched where hiding the cylinders moved it by `MINIMUM_ERROR` (mean over frames) and its
-muscle runs by a cylinder that PGA frees. Of these, arms and gains can be told apart where moment noise of
-`NOISE` would leave, by Laplace with the true cylinders and everything else that is free, a standard deviation
-below a tenth of how far the nominal arm is from the true one: the rule of the test without noise. Errors are
-root mean squares over these arms, cycles and frames. A person with no such arm counts as one whose error did
-not fall.
+A moment arm counts as touched if the displacement of the cylinders changed it by `MINIMUM_ERROR` (mean over
+frames) and its muscle wraps round a cylinder that PGA frees. A touched arm is identifiable if, with moment
+noise of `NOISE` and all free variables, the Laplace approximation at the true cylinders gives a standard
+deviation below a tenth of the error of the nominal arm: the rule of the test without noise. Errors are root
+mean squares over arms, cycles and frames. A person without such an arm counts as one whose error did not
+decrease.
 
-People and results are kept in ``--place``, and what is there is not done again. It has to be the same
-package: ask for another place when it changed.
+Persons and results are stored in ``--place`` and reused. Use another folder for another version of the
+package.
 """
 
 from __future__ import annotations
@@ -41,30 +41,31 @@ if TYPE_CHECKING:
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.subject.subject import Subject
 
-#: N m: by which arms and gains are told apart.
+#: Moment noise, N m, for which arms count as identifiable.
 NOISE = 0.003
-#: Curves and activation that the simulator can have.
+#: Families of curves and activation dynamics of the simulator.
 CURVES = ("millard", "thelen", "spline")
+#: Keys of results for identifiable and touched arms.
 _KINDS = ("told", "touched")
 _USES = ("calibration", "validation")
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked of a person.
+class Question:
+    """Person to simulate and calibration to evaluate.
 
     Parameters
     ----------
     seed
-        Decides who it is.
+        Number of the person.
     emg_noise
-        Share of the envelopes.
+        Noise as a share of the envelopes.
     curves
         One of `CURVES`.
     starts
-        Of each calibration.
+        Starts of each calibration.
     prior
-        Deviation of the prior on where cylinders are, m along each axis; None: the package's own.
+        Prior standard deviation of cylinder translations, m along each axis; None: that of the package.
     """
 
     seed: int
@@ -80,22 +81,24 @@ class Asked:
 
     @property
     def result(self) -> str:
-        """Name of the result's file, beside the person's."""
+        """Name of the result file."""
         prior = "" if self.prior is None else f"_prior_{self.prior:g}"
         return f"{self.person}_starts_{self.starts}{prior}.json"
 
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX is loaded, which reads it once.
+    # JAX reads the thread counts once, when it is imported.
     pin_threads()
     set_up_jax()
     seeds = range(options.seed, options.seed + options.subjects)
-    asked = [Asked(seed, options.emg_noise, options.curves, options.starts, options.prior) for seed in seeds]
+    asked = [
+        Question(seed, options.emg_noise, options.curves, options.starts, options.prior) for seed in seeds
+    ]
     with tempfile.TemporaryDirectory() as spare:
-        found = answer_all(asked, options.place or Path(spare))
-    told = summary(found)
-    print("\n".join(lines(told)))
+        found = evaluate_all(asked, options.place or Path(spare))
+    totals = summary(found)
+    print("\n".join(lines(totals)))
     if options.out:
         from wrapjax.io.files import write_json
 
@@ -108,31 +111,31 @@ def main() -> int:
             "machine": describe_machine(),
             "versions": versions(),
         }
-        write_json(options.out, about | {"summary": told, "people": found})
+        write_json(options.out, about | {"summary": totals, "people": found})
     return 0
 
 
-def answer_all(asked: Sequence[Asked], place: Path) -> list[dict[str, Any]]:
-    """Give every person's result, those kept in a folder as they are."""
+def evaluate_all(asked: Sequence[Question], place: Path) -> list[dict[str, Any]]:
+    """Return the results of all persons, reading those that are stored."""
     place.mkdir(parents=True, exist_ok=True)
-    found = []
+    results = []
     for number, one in enumerate(asked, 1):
         began = time.perf_counter()
         file = place / one.result
-        kept = file.exists()
-        if kept:
+        stored = file.exists()
+        if stored:
             result = json.loads(file.read_text(encoding="utf-8"))
         else:
-            result = answer(one, place)
+            result = evaluate(one, place)
             clear_caches_near_map_limit()
-        found.append(result)
-        how = "as before" if kept else f"{time.perf_counter() - began:.0f} s"
-        print(f"{number}/{len(asked)} {in_words(result)} ({how})", file=sys.stderr, flush=True)
-    return found
+        results.append(result)
+        how = "stored" if stored else f"{time.perf_counter() - began:.0f} s"
+        print(f"{number}/{len(asked)} {describe(result)} ({how})", file=sys.stderr, flush=True)
+    return results
 
 
-def answer(asked: Asked, place: Path) -> dict[str, Any]:
-    """Make a person (unless they are there), calibrate and judge; keep the result beside them."""
+def evaluate(asked: Question, place: Path) -> dict[str, Any]:
+    """Simulate a person unless stored, calibrate, evaluate, and store the result."""
     import wrapjax
     from validation.blind.hidden_wraps import hidden_wraps, write_hidden
     from wrapjax.io.files import write_json
@@ -152,14 +155,14 @@ def answer(asked: Asked, place: Path) -> dict[str, Any]:
         "moments_Nm": {"NGA": moment_errors(before), "PGA": moment_errors(after)},
         "converged": {"NGA": before.status.converged, "PGA": after.status.converged},
         "seconds": {"NGA": before.result.solve_seconds, "PGA": after.result.solve_seconds},
-        **judge(subject, geometry, after, folder),
+        **compare_with_truth(subject, geometry, after, folder),
     }
     write_json(place / asked.result, result)
     return dict(json.loads((place / asked.result).read_text(encoding="utf-8")))
 
 
 def with_prior(wraps: FreedWraps | None, distance: float) -> FreedWraps:
-    """Expect cylinders within so many m of where they are, along each axis; turns and radii as they were."""
+    """Set the prior standard deviation of cylinder translations (m); rotations and radii keep theirs."""
     if wraps is None:
         raise ValueError("no cylinder is free")
     along = [name.startswith("translation") for name in wraps.quantities]
@@ -174,8 +177,10 @@ def moment_errors(done: Calibration) -> dict[str, float]:
     return {use: float(error[uses == use].mean()) for use in _USES}
 
 
-def judge(subject: Subject, geometry: ExactGeometry, done: Calibration, folder: Path) -> dict[str, Any]:
-    """Hold a calibration's arms and cylinders against the truth beside the subject's folder."""
+def compare_with_truth(
+    subject: Subject, geometry: ExactGeometry, done: Calibration, folder: Path
+) -> dict[str, Any]:
+    """Compare moment arms and cylinders of a calibration with the true ones beside the subject folder."""
     import jax.numpy as jnp
 
     from wrapjax.calibration.problem import build_objective
@@ -184,32 +189,30 @@ def judge(subject: Subject, geometry: ExactGeometry, done: Calibration, folder: 
     result = done.result
     wraps, moving = result.freedom.wraps, result.freedom.moving_paths
     assert wraps is not None and moving is not None, "PGA frees cylinders"
-    with np.load(folder / "truth.npz") as kept:
-        names, columns = kept["muscles"].tolist(), kept["coordinates"].tolist()
+    with np.load(folder / "truth.npz") as truth:
+        names, columns = truth["muscles"].tolist(), truth["coordinates"].tolist()
         rows = [names.index(name) for name in result.muscles]
         places = [columns.index(name) for name in result.coordinates]
-        # As calibrations have them: muscle, cycle, coordinate, frame.
+        # Axes as in calibrations: muscle, cycle, coordinate, frame.
         true, undisplaced = (
-            np.swapaxes(kept[name][:, rows][:, :, places], 0, 1) for name in ("arms", "undisplaced")
+            np.swapaxes(truth[name][:, rows][:, :, places], 0, 1) for name in ("arms", "undisplaced")
         )
-    believed, found = (
-        np.asarray(states.path.moment_arm) for states in (result.initial_states, result.states)
-    )
+    nominal, found = (np.asarray(states.path.moment_arm) for states in (result.initial_states, result.states))
     true_wraps = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["wraps"]
     problem = build_objective(subject, "PGA", geometry, result.freedom)
     changes = jnp.asarray(true_changes(wraps, true_wraps))
     tree = replace(problem.variables.base, path_changes=changes)
     deviation = moment_arm_deviation(problem, np.asarray(problem.start(tree)), NOISE).mean(axis=(1, 3))
-    touched, told = arms_that_count(true, undisplaced, believed, deviation, moving)
+    touched, identifiable_arms = identifiable_and_touched(true, undisplaced, nominal, deviation, moving)
     names_of = [(muscle, coordinate) for muscle in result.muscles for coordinate in result.coordinates]
     return {
-        "told": arm_errors(true, believed, found, told),
-        "touched": arm_errors(true, believed, found, touched),
+        "told": arm_errors(true, nominal, found, identifiable_arms),
+        "touched": arm_errors(true, nominal, found, touched),
         "arms": {
             f"{names_of[at][0]} about {names_of[at][1]}": {
-                "told": bool(told.ravel()[at]),
+                "told": bool(identifiable_arms.ravel()[at]),
                 "deviation_m": float(deviation.ravel()[at]),
-                **arm_errors(true, believed, found, np.arange(touched.size).reshape(touched.shape) == at),
+                **arm_errors(true, nominal, found, np.arange(touched.size).reshape(touched.shape) == at),
             }
             for at in np.flatnonzero(touched)
         },
@@ -226,7 +229,7 @@ def judge(subject: Subject, geometry: ExactGeometry, done: Calibration, folder: 
 
 
 def true_changes(wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]]) -> np.ndarray:
-    """Put true cylinders where calibrations have theirs: (muscle, mode), differences from nominal."""
+    """Return true wrap parameters as path changes: (muscle, mode), differences from nominal."""
     from wrapjax.geometry.wrapping import NOMINAL
 
     moved = np.stack([np.array(true_wraps[name]) - NOMINAL for name in wraps.names])
@@ -234,38 +237,37 @@ def true_changes(wraps: FreedWraps, true_wraps: Mapping[str, Sequence[float]]) -
     return changes.reshape(len(changes), -1)
 
 
-def arms_that_count(
+def identifiable_and_touched(
     true: np.ndarray,
     undisplaced: np.ndarray,
-    believed: np.ndarray,
+    nominal: np.ndarray,
     deviation: np.ndarray,
     moving: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tell which arms are touched, and which of these can be told from gains: (muscle, coordinate) each.
+    """Find touched arms, and those of them that are identifiable: (muscle, coordinate) each.
 
     Parameters
     ----------
-    true, undisplaced, believed
-        Moment arms (m), (muscle, cycle, coordinate, frame): the person's, the same before cylinders were
-        displaced, and nominal ones.
+    true, undisplaced, nominal
+        Moment arms (m), (muscle, cycle, coordinate, frame): true, before the displacement, and nominal.
     deviation
-        What the moments leave open of them (m), (muscle, coordinate).
+        Posterior standard deviation of the moment arms (m), (muscle, coordinate).
     moving
-        Whether a muscle's path may move at all, (muscle,).
+        Whether the path of a muscle can change, (muscle,).
     """
     from wrapjax.demonstration.wrap_recovery import MINIMUM_ERROR, identifiable
 
-    def apart(others: np.ndarray) -> np.ndarray:
+    def mean_difference(others: np.ndarray) -> np.ndarray:
         return np.abs(others - true).mean(axis=(1, 3))
 
-    touched = (apart(undisplaced) > MINIMUM_ERROR) & moving[:, None]
-    return touched, touched & identifiable(apart(believed), deviation)
+    touched = (mean_difference(undisplaced) > MINIMUM_ERROR) & moving[:, None]
+    return touched, touched & identifiable(mean_difference(nominal), deviation)
 
 
 def arm_errors(
     true: np.ndarray, before: np.ndarray, after: np.ndarray, chosen: np.ndarray
 ) -> dict[str, float | int | None]:
-    """Root mean square errors (m) over chosen arms (muscle, coordinate), and the ratio of after to before."""
+    """Compute root mean square errors (m) over chosen arms (muscle, coordinate), and their ratio."""
     if not chosen.any():
         return {"arms": 0, "before_m": None, "after_m": None, "ratio": None}
     one, other = (
@@ -275,8 +277,8 @@ def arm_errors(
 
 
 def summary(people: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Sum up: in how many errors of arms fell, the median ratio, and moment errors (N m, means)."""
-    return {kind: fallen([one[kind]["ratio"] for one in people]) for kind in _KINDS} | {
+    """Summarize the decrease of moment arm errors, and mean moment errors (N m)."""
+    return {kind: decrease([one[kind]["ratio"] for one in people]) for kind in _KINDS} | {
         "moments_Nm": {
             method: {use: float(np.mean([one["moments_Nm"][method][use] for one in people])) for use in _USES}
             for method in ("NGA", "PGA")
@@ -285,10 +287,10 @@ def summary(people: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def fallen(ratios: Sequence[float | None]) -> dict[str, Any]:
-    """Count ratios below one; give their median, and intervals of 95 % of either that assume no distribution.
+def decrease(ratios: Sequence[float | None]) -> dict[str, Any]:
+    """Count ratios below one and compute their median, with distribution-free 95 % intervals.
 
-    None is a person of whom nothing could be judged: it counts as not fallen, and not for the median.
+    None stands for a person without an arm to evaluate: it counts as no decrease, and not for the median.
     """
     from scipy.stats import binomtest, quantile_test
 
@@ -306,8 +308,8 @@ def fallen(ratios: Sequence[float | None]) -> dict[str, Any]:
     }
 
 
-def in_words(result: Mapping[str, Any]) -> str:
-    """Write a person's result in a line."""
+def describe(result: Mapping[str, Any]) -> str:
+    """Describe the result of a person in one line."""
     moments = result["moments_Nm"]
     shown = [f"seed {result['asked']['seed']}:"]
     for kind in _KINDS:
@@ -323,17 +325,17 @@ def in_words(result: Mapping[str, Any]) -> str:
     return " ".join(shown)
 
 
-def lines(told: Mapping[str, Any]) -> list[str]:
-    """Write a summary in sentences."""
+def lines(totals: Mapping[str, Any]) -> list[str]:
+    """Format a summary, one line for each quantity."""
     shown = []
-    for kind, what in zip(_KINDS, ("arms that can be told from gains", "all touched arms"), strict=True):
-        own = told[kind]
+    for kind, what in zip(_KINDS, ("identifiable arms", "all touched arms"), strict=True):
+        own = totals[kind]
         ratio = "" if own["median_ratio"] is None else f", median ratio {own['median_ratio']:.2f}"
         ends = [end for end in own["median_interval"] if end is not None]
         interval = f" ({ends[0]:.2f} to {ends[1]:.2f})" if len(ends) == 2 else ""
-        shown.append(f"{what}: errors fall in {own['fallen']} of {own['of']}{ratio}{interval}")
+        shown.append(f"{what}: errors decrease in {own['fallen']} of {own['of']}{ratio}{interval}")
     for use in _USES:
-        nga, pga = (told["moments_Nm"][method][use] for method in ("NGA", "PGA"))
+        nga, pga = (totals["moments_Nm"][method][use] for method in ("NGA", "PGA"))
         shown.append(f"{use} cycles: NGA {nga:.2f}, PGA {pga:.2f} N m ({100 * (pga / nga - 1):+.1f} %)")
     return shown
 
@@ -342,16 +344,27 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m validation.calibration.hidden_wraps", description=__doc__
     )
-    parser.add_argument("--subjects", type=int, default=20, metavar="N", help="people (default: 20)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first person (default: 0)")
-    parser.add_argument("--emg-noise", type=float, default=0.10, metavar="SHARE", help="default: 0.10")
-    parser.add_argument("--curves", choices=CURVES, default=CURVES[0], help=f"default: {CURVES[0]}")
-    parser.add_argument("--starts", type=int, default=1, metavar="N", help="of each calibration (default: 1)")
     parser.add_argument(
-        "--prior", type=float, metavar="M", help="deviation of cylinders' places (default: the package's)"
+        "--subjects", type=int, default=20, metavar="N", help="number of persons (default: 20)"
     )
-    parser.add_argument("--place", type=Path, metavar="DIR", help="where people and results are kept")
-    parser.add_argument("--out", type=Path, metavar="FILE.json", help="where to write the result")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="number of the first person (default: 0)"
+    )
+    parser.add_argument(
+        "--emg-noise", type=float, default=0.10, metavar="SHARE", help="EMG noise (default: 0.10)"
+    )
+    parser.add_argument("--curves", choices=CURVES, default=CURVES[0], help=f"default: {CURVES[0]}")
+    parser.add_argument(
+        "--starts", type=int, default=1, metavar="N", help="starts of each calibration (default: 1)"
+    )
+    parser.add_argument(
+        "--prior",
+        type=float,
+        metavar="M",
+        help="prior SD of cylinder translations (default: that of the package)",
+    )
+    parser.add_argument("--place", type=Path, metavar="DIR", help="folder of stored persons and results")
+    parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the results to")
     return parser
 
 

@@ -1,8 +1,9 @@
-"""How often 90 % intervals hold the truth: ``python -m validation.calibration.interval_coverage``.
+"""Coverage of 90 % intervals of parameters: ``python -m validation.calibration.interval_coverage``.
 
-A virtual person's true parameters are known. Their moments get other noise each time (smooth over a cycle,
-new in each), and the person is calibrated from the true parameters: what is measured is the spread about
-that minimum, and the pull of priors. Data are of the model's own form, so model error is in none of it.
+The true parameters of a virtual subject are known. Its moments get new noise for each repeat (smooth within a
+cycle, independent between cycles), and it is calibrated starting from the true parameters, so that the
+coverage is that of the spread around this minimum and of the pull by priors. Data follow the model exactly:
+there is no model error.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import numpy as np
 from benchmarks.machine import pin_threads
 from wrapjax.jax_setup import set_up_jax
 
-#: Bell that noise is smoothed with, in frames, as the virtual person's.
+#: Standard deviation of the Gaussian that smooths noise, frames, as for the virtual subject.
 _WIDTH = 3.8
 
 
@@ -29,15 +30,29 @@ def main() -> int:
     )
     parser.add_argument("--repeats", type=int, default=40, metavar="N", help="noise draws (default: 40)")
     parser.add_argument(
-        "--bootstraps", type=int, default=0, metavar="N", help="of how many of them (default: 0)"
+        "--bootstraps",
+        type=int,
+        default=0,
+        metavar="N",
+        help="noise draws with a bootstrap, too (default: 0)",
     )
-    parser.add_argument("--draws", type=int, default=50, metavar="N", help="of each bootstrap (default: 50)")
-    parser.add_argument("--noise", type=float, default=2.0, metavar="NM", help="of moments, N m (default: 2)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the person (default: 0)")
     parser.add_argument(
-        "--limit", type=float, default=np.inf, metavar="SECONDS", help="begin no further draw after it"
+        "--draws", type=int, default=50, metavar="N", help="draws of each bootstrap (default: 50)"
     )
-    parser.add_argument("--subject", type=Path, metavar="DIR", help="a virtual subject (default: made up)")
+    parser.add_argument(
+        "--noise", type=float, default=2.0, metavar="NM", help="noise of moments, N m (default: 2)"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the subject (default: 0)")
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=np.inf,
+        metavar="SECONDS",
+        help="time after which no further draw is started",
+    )
+    parser.add_argument(
+        "--subject", type=Path, metavar="DIR", help="folder of a virtual subject (default: simulated)"
+    )
     options = parser.parse_args()
     pin_threads(1)
     set_up_jax()
@@ -72,7 +87,7 @@ def _measure(folder: Path, options: argparse.Namespace) -> int:
     clean = np.asarray(joint_moments(problem.curves, true, problem.recording))
     speeds = [subject.trials.used_for("calibration").speeds]
     solver = AugmentedLagrangian()
-    found: dict[str, list[Any]] = {"laplace": [], "bootstrap": []}
+    coverage: dict[str, list[Any]] = {"laplace": [], "bootstrap": []}
     began = time.monotonic()
     for number in range(options.repeats):
         if time.monotonic() - began > options.limit:
@@ -80,45 +95,47 @@ def _measure(folder: Path, options: argparse.Namespace) -> int:
         noise = np.random.default_rng([options.seed, number]).normal(size=clean.shape)
         smooth = gaussian_filter1d(noise, _WIDTH, axis=-1, mode="wrap")
         measured = clean + options.noise * smooth / smooth.std()
-        own = replace(problem, measured=jnp.asarray(measured))
-        solution = solver.solve(own, at)
-        judged = posterior(solution.problem, solution.state, speeds)
+        noisy = replace(problem, measured=jnp.asarray(measured))
+        solution = solver.solve(noisy, at)
+        laplace = posterior(solution.problem, solution.state, speeds)
         if number == 0:
-            before = judged.sample_prior(500, number).std(axis=0)
-        found["laplace"].append(_judged(judged.laplace(500, number), before, judged, at))
+            before = laplace.sample_prior(500, number).std(axis=0)
+        coverage["laplace"].append(_interval_coverage(laplace.laplace(500, number), before, laplace, at))
         if number < options.bootstraps:
-            drawn, _ = randomized_refits(judged, solver, options.draws, number)
-            found["bootstrap"].append(_judged(drawn, before, judged, at))
-        noises = ", ".join(f"{own:.2f}" for own in judged.noise[0].deviation)
+            drawn, _ = randomized_refits(laplace, solver, options.draws, number)
+            coverage["bootstrap"].append(_interval_coverage(drawn, before, laplace, at))
+        noises = ", ".join(f"{sd:.2f}" for sd in laplace.noise[0].deviation)
         print(
             f"{number}: {solution.status.name}, cost {solution.cost:.4g}, noise {noises} N m, "
-            f"information {judged.information:.0f}",
+            f"information {laplace.information:.0f}",
             flush=True,
         )
-    for way, rows in found.items():
+    for way, rows in coverage.items():
         if rows:
-            print(f"\n{way}, {len(rows)} noise draws, {options.noise:g} N m: truth within the 90 % interval,")
-            print("by how far moments narrow a parameter, and by kind of those narrowed below 0.8")
+            print(f"\n{way}, {len(rows)} noise draws, {options.noise:g} N m: coverage of 90 % intervals,")
+            print(
+                "by ratio of posterior to prior standard deviation, and by kind of parameter for ratios < 0.8"
+            )
             _report(problem.variables.labels, *(np.stack(part) for part in zip(*rows, strict=True)))
-    if found["bootstrap"]:
-        pairs = zip(found["laplace"], found["bootstrap"], strict=False)
+    if coverage["bootstrap"]:
+        pairs = zip(coverage["laplace"], coverage["bootstrap"], strict=False)
         ratio = np.concatenate([(two[2] / one[2])[one[1] < 0.5] for one, two in pairs])
         low, middle, high = np.percentile(ratio, [5, 50, 95])
         print(
-            "\nstandard deviation by bootstrap over that by Laplace, parameters narrowed to half or less: "
+            "\nstandard deviation by bootstrap over that by Laplace, parameters with a ratio of at most 0.5: "
             f"median {middle:.2f}, 5 to 95 % {low:.2f} to {high:.2f}"
         )
     return 0
 
 
-def _judged(
-    draws: np.ndarray, before: np.ndarray, judged: Any, true: np.ndarray
+def _interval_coverage(
+    draws: np.ndarray, before: np.ndarray, laplace: Any, true: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Whether the interval holds the truth, deviation over that without moments, and the deviation."""
+    """Return whether intervals contain the true values, posterior over prior SD, and posterior SD."""
     from wrapjax.calibration.uncertainty.intervals import summarize_draws
 
     labels = tuple("" for _ in true)
-    spread = summarize_draws(draws, draws, judged.solution, judged.at_bound, labels, labels)
+    spread = summarize_draws(draws, draws, laplace.solution, laplace.at_bound, labels, labels)
     held = (spread.low <= true) & (true <= spread.high)
     return held, spread.deviation / before, spread.deviation
 
@@ -128,7 +145,7 @@ def _report(labels: tuple[str, ...], held: np.ndarray, share: np.ndarray, deviat
     for low, high in ((0.0, 0.3), (0.3, 0.5), (0.5, 0.8), (0.0, 0.8), (0.8, np.inf)):
         chosen = (share >= low) & (share < high)
         if chosen.any():
-            print(f"  narrowed to {low:.1f} to {high:.1f}: {_share(held, chosen)}")
+            print(f"  ratio {low:.1f} to {high:.1f}: {_share(held, chosen)}")
     for kind in dict.fromkeys(kinds):
         chosen = (share < 0.8) & (kinds == kind)
         if chosen.any():

@@ -1,13 +1,13 @@
-"""Calibrate by PGA and ask OpenSim whether the model that is written has the paths that were calibrated.
+"""Agreement of OpenSim's paths in the model written by PGA with the calibrated paths.
 
-``python -m validation.calibration.written_model SUBJECT`` goes through the exact engine, with ``--geometry
-engine-parity`` by OpenSim's way of wrapping, with ``--fit FIT`` through that surrogate. For every muscle
-whose cylinders moved, over all recorded cycles, it prints in mm: how far OpenSim's lengths and moment arms
-(those about the coordinate where it is most) are from the calibration's, and the shortest path's likewise;
-how far the negative slope of OpenSim's length is from the calibration's moment arms, for muscles with
-several cylinders, where OpenSim's moment arms are not that slope; how far the difference from the nominal
-length steps from frame to frame, in OpenSim and of the shortest path; and which criteria of a
-physiological path OpenSim's path fails.
+``python -m validation.calibration.written_model SUBJECT`` calibrates with the exact engine, with ``--geometry
+engine-parity`` by parity paths, or with ``--fit FIT`` through that surrogate. For every muscle whose wraps
+changed it prints over all recorded cycles, in mm: the differences of OpenSim's lengths and moment arms (about
+the coordinate with the largest difference) from those of the calibration, and of geodesic paths from these;
+for muscles round several wraps, where OpenSim's moment arms are not the derivatives of its length, the
+difference of -dL/dq of OpenSim's length from the calibrated moment arms; the largest step between frames of
+the difference from the nominal length, in OpenSim and of the geodesic path; and the criteria of physiological
+paths that OpenSim's path fails.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
     from wrapjax.geometry.paths import PathState
     from wrapjax.geometry.wrapping import WrappedPath
 
-_COLUMNS = ("length", "arm", "shortest: length", "arm", "arm from slope", "step", "shortest: step")
-# Of the differences that slopes are taken from, rad: OpenSim's lengths are good to 1e-12 m or better.
+_COLUMNS = ("length", "arm", "geodesic: length", "arm", "arm from slope", "step", "geodesic: step")
+# Step of finite differences, rad: OpenSim's lengths are accurate to 1e-12 m or better.
 _STEP = 1e-5
 
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX is loaded, which reads it once.
+    # JAX reads the thread counts once, when it is imported.
     pin_threads()
     set_up_jax()
     import wrapjax
@@ -56,11 +56,10 @@ def main() -> int:
         result = done.result
         errors = np.abs(result.measured - result.modelled).mean(axis=(1, 2))
         for use in ("calibration", "validation"):
-            own = errors[np.array(result.uses) == use]
-            print(f"{use}: {own.mean():.2f} N m")
+            print(f"{use}: {errors[np.array(result.uses) == use].mean():.2f} N m")
         print(
             f"{result.solution.iterations} iterations, {result.solve_seconds:.1f} s after "
-            f"{result.compile_seconds:.1f} s of compiling; {done.status.value}\n"
+            f"{result.compile_seconds:.1f} s of compilation; {done.status.value}\n"
         )
         print(f"{'muscle':16s}" + "".join(f"{name:>18s}" for name in _COLUMNS) + "  fails")
         for name, figures, faults in compare(done):
@@ -69,7 +68,7 @@ def main() -> int:
 
 
 def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[str]]]:
-    """Give figures (m) in the order of the columns, and failed criteria, muscle by muscle."""
+    """Iterate over muscles: figures (m) in the order of the columns, and failed criteria."""
     import jax
 
     from wrapjax.calibration.calibration import write_calibrated_model
@@ -88,13 +87,13 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
     several = tuple(name for name in muscles if len(engine.wraps_of(name)) > 1)
     places = [engine.coordinates.index(name) for name in result.coordinates]
     with tempfile.TemporaryDirectory() as folder:
-        personalised = Path(folder) / "personalised.osim"
-        write_calibrated_model(subject, result, personalised)
+        calibrated_model = Path(folder) / "calibrated.osim"
+        write_calibrated_model(subject, result, calibrated_model)
         after, before = (
             analyse_muscles(file, muscles, engine.coordinates, poses, quiet=True)
-            for file in (personalised, subject.model_file)
+            for file in (calibrated_model, subject.model_file)
         )
-        slopes = _slopes(personalised, several, engine.coordinates, poses, places)
+        slopes = _slopes(calibrated_model, several, engine.coordinates, poses, places)
     changes = np.asarray(result.parameters.path_changes)
     posed = engine.posed(poses)
     used: PathState = result.states.path
@@ -102,25 +101,25 @@ def compare(done: Calibration) -> Iterator[tuple[str, tuple[float, ...], list[st
         row = result.muscles.index(name)
         count = len(engine.wraps_of(name))
         nominal = nominal_parameters(count)
-        own = changes[row].reshape(-1, nominal.shape[1])[:count]
-        both = np.stack([nominal, nominal + own])
-        found, opensims = wrap_at_samples(posed[name], both), wrap_at_samples(posed[name], both, PARITY)
-        # What judges OpenSim's path is OpenSim's path.
-        np.testing.assert_allclose(opensims.length[1], after.length[:, place], atol=1e-9)
-        usual, moved = (jax.tree.map(lambda leaf, at=at: leaf[at : at + 1], opensims) for at in (0, 1))
+        change = changes[row].reshape(-1, nominal.shape[1])[:count]
+        both = np.stack([nominal, nominal + change])
+        geodesic, parity = wrap_at_samples(posed[name], both), wrap_at_samples(posed[name], both, PARITY)
+        # Parity paths stand for OpenSim's in the criteria, so they must agree.
+        np.testing.assert_allclose(parity.length[1], after.length[:, place], atol=1e-9)
+        unchanged, moved = (jax.tree.map(lambda leaf, at=at: leaf[at : at + 1], parity) for at in (0, 1))
         length = np.asarray(used.length[row]).reshape(-1)
         arms = np.moveaxis(np.asarray(used.moment_arm[row]), 1, -1).reshape(len(poses), -1)
         slope = slopes[..., several.index(name)] if name in several else arms
         figures = (
             _rms(after.length[:, place] - length).max(),
             _rms(after.moment_arm[:, places, place] - arms).max(),
-            _rms(found.length[1] - length).max(),
-            _rms(found.moment_arm[1][:, places] - arms).max(),
+            _rms(geodesic.length[1] - length).max(),
+            _rms(geodesic.moment_arm[1][:, places] - arms).max(),
             _rms(slope - arms).max() if name in several else np.nan,
             _largest_step((after.length - before.length)[:, place].reshape(trials, frames)),
-            _largest_step((found.length[1] - found.length[0]).reshape(trials, frames)),
+            _largest_step((geodesic.length[1] - geodesic.length[0]).reshape(trials, frames)),
         )
-        yield name, figures, _faults(moved, usual, trials, frames)
+        yield name, figures, _failed_criteria(moved, unchanged, trials, frames)
 
 
 def _slopes(
@@ -130,7 +129,7 @@ def _slopes(
     poses: np.ndarray,
     places: Sequence[int],
 ) -> np.ndarray:
-    """-dL/dq of OpenSim's lengths (m/rad, ``pose coordinate muscle``), by differences."""
+    """Compute -dL/dq of OpenSim's lengths (m/rad, ``pose coordinate muscle``) by finite differences."""
     from wrapjax.osim.muscle_analysis import analyse_muscles
 
     if not muscles:
@@ -143,14 +142,14 @@ def _slopes(
     return np.stack([(length(-steps[at]) - length(steps[at])) / (2.0 * _STEP) for at in places], axis=1)
 
 
-def _faults(moved: WrappedPath, usual: WrappedPath, trials: int, frames: int) -> list[str]:
-    """Name the criteria that a path fails, in any pose or along any cycle."""
+def _failed_criteria(moved: WrappedPath, unchanged: WrappedPath, trials: int, frames: int) -> list[str]:
+    """Return the criteria that a path fails in any pose or along any cycle."""
     from wrapjax.geometry.physiological import measure_paths
 
     failed: dict[str, bool] = {}
     for trial in range(trials):
         cycle = slice(trial * frames, (trial + 1) * frames - 1)
-        for criterion, fails in measure_paths(moved, usual, cycle).failed_criteria().items():
+        for criterion, fails in measure_paths(moved, unchanged, cycle).failed_criteria().items():
             failed[criterion] = failed.get(criterion, False) or bool(fails.any())
     return [criterion for criterion, fails in failed.items() if fails]
 
@@ -174,7 +173,7 @@ def _parser() -> argparse.ArgumentParser:
         "--geometry",
         choices=("engine", "engine-parity"),
         default="engine",
-        help="by the shortest way (default), or by OpenSim's",
+        help="geodesic paths (default) or parity paths",
     )
     return parser
 

@@ -1,11 +1,12 @@
-"""Put known errors into recorded walking, and see whether a diagnosis finds them.
+"""Diagnosis of known errors added to recorded walking: ``python -m validation.recorded --out DIR``.
 
-``python -m validation.recorded --out DIR`` takes ``$WRAPJAX_DATA/s1_left`` (or ``--subject``). Injections
-(delay, drift, crosstalk, a spring, each at a half, once and twice what priors expect) are scored along
-straight lines beside the untouched recording: by how much did each effect's evidence rise, and the injected
-one's most? Their calibrations start from the model's own values and from where the untouched one ended.
-Knock-outs (a hidden electrode, a wrong mass, other filters) are diagnosed in full. One JSON a variant is
-kept in DIR, so that it goes on where it was stopped; the table and `summary.json` are of all that is there.
+The recording is ``$WRAPJAX_DATA/s1_left`` (or ``--subject``). Injections (delay, drift, crosstalk, a spring,
+each at half, once and twice the prior standard deviation) are scored in linearized models and compared with
+the original recording: the increase of each effect's evidence, and whether that of the injected effect
+increases most. Their calibrations start from the model's initial values and from the result of the original
+recording. Knock-outs (a hidden electrode, a wrong mass, other filters) are diagnosed completely. One JSON
+file for each variant is stored in DIR, so that an interrupted run can be continued; the table and
+`summary.json` include all stored variants.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ from validation.diagnosis.case_answers import calibration_fingerprint
 from validation.recorded.injected_errors import Variant, injections, knock_outs, write_variant
 from wrapjax.errors import InputError, Problem
 
-UNTOUCHED = Variant("untouched", "as it was recorded", list, None)
-#: At this magnitude the injected effect should have risen most in so many cases.
+ORIGINAL = Variant("untouched", "as it was recorded", list, None)
+#: Magnitude for the target, and target share of cases in which the injected effect increases most.
 LARGEST, TARGET = "2", 0.8
 
 
 def main() -> int:
     options = _parser().parse_args()
-    # Before JAX is loaded, which reads it once.
+    # JAX reads the thread counts once, when it is imported.
     pin_threads()
     try:
         _run(options)
@@ -47,8 +48,8 @@ def _run(options: argparse.Namespace) -> None:
     from wrapjax.subject.subject import load_subject
 
     injected, knocked = injections(load_subject(options.subject).side), knock_outs()
-    wanted = _wanted(options.only, [*injected, *knocked])
-    # JAX last: what is asked for may be nonsense.
+    selected = _select(options.only, [*injected, *knocked])
+    # Import JAX after the arguments are checked.
     from validation.recorded.variant_results import diagnosed, scored
     from wrapjax.io.files import write_json
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
@@ -56,24 +57,24 @@ def _run(options: argparse.Namespace) -> None:
     set_up_jax()
     source, starts = options.subject, options.starts
     options.out.mkdir(parents=True, exist_ok=True)
-    before = _once(UNTOUCHED, options, partial(scored, starts=starts, beside=()))
-    for variant in wanted:
+    before = _cached(ORIGINAL, options, partial(scored, starts=starts, beside=()))
+    for variant in selected:
         if variant in injected:
-            ask = partial(scored, starts=starts, beside=before["variables"])
+            compute = partial(scored, starts=starts, beside=before["variables"])
         else:
-            ask = partial(diagnosed, starts=starts, whole=source, hidden=variant.hidden)
-        _once(variant, options, ask)
+            compute = partial(diagnosed, starts=starts, whole=source, hidden=variant.hidden)
+        _cached(variant, options, compute)
         clear_caches_near_map_limit()
-    found = ((one.name, _kept(one, options)) for one in [*injected, *knocked])
-    # What another version of the package answered is another question's.
+    found = ((one.name, _read_stored(one, options)) for one in [*injected, *knocked])
+    # Results of another version of the package are not comparable.
     code = before["question"]["code"]
     kept = {name: one for name, one in found if one is not None and one["question"]["code"] == code}
-    summary = summarised(before, [*injected, *knocked], kept)
+    summary = summarize(before, [*injected, *knocked], kept)
     write_json(options.out / "summary.json", summary)
     print(as_text(summary), end="")
 
 
-def _wanted(names: Sequence[str] | None, variants: Sequence[Variant]) -> list[Variant]:
+def _select(names: Sequence[str] | None, variants: Sequence[Variant]) -> list[Variant]:
     known = {one.name: one for one in variants}
     if unknown := [name for name in names or () if name not in known]:
         hint = f"there are {', '.join(known)}"
@@ -81,34 +82,34 @@ def _wanted(names: Sequence[str] | None, variants: Sequence[Variant]) -> list[Va
     return [known[name] for name in names or known]
 
 
-def _once(
-    variant: Variant, options: argparse.Namespace, ask: Callable[[Path], dict[str, Any]]
+def _cached(
+    variant: Variant, options: argparse.Namespace, compute: Callable[[Path], dict[str, Any]]
 ) -> dict[str, Any]:
-    """Ask, or recall what was answered to the same question."""
+    """Compute the result of a variant, or read it if its inputs are unchanged."""
     from wrapjax.io.files import write_json
 
     began = time.perf_counter()
     folder = options.out / "subjects" / variant.name
     write_variant(options.subject, folder, variant)
     question = {**calibration_fingerprint(folder), "starts": options.starts}
-    kept = _kept(variant, options)
+    kept = _read_stored(variant, options)
     if kept is None or kept["question"] != question:
-        kept = {"question": question, **ask(folder)}
+        kept = {"question": question, **compute(folder)}
         write_json(options.out / f"{variant.name}.json", kept)
     seconds = time.perf_counter() - began
     print(f"{variant.name}: {variant.says} ({seconds:.0f} s)", file=sys.stderr, flush=True)
     return kept
 
 
-def _kept(variant: Variant, options: argparse.Namespace) -> dict[str, Any] | None:
+def _read_stored(variant: Variant, options: argparse.Namespace) -> dict[str, Any] | None:
     file = options.out / f"{variant.name}.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
 
-def summarised(
+def summarize(
     before: Mapping[str, Any], variants: Sequence[Variant], kept: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Say of each variant that was looked at what came of it, and how often the injected effect rose most."""
+    """Summarize all stored variants, and how often the evidence of the injected effect increased most."""
     rows = []
     for variant in variants:
         found = kept.get(variant.name)
@@ -138,9 +139,12 @@ def summarised(
 
 
 def as_text(summary: Mapping[str, Any]) -> str:
-    """Tables in Markdown: injections, then knock-outs."""
+    """Format Markdown tables of injections and knock-outs."""
     rows = summary["rows"]
-    lines = ["| injected | rise of its evidence (nats) | its place | rose most |", "|---|---|---|---|"]
+    lines = [
+        "| injected error | increase of its evidence (nats) | its rank | largest increase |",
+        "|---|---|---|---|",
+    ]
     for row in (row for row in rows if "rise" in row):
         own = row["rise"].get(row["effect"])
         rise = "not tested" if own is None else f"{own:+.1f}"
@@ -148,9 +152,9 @@ def as_text(summary: Mapping[str, Any]) -> str:
         lines.append(f"| {row['says']} | {rise} | {row['place'] or '-'} | {first} |")
     if summary["of"]:
         share = f"{100 * summary['rose_most_at_twice']:.0f} % of {summary['of']}"
-        said = f"At twice what is expected the injected effect rose most in {share}"
+        said = f"At twice the prior standard deviation the injected effect increased most in {share}"
         lines += ["", f"{said} (target: {100 * summary['target']:.0f} %)."]
-    drive = "drive of the group it drove: correlation, with a delay"
+    drive = "excitation of its muscle group: correlation with EMG, with delay"
     lines += ["", f"| knocked out | outcome | {drive} |", "|---|---|---|"]
     for row in (row for row in rows if "outcome" in row):
         said = f"{row['outcome']} {', '.join(row['named'] or itertools.chain(*row['ties']))}".strip()
@@ -165,9 +169,9 @@ def _drive_text(drive: Mapping[str, Any] | None) -> str:
     if not places:
         return "no group of the catalogue"
     own = drive["groups"][places[0] - 1]
-    rank = f"{own['group']}, place {places[0]} of {len(drive['groups'])} groups"
+    rank = f"{own['group']}, rank {places[0]} of {len(drive['groups'])} groups"
     if own["correlation"] is None:
-        return f"not driven ({rank})"
+        return f"no excitation ({rank})"
     return f"{own['correlation']:.2f}, {own['correlation_delayed']:.2f} ({rank})"
 
 
@@ -179,15 +183,15 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path(data) / "s1_left" if data else None,
         required=data is None,
-        help="folder with files of its own for every cycle (default: $WRAPJAX_DATA/s1_left)",
+        help="subject folder with separate files for every cycle (default: $WRAPJAX_DATA/s1_left)",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="of variants; all if not given")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="variants to run (default: all)")
     parser.add_argument(
         "--starts",
         type=int,
         default=4,
-        help="of each calibration (default: 4; a diagnosis needs two that agree)",
+        help="starts of each calibration (default: 4; a diagnosis requires two that agree)",
     )
     return parser
 

@@ -1,6 +1,6 @@
-"""Known errors put into recorded walking, by its files alone: real noise and a real gap stay beneath them.
+"""Known errors added to the files of recorded walking, in addition to its real noise and model error.
 
-Nothing of `wrapjax.diagnosis` is used to make them, so that the diagnosis does not find its own formulas.
+Nothing of `wrapjax.diagnosis` is used, so that the diagnosis does not identify its own formulas.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from scipy.signal import butter, filtfilt
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.storage import Storage, read_storage, write_storage
 
-#: Of what an effect's prior expects.
+#: Magnitudes in prior standard deviations of the effects.
 MAGNITUDES = (0.5, 1.0, 2.0)
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """One recorded gait cycle; ``order`` is when: 0 for the first, 1 for the last."""
+    """Recorded gait cycle; ``order`` is its place in time, from 0 (first) to 1 (last)."""
 
     order: float
     speed: float
@@ -37,20 +37,20 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Variant:
-    """A recording with something amiss.
+    """Recording with an added error.
 
     Parameters
     ----------
     name
-        Of its folder.
+        Name of its folder.
     says
-        What was done to the files.
+        Description of the change.
     change
-        Does it, to all cycles in their order.
+        Function that changes all cycles, in their order.
     effect
-        Id of the catalogue's entry that should be found; None where there is none.
+        Effect of the catalogue that should be found; None if there is none.
     hidden
-        EMG channel that is taken away; empty where none is.
+        EMG channel that is removed; empty for none.
     """
 
     name: str
@@ -61,12 +61,12 @@ class Variant:
 
 
 def column(table: Storage, name: str) -> int:
-    """Find a column."""
+    """Return the index of a column."""
     return table.columns.index(name)
 
 
 def with_delay(cycles: Sequence[Cycle], seconds: float) -> list[Cycle]:
-    """Shift all EMG: at the slowest speed half of it later, at the fastest half of it earlier."""
+    """Delay all EMG by half the value at the slowest speed, and advance it by half at the fastest."""
     slow, fast = min(c.speed for c in cycles), max(c.speed for c in cycles)
 
     def shifted(cycle: Cycle) -> Cycle:
@@ -79,7 +79,7 @@ def with_delay(cycles: Sequence[Cycle], seconds: float) -> list[Cycle]:
 
 
 def with_drift(cycles: Sequence[Cycle], channel: str, change: float) -> list[Cycle]:
-    """Multiply a channel by a ramp over cycles, one in the middle, by so much larger at the end."""
+    """Multiply a channel by a ramp over cycles with mean one and a given change from first to last."""
 
     def scaled(cycle: Cycle) -> Cycle:
         values = cycle.emg.values.copy()
@@ -101,7 +101,7 @@ def with_crosstalk(cycles: Sequence[Cycle], source: str, into: str, share: float
 
 
 def with_spring(cycles: Sequence[Cycle], coordinate: str, stiffness: float) -> list[Cycle]:
-    """Add a spring's moment, N m a degree away from the joint's zero, to the measured one."""
+    """Add the moment of a spring (stiffness in N m/deg, zero at angle zero) to the measured moment."""
 
     def sprung(cycle: Cycle) -> Cycle:
         if not cycle.angles.in_degrees:
@@ -117,7 +117,7 @@ def with_spring(cycles: Sequence[Cycle], coordinate: str, stiffness: float) -> l
 
 
 def with_wrong_mass(cycles: Sequence[Cycle], ratio: float) -> list[Cycle]:
-    """Scale moments as those are that were stored by body mass and multiplied by another person's."""
+    """Scale moments, as if they were normalized by body mass and multiplied by a wrong one."""
     return [
         replace(cycle, moments=replace(cycle.moments, values=ratio * cycle.moments.values))
         for cycle in cycles
@@ -125,21 +125,21 @@ def with_wrong_mass(cycles: Sequence[Cycle], ratio: float) -> list[Cycle]:
 
 
 def with_filter(cycles: Sequence[Cycle], kind: str, hertz: float) -> list[Cycle]:
-    """Smooth one kind of table once more, forwards and backwards, and leave the others as they are."""
+    """Filter one kind of signal again (zero-phase, low-pass), and leave the others unchanged."""
 
     def smoothed(cycle: Cycle) -> Cycle:
         table: Storage = getattr(cycle, kind)
         rate = (table.time.size - 1) / (table.time[-1] - table.time[0])
         values = filtfilt(*butter(2, hertz, fs=rate), table.values, axis=0)
-        kept = np.maximum(values, 0.0) if kind == "emg" else values
-        changed: dict[str, Any] = {kind: replace(table, values=kept)}
+        filtered = np.maximum(values, 0.0) if kind == "emg" else values
+        changed: dict[str, Any] = {kind: replace(table, values=filtered)}
         return replace(cycle, **changed)
 
     return [smoothed(cycle) for cycle in cycles]
 
 
 def injections(side: str) -> list[Variant]:
-    """Four kinds at three magnitudes; 20 ms, 30 %, 15 % and 1.5 N m/deg are what priors expect."""
+    """List four errors at three magnitudes; the prior SDs are 20 ms, 30 %, 15 % and 1.5 N m/deg."""
     found = []
     for size in MAGNITUDES:
         delay, drift, share, stiffness = 0.020 * size, 0.30 * size, 0.15 * size, 1.5 * size
@@ -173,7 +173,7 @@ def injections(side: str) -> list[Variant]:
 
 
 def knock_outs() -> list[Variant]:
-    """Mistakes that a laboratory makes, and electrodes that it has not."""
+    """List typical laboratory mistakes and missing electrodes."""
     return [
         *(
             Variant(f"without_{name}", f"no electrode {name}", list, "missing_drive", hidden=name)
@@ -198,12 +198,12 @@ def knock_outs() -> list[Variant]:
 
 
 def write_variant(source: Path, folder: Path, variant: Variant) -> None:
-    """Write a subject folder that is another one with something amiss.
+    """Write a copy of a subject folder with an added error.
 
     Raises
     ------
     InputError
-        If cycles share files, or a channel to be hidden is not there.
+        If cycles share files, or the channel to remove does not exist.
     """
     settings = tomllib.loads((source / "subject.toml").read_text(encoding="utf-8"))
     trials = settings["trial"]
