@@ -82,7 +82,7 @@ def main() -> int:
 def linearize_case(job: Job) -> str:
     """Calibrate and linearize a case, and write the result."""
     import wrapjax
-    from wrapjax.diagnosis.input import diagnosis_input
+    from wrapjax.diagnosis.diagnosis import diagnosis_input
     from wrapjax.diagnosis.linearization import linearize
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 

@@ -13,10 +13,9 @@ from jaxtyping import Float
 
 import wrapjax
 from wrapjax.calibration.calibration import Calibration, cached_calibration
-from wrapjax.diagnosis.diagnosis import diagnose_calibrated
+from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.effects.unrecorded_excitation import drive_over_cycle
-from wrapjax.diagnosis.input import diagnosis_input
 from wrapjax.diagnosis.joint_fit import fit_jointly, joint_problem
 from wrapjax.diagnosis.linearization import LinearizedModel, linearize
 from wrapjax.diagnosis.null_covariance import nulls

@@ -8,15 +8,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibration
+from wrapjax.calibration.objective import Objective
+from wrapjax.calibration.path_penalties import PATH_PENALTIES
+from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.decision import DecisionConstants
-from wrapjax.diagnosis.effects.catalogue import refuse_unknown
-from wrapjax.diagnosis.input import DiagnosisInput, diagnosis_input
+from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
+from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
+from wrapjax.diagnosis.subject_context import build_context
 from wrapjax.errors import InputError, Problem
+from wrapjax.geometry.paths import PathState, fixed_path
+from wrapjax.io.files import cache_folder
+from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.subject import Subject
@@ -190,3 +200,60 @@ def diagnose_calibrated(
         seconds=dict(seconds or {}, context=time.perf_counter() - began),
     )
     return Diagnosis(calibration, result, data, independent)
+
+
+def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:
+    """Collect the input of a diagnosis from a calibration; paths are held as the calibration left them.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of one leg.
+    without
+        Ids of effects to leave out of the catalogue.
+    """
+    recording, context = build_context(calibration)
+    subject, result = calibration.subject, calibration.result
+    trials, solution = subject.trials, result.solution
+    problem, variables = solution.problem, np.asarray(solution.variables)
+    assert isinstance(problem, Objective)
+    if problem.variables.modes:
+        problem = _with_held_paths(problem, result)
+        variables = np.asarray(problem.start(result.parameters))
+    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
+    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
+    inputs = (
+        trials.angles[:, columns],
+        trials.angular_velocities[:, columns],
+        trials.emg[..., inside],
+        order,
+    )
+    return DiagnosisInput(
+        problem=problem,
+        variables=variables,
+        outcomes=result.outcomes,
+        recording=recording,
+        context=context,
+        entries=catalogue(context, without),
+        withheld=tuple(without),
+        recordings=trials.recordings,
+        uses=trials.uses,
+        time=trials.time,
+        measured=trials.moments,
+        inputs=np.concatenate(inputs, axis=1),
+        cache=SolveCache(cache_folder("diagnoses")),
+    )
+
+
+def _with_held_paths(problem: Objective, result: CalibrationResult) -> Objective:
+    """Fix the paths where the calibration ended, and remove the terms of the objective that concern them."""
+    path = problem.recording.path.at(result.parameters.path_changes)
+    held = fixed_path(PathState(path.length, path.velocity, path.moment_arm))
+    return replace(
+        problem,
+        recording=replace(problem.recording, path=held),
+        variables=free_variables(result.parameters, result.freedom.with_held_paths(), result.muscles),
+        penalties=tuple(one for one in problem.penalties if one.name not in PATH_PENALTIES),
+        limits=(),
+    )

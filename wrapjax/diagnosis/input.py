@@ -10,10 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.path_penalties import PATH_PENALTIES
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.diagnosis.context import Context
@@ -21,11 +18,7 @@ from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMomen
 from wrapjax.diagnosis.effects.catalogue import catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.prediction import predicted_moments
-from wrapjax.diagnosis.subject_context import build_context
-from wrapjax.geometry.paths import PathState, fixed_path
-from wrapjax.io.files import cache_folder
 from wrapjax.model.forward import Recording
-from wrapjax.model.variables import free_variables
 
 #: Number of equally spaced phases of the gait cycle at which residuals are scored.
 PHASES = 25
@@ -144,60 +137,3 @@ class DiagnosisInput:
             If an id is not in the catalogue.
         """
         return replace(self, entries=catalogue(self.context, effects), withheld=tuple(effects))
-
-
-def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:
-    """Collect the input of a diagnosis from a calibration; paths are held as the calibration left them.
-
-    Parameters
-    ----------
-    calibration
-        Calibration of one leg.
-    without
-        Ids of effects to leave out of the catalogue.
-    """
-    recording, context = build_context(calibration)
-    subject, result = calibration.subject, calibration.result
-    trials, solution = subject.trials, result.solution
-    problem, variables = solution.problem, np.asarray(solution.variables)
-    assert isinstance(problem, Objective)
-    if problem.variables.modes:
-        problem = _with_held_paths(problem, result)
-        variables = np.asarray(problem.start(result.parameters))
-    columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
-    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
-    order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
-    inputs = (
-        trials.angles[:, columns],
-        trials.angular_velocities[:, columns],
-        trials.emg[..., inside],
-        order,
-    )
-    return DiagnosisInput(
-        problem=problem,
-        variables=variables,
-        outcomes=result.outcomes,
-        recording=recording,
-        context=context,
-        entries=catalogue(context, without),
-        withheld=tuple(without),
-        recordings=trials.recordings,
-        uses=trials.uses,
-        time=trials.time,
-        measured=trials.moments,
-        inputs=np.concatenate(inputs, axis=1),
-        cache=SolveCache(cache_folder("diagnoses")),
-    )
-
-
-def _with_held_paths(problem: Objective, result: CalibrationResult) -> Objective:
-    """Fix the paths where the calibration ended, and remove the terms of the objective that concern them."""
-    path = problem.recording.path.at(result.parameters.path_changes)
-    held = fixed_path(PathState(path.length, path.velocity, path.moment_arm))
-    return replace(
-        problem,
-        recording=replace(problem.recording, path=held),
-        variables=free_variables(result.parameters, result.freedom.with_held_paths(), result.muscles),
-        penalties=tuple(one for one in problem.penalties if one.name not in PATH_PENALTIES),
-        limits=(),
-    )
