@@ -203,4 +203,4 @@ def test_stored_results_are_reused(monkeypatch, tmp_path, capsys):
     assert len(evaluate_all(people, tmp_path)) == 2
     evaluate_all([Question(1, 0.1, prior=0.005)], tmp_path)
     assert asked == [people[0].result, people[1].result, Question(1, 0.1, prior=0.005).result]
-    assert "1/2 seed 0: told 2 arms 2.00 -> 1.00 mm (0.50)" in capsys.readouterr().err
+    assert "1/2 seed 0: identifiable 2 arms 2.00 -> 1.00 mm (0.50)" in capsys.readouterr().err

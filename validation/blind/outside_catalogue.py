@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from validation.blind.anatomy import CHANNELS
+from validation.blind.effects.chain import with_wrong_ground
 from validation.blind.effects.drive import session_progress
 from validation.blind.effects.effect import Effect, Variant
 from validation.blind.effects.joint import ANKLE, KNEE
@@ -56,7 +57,7 @@ def _yaw(world: World, amount: float, variant: Variant) -> World:  # joint_axis_
         x, z = ground[:, row].copy(), ground[:, row + 2].copy()
         ground[:, row] = np.cos(angle) * x + np.sin(angle) * z
         ground[:, row + 2] = -np.sin(angle) * x + np.cos(angle) * z
-    return _wrong_ground(world, ground)
+    return with_wrong_ground(world, ground)
 
 
 def _potentiated(world: World, amount: float, variant: Variant) -> World:  # emg_drift
@@ -117,7 +118,7 @@ def _dropouts(world: World, amount: float, variant: Variant) -> World:
 def _plate_gain(world: World, amount: float, variant: Variant) -> World:
     ground = world.walk.ground.copy()
     ground[:, 1] *= 1.0 + amount
-    return _wrong_ground(world, ground)
+    return with_wrong_ground(world, ground)
 
 
 def _tilted(world: World, amount: float, variant: Variant) -> World:
@@ -139,16 +140,6 @@ def _catch(world: World, amount: float, variant: Variant) -> World:
         return forces * (1.0 + amount * np.tanh(rising / 2.0))
 
     return replace(world, force=(*world.force, force))
-
-
-def _wrong_ground(world: World, ground: np.ndarray) -> World:
-    change = ground_moments(world.leg, world.walk, ground=ground) - world.inverse
-    wrong = ground - world.walk.ground
-    return replace(
-        world,
-        recorded_moments=(*world.recorded_moments, change),
-        recorded_ground=(*world.recorded_ground, lambda now, recorded: recorded + wrong),
-    )
 
 
 def _channels(*names):

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 NOISE = 0.003
 #: Families of curves and activation dynamics of the simulator.
 CURVES = ("millard", "thelen", "spline")
-#: Keys of results for identifiable and touched arms.
-_KINDS = ("told", "touched")
+#: Keys of results for identifiable and for all touched arms, with their descriptions.
+_KINDS = {"told": "identifiable", "touched": "touched"}
 _USES = ("calibration", "validation")
 
 
@@ -319,7 +319,7 @@ def describe(result: Mapping[str, Any]) -> str:
             if own["ratio"] is None
             else (f"{1e3 * own['before_m']:.2f} -> {1e3 * own['after_m']:.2f} mm ({own['ratio']:.2f})")
         )
-        shown.append(f"{kind} {own['arms']} arms {errors};")
+        shown.append(f"{_KINDS[kind]} {own['arms']} arms {errors};")
     for use in _USES:
         shown.append(f"{use} {moments['NGA'][use]:.2f} -> {moments['PGA'][use]:.2f} N m")
     return " ".join(shown)

@@ -78,8 +78,8 @@ def _fuzz_reader(
     except subprocess.TimeoutExpired:
         return _failed("time limit exceeded")
     if not result.exists():
-        told = ended.stderr.decode(errors="replace").strip().splitlines()[-12:]
-        print("\n".join(told), file=sys.stderr)
+        errors = ended.stderr.decode(errors="replace").strip().splitlines()[-12:]
+        print("\n".join(errors), file=sys.stderr)
         return _failed(f"its process ended with {ended.returncode}")
     return json.loads(result.read_text())
 

@@ -23,7 +23,7 @@ from validation.blind.world import World
 # ruff: noqa: E501
 
 
-def _with_ground(world: World, ground: np.ndarray) -> World:
+def with_wrong_ground(world: World, ground: np.ndarray) -> World:
     """Record wrong ground forces, and use them for inverse dynamics."""
     change = ground_moments(world.leg, world.walk, ground=ground) - world.inverse
     wrong = ground - world.walk.ground
@@ -63,7 +63,7 @@ def _center_of_pressure(world: World, amount: float, variant: Variant) -> World:
     off = amount * (0.85 + 0.2 * load) * (ground[:, 1] > 20.0)
     ground[:, 3] += off * direction[0]
     ground[:, 5] += off * direction[1]
-    return _with_ground(world, ground)
+    return with_wrong_ground(world, ground)
 
 
 def _crossed_plates(world: World, amount: float, variant: Variant) -> World:
@@ -72,7 +72,7 @@ def _crossed_plates(world: World, amount: float, variant: Variant) -> World:
     window = gaussian_filter1d(both.astype(float), 0.015 * RATE, axis=-1)
     # A share of the other foot's force acts on this plate, at this foot's center of pressure.
     ground[:, :3] += amount * window[:, None] * other[:, :3] * (ground[:, 1:2] > 20.0)
-    return _with_ground(world, ground)
+    return with_wrong_ground(world, ground)
 
 
 def _latency(world: World, amount: float, variant: Variant) -> World:
@@ -89,7 +89,7 @@ def _latency(world: World, amount: float, variant: Variant) -> World:
         smooth = lfilter([1.0 - keep], [1.0, -keep], ground[:, :3], axis=-1)
         ground[:, :3] = smooth if amount > 0.0 else 2.0 * ground[:, :3] - smooth
     ground[:, 3:6] = np.where(np.abs(ground[:, 1:2]) > 1e-9, ground[:, 3:6], 0.0)
-    return _with_ground(world, ground)
+    return with_wrong_ground(world, ground)
 
 
 def _fill_unloaded_points(points: np.ndarray, load: np.ndarray) -> np.ndarray:
