@@ -24,7 +24,9 @@ def test_two_runs(run, subject, tmp_path):
     nga, pga = write_run(tmp_path / "nga", person), write_run(tmp_path / "pga", person, "PGA", factor=0.8)
     done = run("contact", nga, pga)
     assert done.status == 0
-    assert done.output.startswith("This is the muscles' share alone, not the whole contact force")
+    assert done.output.startswith(
+        "This is the contribution of the muscles alone and not the total contact force"
+    )
     assert "PGA less NGA" in done.output and f"written to {nga / 'contact'}" in done.output
     assert "lines of action" in done.progress
     found = read_json(nga / "contact" / "contact.json")
@@ -34,7 +36,7 @@ def test_two_runs(run, subject, tmp_path):
     assert found["knee_compartments"] is None
     assert {"report.html", "forces/PGA/walk_b.sto"} < set(names(nga / "contact"))
     page = (nga / "contact" / "report.html").read_text()
-    assert "not the whole contact force" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "not the total contact force" in page and "http" not in page.replace("http://www.w3.org", "")
 
     before = content(nga)
     assert_only_errors(run("contact", nga), nga / "contact")

@@ -154,7 +154,7 @@ def test_a_knee_is_not_divided_without_a_distance(compared, runs, without_forces
     assert compared.result.undivided_reason.startswith("the model's knee is one joint")
     assert compared.result.runs[0].compartments is None
     share = contact(write_run(tmp_path / "run", without_forces), condyle_distance=0.04).result
-    assert share.condyle_distance is None and "only the muscles' share" in share.undivided_reason
+    assert share.condyle_distance is None and "only the contribution of the muscles" in share.undivided_reason
     for distance in (40.0, -0.04, float("nan")):
         with pytest.raises(InputError, match=r"m apart, where 0\.01 to 0\.12 m were expected"):
             contact(*runs, condyle_distance=distance)
