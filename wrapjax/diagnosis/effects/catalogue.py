@@ -133,7 +133,13 @@ def refuse_unknown(ids: Sequence[str]) -> None:
 
 
 def effect_meanings() -> dict[str, str]:
-    """Give the meaning of every effect, by identifier."""
+    """Give the meaning of every effect that a diagnosis tests.
+
+    Returns
+    -------
+    dict
+        What differs in the person or the recording, a clause, by identifier of the effect.
+    """
     return {definition.id: definition.meaning for definition in DEFINITIONS}
 
 
