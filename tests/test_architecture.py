@@ -19,6 +19,7 @@ PACKAGE = ROOT / "wrapjax"
 ARROWS: dict[str, set[str]] = {
     "errors": set(),
     "progress": set(),
+    "renamed": set(),
     "io": {"errors"},
     "jax_setup": {"io"},
     "subject": {"errors", "progress", "io"},
@@ -31,18 +32,40 @@ ARROWS: dict[str, set[str]] = {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),
     },
-    "preprocessing": {"errors", "progress", "io", "subject", "skeleton", "osim", "geometry"},
+    "preprocessing": {"errors", "renamed", "progress", "io", "subject", "skeleton", "osim", "geometry"},
     "datasets": {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),
     },
     "calibration": {
-        *("errors", "progress", "io", "jax_setup", "subject", "osim", "geometry", "muscle", "model"),
+        *(
+            "errors",
+            "renamed",
+            "progress",
+            "io",
+            "jax_setup",
+            "subject",
+            "osim",
+            "geometry",
+            "muscle",
+            "model",
+        ),
         "path_sources",
     },
-    "comparison": {"errors", "progress", "io", "subject", "osim", "path_sources", "calibration"},
+    "comparison": {"errors", "renamed", "progress", "io", "subject", "osim", "path_sources", "calibration"},
     "diagnosis": {
-        *("errors", "progress", "io", "subject", "skeleton", "osim", "geometry", "muscle", "model"),
+        *(
+            "errors",
+            "renamed",
+            "progress",
+            "io",
+            "subject",
+            "skeleton",
+            "osim",
+            "geometry",
+            "muscle",
+            "model",
+        ),
         *("path_sources", "calibration"),
     },
     "evaluation": {
@@ -50,7 +73,7 @@ ARROWS: dict[str, set[str]] = {
         "calibration",
     },
     "contact_forces": {
-        *("errors", "io", "jax_setup", "subject", "preprocessing", "skeleton", "osim", "geometry"),
+        *("errors", "renamed", "io", "jax_setup", "subject", "preprocessing", "skeleton", "osim", "geometry"),
         *("muscle", "model", "path_sources", "calibration", "comparison", "diagnosis", "evaluation"),
     },
     "cohorts": {
@@ -107,7 +130,7 @@ LAZY_PACKAGES: dict[str, set[str]] = {
 
 #: Rooms that must do without JAX, so that a folder can be checked before it is loaded.
 WITHOUT_JAX = {
-    *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim", "cli", "api"),
+    *("errors", "progress", "renamed", "io", "jax_setup", "subject", "skeleton", "osim", "cli", "api"),
     *("__init__", "__main__"),
 }
 JAX_PACKAGES = {"jax", "jaxlib", "equinox", "optimistix", "lineax", "jaxopt"}
@@ -328,6 +351,18 @@ def test_earlier_names_warn():
         assert wrapjax.prepare is build_objective
     with pytest.warns(DeprecationWarning, match=r"is now wrapjax\.calibrate"):
         assert wrapjax.api.calibrate is wrapjax.calibrate
+
+
+def test_earlier_argument_names_warn():
+    from wrapjax.renamed import renamed_arguments
+
+    @renamed_arguments(tell="log")
+    def work(log: str = "") -> str:
+        return log
+
+    with pytest.warns(DeprecationWarning, match=r"'tell' of work\(\) is now 'log'"):
+        assert work(tell="said") == "said"
+    assert work(log="said") == "said"
 
 
 def test_dependencies_have_no_caps():

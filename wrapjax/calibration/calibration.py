@@ -47,6 +47,7 @@ from wrapjax.path_sources.model_inputs import recording
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES
 from wrapjax.path_sources.wrap_freedom import SURFACES
+from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 
@@ -128,6 +129,7 @@ class Calibration:
             self.checkpoints.close()
 
 
+@renamed_arguments(journal="checkpoints")
 def calibrate(
     subject: Subject,
     method: str = "NGA",

@@ -21,6 +21,7 @@ from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import ExactGeometry, exact_geometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.progress import print_progress
+from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.subject import Subject, read_legs
 
 if TYPE_CHECKING:
@@ -125,6 +126,7 @@ class Comparison:
             shutil.rmtree(self.checkpoints, ignore_errors=True)
 
 
+@renamed_arguments(journal="checkpoints")
 def compare(
     subjects: Sequence[Subject],
     methods: Sequence[str] = METHODS,

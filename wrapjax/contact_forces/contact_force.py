@@ -38,6 +38,7 @@ from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles, build_undriven_muscles
 from wrapjax.preprocessing.gait_events import find_contacts
+from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject
 
@@ -84,6 +85,7 @@ class Contact:
         write_contact(self.result, Path(folder), force=force)
 
 
+@renamed_arguments(tell="log")
 def contact(
     run: Run | str | Path,
     other: Run | str | Path | None = None,

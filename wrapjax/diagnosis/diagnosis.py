@@ -29,6 +29,7 @@ from wrapjax.io.files import cache_folder
 from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ class Diagnosis:
         write_diagnosis(self.subject, self.result, Path(folder), force=force, note=note)
 
 
+@renamed_arguments(twins="null_replicates", tuning="constants", tell="log")
 def diagnose(
     subject: Subject,
     method: str = "NGA",

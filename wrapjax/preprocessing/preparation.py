@@ -22,6 +22,7 @@ from wrapjax.preprocessing.nmsm_muscle_analysis import compare_muscle_analyses
 from wrapjax.preprocessing.nmsm_project import Project, read_project, write_project_as_subject
 from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_subject_folder
 from wrapjax.preprocessing.trial_preparation import PreparationModel, prepare_trial
+from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.body_mass import describe_masses, mass_agrees_with_model, mass_looks_like_pounds
 from wrapjax.subject.description import Table
 from wrapjax.subject.subject import load_subject
@@ -157,6 +158,7 @@ class ProjectPreparation:
         )
 
 
+@renamed_arguments(tell="log")
 def prepare_subject(
     settings_file: Path | str, *, log: Callable[[str], None] = lambda line: None
 ) -> Preparation | ProjectPreparation:
