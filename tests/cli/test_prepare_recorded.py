@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.preprocessing.synthetic_emg import band_of_muscle
+from tests.preprocessing.synthetic_emg import emg_noise
 from wrapjax.io.storage import Storage, read_storage, write_storage
 
 RATE = 1000.0
@@ -29,7 +29,7 @@ def write_laboratory(folder, source, cycles=""):
     time = np.arange(envelopes.time[0], envelopes.time[-1], 1.0 / RATE)
     generator = np.random.default_rng(0)
     shape = np.array([np.interp(time, envelopes.time, np.maximum(row, 0.0)) for row in envelopes.values.T])
-    volts = 3e-4 * shape * band_of_muscle(generator, shape.shape, RATE)
+    volts = 3e-4 * shape * emg_noise(generator, shape.shape, RATE)
     volts += 2e-6 * generator.standard_normal(shape.shape)
     write_storage(folder / "emg.sto", Storage("raw", envelopes.columns, time, volts.T))
     subject = (source / "subject.toml").read_text()

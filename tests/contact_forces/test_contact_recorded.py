@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import wrapjax
-from wrapjax.contact_forces.contact_force import _joints, _reactions, contact
+from wrapjax.contact_forces.contact_force import _joint_reactions, _joints, contact
 from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
 from wrapjax.contact_forces.result import JOINT_REACTION, peak_windows, peaks
 from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
@@ -64,7 +64,7 @@ def test_lines_of_action_agree_with_opensim(run):
     walk, _ = read_recorded_gait(subject)
     question = (walk, subject.model_file, joints, read.run.muscles)
     (with_muscles, _), (without, _) = (
-        _reactions(*question, force) for force in (read.force, 0.0 * read.force)
+        _joint_reactions(*question, force) for force in (read.force, 0.0 * read.force)
     )
     spanned = {name for muscle in read.run.muscles for name in model.spanned_by(muscle)}
     coordinates = [name for name in subject.trials.coordinates if name in spanned]

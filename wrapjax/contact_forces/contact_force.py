@@ -215,7 +215,10 @@ def _undivided_reason(joints: Collection[str], *, whole_force: bool, requested: 
     if KNEE not in joints:
         return "the moments of no knee were measured"
     if not whole_force:
-        return "only the contribution of the muscles to the knee's force is known, not its moment in the frontal plane"
+        return (
+            "only the contribution of the muscles to the knee's force is known, not its moment in the "
+            "frontal plane"
+        )
     if not requested:
         return (
             "the model's knee is one joint, and does not define how its force divides between the medial and "
