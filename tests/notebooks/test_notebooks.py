@@ -11,7 +11,7 @@ NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
 
 #: Text that each notebook prints after its assertions, and files that it writes.
-ENDINGS = {
+EXPECTED_OUTPUT = {
     "01_calibrate.py": ("slope by jax.grad", ["run/report.html"]),
     "02_wrapping.py": ("by jax.grad and by differences", ["wrapping_modes.png", "moved_cylinder.png"]),
     "03_diagnosis.py": ("gap.json", ["gap/report.html", "gap/gap.json"]),
@@ -36,6 +36,6 @@ def test_notebook_runs(name, tmp_path):
         [sys.executable, str(NOTEBOOKS / name)], env=environment, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    text, files = ENDINGS[name]
+    text, files = EXPECTED_OUTPUT[name]
     assert text in done.stdout
     assert [file for file in files if not list(tmp_path.glob(f"*/{file}"))] == [], "not written"
