@@ -1,4 +1,4 @@
-"""Noise of a smooth kernel."""
+"""Cycle noise with a smooth kernel, for tests."""
 
 import numpy as np
 
@@ -7,6 +7,6 @@ from wrapjax.diagnosis.error_sources import periodic_kernel
 
 
 def noise_of_width(between, width):
-    """Noise that goes on alike over so much of a gait cycle."""
+    """Return noise with this correlation width in gait cycles."""
     phases = 2 * round(1.5 / width) + 1
     return CycleNoise(between, np.maximum(np.fft.rfft(periodic_kernel(phases, width)[0]).real, 0.0))

@@ -1,4 +1,4 @@
-"""A fit that was done is recalled, bit for bit; half a fit is neither kept nor concluded from."""
+"""The cache of joint fits: a finished fit is read bit for bit; an interrupted fit is not kept."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from wrapjax.diagnosis.joint_fit import SOLVER, fit_jointly, joint_problem
 
 @pytest.fixture(scope="module")
 def leg():
-    """A problem and a start off its minimum."""
+    """A problem and a start away from its minimum."""
     plain, effects, truth, effect_sizes = damped_leg()
     problem = joint_problem(plain, effects, truth, np.zeros(effects.count), WEIGHT)
     return problem, np.concatenate([truth, 0.5 * effect_sizes / effects.prior_sd])
@@ -22,13 +22,13 @@ def leg():
 
 @pytest.fixture(scope="module")
 def done(leg, tmp_path_factory):
-    """The folder and the fit that it keeps."""
+    """A cache and the fit in it."""
     kept = SolveCache(tmp_path_factory.mktemp("kept"))
     return kept, fit_jointly(*leg, cache=kept)
 
 
-def solving(monkeypatch, wrong=KeyboardInterrupt):
-    """Let whoever takes a step be interrupted."""
+def failing_steps(monkeypatch, wrong=KeyboardInterrupt):
+    """Raise an exception at every step of the solver."""
 
     def step(*_):
         raise wrong
@@ -36,9 +36,9 @@ def solving(monkeypatch, wrong=KeyboardInterrupt):
     monkeypatch.setattr(ProjectedLevenbergMarquardt, "_advance", step)
 
 
-def test_what_was_done_is_not_done_again(leg, done, monkeypatch):
+def test_a_cached_fit_is_not_solved_again(leg, done, monkeypatch):
     kept, first = done
-    solving(monkeypatch, AssertionError("solved again"))
+    failing_steps(monkeypatch, AssertionError("solved again"))
     again = fit_jointly(*leg, cache=kept)
     assert again.status is first.status
     assert again.cost == first.cost
@@ -47,7 +47,7 @@ def test_what_was_done_is_not_done_again(leg, done, monkeypatch):
         np.testing.assert_array_equal(one, other)
 
 
-def test_what_decides_where_a_fit_ends_is_in_its_name(leg):
+def test_the_fingerprint_depends_on_everything_that_decides_a_fit(leg):
     problem, start = leg
     plain = problem.plain
     elsewhere = plain.recording.emg.coefficients.at[0, 0, 0, 0].add(1e-12)
@@ -79,7 +79,7 @@ def test_what_decides_where_a_fit_ends_is_in_its_name(leg):
 
 
 @pytest.mark.parametrize("content", [b"", b"rubbish", None])
-def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content):
+def test_a_damaged_file_is_solved_again(leg, done, tmp_path, content):
     kept, first = done
     (whole,) = kept.folder.iterdir()
     own = SolveCache(tmp_path)
@@ -88,8 +88,8 @@ def test_a_damaged_file_is_a_fit_that_was_not_done(leg, done, tmp_path, content)
     assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
 
 
-def test_an_interrupted_fit_ends_the_work_and_is_not_kept(leg, monkeypatch, tmp_path):
-    solving(monkeypatch)
+def test_an_interrupted_fit_raises_and_is_not_cached(leg, monkeypatch, tmp_path):
+    failing_steps(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         fit_jointly(*leg, cache=SolveCache(tmp_path))
     assert not list(tmp_path.iterdir())

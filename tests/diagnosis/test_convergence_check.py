@@ -1,4 +1,4 @@
-"""Whether a fit is good enough to ask why it is wrong: every reason against it is found."""
+"""The convergence check of the baseline fit."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ from wrapjax.diagnosis.baseline import (
 
 
 def ended(*costs, status=Status.cost):
-    """Starts that led to these costs; nothing else of them is looked at."""
+    """Outcomes with these costs and this status."""
     outcomes = []
     for cost in costs:
         solution = object.__new__(ConstrainedSolution)
@@ -34,7 +34,7 @@ def quadratic(gradient, curvature):
     )
 
 
-def test_a_good_fit_holds():
+def test_a_converged_fit_has_no_problems():
     got = check_convergence(ended(1.003, 1.0, 2.0), 0.001, 1.0, {"by_half": {"emg_scale": 0.7}})
     assert got.problems == ()
     assert got.holds
@@ -56,20 +56,20 @@ def test_a_good_fit_holds():
         (ended(1.0, 1.0), 0.0, np.nan, "explainable error"),
     ],
 )
-def test_every_problem_is_found(outcomes, decrement, explainable, words):
+def test_each_problem_is_reported(outcomes, decrement, explainable, words):
     got = check_convergence(outcomes, decrement, explainable, {})
     assert not got.holds
     (problem,) = got.problems
     assert words in problem
 
 
-def test_all_problems_are_told():
+def test_several_problems_are_reported():
     got = check_convergence(ended(1.0, 1.5, status=Status.iterations), 0.5, 1.0, {})
     assert len(got.problems) == 3
 
 
-def test_a_start_that_failed_is_no_rival():
-    """Wherever it stands among the others."""
+def test_failed_starts_are_ignored():
+    """In any position among the others."""
     for costs in ((np.nan, 1.0, 1.001), (1.001, np.nan, 1.0), (1.001, 1.0, np.nan)):
         got = check_convergence(ended(*costs), 0.0, 1.0, {})
         assert got.problems == ()
@@ -77,26 +77,26 @@ def test_a_start_that_failed_is_no_rival():
         assert got.spread == pytest.approx(0.001)
 
 
-def test_where_nothing_can_be_explained_nothing_can_be_won():
+def test_without_explainable_error_the_decrement_is_zero():
     assert check_convergence(ended(1.0, 1.0), 0.1, 0.0, {}).decrement == 0.0
 
 
-def test_what_was_not_looked_at_says_why():
+def test_an_unchecked_fit_has_its_reason_as_problem():
     got = unchecked_convergence(ended(2.0, 1.0), "too few cycles")
     assert (got.problems, got.costs, got.spread) == (("too few cycles",), (1.0, 2.0), 1.0)
 
 
-def test_the_decrement_of_a_quadratic_is_exact():
+def test_the_decrease_of_a_quadratic_is_exact():
     generator = np.random.default_rng(0)
     root, target = generator.normal(size=(4, 4)), generator.normal(size=4)
     model = quadratic(-root.T @ target, root.T @ root)
     wide = np.full(4, 1e3)
-    # The cost is |root x - target|^2, at x = 0; somewhere it is zero.
+    # The cost is |root x - target|^2, at x = 0; its minimum is zero.
     found = attainable_decrease(model, np.zeros(4), -wide, wide)
     assert found == pytest.approx(target @ target, rel=1e-6)
 
 
-def test_variables_that_bounds_hold_win_nothing():
+def test_variables_held_by_bounds_do_not_count():
     model = quadratic([1.0, -2.0, 3.0, 1.0], np.diag([1.0, 2.0, 4.0, 1.0]))
     at, far = np.zeros(4), np.full(4, 10.0)
     # Downhill is out of bounds for the first two, and into them for the third.
@@ -107,12 +107,12 @@ def test_variables_that_bounds_hold_win_nothing():
     assert attainable_decrease(model, at, at, at) == 0.0
 
 
-def test_fits_conflict_by_kind_of_parameter():
+def test_conflicts_are_computed_by_kind_of_parameter():
     labels = ("soleus_l.emg_scale", "tibant_l.emg_scale", "soleus_l.tendon_slack_length")
     sd = np.array([0.1, 0.2, 1.0])
     one, other = np.array([1.0, 1.0, 2.0]), np.array([1.0, 1.4, 2.0])
     found = parameter_conflict(labels, one, other, sd)
-    # The difference of two fits is as wide as the root of two of one.
+    # The standard deviation of a difference is the root of two times that of one fit.
     assert found == pytest.approx(
         {"emg_scale": 2.0 / np.sqrt(2.0) / np.sqrt(2.0), "tendon_slack_length": 0.0}
     )

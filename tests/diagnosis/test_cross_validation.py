@@ -1,4 +1,4 @@
-"""What is said of cycles that a fit has not seen: it has not seen them, and each is left out once."""
+"""Cross-validation: blocks of cycles, predictions of held-out cycles, and conflicts between speeds."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def blocks_of(plan):
     return [block.tolist() for block in plan.blocks]
 
 
-def test_of_few_cycles_single_ones_are_left_out():
+def test_with_few_cycles_single_cycles_are_left_out():
     plan = cross_validation_plan(uses("cvccc"), np.array([0, 0, 1, 1, 0]))
     assert plan.calibration.tolist() == [0, 2, 3, 4]
     assert plan.speeds.tolist() == [0, 1, 1, 0]
@@ -36,26 +36,26 @@ def test_of_few_cycles_single_ones_are_left_out():
     assert not plan.new_speed.any()
 
 
-def test_of_five_cycles_a_speed_one_of_each_is_left_out():
+def test_with_five_cycles_at_each_speed_blocks_have_one_of_each():
     plan = cross_validation_plan(uses("c" * 10), np.arange(10) % 2)
     assert blocks_of(plan) == [[0, 1], [2, 3], [4, 5], [6, 7], [8, 9]]
     one_short = cross_validation_plan(uses("c" * 9), np.arange(9) % 2)
     assert blocks_of(one_short) == [[number] for number in range(9)]
 
 
-def test_more_cycles_are_left_out_with_earlier_ones():
-    """Five blocks at most, each cycle in one."""
+def test_there_are_five_blocks_at_most():
+    """Each cycle is in one of them."""
     plan = cross_validation_plan(uses("c" * 13), np.repeat([0, 1], [7, 6]))
     assert blocks_of(plan) == [[0, 5, 7, 12], [1, 6, 8], [2, 9], [3, 10], [4, 11]]
 
 
-def test_a_speed_that_only_validation_has_is_new():
+def test_a_speed_without_calibration_cycles_is_new():
     plan = cross_validation_plan(uses("ccvvcc"), np.array([1, 1, 0, 2, 2, 2]))
     assert plan.new_speed.tolist() == [False, False, True, False, False, False]
     assert plan.speeds.tolist() == [0, 0, 1, 1], "those that fits see are counted from 0"
 
 
-def test_one_speed_and_unknown_speeds_are_one():
+def test_unknown_speeds_count_as_one_speed():
     for speeds in (np.full(4, 0.7), np.full(4, np.nan)):
         plan = cross_validation_plan(uses("ccvc"), speed_numbers(speeds))
         assert plan.counts.tolist() == [3]
@@ -64,7 +64,7 @@ def test_one_speed_and_unknown_speeds_are_one():
     assert mixed.counts.tolist() == [1, 1, 2]
 
 
-def test_without_calibration_cycles_nothing_is_left_out():
+def test_without_calibration_cycles_there_are_no_blocks():
     plan = cross_validation_plan(uses("vv"), np.array([0, 1]))
     assert (blocks_of(plan), plan.counts.tolist()) == ([], [])
     assert plan.new_speed.all()
@@ -72,7 +72,7 @@ def test_without_calibration_cycles_nothing_is_left_out():
 
 @pytest.fixture(scope="module")
 def leg():
-    """The damped leg with noise, and what predicts its moments."""
+    """Joint problem of the damped leg with noise, a start, and the prediction of its moments."""
     plain, effects, truth, effect_sizes = damped_leg()
     generator = np.random.default_rng(0)
     phase = 2 * np.pi * np.linspace(0.0, 1.0, plain.measured.shape[-1])
@@ -96,7 +96,7 @@ def changed(problem, place, by=10.0):
 
 @pytest.fixture(scope="module")
 def from_one_start(leg):
-    """All fits from one start, of the moments as they are and with those of the second cycle changed."""
+    """Cross-fits from one start, with the measured moments and with those of the second cycle changed."""
     problem, start, predict = leg
     seen = []
 
@@ -116,32 +116,32 @@ def moved(first, second):
     return np.abs(first - second).max(axis=(1, 2)) > 0.0
 
 
-def test_a_prediction_does_not_depend_on_what_was_measured_of_its_cycle(from_one_start):
+def test_a_prediction_does_not_depend_on_the_moments_of_its_cycle(from_one_start):
     first, second, _ = from_one_start
     assert moved(first.predicted, second.predicted).tolist() == [True, False, True, True]
 
 
-def test_a_prediction_at_the_other_speed_has_seen_none_of_its_own(from_one_start):
+def test_a_prediction_at_the_other_speed_uses_no_cycle_of_its_speed(from_one_start):
     first, second, _ = from_one_start
     assert moved(first.at_other_speed, second.at_other_speed).tolist() == [False, False, True, True]
-    assert [np.array_equal(*pair) for pair in _amounts_of_speeds(first, second)] == [False, True]
+    assert [np.array_equal(*pair) for pair in _effect_sizes_by_speed(first, second)] == [False, True]
 
 
-def _amounts_of_speeds(first, second):
+def _effect_sizes_by_speed(first, second):
     return [
         (one.effect_sizes, other.effect_sizes)
         for one, other in zip(first.of_speeds, second.of_speeds, strict=True)
     ]
 
 
-def test_each_cycle_is_left_out_once_and_each_speed_fitted_alone(from_one_start):
+def test_each_cycle_is_left_out_once_and_each_speed_is_fitted(from_one_start):
     *_, seen = from_one_start
     all_but = [[number != place for number in range(4)] for place in range(4)]
     assert seen == [None, *all_but, [True, True, False, False], [False, False, True, True]]
 
 
-def test_starting_at_the_whole_fit_gives_little_away(leg):
-    """It has seen the cycle, and fits end a little apart: by little of what seeing the cycle would do."""
+def test_the_start_of_fits_without_a_cycle_leaks_little(leg):
+    """They start at the fit to all cycles; its use of the cycle changes their predictions little."""
     problem, start, predict = leg
     plan = cross_validation_plan(uses("cccc"), SPEEDS)
     first, second = (cross_fit(own, start, plan, SPEEDS, predict) for own in (problem, changed(problem, 1)))
@@ -150,8 +150,8 @@ def test_starting_at_the_whole_fit_gives_little_away(leg):
     assert left_out < 0.2 * np.std(whole[0] - whole[1])
 
 
-def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
-    """A fifth cycle, the first one's like, at the slow speed, and at a new one that no fit has seen."""
+def test_validation_cycles_are_predicted_by_the_fit_to_all_cycles(leg):
+    """A fifth cycle, equal to the first, at the slow speed and at a new speed."""
     problem, start, predict = leg
 
     def five(variables, effect_sizes):
@@ -168,7 +168,7 @@ def test_cycles_that_are_not_fitted_are_predicted_by_the_whole_fit(leg):
         assert np.array_equal(found.at_other_speed[4], fast[4]) is not new
 
 
-def test_of_one_speed_there_is_no_other(leg):
+def test_with_one_speed_there_is_no_prediction_at_another(leg):
     problem, start, predict = leg
     one = np.zeros(4, dtype=int)
     found = cross_fit(problem, start, cross_validation_plan(uses("cccc"), one), one, predict)
@@ -181,7 +181,7 @@ def information(fit, weight):
 
 
 def ended(fit, used, curvature, away):
-    """A fit to some cycles with this curvature by amounts alone, so many prior deviations away."""
+    """A fit to some cycles with this curvature by effect sizes, at these sizes in prior deviations."""
     count = fit.problem.plain.variables.count
     size = count + len(curvature)
     whole = np.eye(size)
@@ -192,8 +192,8 @@ def ended(fit, used, curvature, away):
     return replace(fit, problem=replace(fit.problem, plain=plain), model=model, variables=variables)
 
 
-def test_what_two_halves_say_of_amounts_adds_up_to_what_all_cycles_say(from_one_start):
-    """Each half weighs what all did: the curvature of the whole is the mean of theirs."""
+def test_information_of_two_halves_adds_up_to_that_of_all_cycles(from_one_start):
+    """Each half has the weight of all cycles, so that the total curvature is the mean of theirs."""
     fit = from_one_start[0].full
     generator = np.random.default_rng(0)
     roots = generator.normal(size=(2, 4, 6))
@@ -204,7 +204,7 @@ def test_what_two_halves_say_of_amounts_adds_up_to_what_all_cycles_say(from_one_
     np.testing.assert_allclose(together, information(whole, 0.1), rtol=1e-5)
 
 
-def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_start):
+def test_correlated_parameters_make_effect_sizes_less_certain(from_one_start):
     fit = from_one_start[0].full
     alone = ended(fit, None, np.eye(4), np.zeros(4))
     place = fit.problem.plain.variables.count
@@ -217,10 +217,10 @@ def test_parameters_that_could_do_the_same_make_amounts_less_certain(from_one_st
     np.testing.assert_allclose(ratio, [1.0 / (1.0 - 0.64), 1.0, 1.0, 1.0], rtol=1e-6)
 
 
-def test_speeds_conflict_by_as_many_deviations_as_their_amounts_are_apart(from_one_start):
-    """Two of four amounts are two deviations of their difference apart: a mean square of two."""
+def test_the_speed_conflict_is_a_mean_squared_difference_in_deviations(from_one_start):
+    """Two of four effect sizes differ by two deviations of the difference: a mean square of two."""
     first = from_one_start[0]
-    # Each speed's amounts are known to within one tenth: by a weight of 0.005, and half of the cycles.
+    # The standard deviation at each speed is 0.1: a weight of 0.005, and half of the cycles.
     away = 2.0 * np.hypot(0.1, 0.1) * np.array([1.0, -1.0, 0.0, 0.0])
     slow = ended(first.full, SPEEDS == 0, np.eye(4), away)
     fast = ended(first.full, SPEEDS == 1, np.eye(4), np.zeros(4))

@@ -1,4 +1,4 @@
-"""Noise between cycles, part of it errors of inputs: these are told from it, and nothing counts twice."""
+"""Estimation of the noise between cycles and of the size of input errors."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ BETWEEN = np.array([[2.0, -0.5], [-0.5, 1.0]])
 
 
 def found_on_average(share, cycles=8, draws=60):
-    """Mean square share, mean covariance, and mean variance by coordinate that inputs at one would make."""
+    """Mean squared share, mean covariance, and variance by coordinate by input errors of expected size."""
     generator = np.random.default_rng(0)
     speeds = np.arange(cycles) % 2
     wave = 1.0 + 0.3 * np.cos(2 * np.pi * np.arange(PHASES) / PHASES)
@@ -29,23 +29,23 @@ def found_on_average(share, cycles=8, draws=60):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.5])
-def test_what_inputs_explain_is_not_counted_twice(share):
-    """Both parts together are the variance that was drawn, on average, in as few as four cycles a speed."""
+def test_noise_and_input_errors_add_up_to_the_variance(share):
+    """On average, with as few as four cycles at each speed."""
     squares, between, by_input = found_on_average(share)
     whole = np.diag(BETWEEN) + share**2 * by_input
     np.testing.assert_allclose(np.diag(between) + squares * by_input, whole, rtol=0.1)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.7, 1.5])
-def test_the_size_of_errors_of_inputs_is_found(share):
+def test_the_size_of_input_errors_is_estimated(share):
     squares, between, by_input = found_on_average(share, cycles=40, draws=20)
     assert np.sqrt(squares) == pytest.approx(share, abs=0.15)
-    # Shares are tried in steps: of what inputs make, a little is left for noise.
+    # Shares are on a grid, so that a small part of the input errors counts as noise.
     left = np.abs(np.diag(between) - np.diag(BETWEEN))
     assert np.all(left < 0.1 * np.diag(BETWEEN) + 0.15 * share**2 * by_input)
 
 
-def test_inputs_that_are_not_given_are_noise():
+def test_inputs_without_influence_do_not_change_the_noise():
     generator = np.random.default_rng(1)
     residuals = generator.normal(size=(6, COORDINATES, PHASES))
     silent = InputErrors(np.zeros((1, 6, COORDINATES, PHASES)), 0.1)
@@ -57,8 +57,8 @@ def test_inputs_that_are_not_given_are_noise():
 
 
 @pytest.mark.parametrize("phases", [24, 25])
-def test_noise_need_not_be_of_one_width(phases):
-    """Slow swings and quick ripples together: neither passes for the other."""
+def test_noise_can_have_several_widths(phases):
+    """The powers of slow and fast noise are both estimated."""
     generator = np.random.default_rng(2)
     kernel = 0.7 * periodic_kernel(phases, 0.15) + 0.3 * periodic_kernel(phases, 0.02)
     factor = np.linalg.cholesky(np.kron(BETWEEN, kernel))
@@ -70,7 +70,7 @@ def test_noise_need_not_be_of_one_width(phases):
     assert np.all((power > 0.6) & (power < 1.7)) and 0.9 < power[1:4].mean() < 1.1
 
 
-def test_what_filters_leave_nothing_of_is_not_taken_for_exact():
+def test_harmonics_removed_by_filters_keep_some_noise():
     generator = np.random.default_rng(3)
     waves = np.stack([np.cos(2 * np.pi * h * np.arange(PHASES) / PHASES) for h in range(3)])
     drawn = generator.normal(size=(8, COORDINATES, 3)) @ waves
@@ -79,6 +79,6 @@ def test_what_filters_leave_nothing_of_is_not_taken_for_exact():
     assert values[0] > 0.002 * np.diag(noise.block(PHASES)).min()
 
 
-def test_cycles_alone_at_their_speeds_show_no_noise():
+def test_single_cycles_at_each_speed_are_refused():
     with pytest.raises(ValueError, match=r"\[1, 1\]"):
         cycle_noise(np.zeros((2, 1, PHASES)), np.array([0, 1]))

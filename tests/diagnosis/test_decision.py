@@ -1,4 +1,4 @@
-"""From evidence to words: shares sum to one, ties are of every pair, and no outcome is bolder than that."""
+"""Probabilities, ties, credible sets and the decision on single effects."""
 
 import numpy as np
 import pytest
@@ -53,10 +53,12 @@ def test_probabilities_rise_with_their_evidence(evidence, structured, more):
         assert all(after.effects[other] < before.effects[other] for other in evidence if other != name)
     stranger = probabilities(evidence, structured + more, TUNING)
     assert stranger.unknown > before.unknown
-    assert stranger.effects == pytest.approx(before.effects), "what is unknown takes from nothing alone"
+    assert stranger.effects == pytest.approx(before.effects), (
+        "an unknown cause reduces the probability of none only"
+    )
 
 
-def test_offsets_are_where_an_effect_is_as_probable_as_none():
+def test_at_the_offset_an_effect_is_as_probable_as_none():
     got = probabilities({"one": TUNING.offset}, TUNING.structured_offset, TUNING)
     assert got.effects["one"] == pytest.approx(0.5)
     assert got.none == pytest.approx(0.25) == got.unknown
@@ -71,7 +73,7 @@ def alike(*pairs):
     return apart
 
 
-def test_a_tie_is_of_every_pair():
+def test_every_pair_of_a_tie_is_indistinguishable():
     level = dict(zip(NAMES, (10.0, 9.0, 8.0, 7.0), strict=True))
     chain = alike(("one", "two"), ("two", "three"), ("three", "four"))
     assert tied_effects("one", NAMES, chain, level) == ("one", "two")
@@ -80,7 +82,7 @@ def test_a_tie_is_of_every_pair():
     assert tied_effects("one", NAMES, alike(), level) == ("one",)
 
 
-def test_a_tie_is_both_ways_and_among_those_level():
+def test_a_tie_needs_both_distances_small_and_similar_evidence():
     apart = alike(("one", "two"), ("one", "three"), ("two", "three"))
     apart[1, 0] = 10.0 * TIE_DISTANCE
     level = dict(zip(NAMES, (10.0, 9.0, 10.0 - TIE_EVIDENCE, 7.0), strict=True))
@@ -89,13 +91,13 @@ def test_a_tie_is_both_ways_and_among_those_level():
     assert tied_effects("one", NAMES, apart, level) == ("one",)
 
 
-def test_of_those_that_exclude_each_other_the_more_plausible_is_tied():
+def test_of_two_distinguishable_effects_the_stronger_joins_the_tie():
     level = dict(zip(NAMES, (10.0, 8.0, 9.0, 7.0), strict=True))
     apart = alike(("one", "two"), ("one", "three"))
     assert tied_effects("one", NAMES, apart, level) == ("one", "three")
 
 
-def test_a_credible_set_is_the_fewest_in_order():
+def test_a_credible_set_contains_the_most_probable():
     got = found(one=0.5, two=0.3, three=0.05, none=0.1, unknown=0.05)
     assert credible_set(got, ("one",), 0.5) == ("one",)
     assert credible_set(got, ("one",), 0.7) == ("one", "two")
@@ -105,14 +107,14 @@ def test_a_credible_set_is_the_fewest_in_order():
     assert credible_set(silent, ("one",), 0.75) == ("none_of_these",)
 
 
-def test_members_of_a_tie_come_together():
+def test_a_tie_enters_the_credible_set_as_a_whole():
     got = found(one=0.3, two=0.35, three=0.3, none=0.05)
     assert credible_set(got, ("one", "three"), 0.5) == ("one", "three")
 
 
 @settings(max_examples=60, deadline=None)
 @given(evidence=evidences, structured=nats, level=st.floats(0.0, 0.999))
-def test_a_credible_set_holds_its_level(evidence, structured, level):
+def test_a_credible_set_has_its_probability(evidence, structured, level):
     got = probabilities(evidence, structured, TUNING)
     members = credible_set(got, (), level)
     shares = {**got.effects, "none_of_these": got.none + got.unknown}
@@ -123,7 +125,7 @@ def test_a_credible_set_holds_its_level(evidence, structured, level):
 EVIDENCE = {"one": 20.0, "two": 18.0}
 
 
-def test_every_outcome_has_its_ground():
+def test_each_outcome_follows_from_its_condition():
     clear = decide_on_single_effect(found(one=0.8, two=0.1, none=0.1), EVIDENCE, ("one",), 5.0, ())
     assert (clear.outcome, clear.named, clear.tie) == ("named", ("one",), ())
     tied = decide_on_single_effect(found(one=0.4, two=0.35, none=0.25), EVIDENCE, ("one", "two"), 5.0, ())
@@ -141,13 +143,13 @@ def test_every_outcome_has_its_ground():
         assert one.reason
 
 
-def test_nothing_is_named_below_the_alarm():
-    """However probable beside the others: twins with nothing amiss show as much."""
+def test_no_effect_is_named_below_the_detection_threshold():
+    """Whatever its probability relative to other effects."""
     got = decide_on_single_effect(found(one=0.9, two=0.05, none=0.05), EVIDENCE, ("one",), 20.0, ())
     assert (got.outcome, got.named) == ("none", ())
 
 
-def test_a_leading_negative_control_means_something_unknown():
+def test_a_strongest_negative_control_means_an_unknown_cause():
     shares = found(one=0.9, two=0.05, none=0.05)
     got = decide_on_single_effect(shares, EVIDENCE, ("one",), 5.0, ("one",))
     assert (got.outcome, got.named, got.tie) == ("unknown", (), ())
@@ -157,7 +159,7 @@ def test_a_leading_negative_control_means_something_unknown():
     assert decide_on_single_effect(shares, EVIDENCE, ("one",), 30.0, ("one",)).outcome == "none"
 
 
-def test_what_is_made_of_an_effect_follows_what_could_be_seen():
+def test_the_description_of_an_effect_follows_its_detectability():
     assert "best" in describe_effect(20.0, 1.0, 5.0, named=True)
     assert "not testable" in describe_effect(20.0, 1.0, 5.0, named=False)
     assert "others" in describe_effect(20.0, 8.0, 5.0, named=False)
@@ -167,23 +169,23 @@ def test_what_is_made_of_an_effect_follows_what_could_be_seen():
 
 def test_shipped_constants_are_usable():
     constants = DecisionConstants.shipped()
-    assert constants.temperature >= 1.0, "evidence is too bold, never too shy"
+    assert constants.temperature >= 1.0, "evidence is scaled down, never up"
     assert constants.structured_scale > 0.0
     assert 0.5 < constants.set_level < 1.0
-    assert constants.detection_threshold > 0.0
+    assert constants.least_detection_threshold > 0.0
     silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, constants)
-    assert silent.none > 0.5, "without evidence, nothing is the most probable"
+    assert silent.none > 0.5, "without evidence, no effect is the most probable"
 
 
-def test_what_the_recording_could_not_show_is_not_named():
+def test_an_undetectable_effect_is_not_named():
     found = Probabilities({"one": 0.9}, none=0.06, unknown=0.04)
     assert decide_on_single_effect(found, {"one": 20.0}, ("one",), 5.0, ()).outcome == "named"
     verdict = decide_on_single_effect(found, {"one": 20.0}, ("one",), 5.0, (), ("one",))
     assert verdict.outcome == "unknown" and "could not show" in verdict.reason and not verdict.named
 
 
-def test_what_does_not_help_with_cycles_kept_back_is_not_named():
-    """One block of five may be against it, two of eight; not more, and not their sum."""
+def test_an_effect_that_does_not_improve_held_out_cycles_is_not_named():
+    """One of five blocks can lose, two of eight; the sum must gain."""
     got = found(one=0.9, two=0.05, none=0.05)
     for gains, outcome in (
         ((1.0, 2.0, 0.5, 1.0, 3.0), "named"),

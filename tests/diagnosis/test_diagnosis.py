@@ -1,4 +1,4 @@
-"""A diagnosis from a subject to its answer, on data of the model's own form: a unit test, no accuracy."""
+"""Complete diagnoses on data of the model's own form: a unit test, which says nothing about accuracy."""
 
 import dataclasses
 import json
@@ -13,7 +13,7 @@ from wrapjax.diagnosis import decision, score
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 
-#: Few effects compile fast.
+#: Few effects, which compile fast.
 KEPT = {"joint_damping", "emg_drift", "curve_family"}
 WITHOUT = sorted(set(CATALOGUE) - KEPT)
 
@@ -23,8 +23,8 @@ def gap(calibrated):
     return diagnose_calibrated(calibrated, without=WITHOUT, null_replicates=2).result
 
 
-def test_too_few_cycles_are_said_and_nothing_is_named(gap):
-    """Of three cycles one is for validation: what repeats cannot be told from noise."""
+def test_too_few_cycles_end_the_diagnosis(gap):
+    """Of three cycles one is for validation."""
     assert gap.outcome == "insufficient_data" and not gap.named and not gap.effects
     assert "fewest" in gap.reason
     assert np.isfinite(gap.plain).all() and gap.unknown_probability == 1.0
@@ -37,7 +37,7 @@ def test_unknown_effects_are_refused_before_any_work(person, paths):
 
 @pytest.fixture(scope="module")
 def several(person):
-    """The person walking seven cycles at two speeds, six of them to calibrate with."""
+    """The person with seven cycles at two speeds, six of them for calibration."""
     generator = np.random.default_rng(0)
     places = np.resize(np.arange(len(person.trials)), 7)
     many = person.trials.select(places)
@@ -64,14 +64,14 @@ def found(several, paths):
     return diagnose(several, "NGA", paths, without=WITHOUT, starts=2, null_replicates=4)
 
 
-def test_a_diagnosis_is_whole(found, several, tmp_path):
+def test_a_diagnosis_is_complete(found, several, tmp_path):
     result = found.result
     assert result.outcome in ("named", "tie", "none", "unknown")
     assert {effect.id for effect in result.effects} == KEPT - {"curve_family"}
     total = sum(effect.probability for effect in result.effects)
     assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
     by_evidence = sorted(result.effects, key=lambda effect: -effect.evidence)
-    assert list(result.effects) == by_evidence, "evidence along straight lines ranks, and nothing else"
+    assert list(result.effects) == by_evidence, "effects are ranked by the evidence of the score test only"
     assert result.convergence_check.holds and result.convergence_check.conflicts["by_half"]
     dataset = found.dataset
     assert (
@@ -82,7 +82,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
     held = result.measured - result.plain
     seen = result.measured - found.calibration.result.modelled
     calibrated = np.array(result.uses) == "calibration"
-    # What a fit has not seen it does not know as well.
+    # Errors on held-out cycles are larger than on fitted ones.
     assert (held[calibrated] ** 2).mean() > (seen[calibrated] ** 2).mean()
     found.save(tmp_path / "gap")
     content = json.loads((tmp_path / "gap" / "gap.json").read_text())
@@ -91,7 +91,7 @@ def test_a_diagnosis_is_whole(found, several, tmp_path):
         found.save(tmp_path / "gap")
 
 
-def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(found):
+def test_withholding_an_effect_afterwards_or_at_once_gives_the_same_result(found):
     withheld = (*WITHOUT, "emg_drift")
     afterwards = found.without(*withheld).result
     at_once = diagnose_calibrated(found.calibration, without=withheld, null_replicates=4).result
@@ -105,8 +105,8 @@ def test_withholding_an_effect_afterwards_says_what_withholding_it_at_once_does(
         found.without("joint_dampin")
 
 
-def test_several_effects_are_fitted_together_and_share_what_they_remove(found, monkeypatch, tmp_path):
-    """Where they stand together and each helps; whether these two do is not asked here."""
+def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, monkeypatch, tmp_path):
+    """Joint significance and improvement are assumed here."""
     both = ("joint_damping", "emg_drift")
     monkeypatch.setattr(score, "jointly_significant_effects", lambda *_: both)
     monkeypatch.setattr(decision, "may_name_jointly", lambda *_: True)
@@ -125,8 +125,8 @@ def test_several_effects_are_fitted_together_and_share_what_they_remove(found, m
     assert found.without(*WITHOUT).result.named == found.result.named
 
 
-def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
-    """Starts that end apart show that not even the best of them need be the best there is."""
+def test_a_fit_that_has_not_converged_ends_the_diagnosis(found):
+    """The costs of its starts differ too much."""
     calibration = found.calibration
     result = calibration.result
     worse = dataclasses.replace(result.outcomes[1].solution, cost=1.5 * result.solution.cost)
@@ -139,14 +139,14 @@ def test_a_fit_that_stopped_early_is_no_ground_for_a_diagnosis(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [*(id for id in HIDDEN_EFFECTS if id not in EXCLUDED_EFFECTS), None])
-def test_what_was_hidden_in_a_virtual_person_is_found(hidden, tmp_path):
+def test_an_effect_hidden_in_a_virtual_person_is_named(hidden, tmp_path):
     shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
     assert shown.correct, (shown.diagnosis.result.outcome, shown.diagnosis.result.named)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", EXCLUDED_EFFECTS)
-def test_what_is_hidden_too_well_to_be_named_leads_and_is_not_mistaken(hidden, tmp_path):
+def test_an_effect_too_weak_to_be_named_leads_the_list(hidden, tmp_path):
     shown = demonstrate_diagnosis(tmp_path, hidden, seed=2)
     result = shown.diagnosis.result
     assert max(result.effects, key=lambda effect: effect.probability).id == hidden

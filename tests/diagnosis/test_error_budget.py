@@ -1,4 +1,4 @@
-"""The budget of an error: exact, unbiased, and right about what was put in."""
+"""The error budget and the input-driven variance: exact sums, unbiased parts."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def smooth(generator, *shape, harmonics=3):
     counts=st.lists(st.integers(2, 5), min_size=1, max_size=3),
     frames=st.integers(21, 130),
 )
-def test_parts_add_up_to_the_mean_squared_error_exactly(seed, counts, frames):
+def test_parts_add_up_to_the_mean_squared_error(seed, counts, frames):
     generator = np.random.default_rng(seed)
     speeds = np.repeat(np.arange(len(counts)), counts)
     residuals = generator.normal(size=(len(speeds), 3, frames)) + 4.0
@@ -37,7 +37,7 @@ def test_parts_add_up_to_the_mean_squared_error_exactly(seed, counts, frames):
         np.testing.assert_allclose(budget.total[speed], square @ bin_weights(frames).T, rtol=1e-9, atol=1e-9)
 
 
-def test_bins_are_all_of_the_cycle_and_count_alike():
+def test_bins_cover_the_cycle_with_equal_weights():
     for frames in (101, 88):
         weights = bin_weights(frames)
         np.testing.assert_allclose(weights.sum(axis=1), 1.0)
@@ -45,7 +45,7 @@ def test_bins_are_all_of_the_cycle_and_count_alike():
         np.testing.assert_allclose(weights @ np.linspace(0, BINS, frames), np.arange(BINS) + 0.5, atol=0.02)
 
 
-def test_what_was_put_in_is_found_on_average():
+def test_parts_are_unbiased():
     generator = np.random.default_rng(1)
     speeds = np.repeat([0, 1], 5)
     common, specific = smooth(generator, 2), smooth(generator, 2)
@@ -67,7 +67,7 @@ def test_what_was_put_in_is_found_on_average():
         np.testing.assert_allclose(average[name], value, rtol=0.06, atol=0.06, err_msg=name)
 
 
-def test_pure_noise_explains_nothing_on_average():
+def test_noise_alone_is_not_explainable_on_average():
     generator = np.random.default_rng(2)
     shares = [
         split_error(smooth(generator, 8, 3), np.repeat([0, 1], 4)).explainable_share for _ in range(200)
@@ -76,12 +76,12 @@ def test_pure_noise_explains_nothing_on_average():
     assert min(shares) < 0.0, "parts are not clipped"
 
 
-def test_one_cycle_a_speed_cannot_be_split():
+def test_one_cycle_at_a_speed_is_refused():
     with pytest.raises(ValueError, match=r"\[2, 1\]"):
         split_error(np.zeros((3, 1, 21)), np.array([0, 0, 1]))
 
 
-def test_what_follows_an_input_is_told_from_noise():
+def test_input_driven_variance_is_separated_from_noise():
     generator = np.random.default_rng(3)
     speeds = np.repeat([0, 1], 6)
     inputs = smooth(generator, 12, 4)
@@ -97,8 +97,8 @@ def test_what_follows_an_input_is_told_from_noise():
     assert 0.5 < share < 1.5
 
 
-def test_many_unrelated_inputs_drive_nothing():
-    """As many as a recording has, over few cycles: no cycle gives another one away."""
+def test_many_unrelated_inputs_drive_no_variance():
+    """As many inputs as a recording has, over few cycles."""
     found = []
     for seed in range(6):
         generator = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ def test_many_unrelated_inputs_drive_nothing():
     assert abs(np.mean(found)) < 0.05 and max(found) < 0.15
 
 
-def test_a_drift_has_no_mean_and_is_explainable_all_the_same():
+def test_a_drift_is_explainable_although_it_has_no_mean():
     generator = np.random.default_rng(4)
     speeds = np.repeat([0, 1], 6)
     order = np.tile(np.linspace(-1.0, 1.0, 6), 2)[:, None, None] * np.ones((1, 1, FRAMES))

@@ -1,4 +1,4 @@
-"""Amounts are fitted with what is calibrated: exact slopes, and only from cycles that count."""
+"""Joint fits of calibrated parameters and effect sizes: exact gradients, and selection of cycles."""
 
 from dataclasses import replace
 
@@ -29,23 +29,23 @@ def problem(leg):
 
 @pytest.fixture(scope="module")
 def place(leg):
-    """Somewhere off the minimum, within bounds."""
+    """Variables away from the minimum, within bounds."""
     _, effects, truth, effect_sizes = leg
     return jnp.concatenate(
         [jnp.asarray(truth * 1.05 + 0.01), jnp.asarray(0.7 * effect_sizes / effects.prior_sd)]
     )
 
 
-def counting(problem, used=USED, weight=WEIGHT):
-    """The problem as a fit to these cycles sees it."""
+def with_used(problem, used=USED, weight=WEIGHT):
+    """The problem of a fit to these cycles."""
     plain = replace(problem.plain, moment_error=allowed_errors(problem.plain, used))
     return replace(problem, plain=plain, effect_size_weight=jnp.asarray(weight))
 
 
 @pytest.mark.parametrize("used", [np.ones(4, dtype=bool), USED])
-def test_the_gradient_is_the_slope_of_the_cost(problem, place, used):
-    """By every amount alone, and in one direction through all variables; amounts have a cost of their own."""
-    own = counting(problem, used, 0.3)
+def test_the_gradient_is_exact(problem, place, used):
+    """By every effect size, and in one direction of all variables; with a prior of the effect sizes."""
+    own = with_used(problem, used, 0.3)
     found = own.linearized_at(place)
     np.testing.assert_allclose(found.cost, own.value_at(place), rtol=1e-12)
     count = own.plain.variables.count
@@ -57,14 +57,14 @@ def test_the_gradient_is_the_slope_of_the_cost(problem, place, used):
         np.testing.assert_allclose(2.0 * found.gradient @ direction, rise, rtol=1e-6, atol=1e-9)
 
 
-def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem, leg, place):
-    """Where nothing is left of the moments, and slopes were drawn: there differences show nothing else."""
+def test_second_derivatives_are_those_of_moments_and_priors(problem, leg, place):
+    """Where the residual is zero and the derivatives were computed, finite differences show nothing else."""
     plain, effects, truth, effect_sizes = leg
-    own = counting(joint_problem(plain, effects, truth, effect_sizes, WEIGHT), weight=0.3)
+    own = with_used(joint_problem(plain, effects, truth, effect_sizes, WEIGHT), weight=0.3)
     at = jnp.concatenate([jnp.asarray(truth), jnp.asarray(effect_sizes / effects.prior_sd)])
     found = own.linearized_at(at)
     direction = np.random.default_rng(1).normal(size=len(at))
-    # All residuals are zero there but those of amounts and priors, which are linear.
+    # All residuals are zero there except those of effect sizes and priors, which are linear.
     ends = [own.linearized_at(at + sign * 1e-5 * jnp.asarray(direction)).gradient for sign in (1.0, -1.0)]
     product = found.gauss_newton @ direction
     np.testing.assert_allclose(
@@ -72,7 +72,7 @@ def test_second_derivatives_are_those_of_the_moments_and_the_amounts_own(problem
     )
 
 
-def test_data_made_with_effects_give_their_amounts(problem, leg):
+def test_effect_sizes_are_recovered(problem, leg):
     _, effects, truth, effect_sizes = leg
     found = fit_jointly(problem, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
     np.testing.assert_allclose(found.effect_sizes, effect_sizes, rtol=0.02)
@@ -80,15 +80,15 @@ def test_data_made_with_effects_give_their_amounts(problem, leg):
     assert found.cost < 1e-6
 
 
-def test_amounts_that_cost_much_stay_small(problem, leg):
+def test_a_large_weight_keeps_effect_sizes_small(problem, leg):
     _, effects, truth, effect_sizes = leg
     dear = replace(problem, effect_size_weight=jnp.asarray(1e4))
     found = fit_jointly(dear, np.concatenate([truth, np.zeros(effects.count)]), solver=FINE)
     assert np.abs(found.effect_sizes / effect_sizes).max() < 0.01
 
 
-def test_cycles_that_do_not_count_change_nothing(problem, leg):
-    """Not by a bit, whatever was measured of them; and what counts, counts."""
+def test_unused_cycles_do_not_change_the_fit(problem, leg):
+    """Not by a bit; used cycles do."""
     _, effects, truth, _ = leg
     start = np.concatenate([truth, np.zeros(effects.count)])
     first = fit_jointly(problem, start, USED)
@@ -98,9 +98,9 @@ def test_cycles_that_do_not_count_change_nothing(problem, leg):
         assert (np.array_equal(other.variables, first.variables) and other.cost == first.cost) is same
 
 
-def test_moments_that_do_not_count_leave_everything_finite(problem, place):
-    """Cost, gradient and curvature; the rest is as if those rows were not there."""
-    own = counting(problem)
+def test_unused_moments_leave_the_expansion_finite(problem, place):
+    """Cost, gradient and curvature."""
+    own = with_used(problem)
     found = own.linearized_at(place)
     for part in (found.cost, found.gradient, found.gauss_newton, found.remainder):
         assert np.isfinite(part).all()
@@ -112,8 +112,8 @@ def test_moments_that_do_not_count_leave_everything_finite(problem, place):
     assert only.cost < found.cost
 
 
-def test_cycles_that_count_weigh_what_all_did(problem, place):
-    """Else penalties would hold a fit to half of the cycles twice as hard."""
+def test_used_cycles_have_the_weight_of_all(problem, place):
+    """Otherwise penalties would be twice as strong in a fit to half of the cycles."""
     errors = allowed_errors(problem.plain, USED)
     np.testing.assert_allclose(
         errors.ravel(), [MOMENT_ERROR * np.sqrt(0.75)] * 1 + [np.inf] + [errors[2, 0, 0]] * 2
@@ -124,8 +124,8 @@ def test_cycles_that_count_weigh_what_all_did(problem, place):
         allowed_errors(problem.plain, ~np.ones(4, dtype=bool))
 
 
-def test_without_effects_it_is_the_plain_problem(leg, place):
-    """To the last digit: refits of both are compared."""
+def test_without_effects_it_is_the_plain_calibration(leg, place):
+    """To the last digit, as fits of both are compared."""
     plain, _, truth, _ = leg
     nothing = joint_problem(plain, Effects(()), truth, np.zeros(0), 0.0)
     at = place[: plain.variables.count]
@@ -137,8 +137,8 @@ def test_without_effects_it_is_the_plain_problem(leg, place):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
-def test_effects_that_alter_no_single_muscle_share_what_takes_long_to_compile():
-    """Of EMG, lags, paths and moments; a diagnosis would else spend most of its time on compiling."""
+def test_effects_that_alter_no_single_muscle_share_compiled_programs():
+    """Otherwise a diagnosis would spend most of its time compiling."""
     plain, _, truth, _ = damped_leg()
     _, context = small_recording_and_context()
     for number, id in enumerate(
@@ -153,7 +153,7 @@ def test_effects_that_alter_no_single_muscle_share_what_takes_long_to_compile():
         assert number == 0 or not {"jit(_expand)", "jit(_value)"} & set(asked), id
 
 
-def test_bounds_of_amounts_are_in_prior_deviations(problem, leg):
+def test_bounds_of_effect_sizes_are_in_prior_deviations(problem, leg):
     plain, effects, *_ = leg
     count = plain.variables.count
     np.testing.assert_allclose(problem.lower[count:] * effects.prior_sd, effects.lower)

@@ -1,4 +1,4 @@
-"""Straight lines at a calibrated model, and the score of effects along them.
+"""Linearisation of a calibrated model, and the score of effects on it.
 
 The last test is on data of the model's own form: it shows that the pieces fit, and is no accuracy.
 """
@@ -27,7 +27,7 @@ EFFECTS = ("joint_damping", "ankle_foot_orthosis", "emg_drift", "slow_fibers", "
 
 @pytest.fixture(scope="module")
 def setting():
-    """A leg that is damped, measured with smooth noise, and calibrated to what it would be undamped."""
+    """A leg with joint damping and smooth noise; the plain model has the true parameters."""
     recording, context = small_recording_and_context()
     base = context.parameters
     free = free_variables(base, nga_freedom(base), context.muscles)
@@ -49,15 +49,15 @@ def setting():
     return problem, recording, measured, linearized, effect_sizes
 
 
-def test_residual_is_taken_to_where_parameters_were_expected(setting):
-    """To first order it is what the model leaves there: halving the way quarters the difference."""
+def test_the_residual_is_at_the_prior_mean_of_the_parameters(setting):
+    """To first order: halving the distance quarters the difference."""
     problem, recording, measured, linearized, _ = setting
     free, frames = problem.variables, phase_frames(measured.shape[-1])
     start = np.asarray(free.start())
     precision = np.asarray(free.prior_precision)
     to_expected = -linearized.from_prior_mean
-    # Of as many muscles as variables of a kind, and no penalty, that is the mean of the prior, but for a
-    # little that bounds pull.
+    # With as many muscles as variables of a kind, and no penalty, this is the mean of the calibration's
+    # prior, apart from the small influence of the bounds.
     known = precision > 0.0
     np.testing.assert_allclose(
         (start - linearized.from_prior_mean)[known], np.asarray(free.prior_mean)[known], atol=0.15
@@ -75,8 +75,8 @@ def test_residual_is_taken_to_where_parameters_were_expected(setting):
     assert near == pytest.approx(far / 4.0, rel=0.1)
 
 
-def test_parameters_far_from_expected_leave_no_noise_of_emg(setting):
-    """All that the residual takes back, calibrated parameters of the null hypothesis can take back again."""
+def test_moving_the_residual_adds_no_noise_of_emg(setting):
+    """The move is in the span of the calibrated parameters, which are part of the null hypothesis."""
     linearized = setting[3]
     moved = (linearized.residual - linearized.fitted_residual).ravel()
     lines = linearized.calibrated.reshape(linearized.calibrated.shape[0], -1)
@@ -84,11 +84,11 @@ def test_parameters_far_from_expected_leave_no_noise_of_emg(setting):
     np.testing.assert_allclose(lines.T @ effect_sizes, moved, atol=1e-9 * np.abs(moved).max())
 
 
-def test_noise_of_emg_is_not_in_the_lines(setting):
-    """Along recorded envelopes it is in lines and residual alike, and draws all gains down."""
+def test_noise_of_emg_is_not_in_the_slopes(setting):
+    """With recorded envelopes it is in slopes and residual, and reduces all gains."""
     problem, recording, _, _, _ = setting
     free, context = problem.variables, small_recording_and_context()[1]
-    # All of one speed, and the same but for noise.
+    # All cycles have one speed, and are equal except for noise.
     context = dataclasses.replace(context, speeds=np.full(len(context.trials), 0.8))
     emg = mean_emg(recording.emg, np.zeros(len(context.trials), dtype=int))
     true = dataclasses.replace(recording, emg=emg)
@@ -125,7 +125,7 @@ def test_envelopes_are_averaged_over_the_cycles_of_a_speed(setting):
     np.testing.assert_allclose(apart.coefficients, emg.coefficients, rtol=1e-12)
 
 
-def test_an_error_of_emg_is_an_error_of_all_muscles_of_its_channel(setting):
+def test_an_error_of_emg_affects_all_muscles_of_its_channel(setting):
     problem, _, _, linearized, _ = setting
     free, (emg, angles) = problem.variables, linearized.input_errors
     # The second channel drives both gastrocnemii.
@@ -153,13 +153,13 @@ def test_nuisances_are_part_of_the_null_and_never_candidates(setting):
     assert len(linearized.nuisances)
 
 
-def test_candidates_know_how_large_amounts_may_be(setting):
+def test_candidates_have_the_limits_of_their_effects(setting):
     *_, linearized, _ = setting
     _, context = small_recording_and_context()
     for candidate in linearized.candidates:
         effect = CATALOGUE[candidate.id].build(context)
         np.testing.assert_array_equal(candidate.limit, [entry.limit for entry in effect.parameters])
-        # A score and a joint fit expect the same.
+        # A score and a joint fit have the same prior.
         large = Effects((effect.of_size(3.0),))
         np.testing.assert_array_equal(candidate.scaled_prior_sd(3.0), large.prior_sd)
     covariance = fixed_covariance(linearized)
@@ -167,7 +167,7 @@ def test_candidates_know_how_large_amounts_may_be(setting):
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-def test_the_effect_at_work_has_most_evidence(setting):
+def test_the_present_effect_has_most_evidence(setting):
     *_, measured, linearized, effect_sizes = setting
     sizes = measured.std(axis=(0, 2))
     (found,) = score_each(linearized.residual.reshape(1, -1), nulls(linearized, sizes), linearized.candidates)

@@ -1,4 +1,4 @@
-"""Defends: what follows inputs because these have errors is noise, and nothing that a model could explain."""
+"""Differences between cycles that errors of the inputs cause are noise, not explainable error."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SPEEDS = np.zeros(CYCLES, dtype=int)
 
 @pytest.fixture(scope="module")
 def recorded():
-    """One input whose deviations from its mean cycle all go into the moments, and some noise."""
+    """One input whose deviations from its mean cycle drive the moments, and some noise."""
     generator = np.random.default_rng(0)
     phase = 2 * np.pi * np.linspace(0.0, 1.0, FRAMES)
     waves = np.stack([np.sin(phase), np.cos(phase)])
@@ -42,7 +42,7 @@ def share(recorded, error_variance=None):
     return explainable_share(cycle_errors(residual), floor, SPEEDS).value
 
 
-def test_what_follows_inputs_is_explainable_but_for_their_errors(recorded):
+def test_input_driven_error_is_explainable_except_for_input_errors(recorded):
     by_errors = recorded[2][:, :-1]
     without_errors = share(recorded)
     assert without_errors > 0.6

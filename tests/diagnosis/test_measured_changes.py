@@ -15,10 +15,10 @@ from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.measured_changes import compute_measured_changes
 from wrapjax.diagnosis.effects.measured_motion import foot_loads, skin_slides
 from wrapjax.diagnosis.effects.scaled_model import FOOT_DISPLACED, FOOT_HELD
-from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import UP, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import UP, RecordedGait
 from wrapjax.errors import InputError
-from wrapjax.osim.inverse_dynamics import Mechanics
+from wrapjax.osim.mechanics import Mechanics
 from wrapjax.osim.motion import Motion
 from wrapjax.subject.subject import load_subject as load_subject
 

@@ -1,4 +1,4 @@
-"""How far an error shrinks: exact on numbers made for it, honest about noise, right as often as it says."""
+"""The noise floor, shrinkage and its intervals, and Shapley values."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ def smooth(generator, *shape):
     return generator.normal(size=(*shape, 6)) @ WAVES / np.sqrt(3.0)
 
 
-def test_the_floor_is_the_variance_of_the_noise_on_average():
-    """However few cycles a speed has, and whatever repeats there."""
+def test_the_floor_is_unbiased():
+    """With few cycles at a speed, and any repeatable error."""
     generator = np.random.default_rng(0)
     speeds = np.array([0, 0, 1, 1, 1, 1])
     sizes = np.array([2.0, 1.0])
@@ -36,24 +36,20 @@ def test_the_floor_is_the_variance_of_the_noise_on_average():
     np.testing.assert_allclose(found, sizes[speeds] ** 2, rtol=0.08)
 
 
-def test_what_follows_an_input_is_no_noise():
+def test_input_driven_variance_is_not_noise():
     generator = np.random.default_rng(1)
     residuals, speeds = smooth(generator, 8, 2), np.repeat([0, 1], 4)
     whole = noise_floor(residuals, speeds, 12.0).by_cycle
     driven = np.array([0.25 * whole[:4].mean(), -1.0])
     less = noise_floor(residuals, speeds, 12.0, driven)
     np.testing.assert_allclose(less.by_cycle[:4], 0.75 * whole[:4])
-    np.testing.assert_allclose(
-        less.by_cycle[4:], whole[4:], err_msg="below zero there is nothing to take off"
-    )
-    np.testing.assert_array_equal(
-        less.without_driven, whole, err_msg="what may be driven may be noise as well"
-    )
+    np.testing.assert_allclose(less.by_cycle[4:], whole[4:], err_msg="a negative estimate is not subtracted")
+    np.testing.assert_array_equal(less.without_driven, whole, err_msg="driven variance may be noise as well")
     some = noise_floor(residuals, speeds, 12.0, 9.0 * np.ones(2)).by_cycle
     np.testing.assert_allclose(some, 0.2 * whole, err_msg="some of it is always noise")
 
 
-def test_a_cycle_alone_at_its_speed_has_the_floor_of_the_others():
+def test_a_single_cycle_at_its_speed_has_the_mean_floor_of_the_others():
     generator = np.random.default_rng(2)
     residuals = smooth(generator, 5, 2)
     floor = noise_floor(residuals, np.array([0, 0, 1, 0, 2]), 12.0).by_cycle
@@ -61,8 +57,8 @@ def test_a_cycle_alone_at_its_speed_has_the_floor_of_the_others():
     assert not noise_floor(residuals, np.arange(5), 12.0).known
 
 
-def test_a_share_of_what_can_be_explained_is_exact():
-    """Every cycle loses half of what is above its floor: so do all, however they are drawn."""
+def test_shrinkage_is_exact_with_a_known_floor():
+    """Every cycle loses the same share of the error above its floor."""
     floor = np.array([1.0, 2.0, 1.0, 3.0, 2.0, 1.0])
     above = np.array([8.0, 6.0, 9.0, 7.0, 8.0, 6.0])
     speeds = np.repeat([0, 1], 3)
@@ -74,8 +70,8 @@ def test_a_share_of_what_can_be_explained_is_exact():
     assert part.low < part.value < part.high
 
 
-def test_an_estimated_floor_widens_the_interval_and_does_not_move_the_share():
-    """Every cycle loses half of what is above its floor, but the floor is not known as well as that."""
+def test_an_uncertain_floor_widens_the_interval_only():
+    """Every cycle loses half of the error above its floor."""
     floor, above, speeds = np.full(8, 2.0), np.linspace(3.0, 5.0, 8), np.repeat([0, 1], 4)
     before, after = floor + above, floor + 0.5 * above
     exact, most_is_more, doubtful = (
@@ -93,8 +89,8 @@ def test_an_estimated_floor_widens_the_interval_and_does_not_move_the_share():
     assert most_is_more.low == pytest.approx(exact.low, abs=0.02), "a higher floor leaves less to explain"
 
 
-def test_intervals_hold_the_truth_about_as_often_as_they_say():
-    """In recordings of 4 to 10 cycles, which a fit rids of 0.6 of an error that repeats within 10 %."""
+def test_intervals_have_nearly_their_coverage():
+    """In recordings of 4 to 10 cycles with a shrinkage of 0.6."""
     generator = np.random.default_rng(3)
     truth = 1.01 * (1.0 - 0.4**2)
     held, known = 0, 0
@@ -112,8 +108,8 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     assert 0.90 < held / known < 0.99
 
 
-def test_an_error_that_may_be_noise_cannot_shrink():
-    """Most recordings of noise alone give no number, nor does one cycle a speed."""
+def test_shrinkage_of_noise_alone_is_unknown():
+    """In most recordings of noise alone, and with one cycle at each speed."""
     generator = np.random.default_rng(4)
     speeds = np.repeat([0, 1], 4)
     told = 0
@@ -134,7 +130,7 @@ def test_an_error_that_may_be_noise_cannot_shrink():
 
 @settings(max_examples=30, deadline=None)
 @given(worth=st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7), order=st.permutations(MEMBERS))
-def test_shares_add_up_and_do_not_depend_on_the_order(worth, order):
+def test_shapley_values_add_up_and_do_not_depend_on_the_order(worth, order):
     parts = [frozenset(), *(frozenset({name}) for name in MEMBERS)]
     parts += [frozenset(MEMBERS) - {name} for name in MEMBERS] + [frozenset(MEMBERS)]
     value = dict(zip(parts, [0.5, *worth], strict=True))
@@ -144,8 +140,8 @@ def test_shares_add_up_and_do_not_depend_on_the_order(worth, order):
     assert again == pytest.approx(shares)
 
 
-def test_shares_of_two_that_overlap_are_split_evenly():
-    """Each alone removes 3 and 5, both 6: what they share, 2, is halved."""
+def test_the_overlap_of_two_effects_is_split_evenly():
+    """Alone they remove 3 and 5, together 6: the overlap of 2 is halved."""
     value = {(): 0.0, ("a",): 3.0, ("b",): 5.0, ("a", "b"): 6.0}
     assert shapley_values(("a", "b"), value.__getitem__) == pytest.approx({"a": 2.0, "b": 4.0})
     idle = shapley_values(("a", "b", "idle"), lambda part: value[tuple(n for n in part if n != "idle")])

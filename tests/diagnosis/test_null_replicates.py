@@ -1,4 +1,4 @@
-"""People with nothing amiss: other muscles than the model's, and the same ones each time."""
+"""Null replicates: their curves, noise and calibration, and reproducibility by seed."""
 
 from dataclasses import replace
 
@@ -30,8 +30,8 @@ PEOPLE = [ReplicateCurves.drawn(jax.random.key(seed)) for seed in range(20)]
 
 
 @pytest.mark.parametrize("person", PEOPLE[:3])
-def test_curves_are_normalised_as_the_models_are(person):
-    """One at optimal length held still, none at the fastest shortening, passively one at the strain."""
+def test_curves_are_normalised(person):
+    """One at optimal length at rest, zero at the fastest shortening, passive force one at the strain."""
     one, zero = jnp.ones(1), jnp.zeros(1)
     np.testing.assert_allclose(person.active_force(one), 1.0, atol=1e-4)
     np.testing.assert_allclose(person.force_velocity(-one), 0.0, atol=1e-12)
@@ -51,7 +51,7 @@ def test_force_over_velocity_has_one_slope_at_zero_and_never_falls(person):
     assert 1.0 < force.max() < person.plateau
 
 
-def test_curves_fall_off_both_sides_and_stay_finite_with_their_slopes():
+def test_the_active_curve_falls_on_both_sides_and_all_derivatives_are_finite():
     length = jnp.linspace(0.0, 2.5, 300)
     for person in PEOPLE:
         active, passive = person.active_force(length), person.passive_force(length)
@@ -63,7 +63,7 @@ def test_curves_fall_off_both_sides_and_stay_finite_with_their_slopes():
             assert np.isfinite(jax.jvp(curve, (length,), (jnp.ones_like(length),))[1]).all()
 
 
-def test_people_differ():
+def test_drawn_curves_differ():
     drawn = np.array([np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(one)]) for one in PEOPLE])
     assert (drawn.std(axis=0) > 0.0).all()
     assert len(np.unique(drawn, axis=0)) == len(PEOPLE)
@@ -71,7 +71,7 @@ def test_people_differ():
 
 @pytest.fixture(scope="module")
 def world():
-    """The small leg at its start, with noise; of its straight lines, those that twins look at."""
+    """The small leg at its start, with noise, and the parts of its linearisation that replicates use."""
     recording, context = small_recording_and_context()
     base = context.parameters
     free = free_variables(base, nga_freedom(base), context.muscles)
@@ -104,8 +104,8 @@ def world():
     )
 
 
-def test_equal_seeds_give_equal_twins(world):
-    """All different from each other; a twin is the same however many there are."""
+def test_equal_seeds_give_equal_replicates(world):
+    """Replicates differ from each other, and do not depend on their number."""
     two = null_replicate_residuals(world, 2, seed=3)
     np.testing.assert_array_equal(null_replicate_residuals(world, 2, seed=3), two)
     other = null_replicate_residuals(world, 2, seed=4)
@@ -116,8 +116,8 @@ def test_equal_seeds_give_equal_twins(world):
         assert all(np.abs(own - one).max() > 1e-3 for one in everyone[:place])
 
 
-def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world, monkeypatch):
-    """But for what parameters are off from where they were expected, along the subject's lines."""
+def test_a_replicate_of_the_models_own_form_is_calibrated_without_residual(world, monkeypatch):
+    """Except for the move to the prior mean with the subject's derivatives."""
     lived = []
 
     def own_moments(parameters, recording, *_):
@@ -131,22 +131,22 @@ def test_a_twin_of_the_models_own_form_is_calibrated_until_nothing_is_left(world
     residuals = null_replicate_residuals(silent, 2, seed=3)
     basis = np.linalg.qr(linearized.slopes.reshape(len(linearized.slopes), -1).T)[0]
     frames = phase_frames(lived[0].shape[-1])
-    expected = _along(world)
+    expected = _move_to_prior_mean(world)
     for residual, moments in zip(residuals, lived, strict=True):
         before = (moments - np.asarray(world.problem.measured))[..., frames].ravel()
         off = [np.std(one - basis @ (basis.T @ one)) for one in (residual, before)]
         assert off[0] < 0.2 * off[1]
-        # Where lines are straight, it does not matter where calibration ended.
+        # In a linear model it does not matter where the calibration ended.
         np.testing.assert_allclose(residual, before + expected, atol=0.1 * np.abs(expected).max())
 
 
-def _along(world):
-    """What the way to where parameters were expected makes of the moments."""
+def _move_to_prior_mean(world):
+    """Change of the moments by the move to the prior mean."""
     return np.tensordot(world.linearized.from_prior_mean, world.linearized.slopes, axes=1).ravel()
 
 
-def test_arms_that_are_off_change_lengths_as_they_must(world):
-    """Of virtual work: velocity is the arm times the joint's, length is about its mean as much longer."""
+def test_scaled_moment_arms_change_lengths_and_velocities_consistently(world):
+    """By virtual work, velocities and deviations of length scale with the moment arm."""
     path = world.recording.path.nominal
     scale = jnp.linspace(0.8, 1.3, len(MUSCLES))
     other = _with_scaled_arms(path, scale)
@@ -158,8 +158,8 @@ def test_arms_that_are_off_change_lengths_as_they_must(world):
     np.testing.assert_allclose(swing[1], swing[0] * scale)
 
 
-def test_muscles_of_one_electrode_have_its_noise(world):
-    """A tenth of the envelope, smooth, and new in each cycle."""
+def test_muscles_of_one_electrode_share_its_noise(world):
+    """A tenth of the envelope, smooth, and independent between cycles."""
     emg = world.recording.emg
     noisy = jax.jit(lambda key: _with_emg_noise(emg, jnp.asarray(0.10), key).coefficients)
     factors = np.log(np.asarray([noisy(jax.random.key(seed)) / emg.coefficients for seed in range(40)]))
@@ -170,8 +170,8 @@ def test_muscles_of_one_electrode_have_its_noise(world):
     np.testing.assert_allclose(np.ptp(factors, axis=3), 0.0, atol=1e-6)
 
 
-def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
-    """EMG's go through its muscles; what errors of angles make joins the noise of moments, cycle by cycle."""
+def test_input_errors_of_a_replicate_have_the_estimated_size(world):
+    """Errors of EMG pass through its muscles; errors of angles add to the noise of moments."""
     generator = np.random.default_rng(0)
     shape = world.linearized.slopes.shape[1:]
     emg, angles = (InputErrors(generator.normal(size=(2, *shape)), 0.05) for _ in range(2))
@@ -183,7 +183,7 @@ def test_errors_of_a_twins_recording_are_as_large_as_the_subjects(world):
     np.testing.assert_allclose(np.einsum("cij,ckj->cik", root, root), expected, atol=1e-8)
 
 
-def test_a_twins_muscles_are_not_the_models(world):
+def test_the_muscles_of_a_replicate_differ_from_the_models(world):
     parameters = world.problem.parameters(jnp.asarray(world.variables))
     lived = [
         np.asarray(_replicate_moments(parameters, world.recording, jnp.asarray(0.10), jax.random.key(seed)))

@@ -1,4 +1,4 @@
-"""The score test: equal to the evidence by brute force, and calibrated on data of its own null."""
+"""The score test: equal to marginal likelihoods by brute force, and calibrated under the null."""
 
 from dataclasses import replace
 
@@ -60,11 +60,11 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(generator, covariance):
     assert found.evidence == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
+def test_effect_sizes_beyond_their_limit_are_no_evidence(generator, covariance):
     free = candidate(generator, "one", parameters=2)
     held = replace(free, limit=np.array([0.5, np.inf]))
     (signature,) = free.variants
-    # The first amount would have to be 20 times what still makes sense.
+    # The first effect size would have to be 20 times its limit.
     residual = 10.0 * signature[0] + generator.multivariate_normal(np.zeros(ROWS), covariance)
     (without,), (within,) = (
         score_each(residual[None], [Null(covariance)], [one])[0].scores for one in (free, held)
@@ -81,7 +81,7 @@ def test_amounts_beyond_their_limit_are_no_evidence(generator, covariance):
     assert within.evidence == pytest.approx(expected, rel=1e-9)
 
 
-def test_evidence_of_a_one_sided_amount_is_that_of_a_half_normal_prior():
+def test_evidence_of_a_one_sided_parameter_is_that_of_a_half_normal_prior():
     for slope in (-3.0, 0.5, 6.0):
         evidence, effect_sizes, _, _ = effect_evidence(
             np.array([slope]), np.array([[2.0]]), np.array([0.7]), np.array([True])
@@ -116,7 +116,7 @@ def test_variants_and_nulls_are_averaged(generator, covariance):
     assert found.evidence == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
+def test_the_present_effect_is_found_with_its_size(generator, covariance):
     effects = [candidate(generator, str(number)) for number in range(8)]
     residual = 1.5 * effects[3].variants[0][0] + generator.multivariate_normal(np.zeros(ROWS), covariance)
     found = score_each(residual[None], [Null(covariance)], effects)[0].scores
@@ -126,8 +126,8 @@ def test_the_effect_at_work_is_named_with_its_amount(generator, covariance):
     assert best.detectability > 5
 
 
-def test_an_effect_larger_than_expected_counts_for_more_than_one_of_its_prior_alone(generator, covariance):
-    """What nobody has measured well may be three times as large as a paper says."""
+def test_a_larger_prior_factor_gives_more_evidence_for_a_large_effect(generator, covariance):
+    """Effects can be several times as large as their prior expects."""
     effect = candidate(generator, "one", parameters=4)
     (signature,) = effect.variants
     residual = np.full(4, 5.0 * 0.7) @ signature
@@ -142,8 +142,8 @@ def test_an_effect_larger_than_expected_counts_for_more_than_one_of_its_prior_al
     assert found.evidence > of_prior + 10.0
 
 
-def test_detectability_says_how_often_an_effect_is_seen(generator, covariance):
-    """Amounts one prior deviation large move the score by so many standard deviations."""
+def test_detectability_is_the_shift_of_the_score_in_deviations(generator, covariance):
+    """By effect sizes of one prior standard deviation."""
     effect = candidate(generator, "one")
     (signature,) = effect.variants
     (found,) = score_each(np.zeros(ROWS)[None], [Null(covariance)], [effect])[0].scores
@@ -176,8 +176,8 @@ def test_noise_is_estimated_from_deviations(generator):
     np.testing.assert_allclose(found.block(25), truth.block(25), atol=0.1 * truth.between.max())
 
 
-def test_covariances_are_what_random_draws_have(generator):
-    """Each term against the sample covariance of errors drawn as its text says."""
+def test_covariances_are_those_of_random_draws(generator):
+    """Each term against the sample covariance of simulated errors."""
     draws = 40_000
     phase_factor = np.linalg.cholesky(periodic_kernel(4, 0.2) + 1e-12 * np.eye(4))
 
@@ -199,7 +199,7 @@ def test_covariances_are_what_random_draws_have(generator):
     _same((forces * arms[0]).reshape(draws, -1), muscle_covariance(MuscleErrors(states, arms)))
 
 
-def test_what_repeats_is_the_same_in_all_cycles_of_a_speed():
+def test_the_repeatable_error_is_equal_in_all_cycles_of_a_speed():
     found = repeatable_covariance(np.array([1.0, 3.0]), np.array([0, 0, 1]), 5).reshape(3, 2, 5, 3, 2, 5)
     np.testing.assert_allclose(found[0, 1, 2, 1, 1, 2], 9.0)
     np.testing.assert_allclose(found[0, 1, 2, 2, 1, 2], 0.7 * 9.0)
@@ -211,8 +211,8 @@ def _same(drawn, covariance):
     np.testing.assert_allclose(sample, covariance, atol=0.05 * np.sqrt(np.diag(covariance)).max() ** 2)
 
 
-def test_amounts_can_be_allowed_for_afterwards(generator):
-    """By the projection and by the covariance it is one null hypothesis."""
+def test_parameters_can_be_added_to_a_projection(generator):
+    """Adding them to the projection or to the covariance gives the same null hypothesis."""
     shapes = generator.normal(size=(3, 2, 24))
     candidates = (
         Candidate("one", (shapes[0], shapes[1]), np.array([0.5, 2.0]), np.zeros(2, bool)),

@@ -42,7 +42,7 @@ def cases():
 
 @pytest.fixture(scope="module")
 def found(cases):
-    return fit_constants(cases, replace(DecisionConstants.shipped(), detection_threshold=0.0))
+    return fit_constants(cases, replace(DecisionConstants.shipped(), least_detection_threshold=0.0))
 
 
 def test_temperature_is_fitted(cases, found):
@@ -85,7 +85,8 @@ def test_threshold_is_that_of_the_worst_family(cases):
     loud = [one for one in families if one.truth["world"] == "loud"]
     start = DecisionConstants.shipped()
     assert (
-        fit_constants(families, start).detection_threshold == fit_constants(loud, start).detection_threshold
+        fit_constants(families, start).least_detection_threshold
+        == fit_constants(loud, start).least_detection_threshold
     )
 
 

@@ -65,7 +65,7 @@ def together(lines: LinearizedCase, constants: DecisionConstants) -> tuple[str, 
     (scored,) = score_projected(projections, linearized.candidates)
     scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}
     return jointly_significant_effects(
-        projections, linearized.candidates, scores, constants.detection_threshold
+        projections, linearized.candidates, scores, constants.least_detection_threshold
     )
 
 

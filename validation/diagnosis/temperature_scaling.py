@@ -28,7 +28,7 @@ from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json
 
 #: Constants that are fitted here.
-_FITTED = ("temperature", "offset", "detection_threshold", "structured_offset", "structured_scale")
+_FITTED = ("temperature", "offset", "least_detection_threshold", "structured_offset", "structured_scale")
 #: Lower bound of probabilities in the objective, so that no single case dominates it.
 _FLOOR = 1e-3
 # Finer changes of a constant are not significant among a hundred cases.
@@ -63,9 +63,9 @@ def _describe(cases: Sequence[ScoredCase], constants: DecisionConstants) -> str:
     """Describe the effect of the detection threshold, and the negative log probability of correct answers."""
     clear = [one for one in cases if one.clear]
     right = [one for one in clear if one.ranked[0] in one.accepted]
-    over = sum(max(one.evidence.values()) > constants.detection_threshold for one in right)
+    over = sum(max(one.evidence.values()) > constants.least_detection_threshold for one in right)
     none = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
-    alarms = sum(most > constants.detection_threshold for most in none)
+    alarms = sum(most > constants.least_detection_threshold for most in none)
     return (
         f"{over} of {len(right)} correct and {alarms} of {len(none)} without effect over the threshold; "
         f"negative log probability {negative_log_probability(cases, constants):.2f} nats"
@@ -108,7 +108,7 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
 
     constants = replace(
         constants,
-        detection_threshold=float(
+        least_detection_threshold=float(
             np.ceil(10.0 * exceeded_by(lambda one: max(one.evidence.values()), _FALSE_POSITIVES)) / 10.0
         ),
         structured_offset=round(exceeded_by(lambda one: one.structured, _UNKNOWNS), 1),

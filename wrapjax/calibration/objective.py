@@ -130,7 +130,7 @@ class Objective(AbstractCalibration):
         return jnp.sum(self.residuals(variables) ** 2)
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
-        """Compute cost, gradient and both parts of the Hessian; see `expand`."""
+        """Compute cost, gradient, and the Gauss-Newton part and remainder of the Hessian; see `expand`."""
         return self.expand(variables)[0]
 
     def expand(

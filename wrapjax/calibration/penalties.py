@@ -2,7 +2,8 @@
 
 A penalty is the mean square of ``(quantity - center) / allowable_error`` over muscles and the quantity's
 values; the allowable error determines its weight. Group penalties compare each muscle with the mean of its
-group. The allowable errors are those of the NMSM Pipeline.
+group. The allowable errors are those of the NMSM Pipeline. Priors on single parameters (the electromechanical
+delay, for example) are in `wrapjax.model.freedom`.
 """
 
 from __future__ import annotations
@@ -176,7 +177,7 @@ def flatten(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
     return quantity.ravel()
 
 
-def overall_mean(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
+def mean_over_trials_and_frames(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
     """Compute the mean over trials and frames."""
     return quantity.mean()[None]
 
@@ -254,7 +255,12 @@ def pipeline_penalties(
     if length_groups:
         penalties += [
             GroupPenalty(
-                "grouped_fiber_length_mean", normalized_length, overall_mean, overall, 0.05, length_groups
+                "grouped_fiber_length_mean",
+                normalized_length,
+                mean_over_trials_and_frames,
+                overall,
+                0.05,
+                length_groups,
             ),
             GroupPenalty(
                 "grouped_fiber_length_shape", normalized_length, subtract_mean, zero, 0.05, length_groups

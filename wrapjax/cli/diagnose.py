@@ -22,9 +22,9 @@ _MOST_EFFECTS = 6
 
 def diagnosis_table(result: DiagnosisResult) -> str:
     """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
-    from wrapjax.report.diagnosis_words import findings, untested
+    from wrapjax.report.diagnosis_words import diagnosis_findings, untested_findings
 
-    lines = [textwrap.fill(sentence, _WIDTH) for sentence in findings(result)]
+    lines = [textwrap.fill(sentence, _WIDTH) for sentence in diagnosis_findings(result)]
     if result.effects:
         lines += ["", *_effect_lines(result)]
     if result.budget is not None:
@@ -40,7 +40,7 @@ def diagnosis_table(result: DiagnosisResult) -> str:
             )
             for advice in result.advice
         ]
-    if sentences := untested(result):
+    if sentences := untested_findings(result):
         lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in sentences)]
     return "\n".join(lines)
 

@@ -122,7 +122,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
         try:
             client = Client(scheduler, timeout=_CONNECTION_TIMEOUT_S)
         except (OSError, ValueError) as error:
-            message = f"no dask scheduler answers there ({error})"
+            message = f"no dask scheduler answers at this address ({error})"
             raise InputError(Problem(scheduler, message, hint="start one with 'dask scheduler'")) from error
         with client:
             yield client

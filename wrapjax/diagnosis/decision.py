@@ -61,7 +61,7 @@ class DecisionConstants:
         Divisor of the evidence; see temperature scaling (Guo et al. 2017).
     offset
         Evidence at which an effect is as probable as none, nats.
-    detection_threshold
+    least_detection_threshold
         Evidence that is rarely exceeded without any effect, nats.
     structured_offset, structured_scale
         Evidence for unexplained errors at which an unknown cause is as probable as none, and the scale over
@@ -74,7 +74,7 @@ class DecisionConstants:
     sha256: str
     temperature: float
     offset: float
-    detection_threshold: float
+    least_detection_threshold: float
     structured_offset: float
     structured_scale: float
     set_level: float
@@ -303,7 +303,7 @@ def decide_on_single_effect(
         Probabilities, and evidence of each effect, nats.
     tie
         The strongest effect and those that cannot be told from it.
-    detection_threshold
+    least_detection_threshold
         Evidence that has to be exceeded, nats.
     negative_controls
         Effects that cannot be present in such a recording: if one is the strongest, the cause is another.

@@ -14,8 +14,8 @@ from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.context import AtBound, Context, PathChanges
 from wrapjax.diagnosis.effects.measured_changes import compute_measured_changes, compute_path_changes
-from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
-from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths, engine_motion
+from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_derivatives import (

@@ -59,7 +59,7 @@ class InnerLevel(eqx.Module):
         return jax.vmap(InnerLevel.for_one_muscle)(self, changes)
 
     def derivatives(self, changes: Float[Array, "muscle mode"]) -> Float[Array, "muscle mode term"]:
-        """Compute the derivatives of each muscle's coefficients by its own changes."""
+        """Compute the derivatives of each muscle's coefficients by its wrap parameters."""
         return jax.vmap(lambda level, own: jax.jacfwd(level.for_one_muscle)(own).T)(self, changes)
 
     def curvature(
@@ -155,7 +155,7 @@ class FeasibilityLimits(eqx.Module):
     def derivatives(
         self, changes: Float[Array, "muscle mode"], wraps: int
     ) -> Float[Array, "muscle mode wrap"]:
-        """Compute the derivatives of `excess` by each muscle's own changes."""
+        """Compute the derivatives of `excess` by the wrap parameters of each muscle."""
         changed = changes.reshape(-1, wraps, _PER_WRAP)
         own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
         gradients = jax.vmap(jax.grad(Feasibility.excess, argnums=1))(self.feasibility, own)
@@ -214,7 +214,7 @@ class TwoLevelPaths(AbstractPath):
         return replace(moved, infeasibility=infeasibility)
 
     def derivatives(self, changes: Float[Array, "muscle mode"]) -> PathState:
-        """Compute the derivatives of each path by its own changes."""
+        """Compute the derivatives of each path by the wrap parameters of its muscle."""
         by_change = self.inner.derivatives(changes[self.moving])
         muscles, modes = changes.shape
 
@@ -226,7 +226,7 @@ class TwoLevelPaths(AbstractPath):
         return replace(jax.tree.map(placed, self.by_coefficient), infeasibility=infeasibility)
 
     def linearized(self, changes: Float[Array, "muscle mode"]) -> tuple[PathState, PathState]:
-        """Compute all paths, and the derivatives of each path by its own changes."""
+        """Compute all paths, and the derivatives of each path by the wrap parameters of its muscle."""
         return self.at(changes), self.derivatives(changes)
 
     def curvature(

@@ -61,23 +61,23 @@ class MuscleAlteration(eqx.Module):
     """
 
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
-        """Alter the inputs of the muscle."""
+        """Return the altered inputs of the muscle; here unchanged."""
         return inputs
 
     def excitation(
         self, excitation: Float[Array, "trial padded_frame"], inputs: MuscleInputs
     ) -> Float[Array, "trial padded_frame"]:
-        """Alter the excitation."""
+        """Return the altered excitation; here unchanged."""
         return excitation
 
     def activation(
         self, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> Float[Array, "trial frame"]:
-        """Alter the activation."""
+        """Return the altered activation; here unchanged."""
         return activation
 
     def fibers(self, inputs: MuscleInputs, activation: Float[Array, "trial frame"]) -> MuscleInputs:
-        """Alter the inputs of fibers and tendon, given the activation."""
+        """Return the altered inputs of fibers and tendon, given the activation; here unchanged."""
         return inputs
 
     def tendon(
@@ -89,7 +89,7 @@ class MuscleAlteration(eqx.Module):
     def force(
         self, fiber: FiberState, activation: Float[Array, "trial frame"], inputs: MuscleInputs
     ) -> FiberState:
-        """Alter the resulting fiber state and force."""
+        """Return the altered fiber state and force; here unchanged."""
         return fiber
 
 

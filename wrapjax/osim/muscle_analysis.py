@@ -231,8 +231,10 @@ def _unsupported_parts(
             held = coordinate.default_value
             furthest = poses[np.argmax(np.abs(poses[:, column] - held)), column]
             if abs(furthest - held) > _LOCKED_TOLERANCE:
-                message = f"is locked at {held:g}, and a pose has it at {furthest:g}"
-                yield Problem(file, message, place=name, hint="unlock it in the model or leave it out")
+                message = f"is locked at {held:g} in the model, but a pose has it at {furthest:g}"
+                yield Problem(
+                    file, message, place=name, hint="unlock it in the model or leave out this coordinate"
+                )
 
 
 def _check_finite(

@@ -215,6 +215,7 @@ def _unit(group: Any, path: Path) -> float:
     units = group["UNITS"]["value"] if "UNITS" in group else []
     unit = units[0].strip().lower() if len(units) else ""
     if unit not in METERS_PER_UNIT:
-        message = f"expected {', '.join(METERS_PER_UNIT)} as POINT:UNITS, found '{unit}'"
+        found = f"'{unit}'" if unit else "none"
+        message = f"expected one of {', '.join(METERS_PER_UNIT)} as POINT:UNITS, found {found}"
         raise InputError(Problem(str(path), message))
     return METERS_PER_UNIT[unit]

@@ -1,7 +1,7 @@
 """Ground reaction forces under each foot: reading from tables, filtering, writing as external loads.
 
-Another format of force plates needs a reader that returns `FootForces`; `read_plates` reads those of ``.c3d``
-files.
+Another format of force plates needs a reader that returns `FootForces`, called in
+`wrapjax.preprocessing.trial_preparation`; `read_plates` reads those of ``.c3d`` files.
 """
 
 from __future__ import annotations

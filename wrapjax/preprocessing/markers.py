@@ -99,7 +99,7 @@ def read_trc(path: Path) -> Markers:
     """
     lines = _lines(path)
     if len(lines) < 6 or not lines[0].startswith("PathFileType"):
-        message = "has no first line 'PathFileType', where a .trc file of markers was expected"
+        message = "does not begin with 'PathFileType', where a .trc file of markers was expected"
         raise InputError(Problem(str(path), message))
     keys = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
     unit = keys.get("Units", "").strip().lower()

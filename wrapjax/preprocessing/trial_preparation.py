@@ -15,7 +15,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.geometry.model_description import Coordinate
 from wrapjax.io.model_file import ModelFile
 from wrapjax.io.storage import Storage, read_storage
-from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.mechanics import Mechanics, analyse_mechanics
 from wrapjax.osim.motion import Motion as PosedMotion
 from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
 from wrapjax.preprocessing.c3d import read_c3d_analog, read_c3d_markers, read_plates

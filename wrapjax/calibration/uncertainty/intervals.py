@@ -1,4 +1,4 @@
-"""Standard deviations and intervals of calibrated parameters and moments, computed from draws."""
+"""Standard deviations and intervals of calibrated parameters, from draws or from a covariance."""
 
 from __future__ import annotations
 

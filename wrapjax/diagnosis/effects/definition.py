@@ -15,8 +15,8 @@ from wrapjax.diagnosis.context import Context, MeasuredChange
 from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, EffectSizes, NotTestable, Variant
 from wrapjax.diagnosis.effects.experiments import Experiment
 from wrapjax.diagnosis.effects.shared_alterations import add_to_paths
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import MomentDerivatives, RecordedGait
-from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 

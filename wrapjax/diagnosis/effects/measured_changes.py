@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from wrapjax.diagnosis.context import MeasuredChange
 from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
 from wrapjax.diagnosis.effects.effect import EffectSizes
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import RecordedGait
-from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition, Requirement
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import ROD_ON_PLATE, SYNC_PULSE, WITHOUT_ORTHOSIS
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import CONTACT, MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import CONTACT, MomentDerivatives, RecordedGait
 
 # ---- Center of pressure
 

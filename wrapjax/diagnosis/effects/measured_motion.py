@@ -24,8 +24,8 @@ from wrapjax.diagnosis.effects.experiments import (
 )
 from wrapjax.diagnosis.effects.periodic import periodic_bell
 from wrapjax.diagnosis.effects.shared_alterations import add_to_paths, delay_emg
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import MomentDerivatives, RecordedGait
-from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 

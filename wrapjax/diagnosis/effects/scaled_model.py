@@ -10,8 +10,8 @@ from jaxtyping import Float
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import KNOWN_MASS_AT_SHANK, STAR_ARC_MOVEMENTS
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import MomentDerivatives, RecordedGait
-from wrapjax.diagnosis.inverse_dynamics.recorded_paths import RecordedPaths, engine_motion
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_derivatives import derivatives_by_model_changes

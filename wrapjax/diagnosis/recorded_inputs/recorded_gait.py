@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.interpolate import CubicSpline
 
-from wrapjax.osim.inverse_dynamics import JointShift, Mechanics
+from wrapjax.osim.mechanics import JointShift, Mechanics
 from wrapjax.osim.motion import Motion
 
 #: Change of the measured moments per unit of each parameter of an effect, N m per unit.

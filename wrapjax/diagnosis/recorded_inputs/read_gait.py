@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.osim.inverse_dynamics import analyse_mechanics
+from wrapjax.osim.mechanics import analyse_mechanics
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.motion import Motion
 from wrapjax.subject.external_loads import GroundLoads, read_ground_loads

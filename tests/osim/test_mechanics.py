@@ -5,7 +5,7 @@ import opensim
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim.inverse_dynamics import Mechanics, analyse_mechanics
+from wrapjax.osim.mechanics import Mechanics, analyse_mechanics
 from wrapjax.osim.motion import Motion
 
 MOVING = ("hip", "knee")

@@ -1,4 +1,4 @@
-"""A calibration goes on as before with effects held at their amounts: blocks a muscle are all it needs."""
+"""Derivatives of a calibration with effects at fixed sizes, by blocks of muscles."""
 
 import dataclasses
 
@@ -16,14 +16,14 @@ from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import nga_freedom
 from wrapjax.model.variables import free_variables
 
-#: All kinds of those that mix muscles, and two that act on single ones.
+#: All kinds of effects that couple muscles, and two that act on single muscles.
 TOGETHER = ("force_sharing", "passive_joint_moment", "speed_dependent_delay", "emg_crosstalk")
 TOGETHER += ("activation_dependent_fiber_length", "emg_nonlinearity")
 
 
 def with_effects(*ids: str) -> Objective:
     recording, context = small_recording_and_context()
-    effects = Effects(tuple(CATALOGUE[id].on(context) for id in ids))
+    effects = Effects(tuple(CATALOGUE[id].build(context) for id in ids))
     base = context.parameters
     states = eqx.filter_jit(muscle_states)(CURVES, base, recording)
     return Objective(
@@ -38,7 +38,7 @@ def with_effects(*ids: str) -> Objective:
 
 
 def test_blocks_of_muscles_give_the_jacobian_of_moments():
-    """In one direction through all variables, against the difference of the moments themselves."""
+    """In one direction of all variables, against finite differences of the moments."""
     problem = with_effects(*TOGETHER)
     variables = problem.variables.start() * 1.07
     jacobian = eqx.filter_jit(lambda problem, x: problem.moment_jacobian(x))(problem, variables)
@@ -51,7 +51,7 @@ def test_blocks_of_muscles_give_the_jacobian_of_moments():
 
 @pytest.mark.slow
 def test_blocks_of_muscles_give_gradient_and_hessian():
-    """Against differences of the cost, which knows of no blocks; tendons that stretch are there too."""
+    """Against finite differences of the cost, which uses no blocks; with compliant tendons as well."""
     problem = with_effects(*TOGETHER, "tendon_compliance")
     variables = problem.variables.start() * 1.07
     direction = jnp.asarray(np.random.default_rng(0).normal(size=variables.size))
@@ -67,8 +67,8 @@ def test_blocks_of_muscles_give_gradient_and_hessian():
     np.testing.assert_allclose(product, (above - below) / (2 * step), rtol=0, atol=1e-6 * scale)
 
 
-def test_paths_that_may_change_cannot_be_altered():
-    """Force sharing makes one muscle's force depend on another's path: blocks would be wrong."""
+def test_free_paths_cannot_be_altered():
+    """Force sharing makes one muscle's force depend on another's path, so that blocks would be wrong."""
     problem = with_effects("force_sharing")
     moving = dataclasses.replace(problem.variables, modes=1)
     with pytest.raises(ValueError, match="held paths"):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from numpy import ndarray
 
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import PathState
 from wrapjax.subject.subject import Subject

@@ -1,1 +1,0 @@
-"""How errors in the inputs of inverse dynamics change the measured joint moments."""
