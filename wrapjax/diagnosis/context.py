@@ -141,7 +141,7 @@ class Context:
 
     @property
     def reference(self) -> Context:
-        """Context of all cycles; effects are normalised by it, so that sizes mean the same in any selection."""
+        """Context of all cycles, which normalises effects: sizes then mean the same in any selection."""
         return self if self.all_cycles is None else self.all_cycles
 
     @property
