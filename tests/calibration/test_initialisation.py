@@ -77,7 +77,7 @@ def test_settings_can_refer_to_the_written_table(found, folder, tmp_path):
 def test_a_note_reports_missing_passive_trials(person):
     found = initialise(person)
     assert found.passive_mae == {} and "passive_moment" not in found.cost_by_term
-    assert found.notes[0].startswith("No [[passive]] trial: only the ranges")
+    assert found.notes[0].startswith("No [[passive]] trial: lengths follow from operating ranges")
     assert np.abs(found.ranges[1, :, 1] - 1.0).max() < np.abs(found.ranges[0, :, 1] - 1.0).max() + 0.05
 
 
