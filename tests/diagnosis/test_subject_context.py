@@ -12,9 +12,9 @@ from tests.subject.synthetic_forces import with_forces
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
 from wrapjax.diagnosis.effects.scaled_model import FOOT_HELD, JOINT_AXIS_ROTATION
+from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
-from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.subject_context import build_context, wrap_changes
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.joint_changes import with_moved_ends

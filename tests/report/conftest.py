@@ -1,4 +1,4 @@
-"""A small calibration made by hand: errors are chosen numbers, nothing is computed by the package."""
+"""A small synthetic calibration with chosen errors, not computed by the package."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.calibration.fixtures import calibrated as calibrated
 from tests.calibration.fixtures import paths as paths
 from tests.calibration.fixtures import person as person
 from tests.model.small import small_objective
-from tests.report.endings import ended
+from tests.report.solutions import with_solution
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import (
     AugmentedLagrangian,
@@ -39,7 +39,7 @@ FRAMES = 5
 
 
 def _errors():
-    """Modelled less measured moment in N m: trial, coordinate, frame."""
+    """Modelled minus measured moment in N m: trial, coordinate, frame."""
     return np.array(
         [
             [[1.0] * 5, [-2.0] * 5],
@@ -113,7 +113,7 @@ def _solution() -> ConstrainedSolution:
     square = jnp.eye(4)
     variables = np.array([0.05, 0.06, 0.4, 0.07])
     damping_state = DampingState(jnp.array(1e-6), jnp.array(2.0))
-    # Only where the variables belong matters here, not what their cost is.
+    # Only the assignment of variables to parameters matters here, not the cost.
     problem = replace(small_objective(), variables=free_variables(_parameters(), _freedom(), MUSCLES))
     return ConstrainedSolution(
         variables=variables,
@@ -131,7 +131,7 @@ def _solution() -> ConstrainedSolution:
 
 
 def _path(shift: float) -> PathState:
-    """Two muscles that span one coordinate each; ``shift`` (m) moves lengths and arms alike."""
+    """Paths of two muscles of one coordinate each; ``shift`` (m) is added to lengths and moment arms."""
     length = jnp.full((2, 3, FRAMES), 0.3 + shift)
     arm = jnp.zeros((2, 3, 2, FRAMES)).at[0, :, 0].set(0.04 + shift).at[1, :, 1].set(-0.05 + shift)
     return PathState(length, jnp.zeros_like(length), arm)
@@ -158,7 +158,7 @@ def result() -> CalibrationResult:
         speeds=np.array([0.5, 0.5, 0.8]),
         time=_time(),
         initial=_parameters(),
-        # A third has no short decimal form: digits must survive the way to a file and back.
+        # One third has no short decimal form, which tests that files keep all digits.
         parameters=_parameters(emg_scale=[0.05, 1.0 / 3.0], optimal_fiber_length=[0.11, 0.07]),
         freedom=_freedom(),
         at_bounds=("iliacus_l.emg_scale", "soleus_l.optimal_fiber_length"),
@@ -194,10 +194,10 @@ def without_validation(result) -> CalibrationResult:
 
 @pytest.fixture
 def not_finite(result) -> CalibrationResult:
-    """What a solver returns that could not even start."""
+    """Result of a solver for which the cost was not finite at the start."""
     failed = Iteration(0, float("nan"), float("nan"), 1e-3, 0.0, 0, 0.0)
     return replace(
-        ended(result, status=Status.not_finite, history=(failed,), cost=float("nan")),
+        with_solution(result, status=Status.not_finite, history=(failed,), cost=float("nan")),
         modelled=np.full_like(result.modelled, np.nan),
         states=MuscleState(
             result.states.excitation,

@@ -1,4 +1,4 @@
-"""The same calibration with another ending."""
+"""Calibration results with a changed solution."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 from wrapjax.calibration.result import CalibrationResult
 
 
-def ended(result: CalibrationResult, **changes: Any) -> CalibrationResult:
-    """Change the solution of the one start."""
+def with_solution(result: CalibrationResult, **changes: Any) -> CalibrationResult:
+    """Change fields of the solution of the only start."""
     outcome = replace(result.outcomes[0], solution=replace(result.solution, **changes))
     return replace(result, outcomes=(outcome,))

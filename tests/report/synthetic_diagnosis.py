@@ -1,22 +1,16 @@
-"""Diagnoses made by hand, one for each way to end: errors are chosen curves, nothing is diagnosed."""
+"""Synthetic results of diagnoses, one for each outcome, with chosen error curves."""
 
 from dataclasses import replace
 
 import numpy as np
 
+from wrapjax.diagnosis.advice import Advice
+from wrapjax.diagnosis.baseline import ConvergenceCheck
 from wrapjax.diagnosis.effects.effect import NotTestable
-from wrapjax.diagnosis.error_budget import BINS, repeatable_error_map, split_error
-from wrapjax.diagnosis.result import (
-    Advice,
-    Alternative,
-    ConvergenceCheck,
-    DiagnosisResult,
-    EffectFinding,
-    EffectSize,
-    Estimate,
-    MuscleShare,
-    Released,
-)
+from wrapjax.diagnosis.localization import BINS, MuscleShare, repeatable_error_map, split_error
+from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
+from wrapjax.diagnosis.verification import ReleasedParameter, VerifiedRefit
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 SPEEDS = (0.5, 0.8)
@@ -33,7 +27,10 @@ def _bump(place, width, height):
 
 
 def _moments():
-    """Moments, N m: what the orthosis explains is at the ankle, twice as much at the faster speed."""
+    """Make speeds, measured moments and missing moments (N m).
+
+    The moment that the orthosis explains is at the ankle and twice as large at the faster speed.
+    """
     generator = np.random.default_rng(4)
     speeds = np.repeat(SPEEDS, CYCLES)
     shape = np.stack([_bump(0.1, 0.2, 30.0), _bump(0.2, 0.1, 25.0), -_bump(0.45, 0.15, 90.0)])
@@ -46,7 +43,7 @@ def _moments():
 
 
 def finding(id, probability, evidence, detectability=4.0, decision="possible", **others):
-    effect_sizes = others.pop("amounts", (EffectSize("amount", 0.5, 0.1, "1"),))
+    effect_sizes = others.pop("effect_sizes", (EffectSize("size", 0.5, 0.1, "1"),))
     return EffectFinding(id, probability, evidence, detectability, decision, effect_sizes, **others)
 
 
@@ -64,12 +61,15 @@ def _effects():
 
 def _alternative(ids, share, missing, plain, speed=None):
     released = (
-        Released("soleus_l.emg_scale", 0.4, -0.1, 0.5, True),
-        Released("gasmed_l.optimal_fiber_length", 1.1, 1.4, 0.3, False),
-        Released("recfem_l.electromechanical_delay", 0.2, 0.2, 1.0, False),
-        *(Released(f"muscle{n}_l.tendon_slack_length", 0.0, 0.02 * n, 0.4, n == 3) for n in range(12)),
+        ReleasedParameter("soleus_l.emg_scale", 0.4, -0.1, 0.5, True),
+        ReleasedParameter("gasmed_l.optimal_fiber_length", 1.1, 1.4, 0.3, False),
+        ReleasedParameter("recfem_l.electromechanical_delay", 0.2, 0.2, 1.0, False),
+        *(
+            ReleasedParameter(f"muscle{n}_l.tendon_slack_length", 0.0, 0.02 * n, 0.4, n == 3)
+            for n in range(12)
+        ),
     )
-    return Alternative(
+    return VerifiedRefit(
         ids=ids,
         predicted=plain + share * missing,
         held_out_cycles=Estimate(share, share - 0.09, share + 0.1),
@@ -81,7 +81,7 @@ def _alternative(ids, share, missing, plain, speed=None):
 
 
 def named() -> DiagnosisResult:
-    """An orthosis; the hip's center comes second."""
+    """Make a result that names the orthosis; the offset of the hip center is second."""
     speeds, measured, missing = _moments()
     plain = measured - missing - np.random.default_rng(5).normal(scale=1.0, size=measured.shape)
     ids = (ORTHOSIS, CENTER, "emg_drift", "slow_fibers")
@@ -91,7 +91,7 @@ def named() -> DiagnosisResult:
     force = np.outer([80.0, -30.0, 240.0, 60.0, 10.0], _bump(0.4, 0.2, 1.0)).reshape(5, 1, FRAMES)
     return DiagnosisResult(
         outcome="named",
-        reason="its evidence is above the alarm level and it holds on all left-out cycles",
+        reason="its evidence is above the detection threshold and it holds on all held-out cycles",
         named=(ORTHOSIS,),
         ties=(),
         credible_set=(ORTHOSIS, CENTER),
@@ -110,17 +110,17 @@ def named() -> DiagnosisResult:
         plain=plain,
         budget=split_error(measured - plain, (speeds > 0.6).astype(int)),
         budget_speeds=np.array(SPEEDS),
-        map=repeatable_error_map(
+        error_map=repeatable_error_map(
             measured - plain, (speeds > 0.6).astype(int), np.zeros((2, len(COORDINATES), FRAMES))
         ),
         explainable_share=Estimate(0.61, 0.52, 0.7),
-        alternatives=(
+        refits=(
             _alternative((ORTHOSIS,), 0.48, missing, plain),
-            _alternative((CENTER,), 0.41, missing, plain, Estimate.unknown("only one speed was kept for it")),
+            _alternative((CENTER,), 0.41, missing, plain, Estimate.unknown("there is no other speed")),
         ),
         shares={ORTHOSIS: 0.4, CENTER: 0.1},
-        likeness=(ids, likeness),
-        muscles=MuscleShare(MUSCLES, np.repeat(force, 2, axis=1), np.array([0.9, 0.6, 0.95, 0.4, 0.1])),
+        distinguishability=(ids, likeness),
+        muscle_share=MuscleShare(MUSCLES, np.repeat(force, 2, axis=1), np.array([0.9, 0.6, 0.95, 0.4, 0.1])),
         detection_threshold=12.4,
         global_p=0.004,
         advice=(Advice((ORTHOSIS, CENTER), "walk once without the orthosis", 3, 2),),
@@ -136,45 +136,45 @@ def named() -> DiagnosisResult:
 
 
 def tie() -> DiagnosisResult:
-    """The orthosis and the hip's center, which this recording cannot tell apart."""
+    """Make a result with a tie between the orthosis and the offset of the hip center."""
     return replace(named(), outcome="tie", named=(), ties=((ORTHOSIS, CENTER),), reason="")
 
 
 def unknown() -> DiagnosisResult:
-    """Something is wrong that no effect explains; the best of them was fitted all the same."""
+    """Make a result with an error that no effect explains, although one effect was refitted."""
     quiet = tuple(replace(effect, probability=0.02, evidence=1.0) for effect in _effects())
     return replace(
         named(),
         outcome="unknown",
-        reason="no effect's evidence is above the alarm level, and most of the explainable error stays",
+        reason="no effect's evidence is above the detection threshold, and most of the error remains",
         named=(),
         credible_set=("none_of_these",),
         effects=quiet,
         none_probability=0.05,
         unknown_probability=0.85,
-        alternatives=named().alternatives[:1],
+        refits=named().refits[:1],
         shares={},
         advice=(),
-        muscles=None,
+        muscle_share=None,
     )
 
 
 def none() -> DiagnosisResult:
-    """Nothing amiss, so nothing was fitted."""
+    """Make a result without any effect, so that none was refitted."""
     return replace(
         unknown(),
         outcome="none",
-        reason="no effect's evidence is above the alarm level",
+        reason="no effect's evidence is above the detection threshold",
         none_probability=0.85,
         unknown_probability=0.05,
-        alternatives=(),
+        refits=(),
         explainable_share=Estimate(0.02, -0.06, 0.11),
         global_p=0.6,
     )
 
 
 def insufficient_data() -> DiagnosisResult:
-    """Too few cycles for anything."""
+    """Make a result of too few cycles."""
     return replace(
         named(),
         outcome="insufficient_data",
@@ -187,12 +187,12 @@ def insufficient_data() -> DiagnosisResult:
         plain=np.full_like(named().plain, np.nan),
         budget=None,
         budget_speeds=np.zeros(0),
-        map=np.zeros((0, len(COORDINATES), BINS)),
+        error_map=np.zeros((0, len(COORDINATES), BINS)),
         explainable_share=Estimate.unknown("too few cycles"),
-        alternatives=(),
+        refits=(),
         shares={},
-        likeness=((), np.zeros((0, 0))),
-        muscles=None,
+        distinguishability=((), np.zeros((0, 0))),
+        muscle_share=None,
         detection_threshold=np.nan,
         global_p=np.nan,
         advice=(),
@@ -201,7 +201,7 @@ def insufficient_data() -> DiagnosisResult:
 
 
 def not_converged() -> DiagnosisResult:
-    """Starts that end apart."""
+    """Make a result in which the starts of the calibration ended at different costs."""
     return replace(
         insufficient_data(),
         outcome="not_converged",
@@ -211,5 +211,7 @@ def not_converged() -> DiagnosisResult:
     )
 
 
-#: What makes each, by its outcome.
-ENDINGS = {make.__name__: make for make in (named, tie, unknown, none, insufficient_data, not_converged)}
+#: Function that makes the result of each outcome.
+OUTCOME_MAKERS = {
+    make.__name__: make for make in (named, tie, unknown, none, insufficient_data, not_converged)
+}

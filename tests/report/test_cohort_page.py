@@ -1,4 +1,4 @@
-"""A cohort's page says of a population what its numbers say, whatever state its subjects are in."""
+"""Tests of the page of a cohort with completed, failed and waiting subjects."""
 
 import re
 
@@ -47,13 +47,14 @@ def test_counts(subjects):
 
 def test_page(subjects):
     page = render_cohort(describe_cohort("NGA", True, subjects))
-    assert "3 of 5 subjects done" in page and "Still waiting when this was written: 1." in page
+    assert "3 of 5 subjects completed" in page
+    assert "Not yet processed when this page was written: 1." in page
     assert "d/model.osim: &lt;does not&gt; exist." in page
     assert page.count("<img") == 2
     text = re.sub(r"<[^>]*>", " ", page)
     assert re.search(r"cop offset\s+1\s+2\s+hip center offset\s+0\s+2", text)
 
 
-def test_nobody_is_done(subjects):
+def test_cohort_without_completed_subjects(subjects):
     page = render_cohort(describe_cohort("PGA", False, {"d": subjects["d"], "e": subjects["e"]}))
-    assert "0 of 2 subjects done" in page and "<img" not in page
+    assert "0 of 2 subjects completed" in page and "<img" not in page

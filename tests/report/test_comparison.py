@@ -1,4 +1,4 @@
-"""Methods compared: numbers that can be told by hand, what counts as one observation, tables and the page."""
+"""Tests of a comparison: numbers computed by hand, the unit of analysis, tables and the page."""
 
 import csv
 import io
@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.report.endings import ended
-from tests.report.test_html import Page
+from tests.report.page import Page
+from tests.report.solutions import with_solution
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.comparison.samples import ComparedLeg, group_by_speed
 from wrapjax.comparison.statistics import MINIMUM_UNITS
@@ -20,17 +20,18 @@ from wrapjax.io.files import write_json
 from wrapjax.report.comparison_figures import methods_that_move, most_moved
 from wrapjax.report.comparison_page import render_comparison
 from wrapjax.report.comparison_summary import comparison_rows, describe_comparison
-from wrapjax.report.comparison_tables import cycles_csv, differences_csv, means_csv, p_value
+from wrapjax.report.comparison_tables import cycles_csv, differences_csv, means_csv
+from wrapjax.report.formatting import p_value
 
 METHODS = ("NGA", "SGA", "LSGA")
-#: What the hand-made errors are multiplied by: less is better.
+#: Factor of the synthetic errors of each method.
 FACTORS = {"NGA": 1.0, "SGA": 0.5, "LSGA": 0.75}
-#: How far each method moves paths, in m.
+#: Change of lengths and moment arms by each method, m.
 SHIFTS = {"NGA": 0.0, "SGA": 0.004, "LSGA": 0.006}
 
 
 def moved(states, shift):
-    """Lengths longer by ``shift``, and moment arms where there are any; the second cycle by twice that."""
+    """Increase lengths and nonzero moment arms by ``shift``, in the second cycle by twice that."""
     by_cycle = shift * jnp.array([1.0, 2.0, 1.0])
     path = states.path
     arm = jnp.where(path.moment_arm != 0.0, path.moment_arm + by_cycle[None, :, None, None], 0.0)
@@ -40,7 +41,7 @@ def moved(states, shift):
 @pytest.fixture
 def make_leg(subject, result):
     def make(label="left leg", scale=1.0, **changes):
-        """A leg whose errors are ``scale`` times those made by hand, times each method's factor."""
+        """Make a leg with ``scale`` times the synthetic errors, times the factor of each method."""
         before = replace(result, initial_states=result.states, **changes)
         results = {
             method: replace(
@@ -74,7 +75,7 @@ def find(rows, quantity, item, use="all", speed="all speeds"):
 
 
 def test_moment_errors_by_hand(one):
-    """Two cycles with errors of 1 and 3 N m at the hip, 2 and 4 at the ankle; one of 5 and 7."""
+    """Calibration cycles have errors of 1 and 3 N m at the hip, 2 and 4 at the ankle, the other 5 and 7."""
     rows = comparison_rows(one, METHODS)
     hip = find(rows, "moment_error", "hip_flexion", "calibration")
     assert hip.unit_of_analysis == "cycle" and hip.n == 2
@@ -89,7 +90,7 @@ def test_moment_errors_by_hand(one):
 
 
 def test_geometry_by_hand(one):
-    """Cycles moved by 1, 2 and 1 times the shift; muscles span one coordinate each."""
+    """Cycles change by 1, 2 and 1 times the shift; each muscle spans one coordinate."""
     rows = comparison_rows(one, METHODS)
     for quantity in ("length_change", "moment_arm_change"):
         for item in ("hip_flexion", "ankle_angle", "mean"):
@@ -97,7 +98,7 @@ def test_geometry_by_hand(one):
             assert row.n == 3
             assert row.spreads["SGA"].mean == pytest.approx(0.004 * 4.0 / 3.0), (quantity, item)
             assert row.spreads["NGA"].mean == 0.0
-            # A method that holds paths has nothing to be compared.
+            # A method that does not change paths is excluded from the tests.
             assert list(row.paired) == [("LSGA", "SGA")]
 
 
@@ -110,7 +111,7 @@ def test_paired_tests_are_of_the_same_cycles(one):
     assert test.difference == pytest.approx(0.002 * 4.0 / 3.0)
 
 
-def test_from_three_legs_on_the_leg_is_the_unit(four):
+def test_unit_of_analysis_is_the_leg_from_three_legs_on(four):
     for count in range(1, 5):
         rows = comparison_rows(four[:count], METHODS)
         expected = "leg" if count >= MINIMUM_UNITS else "cycle"
@@ -147,7 +148,7 @@ def test_holm_counts_coordinates_but_not_their_mean(four):
 
 
 class TestSpeeds:
-    def test_told_apart_where_a_use_has_several(self, make_leg):
+    def test_speeds_are_separate_if_a_use_has_several(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, 0.8, 0.8]))]
         kinds = group_by_speed(legs, "calibration")
         assert [(kind.label, kind.count) for kind in kinds] == [
@@ -157,18 +158,18 @@ class TestSpeeds:
         ]
         assert [kind.label for kind in group_by_speed(legs, "validation")] == ["all speeds"]
 
-    def test_not_given(self, make_leg):
+    def test_missing_speeds_are_pooled(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, math.nan, math.nan]))]
         labels = [kind.label for kind in group_by_speed(legs, "calibration")]
         assert labels == ["0.5 m/s", "speed not given", "all speeds"]
 
-    def test_ranked_where_legs_walk_at_their_own(self, make_leg):
+    def test_speeds_are_ranked_if_they_differ_between_legs(self, make_leg):
         legs = [make_leg(speeds=np.array([0.5, 0.8, 0.8])), make_leg(speeds=np.array([1.2, 0.9, 0.9]))]
         slow, fast, _ = group_by_speed(legs, "calibration")
         assert (slow.label, fast.label) == ("speed 1 of 2", "speed 2 of 2")
         assert [own.tolist() for own in slow.keep] == [[True, False, False], [False, True, False]]
 
-    def test_together_where_there_is_no_order(self, make_leg):
+    def test_speeds_are_pooled_if_they_cannot_be_ranked(self, make_leg):
         legs = [make_leg(), make_leg(speeds=np.array([0.5, 0.5, 0.5]))]
         assert [kind.label for kind in group_by_speed(legs, "calibration")] == ["all speeds"]
 
@@ -259,7 +260,7 @@ def test_tables(four):
 
 
 class TestPage:
-    def test_is_sound_and_loads_nothing(self, one, four):
+    def test_page_is_valid_and_self_contained(self, one, four):
         for legs in (one, four):
             text = render_comparison(legs, METHODS, comparison_rows(legs, METHODS))
             page = Page(text)
@@ -268,7 +269,7 @@ class TestPage:
             assert len(page.all("img")) == len(page.all("figcaption")) == 2
             assert all(len(image["alt"]) > 40 for image in page.all("img"))
 
-    def test_says_what_is_the_unit(self, one, four):
+    def test_page_states_the_unit_of_analysis(self, one, four):
         first, second = (
             Page(render_comparison(legs, METHODS, comparison_rows(legs, METHODS))).text
             for legs in (one, four)
@@ -276,22 +277,22 @@ class TestPage:
         assert "descriptive" in first and "Unit of analysis: cycle" in first
         assert "descriptive" not in second and "Unit of analysis: leg (n = 4)" in second
 
-    def test_marks_what_differs(self, four):
+    def test_significant_differences_are_marked(self, four):
         text = Page(render_comparison(four, METHODS, comparison_rows(four, METHODS))).text
         assert "* 1.23 ± 0.56" in text  # SGA at the hip: half of 2.45 ± 1.11
         assert "2.45 ± 1.11" in text and "* 2.45" not in text
 
-    def test_no_table_of_tests_that_nobody_could_do(self, one):
+    def test_no_tables_of_tests_for_too_few_observations(self, one):
         text = Page(render_comparison(one, METHODS, comparison_rows(one, METHODS))).text
         assert "Too few cycles for tests" in text and "Greenhouse" not in text
 
-    def test_names_who_did_not_converge(self, one):
-        failed = ended(one[0].results["LSGA"], status=Status.iterations)
+    def test_calibrations_that_did_not_converge_are_named(self, one):
+        failed = with_solution(one[0].results["LSGA"], status=Status.iterations)
         legs = [replace(one[0], results=one[0].results | {"LSGA": failed})]
         text = Page(render_comparison(legs, METHODS, comparison_rows(legs, METHODS))).text
         assert "1 of 3 calibrations did not converge: left leg by LSGA." in text
 
-    def test_no_method_moves_a_path(self, one):
+    def test_page_if_no_method_changes_paths(self, one):
         held = {method: one[0].results["NGA"] for method in METHODS}
         legs = [replace(one[0], results=held)]
         assert methods_that_move(legs, METHODS) == [] == most_moved(legs, METHODS)
@@ -299,7 +300,7 @@ class TestPage:
         assert "No method changed a muscle path." in text
 
 
-def test_most_moved_first(one, result):
+def test_moment_arms_are_ordered_by_their_change(one, result):
     assert methods_that_move(one, METHODS) == ["SGA", "LSGA"]
     assert sorted(most_moved(one, METHODS)) == [("iliacus", "hip_flexion"), ("soleus", "ankle_angle")]
     path = one[0].results["LSGA"].states.path

@@ -1,12 +1,12 @@
-"""Figures show the numbers they should, in groups a reader can compare."""
+"""Tests of the figures of a calibration: the plotted numbers and the groups of cycles."""
 
 import re
 from dataclasses import replace
 
 import numpy as np
 
-from wrapjax.report.curves import activation_figure, fiber_length_figure, moment_figure
-from wrapjax.report.moment_curves import groups_by_speed, groups_by_speed_and_use, spread
+from wrapjax.report.calibration_curves import activation_figure, fiber_length_figure, moment_figure
+from wrapjax.report.cycle_panels import groups_by_speed, groups_by_speed_and_use, spread
 from wrapjax.report.parameters import bounds_figure, cost_figure, history_figure, place_within_bounds
 from wrapjax.report.style import new_figure, to_svg
 
@@ -44,7 +44,7 @@ def test_cycles_are_grouped_by_speed_unless_there_are_too_many(result):
     assert sum(group.keep for group in groups_by_speed(partly.speeds, most=3)).tolist() == [1, 1, 1]
 
 
-def test_moments_have_a_panel_a_coordinate_and_kind_of_cycles(result):
+def test_moment_figure_has_a_panel_for_each_coordinate_and_group(result):
     figure = moment_figure(result)
     # Both cycles at 0.5 m/s are for calibration, the one at 0.8 m/s for validation.
     assert _titles(figure) == [
@@ -62,12 +62,12 @@ def test_moments_have_a_panel_a_coordinate_and_kind_of_cycles(result):
     assert [len(panel.collections) for panel in figure.axes] == [2, 0, 2, 0]
 
 
-def test_moments_of_one_kind_of_cycles_are_laid_side_by_side(without_validation):
+def test_moment_figure_of_a_single_group(without_validation):
     pooled = replace(without_validation, speeds=np.full(3, np.nan))
     assert len(moment_figure(pooled).axes) == 2
 
 
-def test_activations_have_a_panel_a_muscle_and_a_line_a_speed(result):
+def test_activation_figure_has_a_panel_for_each_muscle_and_a_line_for_each_speed(result):
     figure = activation_figure(result, {"iliacus_l": "hip", "soleus_l": "calf"})
     assert _titles(figure) == ["iliacus_l", "soleus_l"]
     _, slow = _line(figure.axes[1], "0.5 m/s")
@@ -85,7 +85,7 @@ def test_fiber_lengths_show_range_and_mean_before_and_after(result):
     assert panel.get_xlim()[1] > 1.429
 
 
-def test_parameters_at_bounds_are_marked_apart(result):
+def test_parameters_at_bounds_have_their_own_marker(result):
     figure = bounds_figure(result)
     scale, length = figure.axes
     places, rows = _line(scale, "at a bound")
@@ -99,12 +99,12 @@ def test_parameters_at_bounds_are_marked_apart(result):
     assert [label.get_text() for label in length.get_xticklabels()] == ["60 %", "140 %"]
 
 
-def test_a_parameter_without_room_sits_in_the_middle(result):
+def test_a_parameter_with_equal_bounds_is_drawn_in_the_middle(result):
     parameter = replace(result.freedom.parameters[0], upper=np.array([0.05, 1.0]))
     np.testing.assert_allclose(place_within_bounds(parameter, np.array([0.05, 0.05])), [0.5, 0.0])
 
 
-def test_history_leaves_out_what_a_logarithm_cannot_show(result):
+def test_history_omits_zeros_on_a_logarithmic_scale(result):
     cost, optimality = history_figure(result).axes
     np.testing.assert_allclose(cost.get_lines()[0].get_ydata(), [80.0, 12.0, 9.0])
     np.testing.assert_allclose(optimality.get_lines()[0].get_ydata(), [2.0, 0.1, np.nan])
@@ -117,7 +117,7 @@ def test_the_largest_part_of_the_cost_comes_first(result):
     assert panel.texts[0].get_text() == "7 (77.8 %)"
 
 
-def test_the_users_own_style_is_neither_used_nor_changed(result):
+def test_user_settings_of_matplotlib_are_neither_used_nor_changed(result):
     import matplotlib
 
     with matplotlib.rc_context({"axes.facecolor": "red", "lines.linewidth": 9.0}):
@@ -127,8 +127,8 @@ def test_the_users_own_style_is_neither_used_nor_changed(result):
     assert "matplotlib.pyplot" not in __import__("sys").modules or not matplotlib.pyplot.get_fignums()
 
 
-def test_short_paths_are_the_same_paths():
-    """Letters are left out between points of straight lines, never within curves."""
+def test_shortened_svg_paths_are_equivalent():
+    """Letters of SVG paths are omitted between points of straight lines, never within curves."""
     figure = new_figure(2.0, 2.0)
     panel = figure.subplots()
     panel.plot([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 1.0])

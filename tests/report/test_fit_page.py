@@ -1,4 +1,4 @@
-"""Defends: the report of a fit names the muscles that polynomials follow badly, and opens offline."""
+"""Tests of the report of a fit: muscles with large errors are named, and the page is self-contained."""
 
 import re
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.report.test_html import Page
+from tests.report.page import Page
 from wrapjax.report.fit_page import error_figure, error_findings, render_fit
 from wrapjax.report.fit_wraps import SampledPath
 
@@ -69,23 +69,24 @@ def sampled_path():
     return SampledPath("psoas_l", nominal, usual, length, arms, {"jumps": np.array([False, False, True])})
 
 
-def test_the_verdict_names_what_is_followed_less_closely_than_usual():
+def test_findings_name_muscles_with_unusual_errors():
     first, second = error_findings(PLAIN)
-    assert first == "Polynomials follow the paths of 3 of 4 muscles as closely as usual, but not of glmax1_l."
-    assert (
-        "Muscles that may wrap (3): length 0.100 mm in the median and 0.300 mm at worst (semimem_l)" in second
+    assert first == (
+        "The polynomials approximate the paths of 3 of 4 muscles with the usual accuracy; errors are larger "
+        "for glmax1_l."
     )
-    assert "moment arm 0.200 mm in the median and 0.950 mm at worst (glmax1_l)" in second
+    assert "Muscles that may wrap (3): length median 0.100 mm, largest 0.300 mm (semimem_l)" in second
+    assert "moment arm median 0.200 mm, largest 0.950 mm (glmax1_l)" in second
     assert "Muscles that never wrap (1): length < 0.001 mm, moment arm < 0.001 mm" in second
     good = PLAIN | {"muscles": {"psoas_l": error(0.05, 0.2)}}
-    assert error_findings(good)[0].endswith("1 muscle as closely as usual.")
+    assert error_findings(good)[0].endswith("1 muscle with the usual accuracy.")
 
 
-def test_an_error_that_is_not_a_number_is_unusual():
+def test_a_nan_error_is_unusual():
     assert "psoas_l" in error_findings(PLAIN | {"muscles": {"psoas_l": error(float("nan"), 0.1)}})[0]
 
 
-def test_errors_are_drawn_where_they_are():
+def test_figure_shows_the_errors():
     length, arm = error_figure(PLAIN).axes
     for panel, expected in ((length, [0.1, 0.05, 0.3]), (arm, [0.95, 0.2, 0.1])):
         drawn = next(line for line in panel.get_lines() if line.get_label() == "may wrap")
@@ -96,12 +97,12 @@ def test_errors_are_drawn_where_they_are():
 
 
 @pytest.mark.parametrize("content", [PLAIN, SAMPLED])
-def test_the_page_is_balanced_loads_nothing_and_says_how_it_was_made(content, subject):
+def test_page_is_valid_self_contained_and_states_methods(content, subject):
     html = render_fit(content, subject, [sampled_path()] if content["wraps"] else [])
     page = Page(html)
     headings = re.findall(r"<h2>(.*?)</h2>", html)
     cylinders = ["Cylinders", "Accepted and rejected paths"] if content["wraps"] else []
-    assert headings == ["Errors by muscle", *cylinders, "How it was made"]
+    assert headings == ["Errors by muscle", *cylinders, "Methods"]
     assert not page.all("script") + page.all("link")
     assert all(image["src"].startswith("data:image/svg+xml") for image in page.all("img"))
     assert "http://" not in html and "https://" not in html
@@ -109,11 +110,11 @@ def test_the_page_is_balanced_loads_nothing_and_says_how_it_was_made(content, su
     assert "OpenSim's muscle analysis" in page.text and "seed 4" in page.text and "12.5" in page.text
 
 
-def test_cylinders_are_told_in_numbers_and_pictures():
+def test_page_shows_cylinders():
     text = Page(render_fit(SAMPLED, None, [sampled_path()])).text
-    assert "2 cylinders were sampled for PGA; muscles lie on 1 of them" in text
+    assert "2 cylinders were sampled for PGA; muscles touch 1 of them" in text
     assert re.search(r"brim psoas_l yes 7\.5 60\.0 90\.0 2\.0 85\.0 2\.0", text)
-    # Nearly everywhere physiological: whether its limit errs cannot be judged.
+    # Nearly all placements are physiological, so the accuracy of the limit cannot be assessed.
     assert re.search(r"pelvis glmax1_l no 7\.5 99\.0( \N{EN DASH}){4}", text)
     assert "psoas_l (brim): 2 of 3 accepted" in text
     assert "length step 1.5 mm" in text

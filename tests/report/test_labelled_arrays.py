@@ -1,4 +1,4 @@
-"""Labelled results: every number is where its labels say, and every variable has a unit."""
+"""Tests of datasets of results: numbers are at their labels, and every variable has a unit."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report.labelled_arrays import calibration_dataset, contact_dataset
 from wrapjax.subject.subject import load_subject as load_subject
 
-#: Coordinates of an axis that are names alone need no unit; what was measured or calculated does.
+#: Coordinates of cycles that must have a unit; names along an axis need none.
 OF_CYCLES = {"use", "speed", "time"}
 
 
@@ -28,7 +28,7 @@ def assert_all_have_units(dataset, of_cycles=OF_CYCLES):
         assert "units" in dataset[name].attrs and dataset[name].attrs["long_name"], name
 
 
-def test_a_calibration_is_labelled(calibrated):
+def test_calibration_dataset(calibrated):
     result, dataset = calibrated.result, calibrated.dataset
     assert_all_have_units(dataset)
     at = {"trial": "walk_b", "muscle": "semiten_l"}
@@ -40,7 +40,7 @@ def test_a_calibration_is_labelled(calibrated):
     )
     for name in QUANTITIES:
         assert float(dataset[name].sel(muscle="semiten_l")) == float(getattr(result.parameters, name)[row])
-    # What the muscles do adds up to the moments, by the labels alone.
+    # The sum of muscle moments, computed by labels, equals the joint moments.
     total = (dataset["tendon_force"] * dataset["moment_arm"]).sum("muscle")
     np.testing.assert_allclose(
         total.transpose("trial", "coordinate", "frame"), dataset["modelled_moment"], atol=1e-9
@@ -49,8 +49,8 @@ def test_a_calibration_is_labelled(calibrated):
     assert dataset.attrs["tendon"] == "rigid" and not {"wrap", "command"} & set(dataset.dims)
 
 
-def test_cylinders_that_moved_are_labelled(calibrated):
-    """The second muscle wraps round the first cylinder, the first muscle round the second."""
+def test_calibration_dataset_with_wrap_parameters(calibrated):
+    """The second muscle wraps round the first cylinder, the first muscle round the second cylinder."""
     box = np.full((2, 6), 0.5)
     wraps = FreedWraps(
         names=("ST_at_condyles_l", "RF_at_femur_l"),
@@ -80,8 +80,8 @@ def test_cylinders_that_moved_are_labelled(calibrated):
     assert dataset.attrs["tendon"] == "compliant"
 
 
-def test_weights_of_synergies_are_labelled(calibrated):
-    """Both muscles of the leg, each with an excitation of its own, listed the other way round."""
+def test_calibration_dataset_with_synergy_weights(calibrated):
+    """Each muscle has its own excitation, and the excitations are in reverse order of the muscles."""
     result = calibrated.result
     weights = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     synergies = FreedSynergies(("Hamstrings", "Quadriceps"), np.array([1, 0]), 3, 100.0, 1.0)
@@ -98,7 +98,7 @@ def test_weights_of_synergies_are_labelled(calibrated):
     assert dataset["synergy_weight"].sel(extrapolated_excitation="Hamstrings").values.tolist() == [4, 5, 6]
 
 
-def test_contact_forces_are_labelled_with_where_in_the_gait_cycle_they_are(calibrated):
+def test_contact_dataset_with_gait_phase(calibrated):
     result = calibrated.result
     trials, frames = result.time.shape
     nothing = np.zeros((0, trials, frames))
@@ -130,7 +130,7 @@ def test_contact_forces_are_labelled_with_where_in_the_gait_cycle_they_are(calib
     np.testing.assert_array_equal(knee["gait_phase"], phase[row])
 
 
-def test_an_evaluation_is_labelled(calibrated, person, tmp_path):
+def test_evaluation_dataset(calibrated, person, tmp_path):
     calibrated.save(tmp_path / "run")
     modelled = person.trials.moments + np.array([1.0, -2.0])[:, None]
     found = Evaluation(load_run(tmp_path / "run"), person, modelled, ("one", "two"))
@@ -145,8 +145,8 @@ def test_an_evaluation_is_labelled(calibrated, person, tmp_path):
     assert (dataset.attrs["method"], dataset.attrs["notes"]) == ("NGA", "one\ntwo")
 
 
-def test_a_comparison_is_labelled(calibrated):
-    """Two legs by two methods; the right one has no knee and another muscle."""
+def test_comparison_dataset(calibrated):
+    """Two legs by two methods; the right leg has no knee and a different muscle."""
 
     result = calibrated.result
     measured = 2.0 * result.measured[:, :1]
@@ -181,7 +181,7 @@ def test_a_comparison_is_labelled(calibrated):
     assert scale.sel(muscle="semiten").isnull() and scale.attrs["units"] == QUANTITIES["emg_scale"].unit
 
 
-def test_lengths_to_start_from_are_labelled(tmp_path):
+def test_initialisation_dataset(tmp_path):
     person = load_subject(write_passive(tmp_path / "person", knee_only))
     before = person.muscles
     after = replace(before, optimal_fiber_length=1.1 * before.optimal_fiber_length)

@@ -1,4 +1,4 @@
-"""Hard limits are reported from the solution: who pushes, how hard, and by how much they are exceeded."""
+"""Tests of reported hard limits: at which muscles they are active, multipliers, and violations."""
 
 from dataclasses import replace
 
@@ -6,25 +6,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.report.endings import ended
+from tests.report.solutions import with_solution
 from wrapjax.calibration.path_penalties import path_limits
 from wrapjax.calibration.result import describe_limits, largest_excess, muscles_at_limits
-from wrapjax.report.curves import fiber_length_figure, fiber_length_finding
+from wrapjax.report.calibration_curves import fiber_length_figure, fiber_length_finding
 from wrapjax.report.run_summary import summarize
 
 
 @pytest.fixture
 def limited(result):
-    """Two of iliacus' frames and one of soleus' push against the longest fiber."""
+    """Calibration whose limit of the longest fiber is active in two frames of iliacus and one of soleus."""
     path = result.states.path
     nominal = type(path)(*(leaf[:, :2] for leaf in (path.length, path.velocity, path.moment_arm)))
     longest, shortest, sign = path_limits(nominal)
     shift = longest.shift.at[0, 3:5].set(0.002).at[1, 0].set(0.01)
     limits = (replace(longest, shift=shift, weight=jnp.full_like(shift, 50.0)), shortest, sign)
-    return ended(result, problem=result.solution.problem.with_limits(limits), max_violation=0.0)
+    return with_solution(result, problem=result.solution.problem.with_limits(limits), max_violation=0.0)
 
 
-def test_who_pushes_and_how_hard(limited):
+def test_active_limits_and_multipliers(limited):
     assert muscles_at_limits(limited)["longest_fiber"] == ("iliacus_l", "soleus_l")
     described = describe_limits(limited)
     assert list(described) == ["longest_fiber", "shortest_fiber", "moment_arm_sign"]
@@ -42,7 +42,7 @@ def test_who_pushes_and_how_hard(limited):
     }
 
 
-def test_excess_is_that_of_calibration_cycles(limited):
+def test_violations_are_those_of_calibration_cycles(limited):
     assert set(largest_excess(limited).values()) == {0.0}
     # 1.415 to 1.429 for soleus, the last five frames on the validation cycle.
     beyond = replace(limited, states=limited.initial_states)
@@ -61,17 +61,17 @@ def test_a_calibration_without_limits_has_none(result, subject):
     ]
 
 
-def test_the_figure_marks_limits_in_force_and_who_pushes(limited):
+def test_figure_marks_active_limits(limited):
     panel = fiber_length_figure(limited).axes[0]
     lines = [line for line in panel.get_lines() if line.get_label() == "hard limit"]
     assert [line.get_xdata()[0] for line in lines] == [0.3, 1.3]
-    marks = [line.get_xydata() for line in panel.get_lines() if line.get_label() == "pushes against it"]
+    marks = [line.get_xydata() for line in panel.get_lines() if line.get_label() == "limit active"]
     assert [len(one) for one in marks] == [0, 2]
     np.testing.assert_allclose(marks[1][:, 0], 1.3)
     np.testing.assert_allclose(np.round(marks[1][:, 1]), [0, 1])
 
 
-def test_lying_on_a_limit_is_not_leaving_it(result):
+def test_a_fiber_length_on_a_limit_is_within_the_range(result):
     def at(*muscles):
         lengths = jnp.full_like(result.states.fiber.normalized_length, 1.0)
         for muscle, trial, length in muscles:

@@ -1,4 +1,4 @@
-"""An index finds what there is, says of it what its files say, and invents nothing."""
+"""Tests of the index page: it lists all results below a folder with numbers from their files."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def results(subject, result, tmp_path):
     return folder
 
 
-def test_every_result_has_a_line_with_its_figures(results):
+def test_every_result_has_its_main_numbers(results):
     found = {one.folder.relative_to(results).as_posix(): one for one in find_results(results)}
     assert list(found) == ["broken", "contact", "deep/er/gap & co", "fit", "lengths", "run"]
     assert found["fit"].figures == "2 muscles; largest length error 0.25 mm RMSE (b_l)"
@@ -76,7 +76,7 @@ def test_every_result_has_a_line_with_its_figures(results):
     )
 
 
-def test_the_page_links_to_reports_that_are_there(results):
+def test_page_links_to_existing_reports(results):
     page = redraw(results)
     assert page == results / "index.html"
     links = []
@@ -91,15 +91,17 @@ def test_the_page_links_to_reports_that_are_there(results):
     assert "&lt;p1&gt;" in text and not re.search(r'(src|href)="(https?:)?//', text)
 
 
-def test_a_result_that_keeps_too_little_is_left_as_it_is(results):
+def test_a_report_that_cannot_be_redrawn_is_unchanged(results):
     before = (results / "run" / "report.html").read_bytes()
-    with pytest.raises(InputError, match="holds a calibration, whose report shows more than its files keep"):
+    with pytest.raises(
+        InputError, match="holds a calibration, whose report shows more than its files contain"
+    ):
         redraw(results / "run")
     assert (results / "run" / "report.html").read_bytes() == before
     assert not (results / "run" / "index.html").exists()
 
 
-def test_nothing_there(tmp_path):
+def test_a_folder_without_results_is_refused(tmp_path):
     with pytest.raises(InputError, match="holds no result"):
         redraw(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
@@ -107,7 +109,7 @@ def test_nothing_there(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_kind_names_the_command_that_writes_it():
+def test_every_kind_has_an_existing_command():
     from wrapjax.cli.command_line import main
 
     for kind in KINDS.values():

@@ -1,4 +1,4 @@
-"""Moved cylinders in words and pictures: the muscles that changed most, true distances, one scale."""
+"""Tests of pictures of moved cylinders: choice of muscles, distances to scale, and descriptions."""
 
 import re
 from dataclasses import replace
@@ -51,7 +51,7 @@ def moved(result):
     )
     before = result.initial_states
     arm = before.path.moment_arm.at[0, :, 0].add(0.001).at[0, 1, 0, FRAME].add(0.002)
-    # What a held path seems to change by must not be drawn: no cylinder of its moved.
+    # A change of a path without a freed cylinder must not be drawn.
     arm = arm.at[1, :, 1].add(0.02)
     states = replace(before, path=replace(before.path, moment_arm=arm))
     return replace(
@@ -76,7 +76,7 @@ def move(walking, moved, model):
     return found
 
 
-def test_drawn_is_the_muscle_that_moved_in_the_frame_where_it_changed_most(move, walking, model):
+def test_moved_path_is_in_the_frame_of_largest_change(move, walking, model):
     assert (move.muscle, move.coordinate) == (MUSCLES[0], COORDINATES[0])
     assert (move.trial, move.percent) == ("walk/02", 75)
     assert move.arm_after - move.arm_before == pytest.approx(0.003)
@@ -87,7 +87,7 @@ def test_drawn_is_the_muscle_that_moved_in_the_frame_where_it_changed_most(move,
     assert move.before.contacts and move.after.contacts
 
 
-def test_how_far_it_moved_in_words(move):
+def test_description_of_a_moved_cylinder(move):
     (pair,) = move.touched
     assert describe_move(*pair) == (
         "IL_at_brim_l: moved 5.0 mm, turned 10.0\N{DEGREE SIGN}, radius \N{MULTIPLICATION SIGN} 1.10 "
@@ -95,13 +95,13 @@ def test_how_far_it_moved_in_words(move):
     )
 
 
-def test_nothing_is_drawn_where_cylinders_were_held_or_stayed(walking, moved, result, model):
+def test_no_moved_paths_if_cylinders_are_unchanged(walking, moved, result, model):
     assert moved_paths(walking, result, model) == []
     assert moved_paths(walking, replace(moved, states=moved.initial_states), model) == []
 
 
 class TestCamera:
-    def test_along_the_cylinder_it_is_a_circle_of_its_radius(self, move):
+    def test_cylinder_seen_along_its_axis_is_a_circle_of_its_radius(self, move):
         camera = look_at(move, 0.0)
         np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(camera.axes) == pytest.approx(1.0)
@@ -114,7 +114,7 @@ class TestCamera:
         )
         np.testing.assert_allclose(np.linalg.norm(across, axis=1), 1e3 * cylinder.radius, rtol=1e-9)
 
-    def test_from_the_side_the_muscle_is_on_the_near_side(self, move):
+    def test_muscle_is_on_the_near_side_in_the_side_view(self, move):
         camera = look_at(move, np.deg2rad(68.0))
         cylinder = move.before.cylinders[0]
         contacts = np.concatenate([move.before.contacts[cylinder.name], move.after.contacts[cylinder.name]])
@@ -134,7 +134,7 @@ def test_figure(move):
             assert any(one.shape == projected.shape and np.allclose(one, projected) for one in drawn)
 
 
-def test_the_report_of_a_run_shows_it(move, moved, walking, model, tmp_path):
+def test_report_of_a_run_shows_moved_paths(move, moved, walking, model, tmp_path):
     page = path_section(moved, [move])
     assert page.count("<img") == path_section(moved).count("<img") + 1
     assert re.search(r'alt="Paths and cylinders in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
@@ -150,11 +150,11 @@ def test_the_report_of_a_run_shows_it(move, moved, walking, model, tmp_path):
     assert "IL_at_brim_l: moved 5.0\N{NO-BREAK SPACE}mm" in page or "IL_at_brim_l: moved 5.0 mm" in page
 
 
-def test_a_model_is_not_opened_without_need(result, subject, tmp_path):
+def test_model_is_not_read_without_freed_cylinders(result, subject, tmp_path):
     write_run([(subject, result)], tmp_path / "run", describe_model=lambda file: pytest.fail("opened"))
 
 
-def test_a_comparison_shows_it_of_the_method_that_moved_cylinders(walking, moved, result, model):
+def test_comparison_shows_moved_paths_of_the_method_with_freed_cylinders(walking, moved, result, model):
     methods = ("NGA", "PGA")
     results = {"NGA": replace(result, initial_states=result.states), "PGA": moved}
     leg = ComparedLeg("left leg", walking, results, dict.fromkeys(methods, "folder"), model)
@@ -165,8 +165,8 @@ def test_a_comparison_shows_it_of_the_method_that_moved_cylinders(walking, moved
     assert "in space" not in render_comparison([without], methods, comparison_rows([without], methods))
 
 
-def test_a_path_half_way_round_has_a_near_side_too(move):
-    """Its two contacts are then opposite each other, and their middle is on the axis."""
+def test_view_of_a_path_over_half_the_circumference(move):
+    """The two contacts are then opposite each other, and their midpoint is on the axis."""
     cylinder = replace(move.before.cylinders[0], name="half")
     angle = np.linspace(0.0, np.pi, 50)
     arc = cylinder.to_ground_frame(

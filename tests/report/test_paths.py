@@ -1,4 +1,4 @@
-"""Paths that changed: every coefficient is on disk, and the report shows what they did."""
+"""Tests of changed muscle paths: coefficients in the files, and the report section."""
 
 import csv
 import json
@@ -18,13 +18,13 @@ from wrapjax.cli.calibrate import calibration_table
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.path_sources.path_fitting import fit
 from wrapjax.report.path_views import largest_changes, moment_arm_figure, path_section
-from wrapjax.report.starts import findings, moment_arm_spread
+from wrapjax.report.starts import moment_arm_spread, start_findings
 from wrapjax.subject.subject import load_subject as load_subject
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    """Two muscles, both paths free, from two starts."""
+    """Calibration of two muscles with free paths from two starts."""
     subject = load_subject(write_subject(tmp_path_factory.mktemp("subjects") / "person"))
     solver = AugmentedLagrangian(inner=ProjectedLevenbergMarquardt(max_iterations=100))
     return calibrate(subject, "SGA", fit(subject), solver=solver, starts=2)
@@ -37,13 +37,13 @@ def run(done, tmp_path_factory):
     return folder
 
 
-def test_the_run_evaluates_to_itself(run, done):
-    """Coefficients are where the run put them."""
+def test_evaluating_a_run_on_its_own_subject_gives_its_moments(run, done):
+    """An evaluation reads the coefficients that the run wrote."""
     assert_reproduces_itself(run, done.subject)
 
 
 def _terms(run):
-    """Coefficients by muscle and term, read as anybody would."""
+    """Read coefficients by muscle and term from parameters.csv."""
     terms = {}
     with (run / "parameters.csv").open(newline="") as stream:
         for row in csv.DictReader(stream):
@@ -53,7 +53,7 @@ def _terms(run):
     return terms
 
 
-def test_lengths_follow_from_what_is_on_disk(done, run):
+def test_lengths_can_be_computed_from_the_files(done, run):
     result, trials = done.result, done.subject.trials
     scaling = json.loads((run / "settings.json").read_text())["freed_paths"]["scaling"]
     scaled = {
@@ -75,7 +75,7 @@ def test_lengths_follow_from_what_is_on_disk(done, run):
         assert np.abs(length - result.initial_states.path.length[row]).max() > 1e-5
 
 
-def test_only_freed_paths_have_terms_on_disk(done, run, tmp_path):
+def test_only_freed_paths_have_terms_in_the_files(done, run, tmp_path):
     assert set(_terms(run)) == set(done.result.muscles)
     free = done.result.freedom.paths.free & np.array([[False], [True]])
     freedom = replace(done.result.freedom, paths=FreedPaths(free, 15.0))
@@ -85,7 +85,7 @@ def test_only_freed_paths_have_terms_on_disk(done, run, tmp_path):
     assert freed["modes"] == {done.result.muscles[1]: int(free.sum())} and freed["prior_sd"] == 15.0
 
 
-def test_settings_name_the_solver_and_find_the_subject(done, run):
+def test_settings_contain_the_solver_and_valid_paths(done, run):
     settings = json.loads((run / "settings.json").read_text())
     assert settings["solver"]["class"] == "AugmentedLagrangian"
     assert settings["solver"]["inner"]["class"] == "ProjectedLM"
@@ -111,7 +111,7 @@ def test_largest_changes_come_first(done):
         np.testing.assert_allclose(line.get_ydata(), 1e3 * arms[muscle, :, coordinate].mean(axis=0))
 
 
-def test_the_section_tells_changes_in_mm_by_muscle(done):
+def test_section_contains_changes_by_muscle(done):
     result = done.result
     page = path_section(result)
     change = 1e3 * np.abs(np.asarray(result.states.path.length - result.initial_states.path.length))
@@ -130,7 +130,7 @@ def test_starts_are_compared_by_their_moment_arms(done):
     taken = done.result.outcomes[done.result.chosen]
     alike = replace(done.result, outcomes=(taken, taken), chosen=0)
     assert moment_arm_spread(alike) == 0.0
-    assert findings(alike)[-1] == "Their moment arms differ by 0.1 mm at most."
+    assert start_findings(alike)[-1] == "Their moment arms differ by at most 0.1 mm."
     of_paths = np.array(["path" in label for label in done.result.labels])
     nominal = replace(taken.solution, variables=np.where(of_paths, 0.0, taken.solution.variables))
     apart = replace(alike, outcomes=(taken, replace(taken, solution=nominal)))
@@ -142,7 +142,7 @@ def test_starts_are_compared_by_their_moment_arms(done):
     assert moment_arm_spread(apart) == pytest.approx(np.abs(after - before).max())
 
 
-def test_the_terminal_tells_of_starts_limits_and_paths(done):
+def test_terminal_output_contains_starts_limits_and_paths(done):
     lines = calibration_table(done).splitlines()
     assert re.match(r"2 starts in .* within 1 % of the chosen one, start \d$", lines[1])
     assert re.match(r"\d+ iterations, cost .* variables at a bound$", lines[2])

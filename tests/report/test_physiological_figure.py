@@ -1,4 +1,4 @@
-"""Defends: the picture of accepted and rejected paths counts and sorts them as the criteria do."""
+"""Tests of the figure of accepted and rejected paths: samples are classified as by the criteria."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from wrapjax.report.style import to_svg
 FRAMES = 50
 
 
-def test_samples_are_sorted_by_verdict():
+def test_samples_are_separated_into_accepted_and_rejected():
     nominal = 0.3 + 0.02 * np.sin(np.linspace(0.0, 6.0, FRAMES))
     length = nominal + np.array([0.0, 0.001, 0.05, 0.002])[:, None]
     arms = {"knee_angle_l": 0.1 * length}

@@ -1,4 +1,4 @@
-"""The folder of a run is complete, exact, readable elsewhere, and there whole or not at all."""
+"""Tests of the folder of a run: complete and exact files, readable by other software."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ def _files(folder):
     return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
-def test_the_folder_holds_what_was_promised_and_nothing_else(run):
+def test_folder_contains_exactly_the_documented_files(run):
     curves = [
         f"{kind}/{trial}.sto"
         for kind in ("activations", "moments", "muscle_forces")
@@ -41,7 +41,7 @@ def test_the_folder_holds_what_was_promised_and_nothing_else(run):
     assert [path.name for path in run.parent.iterdir()] == ["run"]
 
 
-def test_parameters_keep_every_digit_and_have_bounds_where_they_were_free(run, result):
+def test_parameters_have_all_digits_and_bounds_if_free(run, result):
     with (run / "parameters.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0]) == ["owner", "kind", "parameter", "value", "unit", "lower", "upper"]
@@ -59,7 +59,7 @@ def test_parameters_keep_every_digit_and_have_bounds_where_they_were_free(run, r
             assert row["lower"] == row["upper"] == ""
 
 
-def test_the_nmsm_pipeline_finds_the_same_parameters(run, result):
+def test_osimx_contains_the_same_parameters(run, result):
     muscles = read_osimx(run / "calibrated.osimx")
     assert tuple(muscle.name for muscle in muscles) == result.muscles
     for row, muscle in enumerate(muscles):
@@ -74,7 +74,7 @@ def _associated_model(run):
     return run / root.findtext("OsimxModel/associated_osim_model")
 
 
-def test_the_nmsm_pipeline_finds_the_model_after_both_have_moved_too(subject, result, tmp_path):
+def test_osimx_names_the_model_also_after_both_were_moved(subject, result, tmp_path):
     for leg in ("left", "right"):
         (tmp_path / "all" / leg).mkdir(parents=True)
         (tmp_path / "all" / leg / "scaled.osim").write_text(leg)
@@ -92,8 +92,8 @@ def test_the_nmsm_pipeline_finds_the_model_after_both_have_moved_too(subject, re
 
 
 @pytest.mark.parametrize("method", ["SGA", "LSGA"])
-def test_muscle_parameters_say_what_geometry_they_cannot_carry(method, run, subject, result, tmp_path):
-    """They hold along the calibrated polynomials alone, which no model and no .osimx can have."""
+def test_osimx_has_a_remark_on_changed_paths(method, run, subject, result, tmp_path):
+    """The parameters apply only with the calibrated polynomials, which a model or .osimx cannot represent."""
     free = FreedPaths(np.array([[True], [False]]), 15.0)
     changed = replace(result, method=method, freedom=replace(result.freedom, paths=free))
     write_run([(subject, changed)], tmp_path / "changed")
@@ -104,7 +104,7 @@ def test_muscle_parameters_say_what_geometry_they_cannot_carry(method, run, subj
     assert "<!--" not in (run / "calibrated.osimx").read_text(), "NGA changed none"
 
 
-def test_curves_read_back_as_they_were(run, result):
+def test_stored_curves_are_read_back_exactly(run, result):
     for trial, stem in enumerate(("slow", "walk_02", "fast")):
         moments = read_storage(run / "moments" / f"{stem}.sto")
         assert moments.columns == (
@@ -134,7 +134,7 @@ def test_opensim_opens_the_curves(run, result):
     )
 
 
-def test_settings_say_what_was_free_and_what_it_was_made_with(run, result):
+def test_settings_contain_freed_parameters_and_versions(run, result):
     settings = json.loads((run / "settings.json").read_text())
     assert settings["muscles"] == list(result.muscles)
     assert settings["freed"]["optimal_fiber_length"] == {
@@ -155,7 +155,7 @@ def test_settings_say_what_was_free_and_what_it_was_made_with(run, result):
     assert {"python", "wrapjax", "jax", "numpy"} <= settings["versions"].keys()
 
 
-def test_an_existing_folder_is_refused_and_left_alone(subject, result, tmp_path):
+def test_an_existing_folder_is_refused_and_unchanged(subject, result, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "mine.txt").write_text("precious")
     with pytest.raises(InputError, match="--force"):
@@ -164,7 +164,7 @@ def test_an_existing_folder_is_refused_and_left_alone(subject, result, tmp_path)
     assert (tmp_path / "run" / "mine.txt").read_text() == "precious"
 
 
-def test_force_replaces_a_folder_whole(subject, result, tmp_path):
+def test_force_replaces_the_entire_folder(subject, result, tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "old.txt").write_text("old")
     write_run([(subject, result)], tmp_path / "run", force=True)
@@ -174,7 +174,7 @@ def test_force_replaces_a_folder_whole(subject, result, tmp_path):
 
 @pytest.mark.parametrize("writer", ["write_json", "write_storage", "render_report"])
 @pytest.mark.parametrize("force", [False, True])
-def test_failing_half_way_leaves_nothing_and_takes_nothing(
+def test_a_failed_write_leaves_no_folder_and_keeps_an_existing_one(
     writer, force, subject, result, tmp_path, monkeypatch
 ):
     def fail(*arguments, **options):
@@ -191,7 +191,7 @@ def test_failing_half_way_leaves_nothing_and_takes_nothing(
     )
 
 
-def test_a_run_that_could_not_start_can_still_be_looked_into(subject, not_finite, tmp_path):
+def test_a_run_with_a_cost_that_is_not_finite_is_written(subject, not_finite, tmp_path):
     write_run([(subject, not_finite)], tmp_path / "run")
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["cost"] is None
     text = (tmp_path / "run" / "moments" / "slow.sto").read_text()

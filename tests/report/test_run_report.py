@@ -1,4 +1,4 @@
-"""The report opens anywhere offline, is sound HTML, and says in words what matters."""
+"""Tests of the report of a calibration: self-contained and valid HTML, with the findings in sentences."""
 
 import base64
 import re
@@ -6,49 +6,17 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-from tests.report.endings import ended
+from tests.report.page import Page
+from tests.report.solutions import with_solution
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.model.freedom import Freedom
 from wrapjax.report.provenance import describe_settings
-from wrapjax.report.run_page import render_report, verdict
+from wrapjax.report.run_page import render_report, run_findings
 from wrapjax.report.run_summary import summarize
-
-VOID = {"meta", "img", "br", "hr", "link", "input", "source"}
-
-
-class Page(HTMLParser):
-    """Collects what a page holds and insists that every element is closed where it should be."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.elements, self.words = [], [], []
-        self.feed(text)
-        self.close()
-        assert not self.open, f"never closed: {self.open}"
-
-    def handle_starttag(self, tag, attributes):
-        self.elements.append((tag, dict(attributes)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open and self.open.pop() == tag, f"</{tag}> closes something else"
-
-    def handle_data(self, data):
-        if not {"style", "script"} & set(self.open):
-            self.words.append(data)
-
-    @property
-    def text(self):
-        return re.sub(r"\s+", " ", " ".join(self.words))
-
-    def all(self, tag):
-        return [attributes for name, attributes in self.elements if name == tag]
 
 
 def _render(subject, result):
@@ -57,13 +25,13 @@ def _render(subject, result):
     )
 
 
-def test_the_page_is_balanced_and_in_order(subject, result):
+def test_page_is_valid_with_sections_in_order(subject, result):
     page = Page(_render(subject, result))
     headings = re.findall(r"<h2>(.*?)</h2>", _render(subject, result))
     assert headings == [
         "Moment errors",
         "Joint moments",
-        "What drove the muscles",
+        "Drive of the muscles",
         "Muscle activations",
         "Fiber lengths",
         "Muscle parameters",
@@ -74,7 +42,7 @@ def test_the_page_is_balanced_and_in_order(subject, result):
     assert page.all("html") == [{"lang": "en"}]
 
 
-def test_the_page_loads_nothing_and_runs_nothing(subject, result):
+def test_page_is_self_contained_without_scripts(subject, result):
     text = _render(subject, result)
     page = Page(text)
     assert not page.all("script") + page.all("link") + page.all("iframe")
@@ -86,7 +54,7 @@ def test_the_page_loads_nothing_and_runs_nothing(subject, result):
     assert len(text) < 3_000_000
 
 
-def test_every_figure_is_sound_and_described(subject, result):
+def test_figures_are_valid_svg_with_descriptions(subject, result):
     page = Page(_render(subject, result))
     images = page.all("img")
     assert len(images) == 6 == len(page.all("figcaption"))
@@ -112,34 +80,34 @@ def test_equal_results_give_equal_pages(subject, result):
     )
 
 
-def test_the_verdict_gives_errors_and_bounds_in_words(result, subject):
-    outcome, errors, bounds = verdict(result, summarize(subject, result))
+def test_findings_state_errors_and_bounds(result, subject):
+    outcome, errors, bounds = run_findings(result, summarize(subject, result))
     assert outcome == "The calibration converged."
     assert "2.50 N m on average over 2 calibration cycles (before calibration: 20.00 N m)" in errors
-    assert "1 validation cycle, which calibration has not seen, they differ by 6.00 N m" in errors
+    assert "1 validation cycle, held out from calibration, they differ by 6.00 N m" in errors
     assert bounds.startswith("2 of the 4 free parameters ended on a bound")
 
 
-def test_the_verdict_does_not_call_an_unfinished_run_converged(subject, result):
-    stopped = replace(ended(result, status=Status.iterations), at_bounds=())
+def test_findings_of_a_calibration_that_did_not_converge(subject, result):
+    stopped = replace(with_solution(result, status=Status.iterations), at_bounds=())
     text = Page(_render(subject, stopped)).text
     assert "did not converge" in text and "limit on iterations" in text
     assert "The calibration converged" not in text
     assert "None of the 4 free parameters ended on a bound" in text
 
 
-def test_missing_validation_is_said(subject, without_validation):
+def test_missing_validation_is_stated(subject, without_validation):
     page = Page(_render(subject, without_validation))
-    assert "No cycles were kept for validation" in page.text
+    assert "No cycles were held out for validation" in page.text
     assert "validation: MAE" not in page.text
 
 
-def test_tables_hold_the_errors_the_stuck_parameters_and_what_is_missing(subject, result):
+def test_tables_contain_errors_parameters_at_bounds_and_undriven_muscles(subject, result):
     text = Page(_render(subject, result)).text
     assert re.search(r"ankle_angle_l \S+ 20\.00 20\.00 3\.00 6\.48 7\.00 7\.00", text.replace("  ", " "))
     assert re.search(r"emg_scale lower 1 iliacus_l", text)
     assert re.search(r"optimal_fiber_length upper 1 soleus_l", text)
-    assert "2 muscles of this leg's model without EMG and without force here: piri_l, sart_l." in text
+    assert "2 muscles of this leg's model without EMG, which exert no force here: piri_l, sart_l." in text
     assert "negative values were set to 0 in calf" in text
 
 
@@ -161,13 +129,13 @@ def test_names_cannot_break_the_page(name, subject, result):
     assert f"{name}: {name} calibration" in page.text
 
 
-def test_a_run_that_could_not_start_is_reported(subject, not_finite):
+def test_report_of_a_cost_that_is_not_finite(subject, not_finite):
     text = Page(_render(subject, not_finite)).text
     assert "did not converge" in text and "not finite at the start" in text
     assert "nan" not in text.lower().split()
 
 
-def test_a_run_with_nothing_free_is_reported(subject, result):
+def test_report_without_free_parameters(subject, result):
     held = replace(result, freedom=Freedom("nothing", ()), at_bounds=())
     assert "No parameter was free." in Page(_render(subject, held)).text
 

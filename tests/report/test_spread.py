@@ -1,4 +1,4 @@
-"""Spreads appear where they were asked for, in the parameters' own units, and nowhere else."""
+"""Tests of uncertainty in files and report: only if requested, and in the parameters' units."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from wrapjax.report.style import to_svg
 
 @pytest.fixture
 def spread(result) -> LegSpread:
-    """Of four parameters: two at bounds, one of the others open."""
+    """Uncertainty of four parameters: two at bounds, and one not identified."""
     own = Spread(
         labels=result.labels,
         units=("1", "m", "1", "m"),
@@ -46,7 +46,7 @@ def run(subject, result, spread, tmp_path):
     return tmp_path / "run"
 
 
-def test_parameters_get_columns_at_the_end(run, subject, result, tmp_path):
+def test_uncertainty_columns_are_appended(run, subject, result, tmp_path):
     with (run / "parameters.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert list(rows[0])[-3:] == ["sd", "low_90", "high_90"]
@@ -62,7 +62,7 @@ def test_parameters_get_columns_at_the_end(run, subject, result, tmp_path):
     assert "uncertainty" not in json.loads((tmp_path / "plain" / "summary.json").read_text())
 
 
-def test_files_say_how_and_how_far(run):
+def test_content_of_the_uncertainty_file(run):
     short = json.loads((run / "summary.json").read_text())["uncertainty"]
     assert short == {
         "way": "bootstrap",
@@ -87,7 +87,7 @@ def test_files_say_how_and_how_far(run):
     assert content["moments"]["ankle_angle_l"] == {"noise_sd_Nm": 4.0, "band_half_width_Nm": 3.0}
 
 
-def test_bands_are_stored_for_every_cycle(run, result, spread):
+def test_bands_of_every_cycle_are_stored(run, result, spread):
     for trial, stem in enumerate(("slow", "walk_02", "fast")):
         bands = read_storage(run / "moment_bands" / f"{stem}.sto")
         assert bands.columns[1] == "ankle_angle_l_moment_low_90"
@@ -96,10 +96,10 @@ def test_bands_are_stored_for_every_cycle(run, result, spread):
         np.testing.assert_array_equal(bands.values.T[2:], spread.high[trial])
 
 
-def test_report_tells_what_is_open_only_where_it_was_asked(run, subject, result):
+def test_report_has_a_section_on_uncertainty_only_if_requested(run, subject, result):
     page = (run / "report.html").read_text()
-    assert "Moments make 3 of 4 free parameters surer" in page and "1 of them did not converge" in page
-    assert "Not determined" in page
+    assert "reduce the uncertainty of 3 of 4 free parameters" in page and "1 of them did not converge" in page
+    assert "Parameters that the moments do not identify" in page
     summary, settings = (json.loads((run / f"{name}.json").read_text()) for name in ("summary", "settings"))
     assert "Uncertainty" not in render_report(subject, result, summary, settings)
 
@@ -116,7 +116,7 @@ def test_intervals_are_drawn_between_the_bounds(result, spread):
     assert "<svg" in to_svg(figure)
 
 
-def test_bands_lie_about_the_modelled_moments(result, spread):
+def test_bands_include_the_modelled_moments(result, spread):
     figure = band_figure(result, spread)
     assert len(figure.axes) == 4
     points = figure.axes[2].collections[0].get_paths()[0].vertices

@@ -1,10 +1,10 @@
-"""The summary is a contract: other people's scripts read these keys and trust these numbers."""
+"""Tests of summary.json: the keys on which users' scripts rely, and the numbers."""
 
 import json
 
 import pytest
 
-from tests.report.endings import ended
+from tests.report.solutions import with_solution
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.io.files import write_json
 from wrapjax.report.run_summary import file_stems, summarize
@@ -15,14 +15,14 @@ CONTRACT = {
 }  # fmt: skip
 
 
-def test_keys_of_the_contract_are_there_and_others_do_not_slip_in(subject, result):
+def test_summary_has_exactly_the_documented_keys(subject, result):
     summary = summarize(subject, result)
     ours = {"rmse_Nm", "before", "cost", "cost_by_term", "drive", "limits", "start_costs"}
     assert summary.keys() == CONTRACT | ours
     assert list(summary)[:1] == ["schema"]
 
 
-def test_what_is_known_of_the_run_is_passed_on(subject, result):
+def test_summary_of_the_solution(subject, result):
     summary = summarize(subject, result)
     known = {
         "schema": 1,
@@ -43,7 +43,7 @@ def test_what_is_known_of_the_run_is_passed_on(subject, result):
     assert {key: summary[key] for key in known} == known
 
 
-def test_errors_are_the_ones_worked_out_by_hand(subject, result):
+def test_errors_agree_with_manual_calculation(subject, result):
     summary = summarize(subject, result)
     # Hip: (1 + 3) / 2. Ankle: (2 + 20 / 5) / 2.
     assert summary["mae_Nm"]["calibration"] == pytest.approx(
@@ -60,7 +60,7 @@ def test_errors_are_the_ones_worked_out_by_hand(subject, result):
     assert summary["before"]["mae_Nm"]["calibration"]["mean"] == pytest.approx(20.0)
 
 
-def test_every_trial_has_its_own_errors_under_its_own_name(subject, result):
+def test_errors_by_trial(subject, result):
     trials = summarize(subject, result)["trials"]
     assert list(trials) == ["slow", "walk/02", "fast"]
     assert [trial["use"] for trial in trials.values()] == ["calibration", "calibration", "validation"]
@@ -79,7 +79,7 @@ def test_validation_is_null_without_validation_cycles(subject, without_validatio
 
 
 def test_a_solver_that_ran_out_of_iterations_has_not_converged(subject, result):
-    stopped = ended(result, status=Status.iterations)
+    stopped = with_solution(result, status=Status.iterations)
     summary = summarize(subject, stopped)
     assert summary["converged"] is False
     assert summary["message"] == Status.iterations.value
@@ -95,7 +95,7 @@ def test_json_is_strict_even_if_nothing_is_finite(subject, not_finite, tmp_path)
     assert read["converged"] is False
 
 
-def test_files_of_different_trials_never_replace_each_other():
+def test_file_stems_are_unique():
     assert file_stems(["walk", "walk/01"]) == {"walk": "walk", "walk/01": "walk_01"}
     stems = file_stems(["walk_01", "walk/01", "Walk/01", "walk_01-2"])
     assert len({stem.lower() for stem in stems.values()}) == 4

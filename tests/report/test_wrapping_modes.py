@@ -1,4 +1,4 @@
-"""Both ways of wrapping side by side: each is what it says, and both are drawn to the same scale."""
+"""Tests of the comparison of wrapping modes: both paths are correct, and differences are drawn."""
 
 from dataclasses import replace
 
@@ -36,15 +36,15 @@ def compared(model_file, poses):
     return compare_wrapping_modes(describe_model(model_file), MUSCLE, COORDINATES, poses)
 
 
-def test_one_is_opensims(compared, model_file, poses):
+def test_parity_path_agrees_with_opensim(compared, model_file, poses):
     found = analyse_muscles(model_file, (MUSCLE,), COORDINATES, poses, processes=1, quiet=True)
     np.testing.assert_allclose(compared.opensim.length, found.length[:, 0], atol=1e-9)
     assert compared.coordinates == COORDINATES[:3]
     np.testing.assert_allclose(compared.opensim.moment_arm, found.moment_arm[:, :3, 0].T, atol=1e-8)
 
 
-def test_the_other_is_shortest_and_its_moment_arms_are_slopes(compared):
-    """OpenSim's path slants along this cylinder, is not the shortest, and its arms are no slopes."""
+def test_geodesic_path_is_shortest_with_moment_arms_equal_to_slopes(compared):
+    """OpenSim's path on this cylinder is not the shortest, and its moment arms differ from -dL/dq."""
     longer = compared.opensim.length - compared.shortest.length
     assert longer.min() > -1e-9
     assert longer.max() > 1e-7
@@ -52,14 +52,14 @@ def test_the_other_is_shortest_and_its_moment_arms_are_slopes(compared):
     assert compared.opensim.disagreement > 1e-5
 
 
-def test_parameters_move_the_cylinder_in_both(model_file, poses, compared):
+def test_wrap_parameters_change_both_paths(model_file, poses, compared):
     thicker = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.1]])
     moved = compare_wrapping_modes(describe_model(model_file), MUSCLE, COORDINATES, poses, thicker)
     for before, after in ((compared.opensim, moved.opensim), (compared.shortest, moved.shortest)):
         assert np.abs(after.length - before.length).max() > 1e-4
 
 
-def test_figure_has_every_curve_and_the_differences_below(compared):
+def test_figure_contains_all_curves_and_differences(compared):
     fewer = replace(compared, muscle="other_l", coordinates=compared.coordinates[:2])
     figure = wrapping_modes_figure([compared, fewer])
     assert [

@@ -25,8 +25,8 @@ from wrapjax.contact_forces.result import (
     knee_compartments,
 )
 from wrapjax.contact_forces.static_optimization import share_moments
-from wrapjax.diagnosis.inverse_dynamics.read_gait import read_recorded_gait
-from wrapjax.diagnosis.inverse_dynamics.recorded_gait import RecordedGait
+from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
 from wrapjax.geometry.paths import PathState

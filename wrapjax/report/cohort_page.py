@@ -1,11 +1,4 @@
-"""A cohort in numbers: the content of ``cohort.json``.
-
-Errors of all subjects in one figure.
-
-The page of a cohort: everything on it is in ``cohort.json``.
-
-The files of a cohort beside its subjects.
-"""
+"""Summary of a cohort of subjects: the content of ``cohort.json`` and the page that shows it."""
 
 from __future__ import annotations
 
@@ -18,6 +11,7 @@ import numpy as np
 
 from wrapjax.io.files import write_json, write_text
 from wrapjax.report import markup
+from wrapjax.report.formatting import DASH, counted, decimals, readable
 from wrapjax.report.provenance import package_versions, versions_in_words
 from wrapjax.report.run_summary import USES
 from wrapjax.report.style import (
@@ -27,11 +21,9 @@ from wrapjax.report.style import (
     PAGE_WIDTH,
     VERMILION,
     Figure,
-    counted,
-    decimals,
     in_style,
+    legend_above,
     new_figure,
-    plain,
 )
 from wrapjax.subject.subject import name_without_side
 
@@ -42,42 +34,47 @@ SCHEMA = 1
 def describe_cohort(
     method: str, diagnosed: bool, subjects: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Describe a cohort as plain numbers and words.
+    """Describe a cohort as plain numbers and strings.
 
     Parameters
     ----------
     method
-        Of every calibration.
+        Calibration method of all subjects.
     diagnosed
-        Whether subjects were diagnosed, too.
+        Whether subjects were diagnosed as well.
     subjects
-        By name: what is known of each. Its ``state`` is ``waiting``, ``failed`` (with a ``message``) or
-        ``done`` (with ``mae_Nm`` and ``rmse_Nm`` as in ``summary.json``, and a ``diagnosis``).
+        Results by subject. The ``state`` of each is ``waiting``, ``failed`` (with a ``message``) or ``done``
+        (with ``mae_Nm`` and ``rmse_Nm`` as in ``summary.json``, and a ``diagnosis``).
 
     Returns
     -------
     dict
-        All of it, and under ``population``, over the subjects that are done: ``mae_Nm`` and ``rmse_Nm`` by
-        use and coordinate (names without side) as ``n``, ``mean``, ``sd`` (None below two), ``min``,
-        ``median`` and ``max`` in N m; how many diagnoses had which outcome, and how many named or tied
-        which effect.
+        All arguments and, under ``population``, statistics of the completed subjects: ``mae_Nm`` and
+        ``rmse_Nm`` by use and coordinate (names without side) as ``n``, ``mean``, ``sd`` (None below two),
+        ``min``, ``median`` and ``max`` in N m; number of diagnoses by outcome, and number of subjects in
+        which each effect was named or tied.
     """
-    done = [one for one in subjects.values() if one["state"] == "done"]
-    gaps = [one["diagnosis"] for one in done if one["diagnosis"] is not None]
-    named = Counter(name for gap in gaps for name in gap["named"])
-    tied = Counter(name for gap in gaps for name in {one for tie in gap["ties"] for one in tie})
+    done = [subject for subject in subjects.values() if subject["state"] == "done"]
+    diagnoses = [subject["diagnosis"] for subject in done if subject["diagnosis"] is not None]
+    named = Counter(name for diagnosis in diagnoses for name in diagnosis["named"])
+    tied = Counter(
+        name for diagnosis in diagnoses for name in {effect for tie in diagnosis["ties"] for effect in tie}
+    )
     return {
         "schema": SCHEMA,
         "method": method,
         "diagnosed": diagnosed,
-        "subjects": {name: dict(one) for name, one in subjects.items()},
+        "subjects": {name: dict(subject) for name, subject in subjects.items()},
         "population": {
             "n": len(done),
-            "converged": sum(one["converged"] for one in done),
-            "failed": sum(one["state"] == "failed" for one in subjects.values()),
-            "waiting": sum(one["state"] == "waiting" for one in subjects.values()),
-            **{kind: {use: _errors(done, kind, use) for use in USES} for kind in ("mae_Nm", "rmse_Nm")},
-            "outcomes": dict(Counter(gap["outcome"] for gap in gaps).most_common()),
+            "converged": sum(subject["converged"] for subject in done),
+            "failed": sum(subject["state"] == "failed" for subject in subjects.values()),
+            "waiting": sum(subject["state"] == "waiting" for subject in subjects.values()),
+            **{
+                kind: {use: _error_statistics(done, kind, use) for use in USES}
+                for kind in ("mae_Nm", "rmse_Nm")
+            },
+            "outcomes": dict(Counter(diagnosis["outcome"] for diagnosis in diagnoses).most_common()),
             "named": dict(named.most_common()),
             "tied": dict(tied.most_common()),
         },
@@ -86,15 +83,15 @@ def describe_cohort(
 
 
 def errors_by_coordinate(subjects: list[Mapping[str, Any]], kind: str, use: str) -> dict[str, list[float]]:
-    """Gather one error (N m) a subject by coordinate, left and right alike; ``mean`` comes last."""
-    found: dict[str, list[float]] = {}
-    for one in subjects:
-        for name, value in (one[kind][use] or {}).items():
-            found.setdefault(name_without_side(name), []).append(value)
-    return {name: found[name] for name in sorted(found, key=lambda name: name == "mean")}
+    """Collect the subjects' errors (N m) by coordinate, left and right legs together; ``mean`` comes last."""
+    errors: dict[str, list[float]] = {}
+    for subject in subjects:
+        for name, value in (subject[kind][use] or {}).items():
+            errors.setdefault(name_without_side(name), []).append(value)
+    return {name: errors[name] for name in sorted(errors, key=lambda name: name == "mean")}
 
 
-def _errors(subjects: list[Mapping[str, Any]], kind: str, use: str) -> dict[str, dict[str, Any]]:
+def _error_statistics(subjects: list[Mapping[str, Any]], kind: str, use: str) -> dict[str, dict[str, Any]]:
     return {
         name: {
             "n": len(values),
@@ -109,7 +106,7 @@ def _errors(subjects: list[Mapping[str, Any]], kind: str, use: str) -> dict[str,
 
 
 _COLORS = dict(zip(USES, (BLUE, VERMILION), strict=True))
-# Subjects of one coordinate side by side, over this part of its place.
+# Width over which the subjects of one coordinate are spread, where coordinates have a distance of 1.
 _WIDTH = 0.28
 
 
@@ -120,7 +117,7 @@ def population_figure(subjects: list[Mapping[str, Any]]) -> Figure:
     Parameters
     ----------
     subjects
-        Those that are done; at least one.
+        Completed subjects, at least one.
     """
     errors = {use: errors_by_coordinate(subjects, "mae_Nm", use) for use in USES}
     names = list(errors["calibration"] or errors["validation"])
@@ -158,18 +155,18 @@ def population_figure(subjects: list[Mapping[str, Any]]) -> Figure:
     panel.set_xlim(-0.5, len(names) - 0.5)
     panel.set_ylim(bottom=0.0)
     panel.set_ylabel("mean absolute error (N m)")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    legend_above(figure, panel)
     return figure
 
 
 @in_style
 def outcomes_figure(population: Mapping[str, Any]) -> Figure:
-    """Draw how diagnoses ended, and which effects they named or could not tell apart.
+    """Draw the outcomes of diagnoses, and the number of subjects in which each effect was named or tied.
 
     Parameters
     ----------
     population
-        Of ``cohort.json``; at least one diagnosis.
+        ``population`` of ``cohort.json`` with at least one diagnosis.
     """
     outcomes, effects = population["outcomes"], {**population["tied"], **population["named"]}
     named = [population["named"].get(name, 0) for name in effects]
@@ -178,11 +175,11 @@ def outcomes_figure(population: Mapping[str, Any]) -> Figure:
     figure = new_figure(PAGE_WIDTH, 0.24 * rows + 1.1)
     left, right = figure.subplots(1, 2)
     left.barh(range(len(outcomes)), list(outcomes.values()), color=GRAY, height=0.6)
-    left.set_yticks(range(len(outcomes)), [plain(name) for name in outcomes], parse_math=False)
+    left.set_yticks(range(len(outcomes)), [readable(name) for name in outcomes], parse_math=False)
     left.set_title("outcome", loc="left")
     right.barh(range(len(effects)), named, color=BLUE, height=0.6, label="named")
     right.barh(range(len(effects)), tied, left=named, color=BLUE, alpha=0.35, height=0.6, label="tied")
-    right.set_yticks(range(len(effects)), [plain(name) for name in effects], parse_math=False)
+    right.set_yticks(range(len(effects)), [readable(name) for name in effects], parse_math=False)
     right.set_title("effect", loc="left")
     for panel in (left, right):
         panel.set_ylim(rows - 0.4, -0.6)
@@ -196,53 +193,53 @@ def outcomes_figure(population: Mapping[str, Any]) -> Figure:
     return figure
 
 
-_DASH = "\N{EN DASH}"
-
-
 def render_cohort(content: dict[str, Any]) -> str:
-    """Write the page of a cohort, with nothing outside it but links to its subjects' reports.
+    """Write the page of a cohort as self-contained HTML with links to its subjects' reports.
 
     Parameters
     ----------
     content
-        From `describe_cohort`.
+        Content of ``cohort.json``, from `describe_cohort`.
     """
     title = f"{counted(len(content['subjects']), 'subject')}: {content['method']} calibration"
     if content["diagnosed"]:
         title += " and diagnosis"
-    done = [one for one in content["subjects"].values() if one["state"] == "done"]
-    parts = [markup.header(title), _verdict(content)]
+    done = [subject for subject in content["subjects"].values() if subject["state"] == "done"]
+    parts = [markup.header(title), _verdict_section(content)]
     if done:
-        parts.append(_error_rows(content, done))
+        parts.append(_errors_section(content, done))
         if content["diagnosed"]:
-            parts.append(_outcomes(content["population"]))
-    parts.append(_subjects(content))
+            parts.append(_outcomes_section(content["population"]))
+    parts.append(_subjects_section(content))
     notes = [
-        "Every number is in cohort.json; each subject's own are in its folder.",
+        "All numbers are in cohort.json; the results of each subject are in its folder.",
         f"{versions_in_words(content['versions'])}.",
     ]
     return markup.page(title, [*parts, markup.section("Notes", markup.bullets(notes))])
 
 
-def _verdict(content: dict[str, Any]) -> str:
+def _verdict_section(content: dict[str, Any]) -> str:
     population, subjects = content["population"], content["subjects"]
     lines = [
-        f"{population['n']} of {counted(len(subjects), 'subject')} done, of which {population['converged']} "
-        "converged."
+        f"{population['n']} of {counted(len(subjects), 'subject')} completed, of which "
+        f"{population['converged']} converged."
     ]
     if population["waiting"]:
-        lines.append(f"Still waiting when this was written: {population['waiting']}.")
+        lines.append(f"Not yet processed when this page was written: {population['waiting']}.")
     means = {use: population["mae_Nm"][use].get("mean") for use in USES}
-    said = [
-        f"{decimals(own['median'])} N m on {use} cycles ({decimals(own['min'])} to {decimals(own['max'])})"
-        for use, own in means.items()
-        if own is not None
+    medians = [
+        f"{decimals(mean['median'])} N m on {use} cycles ({decimals(mean['min'])} to {decimals(mean['max'])})"
+        for use, mean in means.items()
+        if mean is not None
     ]
-    if said:
+    if medians:
         lines.append(
-            f"Modelled and measured joint moments of the median subject differ by {' and '.join(said)}."
+            "Median over subjects (range) of the mean absolute difference between modelled and measured "
+            f"joint moments: {' and '.join(medians)}."
         )
-    failed = [f"{name}: {one['message']}" for name, one in subjects.items() if one["state"] == "failed"]
+    failed = [
+        f"{name}: {subject['message']}" for name, subject in subjects.items() if subject["state"] == "failed"
+    ]
     more = []
     if failed:
         more = [markup.paragraph(f"{counted(len(failed), 'subject')} failed:"), markup.bullets(failed)]
@@ -250,89 +247,92 @@ def _verdict(content: dict[str, Any]) -> str:
     return markup.box("\n".join([*map(markup.paragraph, lines), *more]), kind)
 
 
-def _error_rows(content: dict[str, Any], done: list[dict[str, Any]]) -> str:
+def _errors_section(content: dict[str, Any], done: list[dict[str, Any]]) -> str:
     rows = []
     for use in USES:
-        for name, own in content["population"]["mae_Nm"][use].items():
-            numbers = (own[kind] for kind in ("mean", "sd", "min", "median", "max"))
-            rows.append((f"{use}: {name}", str(own["n"]), *map(decimals, numbers)))
+        for name, errors in content["population"]["mae_Nm"][use].items():
+            numbers = (errors[kind] for kind in ("mean", "sd", "min", "median", "max"))
+            rows.append((f"{use}: {name}", str(errors["n"]), *map(decimals, numbers)))
     return markup.section(
         "Moment errors over subjects",
         markup.picture(
             population_figure(done),
             alternative=f"Mean absolute moment errors of {counted(len(done), 'subject')} by coordinate.",
-            caption="Mean absolute error of the joint moments in N m, one dot a subject, by coordinate (left "
-            "and right legs alike) and their mean; bars: median over subjects.",
+            caption="Mean absolute error of the joint moments in N m, one dot per subject, by coordinate "
+            "(left and right legs together) and averaged over coordinates; bars: median over subjects.",
         ),
         markup.table(
-            ("cycles and coordinate", "subjects", "mean", "sd", "least", "median", "largest"),
+            ("cycles and coordinate", "subjects", "mean", "SD", "smallest", "median", "largest"),
             rows,
-            caption="Mean absolute errors in N m over subjects; sd is between subjects.",
+            caption="Mean absolute errors in N m over subjects; SD: standard deviation between subjects.",
         ),
     )
 
 
-def _outcomes(population: dict[str, Any]) -> str:
+def _outcomes_section(population: dict[str, Any]) -> str:
     tables = [
         markup.table(
             ("outcome", "subjects"),
-            [(plain(name), str(count)) for name, count in population["outcomes"].items()],
-            caption="How diagnoses ended.",
+            [(readable(name), str(count)) for name, count in population["outcomes"].items()],
+            caption="Outcomes of the diagnoses.",
         )
     ]
     effects = dict.fromkeys([*population["named"], *population["tied"]])
     if effects:
         rows = [
-            (plain(name), str(population["named"].get(name, 0)), str(population["tied"].get(name, 0)))
+            (readable(name), str(population["named"].get(name, 0)), str(population["tied"].get(name, 0)))
             for name in effects
         ]
         tables.append(
             markup.table(
                 ("effect", "named in", "tied in"),
                 rows,
-                caption="In how many subjects an effect explains the error best, or as well as others.",
+                caption="Number of subjects in which an effect explains the error best (named), or as well "
+                "as other effects (tied).",
             )
         )
-    counts = ", ".join(f"{plain(name)} {count}" for name, count in population["outcomes"].items())
+    counts = ", ".join(f"{readable(name)} {count}" for name, count in population["outcomes"].items())
     drawn = markup.picture(
         outcomes_figure(population),
         alternative=f"Number of subjects by outcome of the diagnosis: {counts}.",
-        caption="How diagnoses ended, and in how many subjects an effect explains the error best (named) or "
-        "as well as others (tied): leads, never proofs of cause.",
+        caption="Outcomes of the diagnoses, and number of subjects in which an effect explains the error "
+        "best (named) or as well as other effects (tied). These are candidates to examine and do not prove "
+        "a cause.",
     )
     return markup.section("Diagnoses", drawn, *tables)
 
 
-def _subjects(content: dict[str, Any]) -> str:
+def _subjects_section(content: dict[str, Any]) -> str:
     header = ["subject", "calibration", "validation", "result"]
     if content["diagnosed"]:
         header.append("diagnosis")
-    rows = [_row(name, one, content["diagnosed"]) for name, one in content["subjects"].items()]
+    rows = [_subject_row(name, entry, content["diagnosed"]) for name, entry in content["subjects"].items()]
     return markup.section(
-        "Subject by subject",
+        "Results by subject",
         markup.table(
             header,
             rows,
-            caption="Mean absolute errors of joint moments in N m, averaged over coordinates. Names lead to "
-            "reports.",
+            caption="Mean absolute errors of joint moments in N m, averaged over coordinates. Names are "
+            "links to the reports.",
         ),
     )
 
 
-def _row(name: str, one: dict[str, Any], diagnosed: bool) -> tuple[str, ...]:
-    if one["state"] != "done":
-        return (name, _DASH, _DASH, one["state"], *([_DASH] if diagnosed else []))
-    means = (decimals(None if one["mae_Nm"][use] is None else one["mae_Nm"][use]["mean"]) for use in USES)
-    result = "converged" if one["converged"] else "did not converge"
-    row = (markup.Link(name, one["report"]), *means, result)
-    gap = one["diagnosis"]
+def _subject_row(name: str, subject: dict[str, Any], diagnosed: bool) -> tuple[str, ...]:
+    if subject["state"] != "done":
+        return (name, DASH, DASH, subject["state"], *([DASH] if diagnosed else []))
+    errors = [subject["mae_Nm"][use] for use in USES]
+    means = (decimals(None if error is None else error["mean"]) for error in errors)
+    result = "converged" if subject["converged"] else "did not converge"
+    row = (markup.Link(name, subject["report"]), *means, result)
+    diagnosis = subject["diagnosis"]
     if not diagnosed:
         return row
-    if gap is None:
-        return (*row, _DASH)
-    effects = gap["named"] or [member for tie in gap["ties"] for member in tie]
-    said = plain(gap["outcome"]) + (f": {', '.join(map(plain, effects))}" if effects else "")
-    return (*row, markup.Link(said, one["diagnosis_report"]))
+    if diagnosis is None:
+        return (*row, DASH)
+    effects = diagnosis["named"] or [effect for tie in diagnosis["ties"] for effect in tie]
+    outcome = readable(diagnosis["outcome"]) + (f": {', '.join(map(readable, effects))}" if effects else "")
+    return (*row, markup.Link(outcome, subject["diagnosis_report"]))
 
 
 def write_content(content: dict[str, Any], folder: Path) -> None:
@@ -341,5 +341,5 @@ def write_content(content: dict[str, Any], folder: Path) -> None:
 
 
 def write_page(content: dict[str, Any], folder: Path) -> None:
-    """Write ``report.html``, of which everything is in ``cohort.json``."""
+    """Write ``report.html``, which shows the content of ``cohort.json``."""
     write_text(folder / "report.html", render_cohort(content))

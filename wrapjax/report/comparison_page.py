@@ -1,7 +1,4 @@
-"""The report of a comparison: one page that opens anywhere, offline.
-
-The files of a comparison beside its runs.
-"""
+"""Report of a comparison of calibration methods as a self-contained HTML page, and the files beside it."""
 
 from __future__ import annotations
 
@@ -31,15 +28,15 @@ from wrapjax.report.comparison_tables import (
     tukey_table,
     variance_table,
 )
+from wrapjax.report.formatting import DASH, counted, decimals
 from wrapjax.report.path_views import path_views
 from wrapjax.report.paths import MOST_MUSCLES, moved_paths
 from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.run_summary import USES
-from wrapjax.report.style import counted, decimals
 
 
 def render_comparison(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
-    """Write the report of a comparison as one HTML page with nothing outside it."""
+    """Write the report of a comparison as a self-contained HTML page."""
     subject = legs[0].label if len(legs) == 1 else counted(len(legs), "leg")
     title = f"{subject}: {', '.join(methods[:-1])} and {methods[-1]} compared"
     cycles = [f"{sum(leg.recorded.uses.count(use) for leg in legs)} for {use}" for use in USES]
@@ -48,19 +45,21 @@ def render_comparison(legs: Sequence[ComparedLeg], methods: Sequence[str], rows:
         title,
         [
             markup.header(title, under),
-            _verdict(legs, methods, rows),
+            _verdict_section(legs, methods, rows),
             _errors_section(legs, methods, rows),
             _moments_section(legs, methods),
             _paths_section(legs, methods, rows),
             _muscles_section(methods, rows),
             _runs_section(legs, methods),
-            _notes(),
+            _notes_section(),
         ],
     )
 
 
-def findings(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> list[str]:
-    """Say in plain sentences what came of a comparison."""
+def comparison_findings(
+    legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]
+) -> list[str]:
+    """Write sentences on convergence and moment errors of the compared calibrations."""
     failed = [
         f"{leg.label} by {method}"
         for leg in legs
@@ -73,65 +72,65 @@ def findings(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence
         first = f"{len(failed)} of {count} calibrations did not converge: {', '.join(failed)}."
     sentences = [first]
     for use in USES:
-        row = _overall(rows, use)
+        row = _mean_error_row(rows, use)
         if row is None:
-            sentences.append(f"No cycles were kept for {use}.")
+            sentences.append(f"There are no {use} cycles.")
             continue
-        own = [f"{method} {decimals(row.spreads[method].mean)} N m" for method in methods]
-        sentences.append(f"Mean absolute moment error on {use} cycles: {', '.join(own)}.")
+        means = [f"{method} {decimals(row.spreads[method].mean)} N m" for method in methods]
+        sentences.append(f"Mean absolute moment error on {use} cycles: {', '.join(means)}.")
     return sentences
 
 
-def _overall(rows: Sequence[Row], use: str) -> Row | None:
-    wanted = ("moment_error", use, ALL_SPEEDS, MEAN)
-    return next((row for row in rows if (row.quantity, row.use, row.speed, row.item) == wanted), None)
+def _mean_error_row(rows: Sequence[Row], use: str) -> Row | None:
+    key = ("moment_error", use, ALL_SPEEDS, MEAN)
+    return next((row for row in rows if (row.quantity, row.use, row.speed, row.item) == key), None)
 
 
-def _verdict(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
-    first, *others = findings(legs, methods, rows)
-    converged = all(one.solution.status.converged for leg in legs for one in leg.results.values())
+def _verdict_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
+    first, *others = comparison_findings(legs, methods, rows)
+    converged = all(result.solution.status.converged for leg in legs for result in leg.results.values())
     return markup.verdict([first, " ".join(others), note(legs)], fine=converged)
 
 
 def _errors_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]) -> str:
     parts = []
     for use in USES:
-        own = [row for row in rows if row.quantity == "moment_error" and row.use == use]
-        if not own:
+        errors = [row for row in rows if row.quantity == "moment_error" and row.use == use]
+        if not errors:
             continue
-        everything = [row for row in own if row.speed == ALL_SPEEDS]
+        all_speeds = [row for row in errors if row.speed == ALL_SPEEDS]
         parts += [
             mean_table(
-                own,
+                errors,
                 methods,
-                caption=f"{use.capitalize()} cycles: mean absolute error of joint moments in N m, mean "
-                f"± standard deviation over {own[0].unit_of_analysis}s. * differs from {methods[0]}: paired "
-                "t-test, p < 0.05 after Holm's correction for the number of coordinates (none for the mean "
-                "over coordinates).",
+                caption=f"{use.capitalize()} cycles: mean absolute error of joint moments in N m, mean ± "
+                f"standard deviation over {errors[0].unit_of_analysis}s. * differs from {methods[0]}: "
+                "paired t-test, p < 0.05 after Holm's correction for the number of coordinates (no "
+                "correction for the mean over coordinates).",
             ),
         ]
-        if not any(row.variance for row in everything):
-            parts.append(markup.paragraph(f"Too few {own[0].unit_of_analysis}s for tests."))
+        if not any(row.variance for row in all_speeds):
+            parts.append(markup.paragraph(f"Too few {errors[0].unit_of_analysis}s for tests."))
             continue
         parts += [
             variance_table(
-                everything,
-                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: do the methods differ? One-way analysis "
-                "of variance, which takes methods for independent groups, beside that of repeated measures "
-                "(p after Greenhouse and Geisser), which knows that all methods were given the same "
-                f"{own[0].unit_of_analysis}s.",
+                all_speeds,
+                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: tests of any difference between methods. "
+                "One-way analysis of variance, which treats methods as independent groups, and "
+                "repeated-measures analysis of variance (p with Greenhouse and Geisser's correction), which "
+                f"accounts for the methods' use of the same {errors[0].unit_of_analysis}s.",
             ),
             tukey_table(
-                everything,
-                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: which ones differ? Differences in N m "
-                "(below zero: smaller error), in brackets p of Tukey and Kramer's test, which follows the "
-                "one-way analysis.",
+                all_speeds,
+                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: differences between pairs of methods in "
+                "N m (below zero: smaller error), in brackets p of Tukey and Kramer's post-hoc test of the "
+                "one-way analysis of variance.",
             ),
             paired_table(
-                everything,
-                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: each method against {methods[0]}, paired. "
-                "Differences in N m with 95 % intervals, t-tests with Holm's correction for the number of "
-                "coordinates, and Cohen's d for paired values.",
+                all_speeds,
+                caption=f"{use.capitalize()} cycles, {ALL_SPEEDS}: paired comparison of each method with "
+                f"{methods[0]}. Differences in N m with 95 % confidence intervals, t-tests with Holm's "
+                "correction for the number of coordinates, and Cohen's d for paired values.",
             ),
         ]
     return markup.section("Moment errors", *parts)
@@ -141,14 +140,14 @@ def _moments_section(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str
     unit = unit_of_analysis(legs, "cycle")
     pictures = [
         markup.picture(
-            compared_moments_figure(own, methods),
+            compared_moments_figure(group, methods),
             alternative=f"Joint moments of {label} over the gait cycle: measured, and modelled after "
             f"calibration by {', '.join(methods)}.",
-            caption=f"Net joint moments of {label} in N m over the gait cycle: measured (black, mean and one "
-            f"standard deviation over {unit}s to either side) and each method's mean. A positive moment acts "
-            "towards larger values of the coordinate, as OpenSim defines it.",
+            caption=f"Net joint moments of {label} in N m over the gait cycle: measured (black, mean ± one "
+            f"standard deviation over {unit}s) and each method's mean. A positive moment acts towards larger "
+            "values of the coordinate, as OpenSim defines it.",
         )
-        for label, own in drawn_together(legs, unit)
+        for label, group in drawn_together(legs, unit)
     ]
     return markup.section("Joint moments", *pictures)
 
@@ -161,10 +160,10 @@ def _paths_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Se
     most = MOST_MUSCLES if len(legs) == 1 else 2
     parts = []
     for quantity, words in (("length_change", "muscle-tendon lengths"), ("moment_arm_change", "moment arms")):
-        own = [row for row in rows if row.quantity == quantity]
+        changes = [row for row in rows if row.quantity == quantity]
         parts.append(
             mean_table(
-                own,
+                changes,
                 moving,
                 caption=f"Mean absolute change of {words} in mm against the nominal paths, over the muscles "
                 f"that span a coordinate ('{MEAN}': over all) and all cycles; mean ± standard deviation over "
@@ -174,9 +173,9 @@ def _paths_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Se
         if len(moving) > 1:
             parts.append(
                 paired_table(
-                    own,
-                    caption=f"Changes of {words}: differences between methods in mm, with 95 % intervals and "
-                    "paired t-tests.",
+                    changes,
+                    caption=f"Changes of {words}: differences between methods in mm, with 95 % confidence "
+                    "intervals and paired t-tests.",
                 )
             )
     for label, together in drawn_together(legs, unit):
@@ -188,9 +187,9 @@ def _paths_section(legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Se
                 compared_moment_arms_figure(together, methods),
                 alternative=f"Moment arms of {label} before and after calibration; that of {muscle} about "
                 f"{coordinate} changed most.",
-                caption=f"Moment arms of {label} in mm over the gait cycle, all cycles: nominal (dashed) and "
-                "by each method that changes paths, mean and one standard deviation to either side. Those "
-                "that changed most on average by any method, in this order. Scales differ.",
+                caption=f"Moment arms of {label} in mm over the gait cycle, all cycles: nominal (dashed) "
+                "and by each method that changes paths, mean ± one standard deviation. Shown are those that "
+                "changed most on average by any method, largest change first. Scales differ.",
             )
         )
     parts += [
@@ -206,9 +205,9 @@ def _muscles_section(methods: Sequence[str], rows: Sequence[Row]) -> str:
     tables = [
         muscle_tests_table(
             [row for row in rows if row.quantity == quantity],
-            caption=f"{words}, mean over the gait cycle, all cycles: averages over muscles, and how many "
-            "differ (paired t-test, p < 0.05 after Holm's correction for their number). Single muscles: "
-            "tests.csv.",
+            caption=f"{words}, mean over the gait cycle, all cycles: averages over muscles, and number of "
+            "muscles that differ (paired t-test, p < 0.05 after Holm's correction for the number of "
+            "muscles). Individual muscles: tests.csv.",
         )
         for quantity, words in (
             ("muscle_force", "Tendon forces in N"),
@@ -241,33 +240,35 @@ def _runs_section(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
                     f"{result.solution.cost:#.5g}",
                     str(len(result.outcomes)),
                     str(len(result.solution.variables)),
-                    leg.geometry.get(method, "\N{EN DASH}"),
+                    leg.geometry.get(method, DASH),
                     f"{result.compile_seconds:.1f}",
                     f"{result.solve_seconds:.1f}",
                     leg.folders[method],
                 )
             )
     header = (
-        *("calibration", "converged", "cost", "starts", "variables", "paths from"),
-        *("compiling (s)", "solving (s)", "folder with its report"),
+        *("calibration", "converged", "cost", "starts", "variables", "path source"),
+        *("compilation (s)", "solution (s)", "folder with its report"),
     )
     caption = (
-        "How each calibration ended. Paths from: surrogate, fitted polynomials; engine, exact wrapping. The "
-        "two differ by the polynomials' error even before anything is calibrated."
+        "Result of each calibration. Path source: surrogate, fitted polynomials; engine, exact wrapping. The "
+        "two differ by the error of the polynomials even before calibration."
     )
     return markup.section("Calibrations", markup.table(header, lines, caption=caption))
 
 
-def _notes() -> str:
+def _notes_section() -> str:
     return markup.section(
         "Notes",
         markup.bullets(
             [
-                "Lower errors are no evidence that changed paths or parameters are the person's.",
-                "All means are in means.csv, all tests in tests.csv, the error of every cycle in cycles.csv; "
-                "comparison.json holds the same for programs. Names are without '_l' and '_r'.",
-                "d_z: the mean of paired differences over their standard deviation (Cohen 1988).",
-                "A dash: not defined, or too few observations.",
+                "A lower error is no evidence that the changed paths or parameters are closer to the "
+                "subject's anatomy.",
+                "All means are in means.csv, all tests in tests.csv, the error of every cycle in "
+                "cycles.csv; comparison.json contains the same in machine-readable form. Names are without "
+                "'_l' and '_r'.",
+                "d_z: mean of the paired differences divided by their standard deviation (Cohen 1988).",
+                "A dash means not defined, or too few observations.",
                 f"{versions_in_words()}.",
             ]
         ),

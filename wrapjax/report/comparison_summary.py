@@ -1,4 +1,4 @@
-"""Methods compared in numbers: means, spreads and tests, and the content of ``comparison.json``."""
+"""Means, standard deviations and tests of compared methods, and the content of ``comparison.json``."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from wrapjax.comparison.statistics import (
     tukey_kramer,
 )
 from wrapjax.model.parameters import QUANTITIES
+from wrapjax.report.formatting import counted
 from wrapjax.report.provenance import package_versions
 from wrapjax.report.run_summary import USES
-from wrapjax.report.style import counted
 
 #: Version of the layout of ``comparison.json``.
 SCHEMA = 1
-#: In place of a use, where cycles of every use count.
+#: Value of ``use`` where cycles of all uses are included.
 EVERY_USE = "all"
 
-#: A method, and the one that it is compared with.
+#: A method and the method that it is compared with.
 Pair = tuple[str, str]
 
 
@@ -44,21 +44,21 @@ class Row:
     Parameters
     ----------
     quantity, unit
-        What, in which unit.
+        Name of the quantity and its SI unit.
     use, speed
-        Over which cycles.
+        Cycles that are included.
     item
-        Coordinate, muscle or parameter, without ``_l`` and ``_r``; ``mean`` is over all of them.
+        Coordinate, muscle or parameter, without ``_l`` and ``_r``; ``mean`` is the mean over all of them.
     unit_of_analysis, n
-        What counts as one observation, and how many there are.
+        Kind and number of observations.
     spreads
-        By method.
+        Mean and standard deviation by method.
     variance, repeated
-        Whether the methods differ at all; None where not asked or not enough observations.
+        One-way and repeated-measures analysis of variance; None if not requested or too few observations.
     tukey, paired
-        Which ones differ, by pair, likewise.
+        Tukey-Kramer and paired tests by pair of methods; None as above.
     p_holm
-        Of the paired tests, adjusted for the number of items.
+        p values of the paired tests with Holm's correction for the number of items.
     """
 
     quantity: str
@@ -77,11 +77,11 @@ class Row:
 
 
 def comparison_rows(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> tuple[Row, ...]:
-    """Compare methods on everything that is compared.
+    """Compute means and tests of all quantities.
 
-    Moment errors by use and speed, with all tests, each method against the first. Changes of geometry,
-    muscle forces, activations and parameters over all cycles, with paired tests of all pairs; methods that
-    leave paths as they were take no part in those of geometry.
+    Moment errors are compared by use and speed with all tests, each method against the first. Changes of
+    geometry, muscle forces, activations and parameters are compared over all cycles with paired tests of all
+    pairs; methods that do not change paths are excluded from the tests of geometry.
     """
     cycle, muscle = (samples.unit_of_analysis(legs, within) for within in ("cycle", "muscle"))
     everything = samples.all_cycles(legs)
@@ -112,54 +112,56 @@ _BY_CYCLE: tuple[tuple[str, str, samples.QuantityReader], ...] = (
 
 
 def _pairs_that_differ(read: Samples, methods: Sequence[str]) -> list[Pair]:
-    """Pair up the methods of which there is more than zeros."""
-    there = [method for row, method in enumerate(methods) if any(own[row].any() for own in read.values())]
-    return [(second, first) for first, second in combinations(there, 2)]
+    """List all pairs of methods that have a nonzero value."""
+    nonzero = [
+        method for row, method in enumerate(methods) if any(values[row].any() for values in read.values())
+    ]
+    return [(second, first) for first, second in combinations(nonzero, 2)]
 
 
 def _rows(about: Row, read: Samples, methods: Sequence[str], pairs: Sequence[Pair]) -> list[Row]:
-    """Give one row an item, with paired tests."""
+    """Make one row for each item, with paired tests."""
     rows = []
     for item, values in read.items():
-        own = dict(zip(methods, values, strict=True))
-        spreads = {method: spread(numbers) for method, numbers in own.items()}
-        paired = {pair: paired_test(own[pair[0]], own[pair[1]]) for pair in pairs}
+        by_method = dict(zip(methods, values, strict=True))
+        spreads = {method: spread(numbers) for method, numbers in by_method.items()}
+        paired = {pair: paired_test(by_method[pair[0]], by_method[pair[1]]) for pair in pairs}
         rows.append(replace(about, item=item, n=values.shape[1], spreads=spreads, paired=paired))
     return rows
 
 
 def _with_variance(row: Row, read: Samples) -> Row:
-    """Add the tests of all methods together."""
+    """Add the analyses of variance and the Tukey-Kramer tests."""
     groups, methods = list(read[row.item]), list(row.spreads)
-    found = tukey_kramer(groups)
+    tests = tukey_kramer(groups)
     tukey: dict[Pair, TukeyKramer | None] = {
-        (methods[second], methods[first]): None if found is None else found[first, second]
+        (methods[second], methods[first]): None if tests is None else tests[first, second]
         for first, second in combinations(range(len(methods)), 2)
     }
     return replace(row, variance=anova(groups), repeated=repeated_anova(groups), tukey=tukey)
 
 
 def _adjusted(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Adjust the p values of paired tests for the number of items that were tested alike."""
+    """Apply Holm's correction to the paired tests for the number of items of each quantity, use and speed."""
     families: dict[tuple[str, str, str, Pair], dict[int, float]] = {}
     for place, row in enumerate(rows):
         for pair, test in row.paired.items():
             if test is not None and row.item != MEAN:
                 families.setdefault((row.quantity, row.use, row.speed, pair), {})[place] = test.p
-    done = list(rows)
+    adjusted = list(rows)
     for (*_, pair), family in families.items():
         for place, p in holm(family).items():
-            done[place] = replace(done[place], p_holm=done[place].p_holm | {pair: p})
-    return tuple(done)
+            adjusted[place] = replace(adjusted[place], p_holm=adjusted[place].p_holm | {pair: p})
+    return tuple(adjusted)
 
 
 def describe_comparison(
     legs: Sequence[ComparedLeg], methods: Sequence[str], rows: Sequence[Row]
 ) -> dict[str, Any]:
-    """Give the content of ``comparison.json``; SI units."""
+    """Describe a comparison: the content of ``comparison.json``, in SI units."""
     quantities: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        quantities.setdefault(row.quantity, []).append(_describe(row))
+        quantities.setdefault(row.quantity, []).append(_describe_row(row))
     return {
         "schema": SCHEMA,
         "methods": list(methods),
@@ -194,22 +196,22 @@ def describe_comparison(
 
 
 def note(legs: Sequence[ComparedLeg]) -> str:
-    """Say what counts as one observation, and what tests of it can say."""
+    """Write the unit of analysis and what can be inferred from the tests."""
     count = len(legs)
     if samples.unit_of_analysis(legs, "cycle") == "leg":
         return (
-            f"Unit of analysis: leg (n = {count}). A leg's cycles, and its muscles' parameters, are averaged "
-            "before anything is tested."
+            f"Unit of analysis: leg (n = {count}). The cycles of a leg, and the parameters of its muscles, "
+            "are averaged before testing."
         )
     return (
         f"Unit of analysis: cycle (of {counted(count, 'leg')}; parameters: muscle). Cycles of one leg are "
-        "not independent, nor are its muscles: p values and intervals are descriptive, they say nothing "
-        f"about other people. From {MINIMUM_UNITS} legs on, the leg is the unit."
+        "not independent, nor are its muscles: p values and intervals are descriptive and cannot be "
+        f"generalized to other people. With {MINIMUM_UNITS} or more legs, the leg is the unit."
     )
 
 
-def _describe(row: Row) -> dict[str, Any]:
-    """Give a row as plain content; what is not defined or has too few observations is null."""
+def _describe_row(row: Row) -> dict[str, Any]:
+    """Describe a row; values that are not defined or have too few observations are null."""
     content: dict[str, Any] = {
         "use": row.use,
         "speed": row.speed,
@@ -217,7 +219,7 @@ def _describe(row: Row) -> dict[str, Any]:
         "unit": row.unit,
         "unit_of_analysis": row.unit_of_analysis,
         "n": row.n,
-        "methods": {method: vars(own) for method, own in row.spreads.items()},
+        "methods": {method: vars(values) for method, values in row.spreads.items()},
     }
     if row.tukey:
         content |= {

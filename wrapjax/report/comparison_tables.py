@@ -1,7 +1,4 @@
-"""Means and tests of a comparison as tables of its report.
-
-A comparison as CSV tables: SI units, all digits.
-"""
+"""Means and tests of a comparison as tables of its report, and as CSV in SI units with all digits."""
 
 from __future__ import annotations
 
@@ -15,13 +12,12 @@ from wrapjax.comparison.samples import MEAN, ComparedLeg, moment_errors
 from wrapjax.comparison.statistics import Spread, TukeyKramer
 from wrapjax.report import markup
 from wrapjax.report.comparison_summary import Pair, Row
-from wrapjax.report.style import plain
+from wrapjax.report.formatting import DASH, decimals, p_value, readable
 
-#: Tests below this are marked.
+#: Level of significance of the tests.
 SIGNIFICANT = 0.05
-_DASH = "\N{EN DASH}"
-_LESS = " \N{MINUS SIGN} "
-#: How people read a unit: factor, decimals, its name.
+_MINUS = " \N{MINUS SIGN} "
+#: Display of each SI unit: factor, number of decimals, displayed unit.
 _SHOWN = {
     "N m": (1.0, 2, "N m"),
     "m": (1e3, 2, "mm"),
@@ -33,7 +29,7 @@ _SHOWN = {
 
 
 def mean_table(rows: Sequence[Row], methods: Sequence[str], *, caption: str) -> str:
-    """Lay out means by speed and method, one column an item: the layout of Ao et al.'s Table I."""
+    """Write a table of means by speed and method, one column an item, laid out as Ao et al.'s Table I."""
     items = list(dict.fromkeys(row.item for row in rows))
     speeds = list(dict.fromkeys(row.speed for row in rows))
     cells = {(row.speed, row.item): row for row in rows}
@@ -41,40 +37,44 @@ def mean_table(rows: Sequence[Row], methods: Sequence[str], *, caption: str) -> 
     for speed in speeds:
         for method in methods:
             name = method if len(speeds) == 1 else f"{speed}: {method}"
-            own = [cells.get((speed, item)) for item in items]
-            lines.append((name, *(_DASH if row is None else _marked(row, method) for row in own)))
+            own_rows = [cells.get((speed, item)) for item in items]
+            lines.append((name, *(DASH if row is None else _marked(row, method) for row in own_rows)))
     return markup.table(("method" if len(speeds) == 1 else "speed: method", *items), lines, caption=caption)
 
 
 def parameter_table(rows: Sequence[Row], methods: Sequence[str], *, caption: str) -> str:
-    """Lay out means of parameters, one row each, one column a method."""
+    """Write a table of mean parameters, one row a parameter, one column a method."""
     lines = [
-        (plain(row.item), shown_unit(row), *(_marked(row, method) for method in methods)) for row in rows
+        (readable(row.item), shown_unit(row), *(_marked(row, method) for method in methods)) for row in rows
     ]
     return markup.table(("parameter", "unit", *methods), lines, caption=caption)
 
 
 def variance_table(rows: Sequence[Row], *, caption: str) -> str:
-    """Lay out the tests of all methods together, one row an item."""
+    """Write a table of the analyses of variance, one row an item."""
     lines = []
     for row in rows:
-        one, repeated = row.variance, row.repeated
+        one_way, repeated = row.variance, row.repeated
         lines.append(
             (
                 row.item,
                 str(row.n),
                 *(
-                    (_DASH, _DASH, _DASH)
-                    if one is None
-                    else (f"{one.between_df}, {one.within_df}", _number(one.f, 2), p_value(one.p))
+                    (DASH, DASH, DASH)
+                    if one_way is None
+                    else (
+                        f"{one_way.between_df}, {one_way.within_df}",
+                        decimals(one_way.f),
+                        p_value(one_way.p),
+                    )
                 ),
                 *(
-                    (_DASH, _DASH, _DASH, _DASH)
+                    (DASH, DASH, DASH, DASH)
                     if repeated is None
                     else (
                         f"{repeated.effect_df}, {repeated.error_df}",
-                        _number(repeated.f, 2),
-                        _number(repeated.epsilon, 2),
+                        decimals(repeated.f),
+                        decimals(repeated.epsilon),
                         p_value(repeated.p_corrected),
                     )
                 ),
@@ -85,24 +85,24 @@ def variance_table(rows: Sequence[Row], *, caption: str) -> str:
 
 
 def paired_table(rows: Sequence[Row], *, caption: str) -> str:
-    """Lay out paired tests, one row an item and pair."""
+    """Write a table of paired tests, one row for each item and pair of methods."""
     lines = []
     for row in rows:
         for pair in row.paired:
-            lines.append((f"{row.item}: {_LESS.join(pair)}", *_paired_cells(row, pair)))
-    header = ("coordinate", "n", "difference", "95 % interval", "t", "p", "p (Holm)", "d_z")
+            lines.append((f"{row.item}: {_MINUS.join(pair)}", *_paired_cells(row, pair)))
+    header = ("coordinate", "n", "difference", "95 % CI", "t", "p", "p (Holm)", "d_z")
     return markup.table(header, lines, caption=caption)
 
 
 def tukey_table(rows: Sequence[Row], *, caption: str) -> str:
-    """Lay out Tukey-Kramer's tests, one row an item, one column a pair: difference and p."""
+    """Write a table of Tukey-Kramer tests, one row an item, one column a pair: difference and p."""
     pairs = list(rows[0].tukey)
     lines = [(row.item, *(_difference_and_p(row, row.tukey[pair]) for pair in pairs)) for row in rows]
-    return markup.table(("coordinate", *map(_LESS.join, pairs)), lines, caption=caption)
+    return markup.table(("coordinate", *map(_MINUS.join, pairs)), lines, caption=caption)
 
 
 def muscle_tests_table(rows: Sequence[Row], *, caption: str) -> str:
-    """Lay out paired tests of the average over muscles, and how many muscles differ."""
+    """Write a table of paired tests of the average over muscles, and the number of muscles that differ."""
     muscles = [row for row in rows if row.item != MEAN]
     lines = []
     for row in rows:
@@ -110,29 +110,25 @@ def muscle_tests_table(rows: Sequence[Row], *, caption: str) -> str:
             for pair in row.paired:
                 *cells, _holm, effect = _paired_cells(row, pair)
                 counts = [
-                    sum(_differs(one, pair) and sign * _difference(one, pair) > 0.0 for one in muscles)
+                    sum(
+                        _differs(muscle, pair) and sign * _difference(muscle, pair) > 0.0
+                        for muscle in muscles
+                    )
                     for sign in (1, -1)
                 ]
                 numbers = [f"{count} of {len(muscles)}" for count in counts]
-                lines.append((_LESS.join(pair), *cells, effect, *numbers))
-    header = ("methods", "n", "difference", "95 % interval", "t", "p", "d_z", "muscles higher", "lower")
+                lines.append((_MINUS.join(pair), *cells, effect, *numbers))
+    header = ("methods", "n", "difference", "95 % CI", "t", "p", "d_z", "muscles higher", "lower")
     return markup.table(header, lines, caption=caption)
 
 
 def shown_unit(row: Row) -> str:
-    """Name the unit in which people read a row."""
+    """Look up the unit in which a row is displayed."""
     return _SHOWN.get(row.unit, (1.0, 2, row.unit))[2]
 
 
-def p_value(p: float) -> str:
-    """Write a p value to three decimals; a dash where it is not defined."""
-    if math.isnan(p):
-        return _DASH
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
-
-
 def mean_and_deviation(row: Row, spread: Spread) -> str:
-    """Write a mean and its standard deviation in the unit people read; no deviation of a single value."""
+    """Write a mean and its standard deviation in the displayed unit; a single value has no deviation."""
     mean = _shown(row, spread.mean)
     return mean if math.isnan(spread.sd) else f"{mean} ± {_shown(row, spread.sd)}"
 
@@ -140,34 +136,34 @@ def mean_and_deviation(row: Row, spread: Spread) -> str:
 def _paired_cells(row: Row, pair: Pair) -> tuple[str, ...]:
     test = row.paired[pair]
     if test is None:
-        return (str(row.n), *[_DASH] * 6)
-    interval = _DASH if math.isnan(test.low) else f"{_shown(row, test.low)} to {_shown(row, test.high)}"
+        return (str(row.n), *[DASH] * 6)
+    interval = DASH if math.isnan(test.low) else f"{_shown(row, test.low)} to {_shown(row, test.high)}"
     return (
         str(test.n),
         _shown(row, test.difference),
         interval,
-        _number(test.t, 2),
+        decimals(test.t),
         p_value(test.p),
         p_value(row.p_holm.get(pair, math.nan)),
-        _number(test.d_z, 2),
+        decimals(test.d_z),
     )
 
 
 def _difference_and_p(row: Row, test: TukeyKramer | None) -> str:
     if test is None or math.isnan(test.p):
-        return _DASH
+        return DASH
     return f"{_shown(row, test.difference)} ({p_value(test.p)})"
 
 
 def _marked(row: Row, method: str) -> str:
-    """Mark a mean that differs from the first method's."""
+    """Write a mean with a mark if it differs significantly from the first method's."""
     first = next(iter(row.spreads))
     mark = "* " if _differs(row, (method, first)) else ""
     return f"{mark}{mean_and_deviation(row, row.spreads[method])}"
 
 
 def _differs(row: Row, pair: Pair) -> bool:
-    """Say whether a pair differs, its p value adjusted where there is a family of tests."""
+    """Determine whether a pair differs significantly, with Holm's correction where it applies."""
     test = row.paired.get(pair)
     return test is not None and row.p_holm.get(pair, test.p) < SIGNIFICANT
 
@@ -179,11 +175,7 @@ def _difference(row: Row, pair: Pair) -> float:
 
 def _shown(row: Row, value: float) -> str:
     factor, places, _ = _SHOWN.get(row.unit, (1.0, 2, row.unit))
-    return _number(factor * value, places)
-
-
-def _number(value: float, places: int) -> str:
-    return f"{value:.{places}f}" if math.isfinite(value) else _DASH
+    return decimals(factor * value, places)
 
 
 MEAN_COLUMNS = (
@@ -198,30 +190,30 @@ CYCLE_COLUMNS = ("leg", "trial", "use", "speed_m_s", "coordinate", "method", "ma
 
 
 def means_csv(rows: Sequence[Row]) -> str:
-    """Write mean and standard deviation of every quantity, one line a method."""
-    return _written(
+    """Write mean and standard deviation of every quantity as CSV, one line per method."""
+    return _csv(
         MEAN_COLUMNS,
         (
             (
-                *(row.quantity, row.use, row.speed, row.item, method, own.mean, own.sd, row.unit),
+                *(row.quantity, row.use, row.speed, row.item, method, spread.mean, spread.sd, row.unit),
                 *(row.unit_of_analysis, row.n),
             )
             for row in rows
-            for method, own in row.spreads.items()
+            for method, spread in row.spreads.items()
         ),
     )
 
 
 def differences_csv(rows: Sequence[Row]) -> str:
-    """Write every test, one line each.
+    """Write every test as CSV, one line per test.
 
-    ``p_adjusted`` is Greenhouse and Geisser's for repeated measures, Holm's over items for paired tests.
+    ``p_adjusted`` has Greenhouse and Geisser's correction for repeated measures, Holm's for paired tests.
     """
-    return _written(TEST_COLUMNS, (line for row in rows for line in _test_lines(row)))
+    return _csv(TEST_COLUMNS, (line for row in rows for line in _test_lines(row)))
 
 
 def cycles_csv(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
-    """Write the mean absolute moment error of every cycle: what tests of moment errors are made of."""
+    """Write the mean absolute moment error of every cycle as CSV: the data of the tests of moment errors."""
     lines = []
     for leg in legs:
         errors = {method: moment_errors(leg.results[method]) for method in methods}
@@ -229,10 +221,10 @@ def cycles_csv(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> str:
         for place, (trial, use, speed) in enumerate(
             zip(recorded.trials, recorded.uses, recorded.speeds.tolist(), strict=True)
         ):
-            for method, own in errors.items():
-                for coordinate, values in own.items():
+            for method, by_coordinate in errors.items():
+                for coordinate, values in by_coordinate.items():
                     lines.append((leg.label, trial, use, speed, coordinate, method, float(values[place])))
-    return _written(CYCLE_COLUMNS, lines)
+    return _csv(CYCLE_COLUMNS, lines)
 
 
 def _test_lines(row: Row) -> Iterable[tuple[Any, ...]]:
@@ -240,8 +232,8 @@ def _test_lines(row: Row) -> Iterable[tuple[Any, ...]]:
     over = (row.unit_of_analysis, row.n)
     no_difference = ("", "", "", "")
     if row.variance is not None:
-        one = row.variance
-        numbers = (one.f, one.between_df, one.within_df, one.p)
+        one_way = row.variance
+        numbers = (one_way.f, one_way.between_df, one_way.within_df, one_way.p)
         yield (*about, "anova", "", "", *over, *no_difference, *numbers, "", "")
     if row.repeated is not None:
         repeated = row.repeated
@@ -271,11 +263,11 @@ def _test_lines(row: Row) -> Iterable[tuple[Any, ...]]:
             )
 
 
-def _written(columns: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
+def _csv(columns: Sequence[str], lines: Iterable[Sequence[Any]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    # What is not defined, or not known, is an empty cell.
+    # Values that are not defined or unknown become empty cells.
     writer.writerows(
         ["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in line] for line in lines
     )

@@ -1,4 +1,4 @@
-"""Contact forces in numbers: the content of ``contact.json``, and curves as OpenSim tables."""
+"""Peaks and tests of contact forces: the content of ``contact.json``, and curves as OpenSim tables."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ SCHEMA = 1
 
 
 def describe_contact(result: ContactResult) -> dict[str, Any]:
-    """Describe contact forces as plain numbers and words.
+    """Describe contact forces as plain numbers and strings.
 
     Returns
     -------
     dict
-        Peaks in N and bodyweights with their place in the cycle in %, by run, joint and cycle; moments in
-        N m that muscles leave unexplained; tests of the second run against the first.
+        Content of ``contact.json``: peaks in N and bodyweights with their phase in %, by run, joint and
+        cycle; moments in N m that muscles leave unexplained; tests of the second run against the first.
     """
     return {
         "schema": SCHEMA,
@@ -44,19 +44,19 @@ def describe_contact(result: ContactResult) -> dict[str, Any]:
         "reason": result.reason or None,
         "joints": result.joints,
         "first_frame_phase_percent": dict(zip(result.trials, result.phase[:, 0].tolist(), strict=True)),
-        "runs": [_run(result, run) for run in result.runs],
+        "runs": [_describe_run(result, run) for run in result.runs],
         "tests": [
             {"joint": joint, "measure": measure, "test": None if test is None else asdict(test)}
             for joint, measure, test in compared_peaks(result)
         ],
         "tests_reason": tests_reason(result) or None,
-        "knee_compartments": _compartments(result),
+        "knee_compartments": _describe_compartments(result),
         "knee_compartments_reason": result.undivided_reason or None,
         "versions": package_versions(),
     }
 
 
-def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
+def _describe_run(result: ContactResult, run: RunContact) -> dict[str, Any]:
     own = run.undriven
     return {
         "run": run.label,
@@ -67,70 +67,71 @@ def _run(result: ContactResult, run: RunContact) -> dict[str, Any]:
             "treatment": own.treatment,
             "muscles": own.muscles,
             "without_force": own.without_force,
-            "peak_activation": dict(zip(own.muscles, _over_cycles(own.activation), strict=True)),
+            "peak_activation": dict(zip(own.muscles, own.activation.max(axis=(1, 2)).tolist(), strict=True)),
         },
         "unexplained_moment_rms_Nm": {
             "driven_muscles": rms_by_coordinate(result, own.residual_before),
             "all_muscles": rms_by_coordinate(result, own.residual),
         },
         "joints": {
-            joint: {measure: _peak(result, run, joint, measure) for measure in peak_windows(joint)}
+            joint: {measure: _describe_peak(result, run, joint, measure) for measure in peak_windows(joint)}
             for joint in result.joints
         },
     }
 
 
-def _compartments(result: ContactResult) -> dict[str, Any] | None:
+def _describe_compartments(result: ContactResult) -> dict[str, Any] | None:
     if result.condyle_distance is None:
         return None
     return {
         "condyle_distance_m": result.condyle_distance,
         "runs": {
             run.label: {
-                side: {"peak": _peak(result, run, compartment_name(side), "peak")} for side in COMPARTMENTS
+                side: {"peak": _describe_peak(result, run, compartment_name(side), "peak")}
+                for side in COMPARTMENTS
             }
             for run in result.runs
         },
     }
 
 
-def _peak(result: ContactResult, run: RunContact, part: str, measure: str) -> dict[str, Any]:
-    found = peaks(result.curves(run, part), result.phase, peak_windows(part)[measure])
-    relative = found.force / result.bodyweight
+def _describe_peak(result: ContactResult, run: RunContact, part: str, measure: str) -> dict[str, Any]:
+    peak = peaks(result.curves(run, part), result.phase, peak_windows(part)[measure])
+    relative = peak.force / result.bodyweight
     return {
         "mean_bodyweights": spread(relative).mean,
         "sd_bodyweights": spread(relative).sd,
-        "mean_N": spread(found.force).mean,
-        "sd_N": spread(found.force).sd,
-        "mean_phase_percent": spread(found.phase).mean,
-        "sd_phase_percent": spread(found.phase).sd,
+        "mean_N": spread(peak.force).mean,
+        "sd_N": spread(peak.force).sd,
+        "mean_phase_percent": spread(peak.phase).mean,
+        "sd_phase_percent": spread(peak.phase).sd,
         "trials": {
             trial: {"use": use, "bodyweights": float(own), "N": float(force), "phase_percent": float(phase)}
             for trial, use, own, force, phase in zip(
-                result.trials, result.uses, relative, found.force, found.phase, strict=True
+                result.trials, result.uses, relative, peak.force, peak.phase, strict=True
             )
         },
     }
 
 
 def compared_peaks(result: ContactResult) -> Iterator[tuple[str, str, PairedTest | None]]:
-    """Test each peak of the second run against that of the first, cycle by cycle, in bodyweights."""
+    """Test the peaks of the second run against those of the first, paired by cycle, in bodyweights."""
     if len(result.runs) < 2:
         return
     first, second = result.runs
     for part in result.parts:
         for measure, window in peak_windows(part).items():
-            one, other = (
+            first_peaks, second_peaks = (
                 peaks(result.curves(run, part), result.phase, window).force / result.bodyweight
                 for run in (first, second)
             )
-            yield part, measure, paired_test(other, one)
+            yield part, measure, paired_test(second_peaks, first_peaks)
 
 
 def tests_reason(result: ContactResult) -> str:
-    """Say why nothing is tested; empty where something is."""
+    """Write why peaks were not tested; empty if they were."""
     if len(result.runs) < 2:
-        return "one run alone, and nothing to compare it with"
+        return "there is only one run"
     if len(result.trials) < MINIMUM_UNITS:
         return f"fewer than {MINIMUM_UNITS} gait cycles"
     return ""
@@ -139,20 +140,15 @@ def tests_reason(result: ContactResult) -> str:
 def rms_by_coordinate(
     result: ContactResult, moments: Float[np.ndarray, "trial coordinate frame"]
 ) -> dict[str, float]:
-    """Give the root mean square over all frames of all cycles, N m."""
+    """Compute the root mean square over all frames of all cycles, N m."""
     size = np.sqrt((moments**2).mean(axis=(0, 2)))
     return dict(zip(result.coordinates, size.tolist(), strict=True))
 
 
-def _over_cycles(curves: Float[np.ndarray, "muscle trial frame"]) -> list[float]:
-    """Largest value of each muscle in any cycle."""
-    return [float(own.max()) for own in curves]
-
-
 def force_table(result: ContactResult, run: RunContact, trial: int) -> Storage:
-    """Give one cycle's contact forces, N: ``hip_force_x``, ``_y``, ``_z`` and ``hip_force``.
+    """Tabulate one cycle's contact forces, N: ``hip_force_x``, ``_y``, ``_z`` and ``hip_force``.
 
-    Where the knee's force was divided, ``medial_knee_force`` and ``lateral_knee_force`` as well.
+    If the knee force was divided, also ``medial_knee_force`` and ``lateral_knee_force``.
     """
     columns, rows = [], []
     for place, joint in enumerate(result.joints):
@@ -166,7 +162,7 @@ def force_table(result: ContactResult, run: RunContact, trial: int) -> Storage:
 
 
 def undriven_tables(result: ContactResult, run: RunContact, trial: int) -> dict[str, Storage]:
-    """Give one cycle's activations and forces of muscles without an electrode; none where they have none."""
+    """Tabulate one cycle's activations and forces of muscles without an electrode, if there are any."""
     own = run.undriven
     if not own.muscles:
         return {}

@@ -1,23 +1,25 @@
-"""Groups of gait cycles that are drawn together, their mean and spread, and how a panel shows them."""
+"""Groups of gait cycles, their mean and standard deviation, and panels that show curves over the cycle."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.report.style import BAND_ALPHA, Axes
+from wrapjax.report.formatting import counted
+from wrapjax.report.style import BAND_ALPHA, PAGE_WIDTH, Axes, Figure, panel_grid
 
 
 @runtime_checkable
 class MomentCurves(Protocol):
-    """Joint moments (N m) of gait cycles: a `CalibrationResult`, or what was read back from a folder."""
+    """Joint moments (N m) of gait cycles: a `CalibrationResult` or curves that were read from a folder."""
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names along the axis of coordinates."""
+        """Names of the coordinates."""
         ...
 
     @property
@@ -27,35 +29,35 @@ class MomentCurves(Protocol):
 
     @property
     def uses(self) -> tuple[str, ...]:
-        """``calibration`` or ``validation``, one a cycle."""
+        """``calibration`` or ``validation`` for each cycle."""
         ...
 
     @property
     def speeds(self) -> Float[np.ndarray, " trial"]:
-        """In m/s, NaN where unknown."""
+        """Walking speed of each cycle, m/s; NaN where unknown."""
         ...
 
     @property
     def measured(self) -> Float[np.ndarray, "trial coordinate frame"]:
-        """By inverse dynamics."""
+        """Moments by inverse dynamics, N m."""
         ...
 
     @property
     def modelled(self) -> Float[np.ndarray, "trial coordinate frame"]:
-        """From EMG."""
+        """Moments predicted by the model from EMG, N m."""
         ...
 
 
 @dataclass(frozen=True)
 class CycleGroup:
-    """Cycles that one line stands for.
+    """Cycles that are averaged in one line.
 
     Parameters
     ----------
     label
-        What they have in common; empty if they are all there are.
+        Property that the cycles share; empty if the group holds all cycles.
     keep
-        Which cycles.
+        Whether each cycle belongs to the group.
     """
 
     label: str
@@ -63,14 +65,13 @@ class CycleGroup:
 
     @property
     def count(self) -> str:
-        """Number of cycles in words."""
-        number = int(self.keep.sum())
-        return f"{number} cycle{'' if number == 1 else 's'}"
+        """Number of cycles with its noun."""
+        return counted(int(self.keep.sum()), "cycle")
 
 
 def groups_by_speed(speeds: Float[np.ndarray, " trial"], *, most: int) -> list[CycleGroup]:
-    """Group the cycles by walking speed; all in one group where there are more than ``most`` speeds."""
-    different = np.unique(speeds)  # NaNs count as one, the last
+    """Group the cycles by walking speed; one group of all if there are more than ``most`` speeds."""
+    different = np.unique(speeds)  # NaNs count as one value, the last
     if not 2 <= len(different) <= most:
         return [CycleGroup("", np.ones(len(speeds), dtype=bool))]
     return [
@@ -82,7 +83,7 @@ def groups_by_speed(speeds: Float[np.ndarray, " trial"], *, most: int) -> list[C
 
 
 def groups_by_speed_and_use(result: MomentCurves, *, most_speeds: int) -> list[CycleGroup]:
-    """Group the cycles by speed and, within a speed, by use; groups without cycles are left out."""
+    """Group the cycles by speed and, within a speed, by use; groups without cycles are omitted."""
     groups = []
     for speed in groups_by_speed(result.speeds, most=most_speeds):
         for use in ("calibration", "validation"):
@@ -94,7 +95,7 @@ def groups_by_speed_and_use(result: MomentCurves, *, most_speeds: int) -> list[C
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean over cycles and one standard deviation to either side; both are the mean of a single cycle."""
+    """Mean over cycles and mean plus or minus one standard deviation, which is zero for a single cycle."""
 
     mean: Float[np.ndarray, " frame"]
     low: Float[np.ndarray, " frame"]
@@ -102,14 +103,17 @@ class Spread:
 
 
 def spread(curves: Float[np.ndarray, "trial frame"]) -> Spread:
-    """Summarize a curve over cycles, point by point of the gait cycle."""
+    """Compute mean and sample standard deviation over cycles at each point of the gait cycle."""
     mean = curves.mean(axis=0)
     deviation = curves.std(axis=0, ddof=1) if len(curves) > 1 else np.zeros_like(mean)
     return Spread(mean, mean - deviation, mean + deviation)
 
 
 def mark_gait_cycle(panel: Axes, step: int) -> None:
-    """Mark 0 to 100 %; the outer labels stay inside, or those of neighbors meet."""
+    """Make a panel's horizontal axis the gait cycle from 0 to 100 % with ticks every ``step`` %.
+
+    The outer tick labels are aligned inwards, because those of neighboring panels would overlap.
+    """
     panel.set_xlim(0, 100)
     panel.set_xticks(range(0, 101, step))
     ticks = panel.xaxis.get_major_ticks()
@@ -117,8 +121,53 @@ def mark_gait_cycle(panel: Axes, step: int) -> None:
     ticks[-1].label1.set_horizontalalignment("right")
 
 
+def label_gait_cycles(
+    panels: Sequence[Axes], columns: int, *, y: str = "", x: str = "gait cycle (%)", step: int = 20
+) -> None:
+    """Make the horizontal axis of all panels of a grid the gait cycle.
+
+    Parameters
+    ----------
+    panels, columns
+        Panels row by row, and number of columns.
+    y, x
+        Axis labels of the first panel of each row and of the last panel of each column.
+    step
+        Distance of ticks, %.
+    """
+    for number, panel in enumerate(panels):
+        if y and number % columns == 0:
+            panel.set_ylabel(y)
+        if number >= len(panels) - columns:
+            panel.set_xlabel(x)
+        mark_gait_cycle(panel, step)
+
+
+def moment_grid(coordinates: int, groups: int, *, panel_height: float) -> tuple[Figure, list[Axes], int]:
+    """Make panels for moments: one row a coordinate and one column a group of cycles.
+
+    Where there is one group, up to three coordinates are side by side.
+
+    Returns
+    -------
+    figure, panels, columns
+        Panels in the order of coordinates and, within a coordinate, of groups.
+    """
+    single = groups == 1
+    columns = min(3, coordinates) if single else groups
+    figure, panels = panel_grid(
+        coordinates * groups,
+        columns,
+        width=PAGE_WIDTH if columns > 1 else PAGE_WIDTH / 2,
+        panel_height=panel_height,
+        sharex=True,
+        sharey=False if single else "row",
+    )
+    return figure, panels, columns
+
+
 def draw_spread(panel: Axes, curves: Float[np.ndarray, "trial frame"], color: str, label: str) -> None:
-    """Draw the mean over cycles and a band of one standard deviation."""
+    """Draw the mean over cycles and a band of plus and minus one standard deviation."""
     shape = spread(curves)
     percent = np.linspace(0.0, 100.0, len(shape.mean))
     if len(curves) > 1:

@@ -1,7 +1,4 @@
-"""Which effect explains the error best: what each would do to the moments, and the evidence for it.
-
-Which effects this recording can tell apart, and what to record to tell the others.
-"""
+"""Report sections of a diagnosis on effects: their changes of the moments, their evidence, and ties."""
 
 from __future__ import annotations
 
@@ -10,63 +7,68 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.result import Advice, DiagnosisResult, EffectFinding
+from wrapjax.diagnosis.advice import Advice
+from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding
 from wrapjax.report import markup
+from wrapjax.report.cycle_panels import label_gait_cycles
 from wrapjax.report.diagnosis_numbers import at_speed, speed_label
-from wrapjax.report.diagnosis_words import effect_sizes_in_words, listed, loud_controls, meaning, words
-from wrapjax.report.moment_curves import mark_gait_cycle
+from wrapjax.report.diagnosis_words import (
+    effect_list,
+    effect_meaning,
+    effect_names,
+    effect_sizes_in_words,
+    positive_controls,
+)
+from wrapjax.report.formatting import DASH, counted, decimals, readable
 from wrapjax.report.style import (
     BAND_ALPHA,
     BLACK,
     BLUE,
     GREEN,
-    LIGHT_GRAY,
     PAGE_WIDTH,
     VERMILION,
     Figure,
-    counted,
-    decimals,
+    draw_zero_line,
     in_style,
+    legend_above,
     new_figure,
     panel_grid,
-    plain,
 )
 
-#: As many fitted effects are drawn, the most probable ones, in these colors.
+#: Colors of the refitted effects that are drawn, the most probable ones.
 DRAWN_COLORS = (BLUE, VERMILION, GREEN)
+# Number of effects in the visible part of the table.
 _MOST_OPEN = 10
-_DASH = "\N{EN DASH}"
 _HEADER = (
     *("effect", "probability", "evidence (nats)"),
-    *("detectability (sd)", "amounts", "what to make of it"),
+    *("detectability (SD)", "effect sizes", "assessment"),
 )
 
 
-def signature_section(result: DiagnosisResult) -> list[str]:
-    """Write the part of the report on what fitted effects add; nothing where none was fitted."""
-    drawn = result.alternatives[: len(DRAWN_COLORS)]
+def signature_section(result: DiagnosisResult) -> str:
+    """Write the report section on moments added by refitted effects; empty if no effect was refitted."""
+    drawn = result.refits[: len(DRAWN_COLORS)]
     if not drawn:
-        return []
-    names = "; ".join(words(one.ids) for one in drawn)
-    return [
-        markup.section(
-            "What the model lacks, and what effects add",
-            markup.picture(
-                signature_figure(result),
-                alternative=f"Mean moment error over the gait cycle beside what these add: {names}.",
-                caption="Black: measured less predicted moment in N m, mean over cycles that the plain model "
-                "was not fitted to, with a 95 % interval of that mean (Student's t). Colors: what the model "
-                "with an effect predicts beyond the plain one. An effect that explains the error follows the "
-                "black line, at every coordinate and at every speed; where the band holds zero there is "
-                "nothing to explain. Scales differ between coordinates.",
-            ),
-        )
-    ]
+        return ""
+    names = "; ".join(effect_names(refit.ids) for refit in drawn)
+    return markup.section(
+        "Moment error, and moments added by effects",
+        markup.picture(
+            signature_figure(result),
+            alternative="Mean moment error over the gait cycle, and moments added by these effects: "
+            f"{names}.",
+            caption="Black: measured minus predicted moment in N m, mean over held-out cycles, with the 95 "
+            "% confidence interval of the mean (Student's t). Colors: moment predicted by the model with an "
+            "effect minus that of the plain model. An effect that explains the error follows the black line "
+            "at every coordinate and at every speed; where the band includes zero, the error does not differ "
+            "significantly from zero. Scales differ between coordinates.",
+        ),
+    )
 
 
 @in_style
 def signature_figure(result: DiagnosisResult) -> Figure:
-    """Draw the mean residual and what fitted effects add, one row a coordinate, one column a speed."""
+    """Draw the mean residual and moments added by effects, one row a coordinate, one column a speed."""
     speeds = np.unique(result.speeds).tolist()  # NaNs count as one, the last
     count = len(speeds) * len(result.coordinates)
     figure, panels = panel_grid(
@@ -78,27 +80,24 @@ def signature_figure(result: DiagnosisResult) -> Figure:
         keep = at_speed(result.speeds, speeds[column])
         residual = (result.measured - result.plain)[keep, row]
         mean, half = residual.mean(axis=0), half_interval(residual)
-        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+        draw_zero_line(panel)
         panel.fill_between(percent, mean - half, mean + half, color=BLACK, alpha=BAND_ALPHA, linewidth=0)
-        panel.plot(percent, mean, color=BLACK, label="measured less plain model")
-        for alternative, color in zip(result.alternatives, DRAWN_COLORS, strict=False):
-            added = (alternative.predicted - result.plain)[keep, row].mean(axis=0)
-            panel.plot(percent, added, color=color, label=words(alternative.ids))
+        panel.plot(percent, mean, color=BLACK, label="measured minus plain model")
+        for refit, color in zip(result.refits, DRAWN_COLORS, strict=False):
+            added = (refit.predicted - result.plain)[keep, row].mean(axis=0)
+            panel.plot(percent, added, color=color, label=effect_names(refit.ids))
         if row == 0:
             title = f"{speed_label(speeds[column])} ({counted(int(keep.sum()), 'cycle')})"
             panel.set_title(title, loc="left", fontweight="bold")
         if column == 0:
             panel.set_ylabel(f"{result.coordinates[row]}\n(N m)", parse_math=False)
-        if number >= count - len(speeds):
-            panel.set_xlabel("gait cycle (%)")
-        mark_gait_cycle(panel, step=20)
-    labels = panels[0].get_legend_handles_labels()
-    figure.legend(*labels, loc="outside upper left", ncols=len(labels[1]))
+    label_gait_cycles(panels, len(speeds))
+    legend_above(figure, panels[0])
     return figure
 
 
 def half_interval(curves: Float[np.ndarray, "cycle frame"]) -> Float[np.ndarray, " frame"]:
-    """Give half the 95 % interval of a mean over cycles, point by point; NaN of a single cycle."""
+    """Compute half the 95 % confidence interval of a mean over cycles in each frame; NaN for one cycle."""
     from scipy.special import stdtrit
 
     count = len(curves)
@@ -107,101 +106,103 @@ def half_interval(curves: Float[np.ndarray, "cycle frame"]) -> Float[np.ndarray,
     return stdtrit(count - 1, 0.975) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
 
-def evidence_section(result: DiagnosisResult) -> list[str]:
-    """Write the part of the report on the evidence; nothing where no effect was scored."""
+def evidence_section(result: DiagnosisResult) -> str:
+    """Write the report section on the evidence for each effect; empty if no effect was scored."""
     if not result.effects:
-        return []
-    lines = [_line(effect) for effect in result.effects]
+        return ""
+    rows = [_effect_row(effect) for effect in result.effects]
     rest = [
-        ("nothing amiss", decimals(result.none_probability), *[_DASH] * 4),
-        ("not in the catalogue", decimals(result.unknown_probability), *[_DASH] * 4),
+        ("no effect", decimals(result.none_probability), *[DASH] * 4),
+        ("not in the catalogue", decimals(result.unknown_probability), *[DASH] * 4),
     ]
     detection_threshold = (
-        f" Data without any effect exceed {result.detection_threshold:.1f} nats in few cases (alarm level)."
+        f" The detection threshold, which few null replicates exceed, is {result.detection_threshold:.1f} "
+        "nats."
         if math.isfinite(result.detection_threshold)
         else ""
     )
     caption = (
-        "All effects that these data can test, the most probable first; probabilities of all rows sum to "
-        "one. Evidence: natural logarithm of how much likelier the error is with the effect than without (3: "
-        f"20 times as likely), above zero speaks for it.{detection_threshold} "
-        "Detectability: in standard deviations, of an effect of expected size; below 2 "
-        "this recording could not show it. Amounts: most plausible value ± standard deviation. Names in "
-        "files have underscores for blanks; the last two are none and unknown there."
+        "All effects that these data can test, the most probable first; the probabilities of all rows sum to "
+        "one. Evidence: log Bayes factor, the natural logarithm of the ratio of the likelihood of the error "
+        "with the effect to that without it (3: 20 times as likely); values above zero support the "
+        f"effect.{detection_threshold} Detectability: signal-to-noise ratio of an effect of expected size, "
+        "in standard deviations; below 2, this recording could not show the effect. Effect sizes: most "
+        "plausible value ± standard deviation. Ids in files have underscores instead of spaces; the last two "
+        "rows are none and unknown there."
     )
-    parts = [markup.table(_HEADER, lines[:_MOST_OPEN] + rest, caption=caption)]
-    if hidden := lines[_MOST_OPEN:]:
-        table = markup.table(_HEADER, hidden, caption="The same of the others.")
+    parts = [markup.table(_HEADER, rows[:_MOST_OPEN] + rest, caption=caption)]
+    if hidden := rows[_MOST_OPEN:]:
+        table = markup.table(_HEADER, hidden, caption="Less probable effects, columns as above.")
         parts.append(markup.folded(f"{counted(len(hidden), 'less probable effect')}", table))
-    glossary = markup.bullets(meaning(effect.id) for effect in result.effects)
-    parts.append(markup.folded("What each effect means", glossary))
-    return [markup.section("Evidence for each effect", *_controls(result), *parts)]
+    meanings = markup.bullets(effect_meaning(effect.id) for effect in result.effects)
+    parts.append(markup.folded("Meaning of each effect", meanings))
+    return markup.section("Evidence for each effect", *_controls(result), *parts)
 
 
 def _controls(result: DiagnosisResult) -> list[str]:
     controls = [effect for effect in result.effects if effect.negative_control]
     if not controls:
         return []
-    loud = loud_controls(result)
-    names = ", ".join(plain(effect.id) for effect in (loud or controls))
+    false_positives = positive_controls(result)
+    names = effect_list(effect.id for effect in (false_positives or controls))
     return [
         markup.paragraph(
-            f"Negative controls, which must stay quiet in such a recording, did not: {names}."
-            if loud
-            else f"Negative controls ({names}) stay quiet, as they must in such a recording."
+            "Evidence for negative controls, which cannot be present in such a recording, exceeds the "
+            f"detection threshold: {names}."
+            if false_positives
+            else "As expected, the evidence for negative controls, which cannot be present in such a "
+            f"recording, does not exceed the detection threshold ({names})."
         )
     ]
 
 
-def _line(effect: EffectFinding) -> tuple[str, ...]:
+def _effect_row(effect: EffectFinding) -> tuple[str, ...]:
     mark = " (negative control)" if effect.negative_control else ""
     return (
-        plain(effect.id) + mark,
+        readable(effect.id) + mark,
         decimals(effect.probability),
-        *map(_one_decimal, (effect.evidence, effect.detectability)),
+        decimals(effect.evidence, 1),
+        decimals(effect.detectability, 1),
         effect_sizes_in_words(effect.effect_sizes),
         effect.decision,
     )
 
 
-def _one_decimal(value: float) -> str:
-    return _DASH if not math.isfinite(value) else f"{value:.1f}"
-
-
-#: Squared standard deviations of an effect that another cannot imitate: below (three standard deviations),
-#: it can stand in for it.
+#: Part of an effect that another cannot reproduce, in squared standard deviations, below which the two cannot
+#: be distinguished (three standard deviations).
 BORDER = 9.0
-# More rows than these cannot be read.
+# Largest number of effects for which the numbers in the map are readable.
 _MOST_EFFECTS = 14
+# Range of the color scale.
 _LEAST, _MOST = 0.1, 810.0
 
 
-def ties_section(result: DiagnosisResult) -> list[str]:
-    """Write the part of the report on ties; nothing where there is neither a map nor advice."""
-    ids, likeness = _shown(result)
+def ties_section(result: DiagnosisResult) -> str:
+    """Write the report section on ties; empty if there is neither a map nor advice."""
+    ids, likeness = _most_probable(result)
     parts = []
     if len(ids) > 1:
         alike = alike_pairs(ids, likeness)
-        pairs = "; ".join(f"{plain(one)} and {plain(other)}" for one, other in alike) or "none"
+        pairs = "; ".join(f"{readable(first)} and {readable(second)}" for first, second in alike) or "none"
         parts.append(
             markup.picture(
                 ties_figure(ids, likeness),
-                alternative="Map of how much of each effect another cannot imitate. Not told apart: "
-                f"{pairs}.",
-                caption="How much of the effect in a row the effect in a column cannot imitate, in squared "
-                "standard deviations (logarithmic scale). Red and bold, below 9 (three standard "
-                "deviations): it can stand in for it. Two effects that are red both ways cannot be told "
-                f"apart by this recording. Not told apart here: {pairs}.",
+                alternative="Map of the part of each effect that another cannot reproduce. Not "
+                f"distinguishable: {pairs}.",
+                caption="Part of the effect in a row that the effect in a column cannot reproduce, in "
+                "squared standard deviations (logarithmic scale). Red and bold, below 9 (three standard "
+                "deviations): the effect in the column can replace the effect in the row. This recording "
+                f"cannot distinguish two effects that are red in both directions: {pairs}.",
             )
         )
     if result.advice:
-        parts.append(markup.paragraph("What to record to tell them apart:"))
+        parts.append(markup.paragraph("Recordings that would distinguish effects:"))
         parts.append(markup.bullets(map(_advice, result.advice)))
-    return [markup.section("What can be told apart", *parts)] if parts else []
+    return markup.section("Which effects can be distinguished", *parts) if parts else ""
 
 
 def alike_pairs(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect"]) -> list[tuple[str, str]]:
-    """Name the pairs of effects that can imitate each other."""
+    """List the pairs of effects of which each can reproduce the other."""
     return [
         (ids[row], ids[column])
         for row in range(len(ids))
@@ -212,15 +213,15 @@ def alike_pairs(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect
 
 @in_style
 def ties_figure(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect"]) -> Figure:
-    """Draw how much of each effect (row) each other one (column) cannot imitate."""
+    """Draw the part of each effect (row) that each other effect (column) cannot reproduce."""
     from matplotlib.colors import LogNorm
 
     count = len(ids)
-    names = [plain(id) for id in ids]
+    names = [readable(id) for id in ids]
     figure = new_figure(0.5 * count + 4.2, 0.36 * count + 2.4)
     panel = figure.subplots()
     values = np.where(np.eye(count, dtype=bool), np.nan, np.clip(likeness, _LEAST, _MOST))
-    # The palette's middle is the border, so its two colors are the two answers.
+    # The border is in the middle of the color map, so its two colors show on which side a value is.
     norm = LogNorm(BORDER**2 / _MOST, _MOST)
     panel.set_facecolor("#EDEDED")
     image = panel.pcolormesh(values, cmap="RdBu", norm=norm, edgecolor="white", linewidth=0.6)
@@ -244,18 +245,18 @@ def ties_figure(ids: tuple[str, ...], likeness: Float[np.ndarray, "effect effect
     panel.set_ylim(count, 0)
     panel.tick_params(length=0)
     panel.spines[["left", "bottom"]].set_visible(False)
-    panel.set_ylabel("how much of this effect")
-    panel.set_xlabel("this one cannot imitate")
-    bar = figure.colorbar(image, label="not imitated\n(squared standard deviations)", aspect=14)
-    bar.set_ticks([0.1, 1.0, BORDER, 100.0], labels=["0.1", "1", "9: border", "100"])
+    panel.set_ylabel("part of this effect")
+    panel.set_xlabel("that this effect cannot reproduce")
+    bar = figure.colorbar(image, label="not reproduced\n(squared standard deviations)", aspect=14)
+    bar.set_ticks([0.1, 1.0, BORDER, 100.0], labels=["0.1", "1", "9: limit", "100"])
     bar.minorticks_off()
     bar.ax.axhline(BORDER, color="black", linewidth=1.0)
     return figure
 
 
-def _shown(result: DiagnosisResult) -> tuple[tuple[str, ...], Float[np.ndarray, "shown shown"]]:
-    """Keep the most probable effects of the map."""
-    ids, likeness = result.likeness
+def _most_probable(result: DiagnosisResult) -> tuple[tuple[str, ...], Float[np.ndarray, "shown shown"]]:
+    """Select the most probable effects of the map."""
+    ids, likeness = result.distinguishability
     probability = {effect.id: effect.probability for effect in result.effects}
     order = sorted(range(len(ids)), key=lambda row: -probability.get(ids[row], 0.0))[:_MOST_EFFECTS]
     return tuple(ids[row] for row in order), likeness[np.ix_(order, order)]
@@ -264,4 +265,4 @@ def _shown(result: DiagnosisResult) -> tuple[tuple[str, ...], Float[np.ndarray, 
 def _advice(advice: Advice) -> str:
     cycles = "" if advice.cycles is None else f", {counted(advice.cycles, 'cycle')} for odds of 20 to 1"
     experiment = advice.experiment[:1].upper() + advice.experiment[1:]
-    return f"{experiment} ({advice.minutes} min{cycles}): tells apart {listed(advice.splits)}."
+    return f"{experiment} ({advice.minutes} min{cycles}): distinguishes {effect_list(advice.splits)}."

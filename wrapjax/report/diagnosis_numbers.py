@@ -1,7 +1,4 @@
-"""How far the error shrinks: which fitted effects an outcome speaks of, and what they leave.
-
-A diagnosis in numbers: the content of ``gap.json``, and its moments as OpenSim tables.
-"""
+"""Numerical results of a diagnosis: the content of ``gap.json``, and moments as OpenSim tables."""
 
 from __future__ import annotations
 
@@ -12,70 +9,68 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.diagnosis.error_budget import BIN_PERCENT, Budget
-from wrapjax.diagnosis.result import (
-    Alternative,
-    ConvergenceCheck,
-    DiagnosisResult,
-    EffectFinding,
-    Estimate,
-)
+from wrapjax.diagnosis.baseline import ConvergenceCheck
+from wrapjax.diagnosis.localization import BIN_PERCENT, ErrorBudget
+from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding
+from wrapjax.diagnosis.verification import VerifiedRefit
 from wrapjax.evaluation.metrics import moment_errors, pooled_mae
 from wrapjax.io.storage import Storage
 from wrapjax.report.run_summary import file_stems
 from wrapjax.subject.subject import Subject
 
-#: Where shrinkage is told, as fields of `Alternative`.
+#: Kinds of held-out data for which shrinkage is estimated, as fields of `Alternative`.
 HELD_OUT = ("held_out_cycles", "held_out_speed")
 
 
-def leading(result: DiagnosisResult) -> tuple[Alternative, ...]:
-    """Give the fitted effects that the outcome speaks of: what it names, all of a tie, else the best one."""
+def reported_refits(result: DiagnosisResult) -> tuple[VerifiedRefit, ...]:
+    """List the refitted effects to which the outcome refers: named, all of a tie, otherwise the best one."""
     if result.outcome == "tie":
         members = {id for tie in result.ties for id in tie}
-        tied = tuple(one for one in result.alternatives if len(one.ids) == 1 and one.ids[0] in members)
+        tied = tuple(refit for refit in result.refits if len(refit.ids) == 1 and refit.ids[0] in members)
         if tied:
             return tied
-    named = tuple(one for one in result.alternatives if set(one.ids) == set(result.named))
-    return named[:1] or result.alternatives[:1]
+    named = tuple(refit for refit in result.refits if set(refit.ids) == set(result.named))
+    return named[:1] or result.refits[:1]
 
 
-def best(result: DiagnosisResult) -> Alternative | None:
-    """Give the first of them: its moments are those of the model after."""
-    return next(iter(leading(result)), None)
+def first_refit(result: DiagnosisResult) -> VerifiedRefit | None:
+    """Select the refitted effect whose moments are reported as ``after``; None if no effect was refitted."""
+    return next(iter(reported_refits(result)), None)
 
 
 def shrinkage(result: DiagnosisResult, which: str) -> list[Estimate]:
-    """Give the share of the explainable error that each of them removes, those that can be told.
+    """List the known shares of the explainable error that the reported refits remove.
 
     Parameters
     ----------
     result
-        With its alternatives.
+        Result of the diagnosis.
     which
-        One of `HELD_OUT`.
+        Kind of held-out data, one of `HELD_OUT`.
     """
-    return [own for one in leading(result) if (own := getattr(one, which)).known]
+    estimates = (getattr(refit, which) for refit in reported_refits(result))
+    return [estimate for estimate in estimates if estimate.known]
 
 
 def why_no_shrinkage(result: DiagnosisResult, which: str) -> str:
-    """Say why it cannot be told of any of them; empty where it can of one."""
+    """Write why no reported refit has a known shrinkage; empty if one has."""
     if shrinkage(result, which):
         return ""
-    first = best(result)
+    first = first_refit(result)
     return "no effect was fitted" if first is None else getattr(first, which).reason
 
 
 def mean_absolute_errors(result: DiagnosisResult) -> dict[str, dict[str, float]]:
-    """Give mean absolute errors of cycles that no fit has seen, N m, by coordinate and (``mean``) over them.
+    """Compute mean absolute errors of held-out cycles, N m, by coordinate and averaged (``mean``).
 
     Returns
     -------
     dict
-        ``before``: of the plain model; ``after``: with the best explanation; ``floor``: what noise alone
-        would leave. NaN where it cannot be told.
+        ``before``: plain model; ``after``: with the best explanation; ``floor``: error that noise alone
+        would leave. NaN where unknown.
     """
-    after = best(result)
+    after = first_refit(result)
     return {
         "before": _pooled(result, result.plain),
         "after": _unknown(result) if after is None else _pooled(result, after.predicted),
@@ -84,12 +79,12 @@ def mean_absolute_errors(result: DiagnosisResult) -> dict[str, dict[str, float]]
 
 
 def at_speed(speeds: Float[np.ndarray, " cycle"], speed: float) -> Bool[np.ndarray, " cycle"]:
-    """Mark the cycles walked at a speed, m/s; NaN stands for those whose speed is not given."""
+    """Mark the cycles at a walking speed, m/s; NaN selects cycles without a given speed."""
     return np.isnan(speeds) if math.isnan(speed) else speeds == speed
 
 
 def speed_label(speed: float) -> str:
-    """Say a speed in words."""
+    """Write a walking speed with its unit."""
     return "speed not given" if math.isnan(speed) else f"{speed:g} m/s"
 
 
@@ -104,11 +99,11 @@ def _unknown(result: DiagnosisResult) -> dict[str, float]:
     return dict.fromkeys((*result.coordinates, "mean"), math.nan)
 
 
-def _floor(result: DiagnosisResult, budget: Budget) -> dict[str, float]:
-    """Give the mean absolute value of noise with these mean squares.
+def _floor(result: DiagnosisResult, budget: ErrorBudget) -> dict[str, float]:
+    """Compute the mean absolute value of the noise from its mean squares.
 
-    Noise is taken for normal, whose mean absolute value is sqrt(2 / pi) of its deviation. Each bin has its
-    own, as noise comes and goes over the gait cycle; where its estimate fell below zero there is none.
+    Noise is assumed to be normal, with a mean absolute value of sqrt(2 / pi) times its standard deviation.
+    The deviation is that of each bin, because noise varies over the gait cycle; zero for negative estimates.
     """
     deviation = np.sqrt(np.maximum(budget.noise, 0.0))
     floor = np.sqrt(2.0 / np.pi) * deviation.mean(axis=(0, 2))
@@ -118,20 +113,20 @@ def _floor(result: DiagnosisResult, budget: Budget) -> dict[str, float]:
 #: Version of the layout of ``gap.json``.
 SCHEMA = 1
 
-# Frames closer in time than this (s) are one: times in files have so many digits.
+# Frames closer in time than this (s) are identical, given the digits of times in files.
 _SAME_TIME = 1e-6
 
 
 def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, Any]:
-    """Describe a diagnosis as plain numbers and words.
+    """Describe a diagnosis as plain numbers and strings.
 
     Returns
     -------
     dict
-        The contract's keys; NaN stands for what is written as null. Of ``effects`` the last two are
-        ``none`` and ``unknown``, so that probabilities sum to one. Beyond the contract: why things are
-        null (``reason``), what was left out on request, parts of the error by coordinate in (N m)^2, all
-        effects that were fitted, and how far the plain model can be trusted.
+        Content of ``gap.json``; NaN is written as null. The last two of ``effects`` are ``none`` and
+        ``unknown``, so that probabilities sum to one. Besides the guaranteed keys: reasons for null values
+        (``reason``), withheld effects, parts of the error by coordinate in (N m)^2, all refitted effects,
+        and the convergence check.
     """
     files = file_stems(tuple(dict.fromkeys(result.recordings)))
     return {
@@ -147,7 +142,7 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
             _no_effect("none", result.none_probability),
             _no_effect("unknown", result.unknown_probability),
         ],
-        "where": where(result),
+        "where": error_locations(result),
         "explainable_share": _estimate(result.explainable_share),
         "shrinkage": _shrinkage(result),
         "mae_Nm": mean_absolute_errors(result),
@@ -161,7 +156,7 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
             )
         },
         "budget_Nm2": None if result.budget is None else _budget(result, result.budget),
-        "alternatives": [_alternative(one) for one in result.alternatives],
+        "alternatives": list(map(_describe_refit, result.refits)),
         "shares": result.shares,
         "alarm_nats": result.detection_threshold,
         "global_p": result.global_p,
@@ -170,19 +165,19 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
     }
 
 
-def where(result: DiagnosisResult) -> list[dict[str, Any]]:
-    """List every coordinate, bin and speed with its error in N m, what repeats most first.
+def error_locations(result: DiagnosisResult) -> list[dict[str, Any]]:
+    """List every coordinate, phase bin and speed with its error in N m, largest repeatable error first.
 
-    Explainable is what repeats: see `repeatable_error_map`. There are no shares of it where there is none.
+    Explainable error is repeatable error (see `repeatable_error_map`). Its shares are NaN if it is zero.
     """
     budget = result.budget
     if budget is None:
         return []
-    whole = float(np.sum(result.map**2))
-    shares = result.map**2 / whole if whole > 0.0 else np.full_like(result.map, np.nan)
-    rms = root(budget.total)
+    total = float(np.sum(result.error_map**2))
+    shares = result.error_map**2 / total if total > 0.0 else np.full_like(result.error_map, np.nan)
+    rms = np.sqrt(np.maximum(budget.total, 0.0))  # estimates of mean squares can be below zero by chance
     rows = []
-    for place in np.argsort(-result.map, axis=None, kind="stable"):
+    for place in np.argsort(-result.error_map, axis=None, kind="stable"):
         speed, coordinate, number = np.unravel_index(place, shares.shape)
         rows.append(
             {
@@ -190,38 +185,33 @@ def where(result: DiagnosisResult) -> list[dict[str, Any]]:
                 "phase_percent": [int(number) * BIN_PERCENT, (int(number) + 1) * BIN_PERCENT],
                 "speed_m_s": float(result.budget_speeds[speed]),
                 "rms_Nm": float(rms.flat[place]),
-                "explainable_rms_Nm": float(result.map.flat[place]),
+                "explainable_rms_Nm": float(result.error_map.flat[place]),
                 "share_of_gap": float(shares.flat[place]),
             }
         )
     return rows
 
 
-def root(mean_squares: Float[np.ndarray, "*axes"]) -> Float[np.ndarray, "*axes"]:
-    """Take roots of mean squares; of those below zero, which only chance makes, zero."""
-    return np.sqrt(np.maximum(mean_squares, 0.0))
-
-
 def moment_table(result: DiagnosisResult, recording: str) -> Storage:
-    """Give the moments of a recording's cycles in N m.
+    """Tabulate the moments of a recording's cycles in N m.
 
-    ``<coordinate>_moment`` as measured, ``_before`` and ``_after``. What was not predicted (nothing was
-    fitted, or not to these cycles) has no column: tables that OpenSim reads hold finite numbers. Where one
-    cycle begins as another ends, that frame is the earlier one's.
+    ``<coordinate>_moment`` is measured, ``_before`` and ``_after`` are predicted. Moments that were not
+    predicted (no fit, or not of these cycles) have no column, because OpenSim reads only finite numbers. A
+    frame that two adjacent cycles share is that of the earlier cycle.
     """
     cycles = [number for number, name in enumerate(result.recordings) if name == recording]
     cycles.sort(key=lambda number: float(result.time[number, 0]))
-    after = best(result)
+    after = first_refit(result)
     curves = {"": result.measured, "_before": result.plain}
     if after is not None:
         curves["_after"] = after.predicted
-    kept = {suffix: own for suffix, own in curves.items() if np.isfinite(own[cycles]).all()}
-    columns = tuple(f"{name}_moment{suffix}" for suffix in kept for name in result.coordinates)
+    finite = {suffix: curve for suffix, curve in curves.items() if np.isfinite(curve[cycles]).all()}
+    columns = tuple(f"{name}_moment{suffix}" for suffix in finite for name in result.coordinates)
     time = np.concatenate(result.time[cycles])
-    joined = [np.concatenate(list(own[cycles]), axis=-1) for own in kept.values()]
+    joined = [np.concatenate(list(curve[cycles]), axis=-1) for curve in finite.values()]
     values = np.concatenate(joined) if joined else np.zeros((0, len(time)))
-    ahead = np.maximum.accumulate(np.append(-np.inf, time[:-1]))
-    forward = time > ahead + _SAME_TIME
+    latest = np.maximum.accumulate(np.append(-np.inf, time[:-1]))
+    forward = time > latest + _SAME_TIME
     return Storage(f"joint moments (N m) of {recording}", columns, time[forward], values.T[forward])
 
 
@@ -238,7 +228,7 @@ def _effect(finding: EffectFinding) -> dict[str, Any]:
 
 
 def _no_effect(id: str, probability: float) -> dict[str, Any]:
-    """Give a row of what has only a probability, with the keys of all rows."""
+    """Describe a hypothesis that has only a probability, with the keys of all effects."""
     nothing = dict.fromkeys(("evidence_nats", "detectability", "decision"))
     return {"id": id, "probability": probability, **nothing, "negative_control": False, "parameters": []}
 
@@ -253,29 +243,32 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
 
 
 def _shrinkage(result: DiagnosisResult) -> dict[str, Any]:
-    """Give the shrinkage of what the outcome speaks of; of a tie, the range over its members."""
-    told: dict[str, Any] = {"of": [one.ids for one in leading(result)]}
+    """Describe the shrinkage by the reported refits; for a tie, the range over its members."""
+    described: dict[str, Any] = {"of": [refit.ids for refit in reported_refits(result)]}
     for which in HELD_OUT:
         known, reason = shrinkage(result, which), why_no_shrinkage(result, which)
         if not known:
-            told[which] = _estimate(Estimate.unknown(reason))
+            described[which] = _estimate(Estimate.unknown(reason))
         elif result.outcome == "tie":
-            values = [one.value for one in known]
-            told[which] = {
+            values = [estimate.value for estimate in known]
+            described[which] = {
                 "estimate": [min(values), max(values)],
-                "ci95": [min(one.low for one in known), max(one.high for one in known)],
+                "ci95": [
+                    min(estimate.low for estimate in known),
+                    max(estimate.high for estimate in known),
+                ],
                 "reason": None,
             }
         else:
-            told[which] = _estimate(known[0])
-    # Null where there is no other speed to test on; why is beside it.
-    told["held_out_speed_reason"] = why_no_shrinkage(result, "held_out_speed") or None
-    if told["held_out_speed_reason"] is not None:
-        told["held_out_speed"] = None
-    return told
+            described[which] = _estimate(known[0])
+    # Null if there is no other speed to test on; the reason is in the preceding key.
+    described["held_out_speed_reason"] = why_no_shrinkage(result, "held_out_speed") or None
+    if described["held_out_speed_reason"] is not None:
+        described["held_out_speed"] = None
+    return described
 
 
-def _budget(result: DiagnosisResult, budget: Budget) -> dict[str, dict[str, float]]:
+def _budget(result: DiagnosisResult, budget: ErrorBudget) -> dict[str, dict[str, float]]:
     pooled = budget.pooled()
     return {
         name: {part: float(values[row]) for part, values in pooled.items()}
@@ -283,13 +276,13 @@ def _budget(result: DiagnosisResult, budget: Budget) -> dict[str, dict[str, floa
     }
 
 
-def _alternative(alternative: Alternative) -> dict[str, Any]:
+def _describe_refit(refit: VerifiedRefit) -> dict[str, Any]:
     return {
-        "ids": alternative.ids,
-        **{which: _estimate(getattr(alternative, which)) for which in HELD_OUT},
-        "gains_nats": alternative.gains,
-        "speed_conflict": alternative.speed_conflict,
-        "released": [asdict(one) for one in alternative.released],
+        "ids": refit.ids,
+        **{which: _estimate(getattr(refit, which)) for which in HELD_OUT},
+        "gains_nats": refit.gains,
+        "speed_conflict": refit.speed_conflict,
+        "released": [asdict(one) for one in refit.released],
     }
 
 

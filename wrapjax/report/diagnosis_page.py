@@ -1,9 +1,4 @@
-"""The report of a diagnosis: one page that opens anywhere, offline.
-
-The folder of a diagnosis, written whole or not at all.
-
-Whether the diagnosis can be built on: the plain model's fit, and what it was weighed against.
-"""
+"""Report of a diagnosis as a self-contained HTML page, and the folder that holds it."""
 
 from __future__ import annotations
 
@@ -11,65 +6,65 @@ import math
 from datetime import UTC, datetime
 from pathlib import Path
 
-from wrapjax.diagnosis.result import ConvergenceCheck, DiagnosisResult
+from wrapjax.diagnosis.baseline import ConvergenceCheck
+from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_effects import evidence_section, signature_section, ties_section
-from wrapjax.report.diagnosis_location import muscles_section, where_section
+from wrapjax.report.diagnosis_location import location_section, muscles_section, parts_section
 from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
-from wrapjax.report.diagnosis_words import SILENT, findings, untested
-from wrapjax.report.provenance import made_with
+from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, untested_findings
+from wrapjax.report.formatting import DASH, counted, decimals, leg_name, p_value, readable
+from wrapjax.report.provenance import versions_platform_and_time
 from wrapjax.report.run_summary import USES, file_stems
-from wrapjax.report.style import counted, decimals, plain
 from wrapjax.subject.subject import Subject
-
-_DASH = "\N{EN DASH}"
 
 
 def convergence_section(result: DiagnosisResult) -> str:
-    """Write the part of the report on how far the diagnosis can be trusted, problems first."""
+    """Write the report section on the convergence check of the plain model and on the detection threshold."""
     convergence_check = result.convergence_check
-    parts = _fit(convergence_check)
-    if rows := [*_fit_rows(convergence_check), *_null_rows(result)]:
-        caption = "The plain model's fit, and what evidence was weighed against."
-        parts.append(markup.table(("check", "value", "what it says"), rows, caption=caption))
-    return markup.section("How far to trust it", *parts, *_conflicts(convergence_check))
+    parts = _convergence(convergence_check)
+    if rows := [*_convergence_rows(convergence_check), *_null_rows(result)]:
+        caption = "Convergence of the plain model's fit, and comparison of the evidence with null replicates."
+        parts.append(markup.table(("check", "value", "meaning"), rows, caption=caption))
+    return markup.section("Convergence and detection threshold", *parts, *_conflicts(convergence_check))
 
 
-def _fit(convergence_check: ConvergenceCheck) -> list[str]:
+def _convergence(convergence_check: ConvergenceCheck) -> list[str]:
     if convergence_check.problems:
         return [
-            markup.paragraph("The plain model was not fitted as well as it can be:"),
+            markup.paragraph("The calibration of the plain model did not converge:"),
             markup.bullets(convergence_check.problems),
         ]
     if not convergence_check.costs:
         return [markup.paragraph("The plain model was not fitted.")]
-    return [markup.paragraph("The plain model was fitted as well as it can be.")]
+    return [markup.paragraph("The calibration of the plain model converged.")]
 
 
 def _conflicts(convergence_check: ConvergenceCheck) -> list[str]:
     if not convergence_check.conflicts:
         return []
-    kinds = list(dict.fromkeys(kind for own in convergence_check.conflicts.values() for kind in own))
+    kinds = list(dict.fromkeys(kind for values in convergence_check.conflicts.values() for kind in values))
     return [
         markup.paragraph(
-            "How far fits to each speed and to each half of the cycles are apart, root mean square. Well "
-            "above 1: the model cannot fit both at once, or some cycles are not like the others."
+            "Root mean square differences between the parameters of fits to each speed, and to each half of "
+            "the cycles. A value well above 1 means that the model cannot fit both parts of the data with "
+            "the same parameters, or that some cycles differ from the others."
         ),
         markup.table(
-            ("", *map(plain, kinds)),
+            ("fits", *map(readable, kinds)),
             [
-                (plain(name), *(decimals(own.get(kind)) for kind in kinds))
-                for name, own in convergence_check.conflicts.items()
+                (readable(name), *(decimals(values.get(kind)) for kind in kinds))
+                for name, values in convergence_check.conflicts.items()
             ],
-            caption="Conflicts, in standard deviations.",
+            caption="Differences between parameters, in standard deviations.",
         ),
     ]
 
 
-def _fit_rows(convergence_check: ConvergenceCheck) -> list[tuple[str, str, str]]:
+def _convergence_rows(convergence_check: ConvergenceCheck) -> list[tuple[str, str, str]]:
     if not convergence_check.costs:
         return []
     costs = ", ".join(f"{cost:.5g}" for cost in convergence_check.costs[:4])
@@ -78,13 +73,13 @@ def _fit_rows(convergence_check: ConvergenceCheck) -> list[tuple[str, str, str]]
         (
             counted(len(convergence_check.costs), "start"),
             costs + (f" and {more} more" if more > 0 else ""),
-            "cost where each start ended, lowest first (no unit)",
+            "final cost of each start, lowest first (no unit)",
         ),
         ("spread", _percent(convergence_check.spread), "relative difference of the two lowest costs"),
         (
             "decrement",
             _percent(convergence_check.decrement),
-            "by how much the cost could still fall, as a share of the explainable error",
+            "possible further decrease of the cost, as a share of the explainable error",
         ),
     ]
 
@@ -95,53 +90,44 @@ def _null_rows(result: DiagnosisResult) -> list[tuple[str, str, str]]:
         return []
     rows = [
         (
-            "alarm level",
+            "detection threshold",
             f"{result.detection_threshold:.1f} nats",
-            "evidence that data without any effect exceed in few cases",
+            "evidence that few null replicates exceed",
         ),
         (
             "global p",
-            _probability(result.global_p),
-            "share of data without any effect whose strongest evidence exceeds what was found",
+            p_value(result.global_p),
+            "share of null replicates whose strongest evidence exceeds the strongest evidence here",
         ),
     ]
     if controls:
         strongest = max(controls, key=lambda effect: effect.evidence)
-        quiet = "quiet" if strongest.evidence <= result.detection_threshold else "not quiet"
+        verdict = "below threshold" if strongest.evidence <= result.detection_threshold else "above threshold"
         rows.append(
             (
                 counted(len(controls), "negative control"),
-                f"{quiet}, {strongest.evidence:.1f} nats",
-                f"strongest evidence for an effect that must stay quiet: {plain(strongest.id)}",
+                f"{verdict}, {strongest.evidence:.1f} nats",
+                f"strongest evidence for an effect that cannot be present: {readable(strongest.id)}",
             )
         )
     return rows
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if math.isfinite(share) else _DASH
-
-
-def _probability(p: float) -> str:
-    if not math.isfinite(p):
-        return _DASH
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
-
-
-_SIDES = {"l": "left", "r": "right"}
+    return f"{100.0 * share:.2g} %" if math.isfinite(share) else DASH
 
 
 def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") -> str:
-    """Write the report of a diagnosis as one HTML page with nothing outside it.
+    """Write the report of a diagnosis as a self-contained HTML page.
 
     Parameters
     ----------
     subject, result
-        Whose, and what came of it.
+        Diagnosed subject and result of the diagnosis.
     note
-        A sentence about the data that readers must not miss.
+        Important sentence about the data, shown at the top.
     """
-    title = f"{subject.name}: what the model leaves out"
+    title = f"{subject.name}: diagnosis of the model's remaining error"
     counts = {use: result.uses.count(use) for use in USES}
     under = (
         f"{_leg(subject)}, {subject.mass_kg:g} kg, {counted(len(result.coordinates), 'coordinate')}, "
@@ -153,64 +139,67 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") 
         [
             markup.header(title, under),
             *([markup.paragraph(note)] if note else []),
-            _verdict(subject, result),
-            *_untested_section(result),
-            *where_section(result),
-            *signature_section(result),
-            *evidence_section(result),
-            *shrinkage_section(result),
-            *released_section(result),
-            *ties_section(result),
-            *muscles_section(result),
+            _verdict_section(subject, result),
+            _untested_section(result),
+            location_section(result),
+            parts_section(result),
+            signature_section(result),
+            evidence_section(result),
+            shrinkage_section(result),
+            released_section(result),
+            ties_section(result),
+            muscles_section(result),
             convergence_section(result),
-            _notes(subject, result),
+            _notes_section(subject, result),
         ],
     )
 
 
 def _leg(subject: Subject) -> str:
     paresis = {True: " (paretic)", False: " (not paretic)", None: ""}[subject.paretic]
-    return f"{_SIDES[subject.side].capitalize()} leg{paresis}"
+    return f"{leg_name(subject.side)}{paresis}"
 
 
-def _verdict(subject: Subject, result: DiagnosisResult) -> str:
-    first, *others = findings(result)
-    said = f"{_leg(subject)} of {subject.name}: {first[:1].lower()}{first[1:]}"
-    return markup.verdict([said, " ".join(others), *untested(result)], fine=result.outcome not in SILENT)
+def _verdict_section(subject: Subject, result: DiagnosisResult) -> str:
+    first, *others = diagnosis_findings(result)
+    conclusion = f"{_leg(subject)} of {subject.name}: {first[:1].lower()}{first[1:]}"
+    return markup.verdict(
+        [conclusion, " ".join(others), *untested_findings(result)],
+        fine=result.outcome not in INCONCLUSIVE,
+    )
 
 
-def _untested_section(result: DiagnosisResult) -> list[str]:
+def _untested_section(result: DiagnosisResult) -> str:
     if not result.not_testable:
-        return []
-    return [
-        markup.section(
-            "What this recording cannot test",
-            markup.paragraph("These effects may be there all the same: nothing is said of them."),
-            markup.table(
-                ("effect", "in files", "why not"),
-                [(plain(one.id), one.id, one.reason) for one in result.not_testable],
-                caption="Effects of the catalogue that these data lack something for.",
-            ),
-        )
-    ]
+        return ""
+    return markup.section(
+        "Effects that this recording cannot test",
+        markup.paragraph("These effects may be present; the diagnosis makes no statement about them."),
+        markup.table(
+            ("effect", "id", "reason"),
+            [(readable(effect.id), effect.id, effect.reason) for effect in result.not_testable],
+            caption="Effects of the catalogue that these data cannot show.",
+        ),
+    )
 
 
-def _notes(subject: Subject, result: DiagnosisResult) -> str:
+def _notes_section(subject: Subject, result: DiagnosisResult) -> str:
     parts = [
         markup.bullets(
             [
-                "What explains an error best need not be there: effects that are not in the catalogue, or "
-                "cannot be tested with these data, may explain it better.",
-                "Moments before and after, of every cycle, are in moments/; gap.json holds all numbers.",
+                "The effect that explains an error best need not be present: effects that are not in the "
+                "catalogue, or cannot be tested with these data, may explain it better.",
+                "Measured and predicted moments of every cycle are in moments/; gap.json contains all "
+                "numbers.",
                 f"Subject folder {subject.folder.name}, model {subject.model_file.name}.",
-                f"{made_with()}.",
+                f"{versions_platform_and_time()}.",
             ]
         )
     ]
     if result.seconds:
-        rows = [(plain(name), f"{own:.1f}") for name, own in result.seconds.items()]
-        rows.append(("together", f"{sum(result.seconds.values()):.1f}"))
-        parts.append(markup.table(("step", "seconds"), rows, caption="How long it took.", total=True))
+        rows = [(readable(name), f"{time:.1f}") for name, time in result.seconds.items()]
+        rows.append(("total", f"{sum(result.seconds.values()):.1f}"))
+        parts.append(markup.table(("step", "seconds"), rows, caption="Computing time.", total=True))
     return markup.section("Notes", *parts)
 
 
@@ -222,21 +211,21 @@ def write_diagnosis(
     Parameters
     ----------
     subject, result
-        What was diagnosed, and what came of it.
+        Diagnosed subject and result of the diagnosis.
     folder
-        Where to; it appears when complete.
+        Folder to write; it appears when it is complete.
     force
-        Replace a folder that exists.
+        Whether to replace an existing folder.
     note
-        A sentence about the data for the report.
+        Important sentence about the data for the report.
 
     Raises
     ------
     InputError
         If the folder exists and ``force`` is not set, or cannot be created.
     """
-    with new_folder(folder, force=force) as gap:
-        write_json(gap / "gap.json", describe_diagnosis(subject, result))
+    with new_folder(folder, force=force) as target:
+        write_json(target / "gap.json", describe_diagnosis(subject, result))
         for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
-            write_storage(gap / "moments" / f"{stem}.sto", moment_table(result, recording))
-        write_text(gap / "report.html", render_diagnosis(subject, result, note))
+            write_storage(target / "moments" / f"{stem}.sto", moment_table(result, recording))
+        write_text(target / "report.html", render_diagnosis(subject, result, note))

@@ -1,8 +1,6 @@
-"""Predicted cycles, and their errors in numbers: the content of ``evaluation.json``.
+"""Evaluation of a calibration on other cycles: the content of ``evaluation.json``, the page and the folder.
 
-The page of an evaluation.
-
-The folder of an evaluation. All that its page shows is in other files, so that it can be drawn again.
+Everything that the page shows is in the other files of the folder, so that it can be redrawn.
 """
 
 from __future__ import annotations
@@ -22,10 +20,10 @@ from wrapjax.io.files import write_json, write_text
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.io.storage import read_storage, write_storage
 from wrapjax.report import markup
-from wrapjax.report.curves import moments_section
+from wrapjax.report.calibration_curves import moments_section
+from wrapjax.report.formatting import counted, decimals
 from wrapjax.report.run_summary import USES, by_trial, by_use, errors_of, pooled_rmse
 from wrapjax.report.run_tables import moment_labels, moment_table
-from wrapjax.report.style import counted, decimals
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
@@ -35,18 +33,18 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class PredictedCycles:
-    """Measured and modelled joint moments of gait cycles (`wrapjax.report.moment_curves.MomentCurves`).
+    """Measured and modelled joint moments of gait cycles (`wrapjax.report.cycle_panels.MomentCurves`).
 
     Parameters
     ----------
     coordinates, trials, uses
-        Names along the axes, and what each cycle is for.
+        Names of coordinates and cycles, and the use of each cycle.
     speeds
-        m/s, NaN where unknown.
+        Walking speeds, m/s, NaN where unknown.
     time
-        s.
+        Time in the recording, s.
     measured, modelled
-        N m.
+        Joint moments, N m.
     """
 
     coordinates: tuple[str, ...]
@@ -61,7 +59,7 @@ class PredictedCycles:
 def predicted_cycles(
     trials: Trials, modelled: Float[np.ndarray, "trial coordinate frame"]
 ) -> PredictedCycles:
-    """Put a subject's cycles beside what was predicted of them (N m)."""
+    """Combine a subject's cycles with their predicted moments (N m)."""
     return PredictedCycles(
         coordinates=trials.moment_coordinates,
         trials=trials.names,
@@ -79,13 +77,13 @@ def describe_evaluation(
     modelled: Float[np.ndarray, "trial coordinate frame"],
     notes: Sequence[str],
 ) -> dict[str, Any]:
-    """Describe an evaluation as plain numbers and words.
+    """Describe an evaluation as plain numbers and strings.
 
     Returns
     -------
     dict
-        ``mae_Nm``, ``rmse_Nm`` and ``trials`` as in ``summary.json`` (N m, all frames of the cycles), the
-        run's own errors beside them, speeds, and notes.
+        Content of ``evaluation.json``: ``mae_Nm``, ``rmse_Nm`` and ``trials`` as in ``summary.json`` (N m,
+        all frames of the cycles), the errors of the run on its own cycles, speeds, and notes.
     """
     cycles = predicted_cycles(subject.trials, modelled)
     errors = errors_of(cycles.measured, cycles.modelled)
@@ -102,33 +100,37 @@ def describe_evaluation(
         },
         "mae_Nm": by_use(pooled_mae, errors, cycles),
         "rmse_Nm": by_use(pooled_rmse, errors, cycles),
-        "trials": {name: own | {"speed_m_s": speeds[name]} for name, own in by_trial(errors, cycles).items()},
+        "trials": {
+            name: trial | {"speed_m_s": speeds[name]} for name, trial in by_trial(errors, cycles).items()
+        },
         "notes": list(notes),
     }
 
 
 def render_evaluation(content: dict[str, Any], cycles: PredictedCycles) -> str:
-    """Write the page of an evaluation, with nothing outside it.
+    """Write the report of an evaluation as a self-contained HTML page.
 
     Parameters
     ----------
     content
-        From `describe_evaluation`.
+        Content of ``evaluation.json``, from `describe_evaluation`.
     cycles
-        Curves of the same cycles.
+        Measured and predicted moments of the same cycles.
     """
     run = content["run"]
     title = f"{content['subject']}: predicted by the {run['method']} calibration of {run['subject']}"
     counts = [f"{counted(cycles.uses.count(use), f'{use} cycle')}" for use in USES if use in cycles.uses]
-    under = f"{counted(len(cycles.coordinates), 'coordinate')}, {' and '.join(counts)}; nothing was fitted."
+    under = (
+        f"{counted(len(cycles.coordinates), 'coordinate')}, {' and '.join(counts)}; no parameter was fitted."
+    )
     return markup.page(
         title,
         [
             markup.header(title, under),
-            _verdict(content),
-            _errors(content, cycles),
+            _verdict_section(content),
+            _errors_section(content, cycles),
             moments_section(cycles, content),
-            _trials(content, cycles),
+            _cycles_section(content, cycles),
             markup.section("Notes", markup.bullets([*content["notes"], _FILES])),
         ],
     )
@@ -136,24 +138,28 @@ def render_evaluation(content: dict[str, Any], cycles: PredictedCycles) -> str:
 
 _FILES = (
     "Errors are in evaluation.json, curves of every cycle in moments/. 'Calibration' and 'validation' are "
-    "what the settings of the evaluated subject call its cycles; the run may have seen neither."
+    "the uses of the cycles in the settings of the evaluated subject; the run may have used neither."
 )
 
 
-def _verdict(content: dict[str, Any]) -> str:
+def _verdict_section(content: dict[str, Any]) -> str:
     lines = []
     for use in USES:
-        own, before = content["mae_Nm"][use], content["run"]["mae_Nm"][use]
-        if own is not None:
-            beside = "" if before is None else f" (the run's own: {decimals(before['mean'])} N m)"
+        errors, run_errors = content["mae_Nm"][use], content["run"]["mae_Nm"][use]
+        if errors is not None:
+            comparison = (
+                ""
+                if run_errors is None
+                else f" (in the run, on its own {use} cycles: {decimals(run_errors['mean'])} N m)"
+            )
             lines.append(
-                f"On {use} cycles predicted and measured joint moments differ by {decimals(own['mean'])} N m "
-                f"on average{beside}."
+                f"On {use} cycles predicted and measured joint moments differ by {decimals(errors['mean'])} "
+                f"N m on average{comparison}."
             )
     return markup.box("\n".join(map(markup.paragraph, lines)), "verdict")
 
 
-def _errors(content: dict[str, Any], cycles: PredictedCycles) -> str:
+def _errors_section(content: dict[str, Any], cycles: PredictedCycles) -> str:
     columns: dict[str, dict[str, float]] = {}
     for use in USES:
         if content["mae_Nm"][use] is not None:
@@ -168,7 +174,7 @@ def _errors(content: dict[str, Any], cycles: PredictedCycles) -> str:
     ]
     caption = (
         "Errors of joint moments in N m over all frames of the cycles: mean absolute (MAE) and root mean "
-        "square (RMSE). 'Run's' are those that the calibration itself ended with, on its own cycles."
+        "square (RMSE). 'Run's' are the errors of the calibration on its own cycles."
     )
     return markup.section(
         "Moment errors",
@@ -176,14 +182,15 @@ def _errors(content: dict[str, Any], cycles: PredictedCycles) -> str:
     )
 
 
-def _trials(content: dict[str, Any], cycles: PredictedCycles) -> str:
+def _cycles_section(content: dict[str, Any], cycles: PredictedCycles) -> str:
+    columns = (*cycles.coordinates, "mean")
     rows = [
-        (name, own["use"], *(decimals(own["mae_Nm"][one]) for one in (*cycles.coordinates, "mean")))
-        for name, own in content["trials"].items()
+        (name, trial["use"], *(decimals(trial["mae_Nm"][column]) for column in columns))
+        for name, trial in content["trials"].items()
     ]
-    header = ("cycle", "use", *cycles.coordinates, "mean")
+    header = ("cycle", "use", *columns)
     return markup.section(
-        "Cycle by cycle", markup.table(header, rows, caption="Mean absolute errors in N m, cycle by cycle.")
+        "Errors by cycle", markup.table(header, rows, caption="Mean absolute errors of each cycle in N m.")
     )
 
 
@@ -196,18 +203,18 @@ def write_evaluation(
     """Write ``evaluation.json``, ``moments/<trial>.sto`` and ``report.html``."""
     cycles = predicted_cycles(trials, modelled)
     write_json(folder / "evaluation.json", content)
-    for number, own in enumerate(content["trials"].values()):
-        write_storage(folder / "moments" / f"{own['file']}.sto", moment_table(cycles, cycles.time, number))
+    for number, trial in enumerate(content["trials"].values()):
+        write_storage(folder / "moments" / f"{trial['file']}.sto", moment_table(cycles, cycles.time, number))
     write_text(folder / "report.html", render_evaluation(content, cycles))
 
 
 def redraw_evaluation(folder: Path) -> None:
-    """Write ``report.html`` again from the other files.
+    """Write ``report.html`` again from the other files of the folder.
 
     Raises
     ------
     InputError
-        If one of them is missing or damaged.
+        If a file is missing or damaged.
     """
     file = folder / "evaluation.json"
     try:
@@ -218,7 +225,7 @@ def redraw_evaluation(folder: Path) -> None:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            Problem(str(file), f"is damaged ({error})", hint="make it anew with 'wrapjax evaluate'")
+            Problem(str(file), f"is damaged ({error})", hint="write it again with 'wrapjax evaluate'")
         ) from error
     write_text(folder / "report.html", page)
 
@@ -227,17 +234,20 @@ def _read_cycles(content: dict[str, Any], folder: Path) -> PredictedCycles:
     coordinates = tuple(content["coordinates"])
     labels = moment_labels(coordinates)
     time, moments = [], []
-    for own in content["trials"].values():
-        table = read_storage(folder / f"{own['file']}.sto")
+    for trial in content["trials"].values():
+        table = read_storage(folder / f"{trial['file']}.sto")
         time.append(table.time)
         moments.append(table.values[:, [table.columns.index(label) for label in labels]].T)
     both = np.stack(moments)
     return PredictedCycles(
         coordinates=coordinates,
         trials=tuple(content["trials"]),
-        uses=tuple(own["use"] for own in content["trials"].values()),
+        uses=tuple(trial["use"] for trial in content["trials"].values()),
         speeds=np.array(
-            [math.nan if own["speed_m_s"] is None else own["speed_m_s"] for own in content["trials"].values()]
+            [
+                math.nan if trial["speed_m_s"] is None else trial["speed_m_s"]
+                for trial in content["trials"].values()
+            ]
         ),
         time=np.stack(time),
         measured=both[:, len(coordinates) :],

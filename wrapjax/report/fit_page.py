@@ -1,7 +1,4 @@
-"""How well a fit's polynomials follow muscle paths: words, figure and table.
-
-The report of a fit: one page that opens anywhere, offline.
-"""
+"""Report of a surrogate fit as a self-contained HTML page: errors of the polynomials by muscle."""
 
 from __future__ import annotations
 
@@ -12,34 +9,35 @@ from typing import Any
 import numpy as np
 
 from wrapjax.report import markup
-from wrapjax.report.fit_wraps import SampledPath, cylinder_findings, cylinders_section, pictures_section
-from wrapjax.report.provenance import made_with
+from wrapjax.report.fit_wraps import SampledPath, cylinder_findings, cylinders_section, sampled_paths_section
+from wrapjax.report.formatting import DASH, counted
+from wrapjax.report.provenance import versions_platform_and_time
 from wrapjax.report.style import (
     BLUE,
+    DOT,
     GRAY,
     LIGHT_GRAY,
     PAGE_WIDTH,
     VERMILION,
     Figure,
-    counted,
     in_style,
+    label_rows,
+    legend_above,
     new_figure,
 )
 from wrapjax.subject.subject import Subject
 
-#: Root mean square errors of length and moment arm (mm) that polynomials of a leg's paths hardly exceed,
-#: moved cylinders included.
+#: Usual upper limits of the root mean square errors of length and moment arm (mm) of a leg's polynomials,
+#: including displaced cylinders.
 USUAL_MM = {"length": 0.4, "moment_arm": 0.8}
 
 _QUANTITIES = {"length": "length", "moment_arm": "moment arm"}
-# Whole where they stand on an axis.
-_DOT: dict[str, Any] = {"markersize": 4.2, "zorder": 3, "clip_on": False}
-# Smaller errors (mm) are called just that.
+# Smaller errors (mm) are shown as less than this value.
 _LEAST_MM = 1e-3
 
 
-def unusual(content: dict[str, Any]) -> list[str]:
-    """Name the muscles whose error exceeds the usual, in length or moment arm."""
+def unusual_muscles(content: dict[str, Any]) -> list[str]:
+    """List the muscles whose error of length or moment arm exceeds the usual limits."""
     return [
         name
         for name, error in content["muscles"].items()
@@ -48,57 +46,61 @@ def unusual(content: dict[str, Any]) -> list[str]:
 
 
 def error_findings(content: dict[str, Any]) -> list[str]:
-    """Say in plain sentences how well polynomials follow the paths."""
+    """Write sentences on the errors of the polynomials."""
     muscles = content["muscles"]
-    above = unusual(content)
-    first = f"Polynomials follow the paths of {counted(len(muscles), 'muscle')} as closely as usual."
+    above = unusual_muscles(content)
+    first = (
+        f"The polynomials approximate the paths of {counted(len(muscles), 'muscle')} with the usual accuracy."
+    )
     if above:
         first = (
-            f"Polynomials follow the paths of {len(muscles) - len(above)} of "
-            f"{counted(len(muscles), 'muscle')} as closely as usual, but not of {', '.join(above)}."
+            f"The polynomials approximate the paths of {len(muscles) - len(above)} of "
+            f"{counted(len(muscles), 'muscle')} with the usual accuracy; errors are larger for "
+            f"{', '.join(above)}."
         )
     wrapped = [name for name, error in muscles.items() if error["wrapped"]]
     straight = [name for name in muscles if name not in wrapped]
-    parts = [f"Root mean square errors {_unseen(content)}."]
+    parts = [f"Root mean square errors {_test_samples(content)}."]
     for names, words in ((wrapped, "Muscles that may wrap"), (straight, "Muscles that never wrap")):
         if names:
             parts.append(f"{words} ({len(names)}): {_median_and_worst(muscles, names)}.")
     parts.append(
-        f"Usual are up to {USUAL_MM['length']:g} mm in length and {USUAL_MM['moment_arm']:g} mm in moment "
-        "arm; moment arms of a leg are some centimeters."
+        f"Usual errors are up to {USUAL_MM['length']:g} mm in length and {USUAL_MM['moment_arm']:g} mm in "
+        "moment arm; the moment arms of a leg are a few centimeters."
     )
     return [first, " ".join(parts)]
 
 
 def _median_and_worst(muscles: dict[str, Any], names: list[str]) -> str:
-    """Give median and worst errors of some muscles, in short if all are small."""
+    """Write median and largest errors of some muscles; only the largest if all are small."""
     parts = []
     for quantity, words in _QUANTITIES.items():
         errors = {name: muscles[name][f"{quantity}_rmse_mm"] for name in names}
         worst = max(errors, key=errors.__getitem__)
-        highest = _number(errors[worst])
+        highest = _millimeters(errors[worst])
         if errors[worst] < 0.1 * USUAL_MM[quantity]:
             parts.append(f"{words} {'' if highest.startswith('<') else 'at most '}{highest} mm")
         else:
-            median = _number(float(np.median(list(errors.values()))))
-            parts.append(f"{words} {median} mm in the median and {highest} mm at worst ({worst})")
+            median = _millimeters(float(np.median(list(errors.values()))))
+            parts.append(f"{words} median {median} mm, largest {highest} mm ({worst})")
     return ", ".join(parts)
 
 
-def _unseen(content: dict[str, Any]) -> str:
-    """Say what errors are measured on."""
+def _test_samples(content: dict[str, Any]) -> str:
+    """Write on which samples errors were computed."""
     if content["wraps"]:
-        return "in poses and at placements of cylinders that fitting has not seen"
-    return "in poses that fitting has not seen"
+        return "in poses and at placements of cylinders that were held out from fitting"
+    return "in poses that were held out from fitting"
 
 
 def errors_section(content: dict[str, Any]) -> str:
-    """Write the part of the report on errors."""
+    """Write the report section on errors by muscle."""
     wraps_of = content["wraps_of"] or {}
     order = _worst_first(content)
     caption = (
-        f"Root mean square errors {_unseen(content)}, in mm; moment arms pooled over the coordinates that "
-        "the muscle spans. Dashed: usual up to there. Largest error of a moment arm first."
+        f"Root mean square errors {_test_samples(content)}, in mm; moment arms pooled over the coordinates "
+        "that the muscle spans. Dashed: usual upper limit. Muscles are ordered by their error of the moment "
+        "arm."
     )
     rows = []
     for name in order:
@@ -106,10 +108,10 @@ def errors_section(content: dict[str, Any]) -> str:
         rows.append(
             (
                 name,
-                ", ".join(wraps_of.get(name, ())) or ("a surface" if error["wrapped"] else "\N{EN DASH}"),
+                ", ".join(wraps_of.get(name, ())) or ("a surface" if error["wrapped"] else DASH),
                 str(error["terms"]),
                 *(
-                    _number(error[f"{quantity}_{kind}_mm"])
+                    _millimeters(error[f"{quantity}_{kind}_mm"])
                     for quantity in _QUANTITIES
                     for kind in ("rmse", "max")
                 ),
@@ -119,8 +121,8 @@ def errors_section(content: dict[str, Any]) -> str:
         "Errors by muscle",
         markup.picture(
             error_figure(content),
-            alternative=f"Errors of length and moment arm of {counted(len(order), 'muscle')}; that of the "
-            f"moment arms of {order[0]} is largest.",
+            alternative=f"Errors of length and moment arm of {counted(len(order), 'muscle')}; the error of "
+            f"the moment arms of {order[0]} is largest.",
             caption=caption,
         ),
         markup.table(
@@ -128,9 +130,9 @@ def errors_section(content: dict[str, Any]) -> str:
             rows,
             caption="Errors in mm, root mean square and largest, and the number of terms of each polynomial. "
             + (
-                "Those of muscles with cylinders are over placements that leave their paths physiological."
+                "Errors of muscles with cylinders are over placements at which their paths are physiological."
                 if content["wraps"]
-                else "Cylinders are where the model has them."
+                else "Cylinders are at their nominal placement."
             ),
         ),
     )
@@ -147,18 +149,18 @@ def error_figure(content: dict[str, Any]) -> Figure:
     for panel, (quantity, words) in zip(panels, _QUANTITIES.items(), strict=True):
         errors = np.array([muscles[name][f"{quantity}_rmse_mm"] for name in order])
         usual = USUAL_MM[quantity]
-        panel.axvline(usual, color=VERMILION, linewidth=0.9, linestyle="--", zorder=1, label="usual, up to")
+        panel.axvline(
+            usual, color=VERMILION, linewidth=0.9, linestyle="--", zorder=1, label="usual upper limit"
+        )
         panel.hlines(rows, 0.0, errors, color=LIGHT_GRAY, linewidth=1.4, zorder=0)
         for kind, color, label in ((wrapped, BLUE, "may wrap"), (~wrapped, GRAY, "never wraps")):
             if kind.any():
-                panel.plot(errors[kind], rows[kind], "o", color=color, label=label, **_DOT)
+                panel.plot(errors[kind], rows[kind], "o", color=color, label=label, **DOT)
         panel.set_xlim(0.0, 1.06 * max(usual, float(np.nanmax(errors, initial=0.0))))
         panel.set_xlabel(f"error of {words} (mm)")
-        panel.tick_params(axis="y", length=0, pad=6)
-    panels[0].set_yticks(rows, order, parse_math=False)
-    panels[0].set_ylim(len(rows) - 0.4, -0.6)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+        panel.tick_params(axis="y", pad=6)
+    label_rows(panels, order)
+    legend_above(figure, panels[0])
     return figure
 
 
@@ -167,36 +169,36 @@ def _worst_first(content: dict[str, Any]) -> list[str]:
     return sorted(muscles, key=lambda name: -muscles[name]["moment_arm_rmse_mm"])
 
 
-def _number(millimeters: float) -> str:
+def _millimeters(millimeters: float) -> str:
     return f"< {_LEAST_MM:g}" if millimeters < _LEAST_MM else f"{millimeters:.3f}"
 
 
 _SOURCES = {
     "opensim": "OpenSim's muscle analysis",
-    "engine": "the exact engine, wrapping the shortest way",
-    "engine-parity": "the exact engine, wrapping as OpenSim does",
+    "engine": "the exact engine with shortest paths",
+    "engine-parity": "the exact engine with OpenSim's wrapping",
 }
 _STAGES = {
-    "analysis": "analysing muscle paths in all poses",
+    "analysis": "computing muscle paths in all poses",
     "fit": "fitting polynomials",
-    "contact": "finding which muscles touch a surface",
-    "boxes": "finding boxes for cylinders",
-    "sampling": "sampling cylinders",
-    "feasibility": "learning their limits",
+    "contact": "determining which muscles touch a surface",
+    "boxes": "determining bounds of cylinders",
+    "sampling": "sampling placements of cylinders",
+    "feasibility": "fitting feasibility limits",
 }
 
 
 def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable[SampledPath] = ()) -> str:
-    """Write the report of a fit as one HTML page with nothing outside it.
+    """Write the report of a fit as a self-contained HTML page.
 
     Parameters
     ----------
     content
-        Of ``fit.json``.
+        Content of ``fit.json``.
     subject
-        Whose fit it is, if that is known.
+        Subject of the fit, if known.
     paths
-        What is drawn of sampled paths, one muscle at a time.
+        Sampled paths to draw, one muscle at a time.
     """
     title = "Muscle paths as polynomials"
     if subject is not None:
@@ -210,41 +212,38 @@ def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable
         title,
         [
             markup.header(title, under),
-            _verdict(content),
+            markup.verdict(
+                [*error_findings(content), *cylinder_findings(content)], fine=not unusual_muscles(content)
+            ),
             errors_section(content),
             cylinders_section(content),
-            pictures_section(content, paths),
-            _notes(content, subject),
+            sampled_paths_section(content, paths),
+            _methods_section(content, subject),
         ],
     )
 
 
-def _verdict(content: dict[str, Any]) -> str:
-    said = [*error_findings(content), *cylinder_findings(content)]
-    return markup.verdict(said, fine=not unusual(content))
-
-
-def _notes(content: dict[str, Any], subject: Subject | None) -> str:
+def _methods_section(content: dict[str, Any], subject: Subject | None) -> str:
     seconds = content["seconds"]
     lines = [
-        f"Lengths and moment arms, which errors are held against too, from {_source(content)}; random "
-        f"poses and placements by seed {content['seed']}.",
-        f"Touching a surface in the recorded cycles: {', '.join(content['touching']) or 'none'}.",
-        f"This page: {made_with()}.",
-        "Numbers for programs are in fit.json, coefficients and limits in fit.npz.",
+        "Lengths and moment arms, for fitting and as the reference of the errors, are from "
+        f"{_source(content)}; random poses and placements have seed {content['seed']}.",
+        f"Muscles that touch a surface in the recorded cycles: {', '.join(content['touching']) or 'none'}.",
+        f"This page: {versions_platform_and_time()}.",
+        "All numbers are in fit.json in machine-readable form, coefficients and limits in fit.npz.",
     ]
     if subject is not None:
         lines.insert(0, f"Subject folder {subject.folder.name}, model {subject.model_file.name}.")
     return markup.section(
-        "How it was made",
+        "Methods",
         markup.bullets(lines),
         markup.table(
             ("step", "seconds"),
             [
-                *((_STAGES.get(stage, stage), f"{own:.1f}") for stage, own in seconds.items()),
-                ("together", f"{sum(seconds.values()):.1f}"),
+                *((_STAGES.get(stage, stage), f"{time:.1f}") for stage, time in seconds.items()),
+                ("total", f"{sum(seconds.values()):.1f}"),
             ],
-            caption="How long it took when it was made; the same question is answered from the cache.",
+            caption="Computing time of the fit; a repeated fit with the same inputs is read from the cache.",
             total=True,
         ),
     )

@@ -1,4 +1,4 @@
-"""Report sections of a fit on cylinders: bounds, feasibility limits, and accepted and rejected muscle paths."""
+"""Report sections of a fit on cylinders: bounds, feasibility limits, accepted and rejected muscle paths."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from wrapjax.geometry.wrap_bounds import (
     WIDER_TRANSLATIONS,
 )
 from wrapjax.report import markup
-from wrapjax.report.moment_curves import mark_gait_cycle
+from wrapjax.report.cycle_panels import mark_gait_cycle
+from wrapjax.report.formatting import DASH, counted, readable
 from wrapjax.report.style import (
     BLACK,
     BLUE,
+    DOT,
     GRAY,
     GREEN,
     LIGHT_GRAY,
@@ -28,11 +30,11 @@ from wrapjax.report.style import (
     PURPLE,
     VERMILION,
     Figure,
-    counted,
     in_style,
+    label_rows,
+    legend_above,
     new_figure,
     panel_grid,
-    plain,
 )
 
 #: Default of the largest number of accepted and of rejected samples that are drawn.
@@ -188,9 +190,9 @@ def cylinder_findings(content: dict[str, Any]) -> list[str]:
     worst = min(accuracy, key=accuracy.__getitem__)
     median = 100.0 * float(np.median(list(accuracy.values())))
     return [
-        f"{sentence}. The balanced accuracy with which the limits separate physiological from other placements, on "
-        f"held-out placements, is {median:.0f} % in the median and at least {100.0 * accuracy[worst]:.0f} % "
-        f"({worst})."
+        f"{sentence}. The balanced accuracy with which the limits separate physiological from other "
+        f"placements, on held-out placements, is {median:.0f} % in the median and at least "
+        f"{100.0 * accuracy[worst]:.0f} % ({worst})."
     ]
 
 
@@ -205,20 +207,21 @@ def cylinders_section(content: dict[str, Any]) -> str:
     return markup.section(
         "Cylinders",
         markup.paragraph(
-            "PGA may translate, rotate and scale a cylinder within a box of bounds, and within it only where limits "
-            "predict that the paths of its muscles are physiological. These limits are a feasibility score, fitted "
-            "to samples, and geometric margins computed by the exact engine. Their accuracy is given for "
-            "placements that were held out from fitting."
+            "PGA may translate, rotate and scale a cylinder within a box of bounds, and within it only where "
+            "limits predict that the paths of its muscles are physiological. These limits are a feasibility "
+            "score, fitted to samples, and geometric margins computed by the exact engine. Their accuracy is "
+            "given for placements that were held out from fitting."
         ),
         markup.picture(
             cylinder_figure(content),
             alternative=f"Bounds, physiological share and accuracy of the limits of {len(wraps)} cylinders.",
-            caption=f"Bound of translation: largest translation along each axis, {usual:g} mm, but less (down to "
-            f"{narrowest:g} mm) where paths jump or lose contact in over {100.0 * (1.0 - MIN_USABLE_SHARE):g} % of "
-            f"placements, and more (up to {widest:g} mm) where in under {100.0 * (1.0 - MAX_USABLE_SHARE):.0f} %. "
-            "Physiological: share of the box in which all criteria are fulfilled. Balanced accuracy: mean of the "
-            "shares of physiological and of other placements that the limits classify correctly. False acceptance: "
-            "share of other placements that the limits allow.",
+            caption=f"Bound of translation: largest translation along each axis, {usual:g} mm, but less "
+            f"(down to {narrowest:g} mm) where paths jump or lose contact in over "
+            f"{100.0 * (1.0 - MIN_USABLE_SHARE):g} % of placements, and more (up to {widest:g} mm) where in "
+            f"under {100.0 * (1.0 - MAX_USABLE_SHARE):.0f} %. Physiological: share of the box in which all "
+            "criteria are fulfilled. Balanced accuracy: mean of the shares of physiological and of other "
+            "placements that the limits classify correctly. False acceptance: share of other placements "
+            "that the limits allow.",
         ),
         markup.table(
             (
@@ -227,10 +230,10 @@ def cylinders_section(content: dict[str, Any]) -> str:
                 *_SCORE_ALONE.values(),
             ),
             [_cylinder_row(content, name) for name in _touched_first(content)],
-            caption="The same numbers. Touched: a muscle touches the cylinder in the recorded cycles. PGA holds the "
-            "other cylinders fixed, and those with physiological paths in less than {100.0 * MIN_CLASS_SHARE:g} % of their box. A "
-            f"dash: less than {100.0 * MIN_CLASS_SHARE:g} % of placements are of one kind, too few to judge "
-            "limits by.",
+            caption="The same numbers. Touched: a muscle touches the cylinder in the recorded cycles. PGA "
+            "holds the other cylinders fixed, and those with physiological paths in less than "
+            f"{100.0 * MIN_CLASS_SHARE:g} % of their box. A dash: less than {100.0 * MIN_CLASS_SHARE:g} % "
+            "of placements belong to one class, too few to assess the limits.",
         ),
     )
 
@@ -310,14 +313,15 @@ def sampled_paths_section(content: dict[str, Any], paths: Iterable[SampledPath])
     by_engine = ""
     if content["geometry"] == "opensim":
         by_engine = (
-            " The paths shown here and their classification are from the exact engine; those used in the fit are "
-            "from OpenSim."
+            " The paths shown here and their classification are from the exact engine; those used in the fit "
+            "are from OpenSim."
         )
     rows = [
         (
             "jumps",
             DASH,
-            "it enters a cylinder, slips off its end or wraps over more than half of it, unlike the nominal path",
+            "it enters a cylinder, slips off its end or wraps over more than half of it, unlike the nominal "
+            "path",
         ),
         ("never touches", DASH, "it touches in no pose a cylinder that the nominal path touches"),
     ]
@@ -328,9 +332,9 @@ def sampled_paths_section(content: dict[str, Any], paths: Iterable[SampledPath])
     return markup.section(
         "Accepted and rejected paths",
         markup.paragraph(
-            "Each line is one placement of the muscle's cylinders over one recorded cycle; black is the nominal "
-            "placement. Blue lines should be physiologically plausible and the others should not. If they are not, "
-            "change the thresholds: wrapjax fit has an option for each. In Python "
+            "Each line is one placement of the muscle's cylinders over one recorded cycle; black is the "
+            "nominal placement. Blue lines should be physiologically plausible and the others should not. If "
+            "they are not, change the thresholds: wrapjax fit has an option for each. In Python "
             "wrapjax.physiological_picture(subject, fit, muscle, thresholds) draws a picture "
             f"anew.{by_engine}"
         ),
@@ -338,8 +342,8 @@ def sampled_paths_section(content: dict[str, Any], paths: Iterable[SampledPath])
         markup.table(
             ("criterion", "threshold", "a path is rejected if"),
             rows,
-            caption="Criteria of rejection, applied in all poses; changes between frames are along one recorded "
-            "cycle. Thresholds are wrapjax.geometry.physiological.PhysiologicalThresholds.",
+            caption="Criteria of rejection, applied in all poses; changes between frames are along one "
+            "recorded cycle. Thresholds are wrapjax.geometry.physiological.PhysiologicalThresholds.",
         ),
     )
 
@@ -353,8 +357,8 @@ def _picture(content: dict[str, Any], path: SampledPath) -> str:
             physiological_figure(path, _MOST_CURVES),
             alternative=f"Length and moment arms of {path.muscle} over the gait cycle at accepted and at "
             f"rejected placements of its cylinders: {share}.",
-            caption=f"{path.muscle}: accepted placements above, rejected placements below, colored by the first "
-            f"criterion that they fail. At most {_MOST_CURVES} of each are drawn; the numbers count all placements, "
-            "and those that fail several criteria are counted for each criterion.",
+            caption=f"{path.muscle}: accepted placements above, rejected placements below, colored by the "
+            f"first criterion that they fail. At most {_MOST_CURVES} of each are drawn; the numbers count "
+            "all placements, and those that fail several criteria are counted for each criterion.",
         ),
     )

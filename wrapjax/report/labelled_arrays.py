@@ -1,16 +1,7 @@
-"""What all labelled arrays share: axes, units, and what is known of each cycle.
+"""xarray datasets of results, with labelled axes, units and meanings.
 
-What a calibration found.
-
-What several methods found on several legs.
-
-What joints bear.
-
-What a finished calibration predicts on other cycles.
-
-What a diagnosis found.
-
-Lengths to start a calibration from.
+One function for each kind of result: calibration, comparison, contact forces, evaluation, diagnosis, and
+initial fiber and tendon lengths. xarray is imported only when a dataset is made.
 """
 
 from __future__ import annotations
@@ -35,24 +26,34 @@ if TYPE_CHECKING:
     from wrapjax.calibration.initialisation import Initialisation
     from wrapjax.comparison.samples import ComparedLeg
 
-#: Axes, unit, meaning and values of a variable.
+#: Axes, unit, meaning and values of a variable of a dataset.
 Column = tuple[tuple[str, ...], str, str, Any]
 
 MOMENT = ("trial", "coordinate", "frame")
 USE = "calibration or validation"
-ERROR = (
-    ("trial", "coordinate"),
-    "N m",
-    "mean over frames of the absolute difference of modelled and measured moment",
-)
 
 
-def of_trials(result: CalibrationResult | DiagnosisResult | Trials) -> dict[str, Column]:
-    """What is known of each cycle."""
+def cycle_columns(uses: Sequence[str], speeds: Any, time: Any) -> dict[str, Column]:
+    """Make the columns of use, walking speed (m/s) and time (s) of each cycle."""
     return {
-        "use": (("trial",), "", USE, list(result.uses)),
-        "speed": (("trial",), "m/s", "walking speed", result.speeds),
-        "time": (("trial", "frame"), "s", "time in the recording", result.time),
+        "use": (("trial",), "", USE, list(uses)),
+        "speed": (("trial",), "m/s", "walking speed", speeds),
+        "time": (("trial", "frame"), "s", "time in the recording", time),
+    }
+
+
+def _moment_columns(measured: Any, modelled: Any, axes: tuple[str, ...] = ()) -> dict[str, Column]:
+    """Make the columns of moments and their errors (N m); ``axes`` precede those of the modelled moments."""
+    error = "mean over frames of the absolute difference of modelled and measured moment"
+    return {
+        "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", measured),
+        "modelled_moment": ((*axes, *MOMENT), "N m", "joint moment by the calibrated model", modelled),
+        "mean_absolute_error": (
+            (*axes, "trial", "coordinate"),
+            "N m",
+            error,
+            np.abs(modelled - measured).mean(axis=-1),
+        ),
     }
 
 
@@ -67,86 +68,91 @@ def labelled(
     Parameters
     ----------
     columns
-        What is to be read, by name.
+        Variables by name.
     labels
         Names or numbers along each axis.
     coordinates
-        What goes with an axis beside its labels: when and how a cycle was walked, for example.
+        Further coordinates of an axis, such as the walking speed of a cycle.
     attributes
-        What is known of the whole.
+        Attributes of the dataset.
     """
     import xarray
 
-    def of_xarray(column: Column) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
+    def variable(column: Column) -> tuple[tuple[str, ...], np.ndarray, dict[str, str]]:
         axes, unit, meaning, values = column
         return axes, np.asarray(values), {"units": unit, "long_name": meaning}
 
     return xarray.Dataset(
-        {name: of_xarray(column) for name, column in columns.items()},
+        {name: variable(column) for name, column in columns.items()},
         coords={
             **{name: list(values) for name, values in labels.items()},
-            **{name: of_xarray(column) for name, column in coordinates.items()},
+            **{name: variable(column) for name, column in coordinates.items()},
         },
         attrs=dict(attributes),
     )
 
 
 _CURVE = ("trial", "muscle", "frame")
-#: By the first part of its name, what a cylinder's parameter is.
+#: Meaning of a wrap parameter by the first part of its name.
 _WRAP_MEANINGS = {
-    "translation": "shift of the cylinder along its nominal frame",
-    "rotation": "turn of the cylinder about its frame, first x and then its own y axis",
-    "radius": "radius over the nominal one",
+    "translation": "translation of the cylinder along its nominal frame",
+    "rotation": "rotation of the cylinder about its frame, first x and then its own y axis",
+    "radius": "radius over the nominal radius",
 }
 
 
 def calibration_dataset(result: CalibrationResult) -> Dataset:
-    """Label what a calibration found: moments, what each muscle does, and its parameters.
+    """Make a dataset of a calibration: moments, muscle states and parameters.
 
     Parameters
     ----------
     result
-        Of one leg.
+        Result of one leg.
 
     Returns
     -------
     Dataset
-        SI units, which ``attrs`` of each variable say. Forces are along the tendon, in N; moments in N m,
-        with the signs of the model's coordinates. Where cylinders were free, their parameters by ``wrap``;
-        where synergies drove muscles, ``synergy_weight`` by ``extrapolated_excitation`` and ``command``.
+        SI units, stated in ``attrs`` of each variable. Forces are along the tendon, in N; moments in N m,
+        with the signs of the model's coordinates. If cylinders were free, their parameters by ``wrap``; if
+        synergies drove muscles, ``synergy_weight`` by ``extrapolated_excitation`` and ``command``.
     """
     states = result.states
 
-    def of_muscles(values: Any) -> np.ndarray:
+    def trial_first(values: Any) -> np.ndarray:
         return np.moveaxis(np.asarray(values), 0, 1)
 
     columns: dict[str, Column] = {
         "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", result.measured),
         "modelled_moment": (MOMENT, "N m", "joint moment by the calibrated model", result.modelled),
         "initial_moment": (MOMENT, "N m", "joint moment before calibration", result.initial_modelled),
-        "excitation": (_CURVE, "1", "EMG after delay and scale", of_muscles(states.excitation)),
-        "activation": (_CURVE, "1", "muscle activation", of_muscles(states.activation)),
-        "active_force": (_CURVE, "N", "active force", of_muscles(states.fiber.active_force)),
-        "passive_force": (_CURVE, "N", "passive force", of_muscles(states.fiber.passive_force)),
-        "tendon_force": (_CURVE, "N", "force on the bones", of_muscles(states.fiber.tendon_force)),
+        "excitation": (_CURVE, "1", "EMG after delay and scale", trial_first(states.excitation)),
+        "activation": (_CURVE, "1", "muscle activation", trial_first(states.activation)),
+        "active_force": (_CURVE, "N", "active force", trial_first(states.fiber.active_force)),
+        "passive_force": (_CURVE, "N", "passive force", trial_first(states.fiber.passive_force)),
+        "tendon_force": (_CURVE, "N", "tendon force", trial_first(states.fiber.tendon_force)),
         "normalized_fiber_length": (
             _CURVE,
             "1",
             "fiber length over its optimum",
-            of_muscles(states.fiber.normalized_length),
+            trial_first(states.fiber.normalized_length),
         ),
         "normalized_fiber_velocity": (
             _CURVE,
             "1",
             "fiber velocity over its maximum, shortening negative",
-            of_muscles(states.fiber.normalized_velocity),
+            trial_first(states.fiber.normalized_velocity),
         ),
-        "muscle_tendon_length": (_CURVE, "m", "length of the whole path", of_muscles(states.path.length)),
+        "muscle_tendon_length": (
+            _CURVE,
+            "m",
+            "length of the muscle-tendon path",
+            trial_first(states.path.length),
+        ),
         "moment_arm": (
             ("trial", "muscle", "coordinate", "frame"),
             "m",
             "moment arm, -dL/dq",
-            of_muscles(states.path.moment_arm),
+            trial_first(states.path.moment_arm),
         ),
     }
     for name, quantity in QUANTITIES.items():
@@ -169,7 +175,8 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
         columns["synergy_weight"] = (
             ("extrapolated_excitation", "command"),
             "1",
-            "weight of a synergy's command in an excitation that nobody measured, the last of a constant",
+            "weight of a synergy signal in the excitation of muscles without an electrode; the last is of a "
+            "constant",
             np.asarray(result.parameters.synergy_weights)[rows],
         )
     attributes = {
@@ -178,52 +185,44 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
         "tendon": result.tendon,
         "status": result.solution.status.value,
     }
-    return labelled(columns, labels, of_trials(result), attributes)
+    return labelled(columns, labels, cycle_columns(result.uses, result.speeds, result.time), attributes)
 
 
-#: Not ``method``, which `sel` of xarray takes for its own option.
+#: ``method`` would collide with an option of xarray's `sel`.
 _METHOD = "calibration_method"
 
 
 def comparison_dataset(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> Dataset:
-    """Label moments and parameters of several legs by several methods.
+    """Make a dataset of moments and parameters of several legs by several methods.
 
     Parameters
     ----------
     legs
-        Every calibrated leg.
+        Calibrated legs.
     methods
-        The first is the one that others are compared with.
+        Names of the methods.
 
     Returns
     -------
     Dataset
-        Cycles of all legs stand one after the other along ``trial``, as ``<leg>/<cycle>``; coordinates and
-        muscles go by their names without ``_l`` and ``_r``, with NaN where a leg lacks one. Moments in N m,
+        Cycles of all legs are concatenated along ``trial``, as ``<leg>/<cycle>``; coordinates and muscles
+        have their names without ``_l`` and ``_r``, with NaN where a leg lacks one. Moments in N m,
         parameters in SI units.
     """
     coordinates = _united([leg.recorded.coordinates for leg in legs])
     muscles = _united([leg.recorded.muscles for leg in legs])
     cycles = [(leg, trial) for leg in legs for trial in range(len(leg.recorded.trials))]
 
-    def moments(of: str, method: str | None = None) -> np.ndarray:
+    def moments(field: str, method: str | None = None) -> np.ndarray:
         filled = []
         for leg, trial in cycles:
             result = leg.recorded if method is None else leg.results[method]
-            filled.append(_placed(getattr(result, of)[trial], result.coordinates, coordinates))
+            filled.append(_placed(getattr(result, field)[trial], result.coordinates, coordinates))
         return np.stack(filled)
 
     measured = moments("measured")
     modelled = np.stack([moments("modelled", method) for method in methods])
-    columns: dict[str, Column] = {
-        "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", measured),
-        "modelled_moment": ((_METHOD, *MOMENT), "N m", "joint moment by the calibrated model", modelled),
-        "mean_absolute_error": (
-            (_METHOD, *ERROR[0]),
-            *ERROR[1:],
-            np.abs(modelled - measured).mean(axis=3),
-        ),
-    }
+    columns = _moment_columns(measured, modelled, (_METHOD,))
     for name, quantity in QUANTITIES.items():
         values = [
             [
@@ -244,13 +243,10 @@ def comparison_dataset(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> D
         "frame": np.arange(measured.shape[2]),
     }
     of_cycles: dict[str, Column] = {
-        "leg_of_trial": (("trial",), "", "leg that walked it", [leg.label for leg, _ in cycles]),
-        "use": (("trial",), "", USE, [leg.recorded.uses[trial] for leg, trial in cycles]),
-        "speed": (("trial",), "m/s", "walking speed", [leg.recorded.speeds[trial] for leg, trial in cycles]),
-        "time": (
-            ("trial", "frame"),
-            "s",
-            "time in the recording",
+        "leg_of_trial": (("trial",), "", "leg of the cycle", [leg.label for leg, _ in cycles]),
+        **cycle_columns(
+            [leg.recorded.uses[trial] for leg, trial in cycles],
+            [leg.recorded.speeds[trial] for leg, trial in cycles],
             np.stack([leg.recorded.time[trial] for leg, trial in cycles]),
         ),
     }
@@ -258,19 +254,19 @@ def comparison_dataset(legs: Sequence[ComparedLeg], methods: Sequence[str]) -> D
 
 
 def _united(names: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """List all names without their sides, each once, in the order in which they come."""
-    return tuple(dict.fromkeys(name_without_side(name) for own in names for name in own))
+    """List all names without their sides, each once, in order of first occurrence."""
+    return tuple(dict.fromkeys(name_without_side(name) for leg in names for name in leg))
 
 
 def _placed(values: np.ndarray, names: Sequence[str], places: Sequence[str]) -> np.ndarray:
-    """Put rows where their names without sides have their places; NaN elsewhere."""
+    """Arrange rows in the order of ``places`` by their names without sides; NaN where there is no row."""
     filled = np.full((len(places), *values.shape[1:]), np.nan)
     filled[[places.index(name_without_side(name)) for name in names]] = values
     return filled
 
 
 def contact_dataset(result: ContactResult) -> Dataset:
-    """Label what joints bear, by run, and which moments no muscle explains.
+    """Make a dataset of joint contact forces and of moments that muscles leave unexplained, by run.
 
     Returns
     -------
@@ -287,13 +283,13 @@ def contact_dataset(result: ContactResult) -> Dataset:
         "contact_force_magnitude": (
             ("run", "trial", "joint", "frame"),
             "N",
-            f"size of the {result.kind.replace('_', ' ')}",
+            f"magnitude of the {result.kind.replace('_', ' ')}",
             np.stack([run.magnitude for run in result.runs]),
         ),
         "unexplained_moment": (
             ("run", *MOMENT),
             "N m",
-            "measured joint moment less those of all muscles",
+            "measured joint moment minus the moments of all muscles",
             np.stack([run.undriven.residual for run in result.runs]),
         ),
     }
@@ -301,7 +297,7 @@ def contact_dataset(result: ContactResult) -> Dataset:
         columns["knee_compartment_force"] = (
             ("run", "trial", "compartment", "frame"),
             "N",
-            "what presses either side of the knee together",
+            "compressive force in each compartment of the knee",
             np.stack([run.compartments for run in result.runs if run.compartments is not None]),
         )
     labels = {
@@ -319,7 +315,7 @@ def contact_dataset(result: ContactResult) -> Dataset:
         "gait_phase": (
             ("trial", "frame"),
             "%",
-            "of the gait cycle, from the foot's strike, beyond 100 after the next one",
+            "phase of the gait cycle from foot strike; above 100 after the next foot strike",
             result.phase,
         ),
     }
@@ -332,66 +328,62 @@ def evaluation_dataset(
     modelled: Float[np.ndarray, "trial coordinate frame"],
     attributes: Mapping[str, str],
 ) -> Dataset:
-    """Label what a finished calibration predicts on a subject's cycles, beside what was measured.
+    """Make a dataset of measured moments and those that an earlier calibration predicts.
 
     Parameters
     ----------
     trials
-        The cycles.
+        Cycles of the evaluated subject.
     modelled
-        Joint moments in N m, with the signs of the model's coordinates.
+        Predicted joint moments in N m, with the signs of the model's coordinates.
     attributes
-        What is known of both: whose, and by which run.
+        Attributes of the dataset, such as the subject and the run.
     """
-    columns: dict[str, Column] = {
-        "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", trials.moments),
-        "modelled_moment": (MOMENT, "N m", "joint moment by the finished calibration", modelled),
-        "mean_absolute_error": (*ERROR, np.abs(modelled - trials.moments).mean(axis=2)),
-    }
     labels = {
         "trial": trials.names,
         "coordinate": trials.moment_coordinates,
         "frame": np.arange(trials.time.shape[1]),
     }
-    return labelled(columns, labels, of_trials(trials), attributes)
+    cycles = cycle_columns(trials.uses, trials.speeds, trials.time)
+    return labelled(_moment_columns(trials.moments, modelled), labels, cycles, attributes)
 
 
 def diagnosis_dataset(result: DiagnosisResult) -> Dataset:
-    """Label the moments of a diagnosis, measured and predicted, and its evidence by effect.
+    """Make a dataset of a diagnosis: measured and predicted moments, and the evidence for each effect.
 
     Returns
     -------
     Dataset
-        ``predicted_moment`` leads with ``model``: ``plain``, then what was fitted with an effect (or
-        several, joined by ``+``). Every cycle is from a fit that has not seen it.
+        The first axis of ``predicted_moment`` is ``model``: ``plain``, then the models that were refitted
+        with an effect (or several, joined by ``+``). Each cycle is predicted by a fit without that cycle.
     """
-    models = ("plain", *("+".join(one.ids) for one in result.alternatives))
-    predicted = np.stack([result.plain, *(one.predicted for one in result.alternatives)])
+    models = ("plain", *("+".join(refit.ids) for refit in result.refits))
+    predicted = np.stack([result.plain, *(refit.predicted for refit in result.refits)])
     effects = tuple(finding.id for finding in result.effects)
     columns: dict[str, Column] = {
         "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", result.measured),
         "predicted_moment": (
             ("model", *MOMENT),
             "N m",
-            "joint moment by fits that have not seen the cycle",
+            "joint moment by fits to which the cycle was held out",
             predicted,
         ),
         "probability": (
             ("effect",),
             "1",
-            "that this effect is missing",
+            "probability that the model lacks this effect",
             [finding.probability for finding in result.effects],
         ),
         "evidence": (
             ("effect",),
             "nat",
-            "log of the Bayes factor against the plain model",
+            "log Bayes factor against the plain model",
             [finding.evidence for finding in result.effects],
         ),
         "detectability": (
             ("effect",),
             "1",
-            "standard deviations that an effect of the expected size would stand out by",
+            "signal-to-noise ratio of an effect of its prior size, in standard deviations",
             [finding.detectability for finding in result.effects],
         ),
     }
@@ -403,38 +395,43 @@ def diagnosis_dataset(result: DiagnosisResult) -> Dataset:
         "frame": np.arange(result.time.shape[1]),
     }
     attributes = {"outcome": result.outcome, "reason": result.reason, "named": ", ".join(result.named)}
-    return labelled(columns, labels, of_trials(result), attributes)
+    return labelled(columns, labels, cycle_columns(result.uses, result.speeds, result.time), attributes)
 
 
-def initialisation_dataset(found: Initialisation) -> Dataset:
-    """Label lengths to start from, where fibers then work in walking, and passive moments.
+def initialisation_dataset(initialisation: Initialisation) -> Dataset:
+    """Make a dataset of initial lengths, normalised fiber lengths in walking, and passive moments.
 
     Returns
     -------
     Dataset
-        ``stage`` is before, then after. Lengths in m; passive moments in N m, with the signs of the model's
-        coordinates, NaN where none was recorded, the samples of all passive trials one after the other.
+        ``stage`` is ``before``, then ``after``. Lengths in m; passive moments in N m, with the signs of the
+        model's coordinates, NaN where none was recorded; samples of all passive trials are concatenated.
     """
-    stages = (found.before, found.after)
+    stages = (initialisation.before, initialisation.after)
     by_muscle = ("stage", "muscle")
     columns: dict[str, Column] = {
         name: (
             by_muscle,
             QUANTITIES[name].unit,
             QUANTITIES[name].meaning,
-            [getattr(one, name) for one in stages],
+            [getattr(muscles, name) for muscles in stages],
         )
         for name in ("optimal_fiber_length", "tendon_slack_length")
     }
     for place, end in enumerate(("shortest", "longest")):
-        meaning = f"{end} fiber length in walking over its optimum"
-        columns[f"{end}_normalized_fiber_length"] = (by_muscle, "1", meaning, found.ranges[:, :, place])
-    measured, *modelled = found.passive
+        meaning = f"{end} fiber length in walking over the optimal fiber length"
+        columns[f"{end}_normalized_fiber_length"] = (
+            by_muscle,
+            "1",
+            meaning,
+            initialisation.ranges[:, :, place],
+        )
+    measured, *modelled = initialisation.passive
     columns |= {
         "measured_passive_moment": (
             ("coordinate", "sample"),
             "N m",
-            "joint moment recorded with muscles at rest",
+            "joint moment measured with relaxed muscles",
             measured,
         ),
         "modelled_passive_moment": (
@@ -444,11 +441,11 @@ def initialisation_dataset(found: Initialisation) -> Dataset:
             np.stack(modelled),
         ),
     }
-    trials = [trial.name for trial in found.subject.passive for _ in range(trial.moments.shape[1])]
+    trials = [trial.name for trial in initialisation.subject.passive for _ in range(trial.moments.shape[1])]
     labels = {
         "stage": ("before", "after"),
-        "muscle": found.after.names,
-        "coordinate": found.subject.trials.moment_coordinates,
+        "muscle": initialisation.after.names,
+        "coordinate": initialisation.subject.trials.moment_coordinates,
         "sample": np.arange(measured.shape[1]),
     }
     of_samples: dict[str, Column] = {
@@ -459,5 +456,5 @@ def initialisation_dataset(found: Initialisation) -> Dataset:
             np.array(trials, dtype=str),
         )
     }
-    attributes = {"subject": found.subject.name, "status": found.status.value}
+    attributes = {"subject": initialisation.subject.name, "status": initialisation.status.value}
     return labelled(columns, labels, of_samples, attributes)

@@ -1,4 +1,4 @@
-"""Small pieces of HTML. Whatever is passed in as text is escaped here, and nowhere else."""
+"""Elements of an HTML page; all text is escaped in this module and nowhere else."""
 
 from __future__ import annotations
 
@@ -45,73 +45,81 @@ summary { cursor: pointer; }
 }
 """
 
-_ONE = r"-?\d+(\.\d+)?(e[+-]?\d+)?"
-# Also with its mark, its deviation, or what it goes with: "* 1.5 ± 0.2", "< 0.001", "1.2 to 1.4", "2, 27",
-# "0.3 (0.02)".
-_NUMBER = re.compile(rf"(\* |< )?{_ONE}(( ± | to | of |, ){_ONE}| \((< )?{_ONE}\))?|nan|inf|\u2013")
+_DIGITS = r"-?\d+(\.\d+)?(e[+-]?\d+)?"
+# A cell is numeric also with a mark, a deviation or a second number: "* 1.5 ± 0.2", "< 0.001",
+# "1.2 to 1.4", "2, 27", "0.3 (0.02)".
+_NUMBER = re.compile(rf"(\* |< )?{_DIGITS}(( ± | to | of |, ){_DIGITS}| \((< )?{_DIGITS}\))?|nan|inf|\u2013")
 _NUMBER_AND_UNIT = re.compile(r"(\d) N m\b")
 
 
 class Link(str):
-    """Plain text of a table's cell that leads to a file.
+    """Plain text of a table's cell with a link to a file.
 
     Parameters
     ----------
     plain
-        What is read.
+        Text of the link.
     target
-        The file, as a relative path from the page, with slashes.
+        File that it opens, as a relative path from the page, with slashes.
     """
 
     target: str
 
     def __new__(cls, plain: str, target: str) -> Link:
-        """Join both."""
+        """Make the text and attach its target."""
         link = super().__new__(cls, plain)
         link.target = target
         return link
 
 
 def text(plain: str) -> str:
-    """Plain text as HTML, numbers and their unit on one line."""
+    """Escape plain text as HTML, with no line break between a number and ``N m``."""
     return _NUMBER_AND_UNIT.sub("\\1\N{NO-BREAK SPACE}N\N{NO-BREAK SPACE}m", escape(plain))
 
 
 def paragraph(plain: str, kind: str = "") -> str:
-    """One paragraph of plain text."""
+    """Write plain text as a paragraph."""
     return f"<p{_class(kind)}>{text(plain)}</p>"
 
 
 def bullets(lines: Iterable[str]) -> str:
-    """List lines of plain text."""
+    """Write lines of plain text as a bulleted list."""
     return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"
 
 
 def box(content: str, kind: str) -> str:
-    """Set pieces apart."""
+    """Put HTML into a box of a CSS class."""
     return f"<div{_class(kind)}>{content}</div>"
 
 
 def section(title: str, *content: str) -> str:
-    """Put pieces under a heading."""
+    """Put HTML elements under a heading."""
     return "\n".join([f"<section>\n<h2>{text(title)}</h2>", *content, "</section>"])
 
 
 def header(title: str, under: str = "") -> str:
-    """Write a page's title, and a line under it."""
+    """Write a page's title and a line under it."""
     below = f"\n{paragraph(under, 'under')}" if under else ""
     return f"<header><h1>{text(title)}</h1>{below}</header>"
 
 
 def verdict(sentences: Sequence[str], *, fine: bool) -> str:
-    """Set apart what a page says in the end, the first sentence in bold; empty ones are left out."""
+    """Write a page's conclusions in a box.
+
+    Parameters
+    ----------
+    sentences
+        Plain text, one paragraph each, the first in bold; empty ones are omitted.
+    fine
+        Whether the result can be used without reservation; otherwise the box has a warning color.
+    """
     first, *others = sentences
-    content = [f"<p><strong>{text(first)}</strong></p>", *(paragraph(one) for one in others if one)]
+    content = [f"<p><strong>{text(first)}</strong></p>", *(paragraph(line) for line in others if line)]
     return box("\n".join(content), "verdict" if fine else "verdict failed")
 
 
 def folded(title: str, *content: str) -> str:
-    """Put pieces behind a line that opens them."""
+    """Hide HTML elements until the reader opens them by their title."""
     return "\n".join([f"<details>\n<summary>{text(title)}</summary>", *content, "</details>"])
 
 
@@ -122,16 +130,16 @@ def table(
     caption: str,
     total: bool = False,
 ) -> str:
-    """Lay out a table whose first column names the rows; columns of numbers are set to the right.
+    """Write a table whose first column names the rows; columns of numbers are right-aligned.
 
     Parameters
     ----------
     header, rows
-        Texts; `Link` for cells that lead somewhere.
+        Plain texts; `Link` for cells with a link.
     caption
-        What the table shows, with units.
+        Contents of the table, with units.
     total
-        Whether the last row sums up the others.
+        Whether the last row summarizes the others.
     """
     lines = [tuple(row) for row in rows]
     kinds = [
@@ -156,16 +164,16 @@ def table(
 
 
 def picture(figure: Figure, *, alternative: str, caption: str) -> str:
-    """Embed a figure as an image of its own, so that its ids meet those of no other.
+    """Embed a figure as a separate image, because ids in SVG must be unique within a document.
 
     Parameters
     ----------
     figure
-        The drawing.
+        Figure to embed.
     alternative
-        What it shows, for those who cannot see it.
+        Description of the figure for readers who cannot see it.
     caption
-        What it shows and how to read it, with units.
+        Contents of the figure and how to read it, with units.
     """
     data = base64.b64encode(to_svg(figure).encode()).decode()
     return (
@@ -175,7 +183,7 @@ def picture(figure: Figure, *, alternative: str, caption: str) -> str:
 
 
 def page(title: str, content: Iterable[str]) -> str:
-    """Make a whole page that loads nothing from anywhere."""
+    """Write a complete HTML page that loads no other file."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -1,4 +1,4 @@
-"""Results that lie below one folder: one line and a link each, with their key figures."""
+"""Index page of all results below a folder, with their main numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.report import markup
-from wrapjax.report.style import counted, decimals, plain
+from wrapjax.report.formatting import counted, decimals, readable
 
 Content = dict[str, Any]
 
@@ -23,13 +23,13 @@ class Result:
     Parameters
     ----------
     folder
-        Where it lies.
+        Folder of the result.
     kind
-        Of `KINDS`.
+        Key of `KINDS`.
     about
-        Whose it is.
+        Subject and method.
     figures
-        Key figures, in a phrase.
+        Main numbers, in a phrase.
     """
 
     folder: Path
@@ -45,11 +45,11 @@ class Kind:
     Parameters
     ----------
     file
-        By which a folder of this kind is told.
+        Name of the JSON file that identifies a folder of this kind.
     about, figures
-        Read whose it is, and key figures, out of that file.
+        Functions that write subject and method, and the main numbers, from that file's content.
     command
-        What writes it.
+        Subcommand of ``wrapjax`` that writes the folder.
     """
 
     file: str
@@ -58,24 +58,30 @@ class Kind:
     command: str
 
 
-def _errors(content: Content) -> str:
+def _error_figures(content: Content) -> str:
     parts = [
-        f"{use} {decimals(own['mean'])} N m" for use, own in content["mae_Nm"].items() if own is not None
+        f"{use} {decimals(errors['mean'])} N m"
+        for use, errors in content["mae_Nm"].items()
+        if errors is not None
     ]
     return f"mean absolute error: {', '.join(parts)}"
 
 
-def _run(content: Content) -> str:
+def _run_figures(content: Content) -> str:
     end = "" if content["converged"] else "; did not converge"
-    return f"{_errors(content)}{end}"
+    return f"{_error_figures(content)}{end}"
 
 
-def _evaluated(content: Content) -> str:
+def _about_subject(content: Content) -> str:
+    return content["subject"]
+
+
+def _about_evaluation(content: Content) -> str:
     run = content["run"]
-    return f"{content['subject']} by the {run['method']} of {run['subject']}"
+    return f"{content['subject']} by the {run['method']} calibration of {run['subject']}"
 
 
-def _fit(content: Content) -> str:
+def _fit_figures(content: Content) -> str:
     muscles = content["muscles"]
     worst = max(muscles, key=lambda name: muscles[name]["length_rmse_mm"])
     return (
@@ -84,83 +90,83 @@ def _fit(content: Content) -> str:
     )
 
 
-def _gap(content: Content) -> str:
+def _diagnosis_figures(content: Content) -> str:
     names = content["named"] or [name for tie in content["ties"] for name in tie]
-    said = plain(content["outcome"]) + (f": {', '.join(names)}" if names else "")
+    outcome = readable(content["outcome"]) + (f": {', '.join(names)}" if names else "")
     share = (content.get("explainable_share") or {}).get("estimate")
-    return said if share is None else f"{said}; {100.0 * share:.0f} % of the error explainable"
+    return outcome if share is None else f"{outcome}; {100.0 * share:.0f} % of the error explainable"
 
 
-def _comparison(content: Content) -> str:
+def _comparison_figures(content: Content) -> str:
     rows = [
         row
         for row in content["quantities"].get("moment_error", [])
         if row["item"] == "mean" and row["use"] == "calibration"
     ]
     means = rows[-1]["methods"] if rows else {}
-    parts = [f"{method} {decimals(own['mean'])}" for method, own in means.items()]
+    parts = [f"{method} {decimals(errors['mean'])}" for method, errors in means.items()]
     return f"mean absolute error (N m): {', '.join(parts)}" if parts else ", ".join(content["methods"])
 
 
-def _contact(content: Content) -> str:
+def _contact_figures(content: Content) -> str:
     joint = next(iter(content["joints"]))
     parts = []
     for run in content["runs"]:
         measure, peak = list(run["joints"][joint].items())[-1]
         parts.append(f"{run['run']} {decimals(peak['mean_bodyweights'])}")
-    return f"{plain(measure)} at the {joint} (bodyweights): {', '.join(parts)}"
+    return f"{readable(measure)} at the {joint} (bodyweights): {', '.join(parts)}"
 
 
-def _lengths(content: Content) -> str:
-    errors = content["passive_mae_Nm"]
-    parts = [f"{name} {decimals(own['before'])} to {decimals(own['after'])}" for name, own in errors.items()]
+def _initialisation_figures(content: Content) -> str:
+    parts = [
+        f"{name} {decimals(errors['before'])} to {decimals(errors['after'])}"
+        for name, errors in content["passive_mae_Nm"].items()
+    ]
     if not parts:
         return "no passive moments"
     return f"passive moments, mean absolute error (N m): {', '.join(parts)}"
 
 
-def _cohort(content: Content) -> str:
-    states = [own["state"] for own in content["subjects"].values()]
+def _cohort_figures(content: Content) -> str:
+    states = [subject["state"] for subject in content["subjects"].values()]
     return f"{counted(len(states), 'subject')}, {states.count('failed')} failed"
 
 
-#: By name. A folder is of the first kind whose file it holds.
+#: Kinds of results by name. A folder is of the first kind whose file it holds.
 KINDS: dict[str, Kind] = {
     "cohort": Kind(
         "cohort.json",
         lambda content: f"{content['method']} of {counted(len(content['subjects']), 'subject')}",
-        _cohort,
+        _cohort_figures,
         "cohort",
     ),
     "comparison": Kind(
         "comparison.json",
         lambda content: f"{counted(len(content['legs']), 'leg')} by {', '.join(content['methods'])}",
-        _comparison,
+        _comparison_figures,
         "compare",
     ),
-    "diagnosis": Kind("gap.json", lambda content: content["subject"], _gap, "diagnose"),
-    "evaluation": Kind(
-        "evaluation.json",
-        _evaluated,
-        _errors,
-        "evaluate",
-    ),
-    "fit": Kind("fit.json", lambda content: "", _fit, "fit"),
-    "contact force": Kind("contact.json", lambda content: content["subject"], _contact, "contact"),
-    "initialisation": Kind("initialisation.json", lambda content: content["subject"], _lengths, "initialise"),
+    "diagnosis": Kind("gap.json", _about_subject, _diagnosis_figures, "diagnose"),
+    "evaluation": Kind("evaluation.json", _about_evaluation, _error_figures, "evaluate"),
+    "fit": Kind("fit.json", lambda content: "", _fit_figures, "fit"),
+    "contact force": Kind("contact.json", _about_subject, _contact_figures, "contact"),
+    "initialisation": Kind("initialisation.json", _about_subject, _initialisation_figures, "initialise"),
     "calibration": Kind(
-        "summary.json", lambda content: f"{content['method']} of {content['subject']}", _run, "calibrate"
+        "summary.json",
+        lambda content: f"{content['method']} of {content['subject']}",
+        _run_figures,
+        "calibrate",
     ),
 }
 
 
 def kind_of(folder: Path) -> str | None:
-    """Say what kind of result a folder is; None if it is none."""
+    """Determine which of `KINDS` a folder holds; None if it holds no result."""
     return next((name for name, kind in KINDS.items() if (folder / kind.file).is_file()), None)
 
 
 def find_results(folder: Path) -> list[Result]:
-    """Find all results below a folder, in the order of their paths; hidden folders are left out."""
+    """Find all results below a folder, in the order of their paths; hidden folders are skipped."""
     found = []
     for place, below, _ in os.walk(folder):
         below[:] = sorted(name for name in below if not name.startswith("."))
@@ -180,7 +186,7 @@ def _read(folder: Path, kind: str) -> Result:
 
 
 def render_overview(folder: Path, results: list[Result]) -> str:
-    """Write a page that links to the reports below a folder, with nothing outside it."""
+    """Write a self-contained HTML page with a link to each report below a folder."""
     title = f"Results in {folder.resolve().name}"
     rows = [(_linked(result.folder, folder), result.kind, result.about, result.figures) for result in results]
     return markup.page(
@@ -188,9 +194,9 @@ def render_overview(folder: Path, results: list[Result]) -> str:
         [
             markup.header(title),
             markup.table(
-                ("folder", "result", "of", "key figures"),
+                ("folder", "result", "subject and method", "main numbers"),
                 rows,
-                caption="One line a result. Moment errors are means over coordinates.",
+                caption="One row per result. Moment errors are means over coordinates.",
             ),
         ],
     )
@@ -202,7 +208,7 @@ def _linked(place: Path, folder: Path) -> str:
 
 
 def refuse_redrawing(folder: Path, kind: str) -> None:
-    """Raise an error that says why the report of this kind of result cannot be drawn again.
+    """Raise an error for a kind of result whose report cannot be redrawn from its files.
 
     Raises
     ------
@@ -210,8 +216,8 @@ def refuse_redrawing(folder: Path, kind: str) -> None:
         Always.
     """
     message = (
-        f"holds a {kind}, whose report shows more than its files keep: it cannot be drawn again without "
-        "calculating"
+        f"holds a {kind}, whose report shows more than its files contain: it cannot be redrawn without "
+        "computing the result again"
     )
-    hint = f"make it anew with 'wrapjax {KINDS[kind].command}', or ask for an index of the folder above it"
+    hint = f"run 'wrapjax {KINDS[kind].command}' again, or make an index of the folder above it"
     raise InputError(Problem(str(folder), message, hint=hint))

@@ -1,9 +1,4 @@
-"""Figures of a calibration: parameters within their bounds, and how the solver got there.
-
-Muscle parameters in the report: where they lie between their bounds, and which ended there.
-
-The solver in the report: how it got there, what limits held it, what the cost is made of.
-"""
+"""Report sections on muscle parameters within their bounds, and on the solver, its limits and the cost."""
 
 from __future__ import annotations
 
@@ -17,6 +12,7 @@ from wrapjax.calibration.result import CalibrationResult
 from wrapjax.model.freedom import FreedParameter
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup
+from wrapjax.report.formatting import counted, decimals, readable
 from wrapjax.report.style import (
     BLUE,
     GRAY,
@@ -24,43 +20,36 @@ from wrapjax.report.style import (
     PAGE_WIDTH,
     VERMILION,
     Figure,
-    counted,
-    decimals,
     in_style,
+    label_bounds,
+    label_rows,
+    legend_above,
     new_figure,
-    plain,
 )
 
 
 @in_style
 def bounds_figure(result: CalibrationResult) -> Figure:
-    """Draw where each freed parameter lies between its bounds, one column a parameter, one row a muscle."""
+    """Draw each freed parameter between its bounds, one column a parameter, one row a muscle."""
     freed = result.freedom.parameters
     muscles = result.muscles
     rows = np.arange(len(muscles))
     figure = new_figure(PAGE_WIDTH, 0.18 * len(muscles) + 1.9)
     panels = figure.subplots(1, len(freed), sharey=True, squeeze=False)[0]
     for panel, parameter in zip(panels, freed, strict=True):
-        stuck = np.array([f"{muscle}.{parameter.name}" in result.at_bounds for muscle in muscles], dtype=bool)
-        before = place_within_bounds(parameter, np.asarray(getattr(result.initial, parameter.name)))
+        at_bound = np.array(
+            [f"{muscle}.{parameter.name}" in result.at_bounds for muscle in muscles], dtype=bool
+        )
+        initial = np.asarray(getattr(result.initial, parameter.name))
+        before = place_within_bounds(parameter, initial)
         after = place_within_bounds(parameter, np.asarray(getattr(result.parameters, parameter.name)))
         panel.hlines(rows, 0.0, 1.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
         panel.plot(before, rows, "|", color=GRAY, markersize=7, label="before calibration")
-        panel.plot(after[~stuck], rows[~stuck], "o", color=BLUE, markersize=4, label="after")
-        panel.plot(after[stuck], rows[stuck], "D", color=VERMILION, markersize=4.5, label="at a bound")
-        panel.set_title(parameter.name.replace("_", "\n", 1).replace("_", " "))
-        panel.set_xlim(-0.06, 1.06)
-        panel.set_xticks(
-            [0.0, 1.0], _bound_labels(parameter, np.asarray(getattr(result.initial, parameter.name)))
-        )
-        panel.tick_params(axis="y", length=0)
-        panel.spines["left"].set_visible(False)
-        # Inwards, or the labels of neighbors meet.
-        for label, side in zip(panel.get_xticklabels(), ("left", "right"), strict=True):
-            label.set_horizontalalignment(side)
-    panels[0].set_yticks(rows, muscles, parse_math=False)
-    panels[0].set_ylim(len(muscles) - 0.4, -0.6)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3)
+        panel.plot(after[~at_bound], rows[~at_bound], "o", color=BLUE, markersize=4, label="after")
+        panel.plot(after[at_bound], rows[at_bound], "D", color=VERMILION, markersize=4.5, label="at a bound")
+        label_bounds(panel, parameter.name, _bound_labels(parameter, initial))
+    label_rows(panels, muscles)
+    legend_above(figure, panels[0])
     return figure
 
 
@@ -76,7 +65,7 @@ def history_figure(result: CalibrationResult) -> Figure:
     titles = {"cost": "cost (no unit)", "optimality": "optimality (solver units)"}
     for panel, (name, title) in zip(panels, titles.items(), strict=True):
         values = np.array([getattr(iteration, name) for iteration in history])
-        # A logarithm has no place for an exact zero.
+        # An exact zero cannot be shown on a logarithmic scale.
         panel.plot(numbers, np.where(values > 0.0, values, np.nan), "o-", color=BLUE, markersize=2.5)
         if (values > 0.0).any():
             panel.set_yscale("log")
@@ -93,33 +82,31 @@ def history_figure(result: CalibrationResult) -> Figure:
 
 @in_style
 def cost_figure(result: CalibrationResult) -> Figure:
-    """Draw the parts of the cost as bars, largest first."""
+    """Draw the terms of the cost as bars, largest first."""
     terms = sorted(result.cost_by_term.items(), key=lambda item: -item[1])
     total = sum(value for _, value in terms)
     figure = new_figure(PAGE_WIDTH, 0.22 * len(terms) + 0.7)
     panel = figure.subplots()
-    bars = panel.barh(
-        [name.replace("_", " ") for name, _ in terms], [value for _, value in terms], color=BLUE
-    )
+    bars = panel.barh([readable(name) for name, _ in terms], [value for _, value in terms], color=BLUE)
     shares = [f"{value:.3g} ({100.0 * value / total:.1f} %)" if total else "0" for _, value in terms]
     panel.bar_label(bars, shares, padding=4, fontsize=7)
     panel.invert_yaxis()
     panel.margins(x=0.12)
     panel.tick_params(axis="y", length=0)
-    panel.set_xlabel("part of the cost (no unit)")
+    panel.set_xlabel("term of the cost (no unit)")
     return figure
 
 
 def place_within_bounds(
     parameter: FreedParameter, values: Float[np.ndarray, " muscle"]
 ) -> Float[np.ndarray, " muscle"]:
-    """Give 0 at the lower bound, 1 at the upper, one half where the bounds coincide."""
+    """Scale values to 0 at the lower and 1 at the upper bound; one half where the bounds coincide."""
     width = parameter.upper - parameter.lower
     return np.where(width > 0.0, (values - parameter.lower) / np.where(width > 0.0, width, 1.0), 0.5)
 
 
 def _bound_labels(parameter: FreedParameter, reference: Float[np.ndarray, " muscle"]) -> list[str]:
-    """Say what the bounds are: in the unit where all muscles share them, else as a share of the start."""
+    """Label the bounds: in their unit if all muscles share them, else as a share of the initial values."""
     bounds = (parameter.lower, parameter.upper)
     if all(np.ptp(bound) == 0.0 for bound in bounds):
         unit = QUANTITIES[parameter.name].unit
@@ -133,19 +120,19 @@ def _bound_labels(parameter: FreedParameter, reference: Float[np.ndarray, " musc
 
 
 def parameters_section(result: CalibrationResult) -> str:
-    """Write the part of the report on muscle parameters."""
+    """Write the report section on muscle parameters."""
     if not result.freedom.parameters:
         return markup.section("Muscle parameters", markup.paragraph("No parameter was free."))
     meanings = [
         f"{parameter.name}: {QUANTITIES[parameter.name].meaning}" for parameter in result.freedom.parameters
     ]
-    rows = list(_stuck_rows(result))
-    stuck = (
+    rows = list(_rows_at_bounds(result))
+    at_bounds = (
         markup.table(
             ("parameter", "bound", "number", "muscles"),
             rows,
-            caption="Parameters that ended on a bound. Where many do, look at the data (EMG scale, "
-            "electrode, model) before trusting the values.",
+            caption="Parameters that ended on a bound. If many do, check the data (EMG scale, electrode, "
+            "model) before using the values.",
         )
         if rows
         else markup.paragraph("No parameter ended on a bound.")
@@ -161,12 +148,12 @@ def parameters_section(result: CalibrationResult) -> str:
             "model's own value.",
         ),
         markup.bullets(meanings),
-        stuck,
+        at_bounds,
     )
 
 
-def _stuck_rows(result: CalibrationResult) -> Iterable[tuple[str, str, str, str]]:
-    """One row a parameter and bound, with the muscles that ended there."""
+def _rows_at_bounds(result: CalibrationResult) -> Iterable[tuple[str, str, str, str]]:
+    """Write one row for each parameter and bound, with the muscles that ended there."""
     for parameter in result.freedom.parameters:
         values = np.asarray(getattr(result.parameters, parameter.name))
         nearer_lower = values - parameter.lower <= parameter.upper - values
@@ -181,13 +168,13 @@ def _stuck_rows(result: CalibrationResult) -> Iterable[tuple[str, str, str, str]
 
 
 def solver_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
-    """Write the part of the report on the solver."""
+    """Write the report section on the solver."""
     largest = max(result.cost_by_term, key=lambda name: result.cost_by_term[name])
     history = result.solution.history
     seconds = summary["seconds"]
     paths = (
-        " Where paths may change, the first iterations still hold them; the cost jumps where the hard limits "
-        "come in, and where they are enforced more strictly."
+        " Paths are held fixed in the first iterations and may change afterwards; the cost increases "
+        "abruptly where the hard limits are introduced and where they are enforced more strictly."
         if result.freedom.moving_paths is not None
         else ""
     )
@@ -195,54 +182,54 @@ def solver_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
         "Solver",
         markup.paragraph(
             f"{counted(summary['starts'], 'start')} in {seconds['solve']:.1f} s, after "
-            f"{seconds['compile']:.1f} s of compiling. The one taken needed "
+            f"{seconds['compile']:.1f} s of compilation. The selected start needed "
             f"{counted(summary['iterations'], 'iteration')} for {summary['n_variables']} variables and "
             f"{summary['n_residuals']} moment residuals. {summary['message']}"
         ),
-        *_limits(result, summary),
+        *_hard_limits(result, summary),
         markup.picture(
             history_figure(result),
             alternative=f"Cost and optimality by iteration. The cost falls from {decimals(history[0].cost)} "
             f"to {decimals(history[-1].cost)}; optimality ends at {history[-1].optimality:.2g}.",
-            caption="Of the start that was taken: the cost that is minimised, and optimality (the largest "
-            "move that steepest descent within the bounds would still make, in solver units), by iteration. "
-            f"Both scales are logarithmic.{paths}",
+            caption="Selected start: the minimised cost and the optimality (largest step that steepest "
+            "descent within the bounds would still take, in solver units) at each iteration. Both scales "
+            f"are logarithmic.{paths}",
         ),
         markup.picture(
             cost_figure(result),
-            alternative=f"Parts of the cost at the solution; the largest is {plain(largest)}, "
+            alternative=f"Terms of the cost at the solution; the largest is {readable(largest)}, "
             f"{result.cost_by_term[largest]:.3g} of {summary['cost']:.4g}.",
-            caption="Parts of the cost at the solution. Each is a mean square in allowable errors: 1 means "
-            "an error as large as allowed.",
+            caption="Terms of the cost at the solution. Each is a mean square in units of the allowable "
+            "error: 1 means an error as large as the allowable error.",
         ),
     )
 
 
-def _limits(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
+def _hard_limits(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     limits = summary["limits"]
     if not limits:
         return []
-    kept = summary["max_constraint_violation"] <= result.solver.ctol
+    satisfied = summary["max_constraint_violation"] <= result.solver.ctol
     return [
         markup.paragraph(
-            "Hard limits hold fiber lengths and the signs of moment arms on the calibration cycles. "
-            + ("They are kept" if kept else "They are not kept")
-            + f": the largest excess is {summary['max_constraint_violation']:.1g}, where "
+            "Hard limits restrict fiber lengths and the signs of moment arms on the calibration cycles. "
+            + ("They are satisfied" if satisfied else "They are violated")
+            + f": the largest violation is {summary['max_constraint_violation']:.1g}, where "
             f"{result.solver.ctol:.0e} is allowed (normalised fiber length, or cm of moment arm)."
         ),
         markup.table(
-            ("limit", "values that push", "largest multiplier", "largest excess", "muscles"),
+            ("limit", "active values", "largest multiplier", "largest violation", "muscles"),
             [
                 (
-                    plain(name),
-                    str(own["pushing"]),
-                    f"{own['largest_multiplier']:.2g}",
-                    f"{own['largest_excess']:.1g}",
-                    ", ".join(own["muscles"]) or "none",
+                    readable(name),
+                    str(limit["pushing"]),
+                    f"{limit['largest_multiplier']:.2g}",
+                    f"{limit['largest_excess']:.1g}",
+                    ", ".join(limit["muscles"]) or "none",
                 )
-                for name, own in limits.items()
+                for name, limit in limits.items()
             ],
-            caption="Hard limits that push against the solution. The multiplier is how much the cost would "
-            "fall for one unit of room.",
+            caption="Hard limits that are active at the solution. The multiplier is the decrease of the "
+            "cost if the limit were relaxed by one unit.",
         ),
     ]

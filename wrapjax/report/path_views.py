@@ -15,18 +15,19 @@ from scipy.spatial import ConvexHull
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath
 from wrapjax.report import markup
-from wrapjax.report.moment_curves import draw_spread, mark_gait_cycle
+from wrapjax.report.cycle_panels import draw_spread, label_gait_cycles
+from wrapjax.report.formatting import counted
 from wrapjax.report.paths import MovedPath, describe_move
 from wrapjax.report.style import (
     BLACK,
     BLUE,
     GRAY,
-    LIGHT_GRAY,
     PAGE_WIDTH,
     Axes,
     Figure,
-    counted,
+    draw_zero_line,
     in_style,
+    legend_above,
     new_figure,
     panel_grid,
 )
@@ -187,7 +188,7 @@ def _shown_heights(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, fl
 def _draw_cylinder(
     panel: Axes, camera: Camera, cylinder: PlacedCylinder, low: float, high: float, color: str
 ) -> float:
-    """Draw a translucent surface, its axis and both edges; return its largest distance from the center (mm)."""
+    """Draw a translucent surface, its axis and both edges; return its extent from the center (mm)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _FACETS + 1)
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     rings = [
@@ -303,8 +304,8 @@ def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> 
         markup.table(
             ("muscle", "length: mean", "length: largest", "arms: mean", "arms: largest", "largest about"),
             [_change_row(result, muscle) for muscle in order.tolist()],
-            caption="Absolute changes in mm over all frames of all cycles, for length and for moment arms about "
-            "the coordinates that the muscle spans.",
+            caption="Absolute changes in mm over all frames of all cycles, for length and for moment arms "
+            "about the coordinates that the muscle spans.",
         ),
     )
 
@@ -312,12 +313,12 @@ def path_section(result: CalibrationResult, moves: Sequence[MovedPath] = ()) -> 
 def _source_of_changes(result: CalibrationResult) -> str:
     if result.freedom.wraps is not None:
         return (
-            "They result from the cylinders that the muscles wrap round, each of which may be translated, rotated "
-            "and scaled within its bounds (kind 'wrap' in parameters.csv)."
+            "They result from the cylinders that the muscles wrap round, each of which may be translated, "
+            "rotated and scaled within its bounds (kind 'wrap' in parameters.csv)."
         )
     return (
-        "These paths are polynomials without anatomical constraints: neither bones nor surfaces restrict them, "
-        "only penalties on the change and the hard limits (see Solver)."
+        "These paths are polynomials without anatomical constraints: neither bones nor surfaces restrict "
+        "them, only penalties on the change and the hard limits (see Solver)."
     )
 
 
@@ -351,7 +352,7 @@ def moment_arm_figure(result: CalibrationResult) -> Figure:
 
 
 def largest_changes(result: CalibrationResult) -> list[tuple[int, int]]:
-    """List indices of muscle and coordinate of the moment arms that changed most on average, largest first."""
+    """List muscle and coordinate indices of the moment arms with the largest mean changes, in this order."""
     mean = _changes(result)[1].mean(axis=(1, 3))
     order = np.argsort(-mean, axis=None)[:MOST_PANELS]
     places = [divmod(int(place), mean.shape[1]) for place in order]

@@ -1,4 +1,4 @@
-"""Muscle paths before and after calibration, for the muscles whose moment arms changed most with their cylinders."""
+"""Muscle paths round nominal and calibrated cylinders, for the muscles whose moment arms changed most."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class MovedPath:
 
     @property
     def touched(self) -> list[tuple[PlacedCylinder, PlacedCylinder]]:
-        """Cylinders (before, after) that the path touches before or after; all cylinders if it touches none."""
+        """Cylinders (before, after) that the path touches before or after; all if it touches none."""
         pairs = list(zip(self.before.cylinders, self.after.cylinders, strict=True))
         names = self.before.contacts.keys() | self.after.contacts.keys()
         return [pair for pair in pairs if pair[0].name in names] or pairs

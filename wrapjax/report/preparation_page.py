@@ -1,7 +1,4 @@
-"""Figures of a recording: forces over time, and every gait cycle for itself, so that one amiss is seen.
-
-The page of a prepared subject, as one HTML file that opens anywhere, offline.
-"""
+"""Report of a prepared subject as a self-contained HTML page: ground forces and every gait cycle."""
 
 from __future__ import annotations
 
@@ -12,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.report import markup
-from wrapjax.report.moment_curves import groups_by_speed, mark_gait_cycle
+from wrapjax.report.cycle_panels import groups_by_speed, label_gait_cycles
+from wrapjax.report.formatting import DASH, counted, leg_name
 from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.style import (
     BLACK,
@@ -22,35 +20,36 @@ from wrapjax.report.style import (
     PAGE_WIDTH,
     VERMILION,
     Figure,
-    counted,
+    draw_zero_line,
     in_style,
+    legend_above,
     panel_grid,
 )
 from wrapjax.subject.description import Table
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
-#: Gait cycles of a recording that fit into one panel and can still be looked at.
+#: Largest number of gait cycles of a recording that one panel shows.
 _MOST_CYCLES = 6
-#: Shown before the first cycle, s.
+#: Time shown before the first cycle, s.
 _BEFORE = 0.3
 _FOOT_COLORS = {"left": BLUE, "right": VERMILION}
 
 
 @dataclass(frozen=True)
 class ForceTrace:
-    """Vertical ground forces of a recording, and what motion asks of them.
+    """Vertical ground forces of a recording, and the force that the motion requires.
 
     Parameters
     ----------
     trial
-        Its name.
+        Name of the recording.
     cycles
-        Start and end of each gait cycle in s.
+        Start and end of each gait cycle, s.
     time, vertical
-        s; upward force on each foot by its name (``left``, ``right``), N, filtered as motion was.
+        Time, s; upward force on each foot (``left``, ``right``), N, filtered like the motion.
     needed_time, needed
-        s; upward force that bears and accelerates all bodies of the model, N.
+        Time, s; upward force that supports and accelerates all bodies of the model, N.
     """
 
     trial: str
@@ -63,7 +62,7 @@ class ForceTrace:
 
 @in_style
 def force_figure(traces: Sequence[ForceTrace]) -> Figure:
-    """Draw the forces on both feet, their sum, and what motion needs, one panel a recording."""
+    """Draw the forces on both feet, their sum and the force required by the motion, one panel a recording."""
     figure, panels = panel_grid(len(traces), 1, width=PAGE_WIDTH, panel_height=1.7)
     for panel, trace in zip(panels, traces, strict=True):
         shown = trace.cycles[:_MOST_CYCLES]
@@ -92,16 +91,16 @@ def force_figure(traces: Sequence[ForceTrace]) -> Figure:
             color=BLACK,
             linestyle=":",
             linewidth=1.4,
-            label="needed by the motion",
+            label="required by the motion",
         )
-        left = len(trace.cycles) - len(shown)
-        rest = f" (the first {len(shown)} of {len(trace.cycles)} cycles)" if left else ""
-        panel.set_title(f"{trace.trial}{rest}", loc="left", parse_math=False)
+        omitted = len(trace.cycles) - len(shown)
+        note = f" (the first {len(shown)} of {len(trace.cycles)} cycles)" if omitted else ""
+        panel.set_title(f"{trace.trial}{note}", loc="left", parse_math=False)
         panel.set_xlim(first, last)
         panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
         panel.set_ylabel("vertical force (N)")
     panels[-1].set_xlabel("time (s)")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    legend_above(figure, panels[0])
     return figure
 
 
@@ -112,18 +111,18 @@ def cycles_figure(
     speeds: Float[np.ndarray, " cycle"],
     quantity: str,
 ) -> Figure:
-    """Draw every gait cycle of every signal as a line of its own, one panel a signal.
+    """Draw every gait cycle of every signal as a separate line, one panel a signal, one color a speed.
 
     Parameters
     ----------
     values
-        In the unit that ``quantity`` names.
+        Signals, in the unit that ``quantity`` states.
     names
-        Of the signals.
+        Names of the signals.
     speeds
-        Of walking, m/s, NaN where unknown: each has a color.
+        Walking speeds, m/s, NaN where unknown.
     quantity
-        What is drawn, with its unit.
+        Axis label with the unit.
     """
     groups = groups_by_speed(speeds, most=len(GROUP_COLORS))
     columns = 3 if len(names) <= 6 else 4
@@ -132,67 +131,59 @@ def cycles_figure(
     )
     percent = np.linspace(0.0, 100.0, values.shape[-1])
     for row, (panel, name) in enumerate(zip(panels, names, strict=True)):
-        panel.axhline(0.0, color=LIGHT_GRAY, linewidth=0.8, zorder=0)
+        draw_zero_line(panel)
         for group, color in zip(groups, GROUP_COLORS, strict=False):
             lines = panel.plot(percent, values[group.keep, row].T, color=color, linewidth=0.8, alpha=0.75)
             lines[0].set_label(group.label)
         panel.set_title(name, loc="left", parse_math=False)
-        if row % columns == 0:
-            panel.set_ylabel(quantity)
-        if row >= len(names) - columns:
-            panel.set_xlabel("gait cycle (%)")
-        mark_gait_cycle(panel, step=20)
+    label_gait_cycles(panels, columns, y=quantity)
     if len(groups) > 1:
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=len(groups))
+        legend_above(figure, panels[0])
     return figure
-
-
-_DASH = "\N{EN DASH}"
 
 
 def render_preparation(
     subject: Subject, tables: Sequence[Table], forces: Sequence[ForceTrace], came_from: str
 ) -> str:
-    """Write what was made of a laboratory's files as a page with nothing outside it.
+    """Write the report of a prepared subject as a self-contained HTML page.
 
     Parameters
     ----------
     subject
-        As it is read back from what was written.
+        Subject, as read from the written folder.
     tables
-        What is said of the files: recordings, checks, notes.
+        Tables of recordings, checks and notes.
     forces
-        Of each recording; empty where they were not looked at.
+        Ground forces of each recording; empty if they were not checked.
     came_from
-        What files these are, to go on "from ...".
+        Description of the source files, to follow "from".
     """
     trials = subject.trials
-    title = f"{subject.name}: what was recorded"
-    side = {"l": "left", "r": "right"}[subject.side]
+    title = f"{subject.name}: prepared recordings"
     cycles = counted(len(trials), "gait cycle")
-    under = f"{side.capitalize()} leg, {subject.mass_kg:g} kg, {cycles}, from {came_from}."
+    under = f"{leg_name(subject.side)}, {subject.mass_kg:g} kg, {cycles}, from {came_from}."
     parts = [
         markup.header(title, under),
-        _verdict(subject, tables),
+        _verdict_section(subject, tables),
         _tables_section(tables),
     ]
     if forces:
         parts.append(_forces_section(forces))
-    parts += [_cycles_section(trials), _notes(subject)]
+    parts += [_cycles_section(trials), _notes_section(subject)]
     return markup.page(title, parts)
 
 
-def _verdict(subject: Subject, tables: Sequence[Table]) -> str:
+def _verdict_section(subject: Subject, tables: Sequence[Table]) -> str:
     checks = sum(len(table.rows) for table in tables if table.title == "Checks")
     notes = sum(len(table.rows) for table in tables if table.title == "Notes")
-    first = f"{counted(len(subject.trials), 'gait cycle')} can be calibrated with."
-    said = []
+    first = f"{counted(len(subject.trials), 'gait cycle')} can be used for calibration."
+    findings = []
     if checks:
-        said.append(f"{counted(checks, 'check')} of whether motion, forces and EMG belong together passed.")
+        findings.append(f"{counted(checks, 'check')} of the consistency of motion, forces and EMG passed.")
     if notes:
-        said.append(f"{counted(notes, 'note')} on what was repaired, or not looked at, below.")
-    said.append("Numbers do not see everything: look at each cycle for one that goes its own way.")
-    return markup.verdict([first, *said], fine=True)
+        findings.append(f"See below for {counted(notes, 'note')} on repaired data and omitted checks.")
+    findings.append("These checks cannot detect every error: inspect the cycles below for outliers.")
+    return markup.verdict([first, *findings], fine=True)
 
 
 def _tables_section(tables: Sequence[Table]) -> str:
@@ -205,12 +196,12 @@ def _tables_section(tables: Sequence[Table]) -> str:
         for table in tables
         if table.rows
     ]
-    return markup.section("What was found", *shown)
+    return markup.section("Recordings and checks", *shown)
 
 
 def _cell(cell: str | float | int | None) -> str:
     if cell is None:
-        return _DASH
+        return DASH
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
@@ -219,21 +210,24 @@ def _forces_section(forces: Sequence[ForceTrace]) -> str:
         "Forces and motion",
         markup.picture(
             force_figure(forces),
-            alternative="Vertical ground force under each foot over time, beside what the motion needs.",
-            caption=f"Vertical ground force in N; gait cycles in gray, numbered. {_newton(forces)}",
+            alternative="Vertical ground force under each foot over time, and the force required by the "
+            "motion.",
+            caption=f"Vertical ground force in N; gait cycles in gray, numbered. {_required_force(forces)}",
         ),
     )
 
 
-def _newton(forces: Sequence[ForceTrace]) -> str:
-    """Say what the dotted line is for."""
-    said = "By Newton's law both feet together bear and accelerate all bodies (dotted line, by motion and "
+def _required_force(forces: Sequence[ForceTrace]) -> str:
+    """Write how to interpret the line of the force that the motion requires."""
+    law = (
+        "By Newton's second law, the total force on both feet supports and accelerates all bodies (dotted "
+        "line, computed from motion and masses alone)"
+    )
     if all(len(trace.vertical) > 1 for trace in forces):
         return (
-            f"{said}masses alone): where the black line runs ahead of the dotted one, or behind it, forces "
-            "and motion are not in time."
+            f"{law}. If the black line leads or lags the dotted line, forces and motion are not synchronized."
         )
-    return f"{said}masses alone); where one foot's force was recorded alone, the two cannot be compared."
+    return f"{law}. Where the force under only one foot was recorded, the two cannot be compared."
 
 
 def _cycles_section(trials: Trials) -> str:
@@ -246,29 +240,29 @@ def _cycles_section(trials: Trials) -> str:
             trials.emg[..., inside],
             trials.channels,
             "EMG",
-            "EMG over its largest value",
+            "EMG normalized to its largest value",
         ),
     )
     return markup.section(
-        "Every gait cycle",
+        "All gait cycles",
         *(
             markup.picture(
                 cycles_figure(values, names, trials.speeds, quantity),
-                alternative=f"{what}, every gait cycle a line.",
-                caption=f"{what}: every gait cycle a line of its own, one color a walking speed.",
+                alternative=f"{subject_matter}, one line per gait cycle.",
+                caption=f"{subject_matter}: one line per gait cycle, one color per walking speed.",
             )
-            for values, names, quantity, what in pictures
+            for values, names, quantity, subject_matter in pictures
         ),
     )
 
 
-def _notes(subject: Subject) -> str:
+def _notes_section(subject: Subject) -> str:
     return markup.section(
         "Notes",
         markup.bullets(
             [
                 *subject.notes,
-                "preparation.json beside this page holds every figure; subject.toml is what commands read.",
+                "preparation.json in the same folder contains all numbers; commands read subject.toml.",
                 f"{versions_in_words()}.",
             ]
         ),

@@ -1,4 +1,4 @@
-"""What a calibration was made from and with: the content of ``settings.json``."""
+"""Inputs, options and software versions of a calibration: the content of ``settings.json``."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ PACKAGES = ("wrapjax", "jax", "jaxlib", "equinox", "numpy", "scipy", "opensim", 
 
 
 def describe_settings(subject: Subject, result: CalibrationResult, run: Path) -> dict[str, Any]:
-    """Describe what a calibration was made from and with.
+    """Describe the inputs, options and software versions of a calibration.
 
     Parameters
     ----------
     subject, result
-        What was calibrated, and what came of it.
+        Calibrated subject and result of the calibration.
     run
-        Folder of the result: paths are given from there.
+        Folder of the result; paths are relative to it.
 
     Returns
     -------
     dict
-        Subject, drive of the muscles, solver, the seed of each start (None for the model's own values),
-        trials, what was free with its bounds and priors (lists in the order of ``muscles``, SI units; no
-        prior is an infinite deviation), where paths came from, of freed paths the number of modes by
-        muscle and what scales the coordinates in their terms, versions and platform.
+        Subject, drive of the muscles, solver, seed of each start (None for the model's own values),
+        trials, freed parameters with bounds and priors (lists in the order of ``muscles``, SI units; an
+        infinite standard deviation where there is no prior), path source, for freed paths the number of
+        modes by muscle and the scaling of coordinates in their terms, versions and platform.
     """
     trials = subject.trials
     driven = subject.channel_of
@@ -66,7 +66,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
             for channel in trials.channels
         },
         "undriven_muscles": subject.undriven_muscles,
-        # Commands are components @ (EMG / largest - mean), then 1; weights are in parameters.csv.
+        # Synergy signals are components @ (EMG / largest - mean), then 1; weights are in parameters.csv.
         "synergies": None
         if subject.synergies is None
         else {**vars(subject.synergies.basis), "groups": subject.synergies.groups},
@@ -143,7 +143,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
 
 
 def _options(options: Any) -> dict[str, Any]:
-    """Spell out a dataclass of options, and those within it, each with the name of its class."""
+    """Convert a dataclass of options, and dataclasses within it, to dictionaries with their class name."""
     values = {field.name: getattr(options, field.name) for field in fields(options)}
     return {"class": type(options).__name__} | {
         name: _options(value) if is_dataclass(value) else value for name, value in values.items()
@@ -151,7 +151,7 @@ def _options(options: Any) -> dict[str, Any]:
 
 
 def path_from(run: Path, target: Path) -> str:
-    """Give a relative path, so that a run and its subject can move together."""
+    """Write a path relative to the run's folder, so that a run and its subject can be moved together."""
     try:
         return Path(os.path.relpath(target.resolve(), run.resolve())).as_posix()
     except ValueError:  # another drive
@@ -159,7 +159,7 @@ def path_from(run: Path, target: Path) -> str:
 
 
 def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str | None]:
-    """Look up installed versions, Python's first; None for what is not installed."""
+    """Look up the installed versions of Python and packages; None if a package is not installed."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for package in packages:
         try:
@@ -170,11 +170,11 @@ def package_versions(packages: Sequence[str] = PACKAGES) -> dict[str, str | None
 
 
 def versions_in_words(versions: Mapping[str, str | None] | None = None) -> str:
-    """Write versions, those installed if not given, as one line."""
-    known = package_versions() if versions is None else versions
-    return ", ".join(f"{name} {number}" for name, number in known.items() if number)
+    """Write versions, by default the installed ones, as one line."""
+    versions = package_versions() if versions is None else versions
+    return ", ".join(f"{name} {number}" for name, number in versions.items() if number)
 
 
-def made_with() -> str:
-    """Say with which versions, where and when a page is made."""
+def versions_platform_and_time() -> str:
+    """Write the installed versions, the platform and the present time (UTC) as one line."""
     return f"{versions_in_words()}; {platform.platform()}; {datetime.now(UTC).isoformat(timespec='seconds')}"

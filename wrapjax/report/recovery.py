@@ -1,7 +1,4 @@
-"""Calibrated against true parameters of a virtual subject.
-
-Moment arms round true, nominal and found cylinders of a virtual subject.
-"""
+"""Figures that compare calibrated with true parameters and moment arms of a virtual subject."""
 
 from __future__ import annotations
 
@@ -22,17 +19,28 @@ from wrapjax.report.style import (
     PAGE_WIDTH,
     Figure,
     in_style,
+    legend_above,
     panel_grid,
 )
 
-# What a reader would rather see than SI units.
+# Factor from SI units to the units that are displayed, and their names.
 _DISPLAY = {"s": (1e3, "ms"), "m": (1e3, "mm"), "1": (1.0, "")}
 
 
 def draw_recovery(
     initial: ModelParameters, calibrated: ModelParameters, truth: TrueParameters, file: Path
 ) -> None:
-    """Draw one panel a parameter: true values across, start and calibrated values up, one dot a muscle."""
+    """Write a figure of initial and calibrated against true values, one panel a parameter, one dot a muscle.
+
+    Parameters
+    ----------
+    initial, calibrated
+        Parameters before and after calibration.
+    truth
+        True parameters of the virtual subject.
+    file
+        Picture file, written completely or not at all.
+    """
     from matplotlib.figure import Figure
 
     names = parameter_names()
@@ -52,7 +60,9 @@ def draw_recovery(
         panel.set_ylabel("model")
         panel.spines[["top", "right"]].set_visible(False)
     figure.axes[0].legend(frameon=False)
-    figure.suptitle("Virtual subject: parameters against the hidden truth, one dot a muscle (same-form data)")
+    figure.suptitle(
+        "Virtual subject: estimated against true parameters, one dot a muscle (data from the same model form)"
+    )
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=110))
 
 
@@ -68,18 +78,18 @@ def draw_wrap_recovery(
     after: Float[np.ndarray, "arm frame"],
     deviation: Float[np.ndarray, " arm"],
 ) -> None:
-    """Draw moment arms (m) over the gait cycle, one panel each, and write the picture.
+    """Write a figure of moment arms over the gait cycle, one panel each.
 
     Parameters
     ----------
     file
-        Where to; written whole or not at all.
+        Picture file, written completely or not at all.
     arms
-        Muscle and coordinate, for the titles.
+        Muscle and coordinate of each moment arm, for the titles.
     true, before, after
-        Round the true cylinders, the model's and those that were found.
+        Moment arms with the true, the nominal and the calibrated cylinders, m.
     deviation
-        What the moments leave open of an arm (m): half the width of the band about what was found.
+        Posterior standard deviation of each moment arm given the moments, m: half the width of the band.
     """
     figure = _wrap_recovery_figure(arms, 1e3 * true, 1e3 * before, 1e3 * after, 1e3 * deviation)
     write_atomically(file, lambda temporary: figure.savefig(temporary, dpi=130))
@@ -89,23 +99,25 @@ def draw_wrap_recovery(
 def _wrap_recovery_figure(arms, true, before, after, deviation) -> Figure:
     figure, panels = panel_grid(len(arms), _COLUMNS, width=PAGE_WIDTH, panel_height=2.0, sharex=True)
     percent = np.linspace(0.0, 100.0, true.shape[1])
-    for panel, name, own, nominal, found, half in zip(
+    for panel, name, actual, nominal, calibrated, half in zip(
         panels, arms, true, before, after, deviation, strict=True
     ):
         panel.fill_between(
             percent,
-            found - half,
-            found + half,
+            calibrated - half,
+            calibrated + half,
             color=BLUE,
             alpha=BAND_ALPHA,
             linewidth=0.0,
-            label="left open by the moments (± 1 SD)",
+            label="posterior uncertainty given the moments (± 1 SD)",
         )
         panel.plot(percent, nominal, "--", color=GRAY, label="nominal cylinder")
-        panel.plot(percent, found, color=BLUE, label="found by PGA")
-        panel.plot(percent, own, color=BLACK, label="true")
+        panel.plot(percent, calibrated, color=BLUE, label="calibrated by PGA")
+        panel.plot(percent, actual, color=BLACK, label="true")
         panel.set_title(name, parse_math=False)
-    figure.supxlabel("gait cycle (%), mean of all cycles; same-form data of a virtual subject", fontsize=8.5)
+    figure.supxlabel(
+        "gait cycle (%), mean of all cycles; virtual subject, data from the same model form", fontsize=8.5
+    )
     figure.supylabel("moment arm (mm)", fontsize=8.5)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4)
+    legend_above(figure, panels[0])
     return figure

@@ -25,10 +25,10 @@ from wrapjax.subject.subject import Subject
 if TYPE_CHECKING:
     from wrapjax.geometry.model_description import ModelDescription
 
-#: Reads what decides muscle paths from a model's file: `wrapjax.osim.model.describe_model`.
+#: Reads the elements that determine muscle paths from a model file: `wrapjax.osim.model.describe_model`.
 DescribeModel = Callable[[Path], "ModelDescription"]
 
-#: Writes a subject's model with what a calibration found, to a file:
+#: Writes a subject's model with the calibrated values to a file:
 #: `wrapjax.calibration.calibration.write_calibrated_model`.
 WriteModel = Callable[[Subject, CalibrationResult, Path], None]
 
@@ -63,7 +63,7 @@ def write_run(
         Whether to replace an existing folder.
     describe_model
         Function that reads a model file, to show calibrated cylinders; without it they are not shown.
-    write_model
+    write_calibrated_model
         Function that writes the model with calibrated cylinders; without it no model is written.
     spreads
         Uncertainty of each leg's parameters and moments, if it was requested.

@@ -1,4 +1,4 @@
-"""The report of a calibration: one page that opens anywhere, offline."""
+"""Report of a calibration as a self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import Any
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.report import markup
-from wrapjax.report.curves import (
+from wrapjax.report.calibration_curves import (
     activations_section,
     drive_section,
     errors_section,
     fiber_lengths_section,
     moments_section,
 )
+from wrapjax.report.formatting import counted, decimals, leg_name
 from wrapjax.report.parameters import parameters_section, solver_section
 from wrapjax.report.path_views import path_section
 from wrapjax.report.paths import MovedPath
@@ -23,7 +24,6 @@ from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.run_summary import USES
 from wrapjax.report.spread import spread_section
 from wrapjax.report.starts import starts_section
-from wrapjax.report.style import counted, decimals
 from wrapjax.subject.subject import Subject
 
 
@@ -35,28 +35,27 @@ def render_report(
     moves: Sequence[MovedPath] = (),
     spread: LegSpread | None = None,
 ) -> str:
-    """Write the report of a calibration as one HTML page with nothing outside it.
+    """Write the report of a calibration as a self-contained HTML page.
 
     Parameters
     ----------
     subject, result
-        What was calibrated, and what came of it.
+        Calibrated subject and result of the calibration.
     summary
-        From `summarize`.
+        Content of ``summary.json``, from `summarize`.
     settings
-        From `describe_settings`.
+        Content of ``settings.json``, from `describe_settings`.
     moves
-        From `moved_paths`.
+        Muscle paths to show in space, from `moved_paths`.
     spread
-        Of parameters and moments, where it was asked for.
+        Uncertainty of parameters and moments, if it was requested.
     """
     title = f"{subject.name}: {result.method} calibration"
-    side = {"l": "left", "r": "right"}[subject.side]
     counts = {use: result.uses.count(use) for use in USES}
     under = (
-        f"{side.capitalize()} leg, {subject.mass_kg:g} kg, {len(subject.muscle_channels)} muscles driven by "
+        f"{leg_name(subject.side)}, {subject.mass_kg:g} kg, {len(subject.muscle_channels)} muscles driven by "
         f"{counted(len(subject.trials.channels), 'EMG channel')}, "
-        f"{_by_synergies(subject)}"
+        f"{_driven_by_synergies(subject)}"
         f"{counted(len(result.coordinates), 'coordinate')}, "
         f"{counted(counts['calibration'], 'gait cycle')} for calibration and {counts['validation']} for "
         f"validation. {settings['date'][:10]}."
@@ -65,7 +64,7 @@ def render_report(
         title,
         [
             markup.header(title, under),
-            _verdict(result, summary),
+            markup.verdict(run_findings(result, summary), fine=summary["converged"]),
             errors_section(result, summary),
             moments_section(result, summary),
             drive_section(subject, result),
@@ -76,25 +75,25 @@ def render_report(
             *([] if spread is None else [spread_section(result, spread)]),
             starts_section(result),
             solver_section(result, summary),
-            _notes(subject, result, settings),
+            _notes_section(subject, result, settings),
         ],
     )
 
 
-def _by_synergies(subject: Subject) -> str:
-    """Count the muscles without an electrode that are driven all the same."""
+def _driven_by_synergies(subject: Subject) -> str:
+    """Write the number of muscles without an electrode that synergies drive."""
     if subject.synergies is None:
         return ""
     count = subject.synergies.basis.count - 1
     return f"{len(subject.synergies.muscles)} by {count} synerg{'y' if count == 1 else 'ies'} of these, "
 
 
-def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
-    """Say in plain sentences what came of a calibration."""
+def run_findings(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
+    """Write sentences on convergence, errors and bounds of a calibration."""
     errors = {use: summary["mae_Nm"][use] for use in USES} | {
         "before": summary["before"]["mae_Nm"]["calibration"]
     }
-    mean = {name: decimals(None if own is None else own["mean"]) for name, own in errors.items()}
+    mean = {name: decimals(None if error is None else error["mean"]) for name, error in errors.items()}
     cycles = {use: counted(result.uses.count(use), f"{use} cycle") for use in USES}
     first = (
         f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over "
@@ -102,20 +101,19 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     )
     if summary["mae_Nm"]["validation"] is None:
         second = (
-            "No cycles were kept for validation, so how well the model predicts walking it has not seen is "
-            "not known."
+            "No cycles were held out for validation, so the accuracy of predictions for other cycles is "
+            "unknown."
         )
     else:
         second = (
-            f"On {cycles['validation']}, which calibration has not seen, they differ by "
-            f"{mean['validation']} N m."
+            f"On {cycles['validation']}, held out from calibration, they differ by {mean['validation']} N m."
         )
-    stuck, free = len(result.at_bounds), summary["n_variables"]
+    at_bounds, free = len(result.at_bounds), summary["n_variables"]
     third = f"None of the {free} free parameters ended on a bound."
-    if stuck:
+    if at_bounds:
         third = (
-            f"{stuck} of the {free} free parameters ended on a bound: their values were set by the bound "
-            "rather than by the data."
+            f"{at_bounds} of the {free} free parameters ended on a bound: their values are determined by the "
+            "bound rather than by the data."
         )
     outcome = "The calibration converged."
     if not summary["converged"]:
@@ -123,13 +121,9 @@ def verdict(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     return [outcome, f"{first}. {second}", third]
 
 
-def _verdict(result: CalibrationResult, summary: dict[str, Any]) -> str:
-    return markup.verdict(verdict(result, summary), fine=summary["converged"])
-
-
-def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]) -> str:
+def _notes_section(subject: Subject, result: CalibrationResult, settings: dict[str, Any]) -> str:
     undriven = (
-        f"{counted(len(subject.undriven_muscles), 'muscle')} of this leg's model without EMG and without "
+        f"{counted(len(subject.undriven_muscles), 'muscle')} of this leg's model without EMG, which exert no "
         f"force here: {', '.join(subject.undriven_muscles)}."
         if subject.undriven_muscles
         else f"EMG{' or its synergies' if subject.synergies else ''} drives every muscle of this leg's model."
@@ -142,7 +136,7 @@ def _notes(subject: Subject, result: CalibrationResult, settings: dict[str, Any]
         if speeds
         else "Walking speed: not given.",
         f"{versions}; {settings['platform']}; {settings['date']}.",
-        "Bounds and priors are in settings.json, every parameter in parameters.csv, where each start ended "
-        "in starts.csv, curves of every cycle in moments/, activations/ and muscle_forces/.",
+        "Bounds and priors are in settings.json, all parameters in parameters.csv, the final values of each "
+        "start in starts.csv, and curves of every cycle in moments/, activations/ and muscle_forces/.",
     ]
     return markup.section("Notes", markup.bullets([undriven, *subject.notes, *made]))

@@ -1,4 +1,4 @@
-"""A calibration in numbers: the content of ``summary.json``."""
+"""Numerical summary of a calibration: the content of ``summary.json``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from wrapjax.calibration.result import CalibrationResult, describe_limits
 from wrapjax.evaluation.metrics import MomentErrors, moment_errors, pooled_mae
-from wrapjax.report.curves import describe_drive
-from wrapjax.report.moment_curves import MomentCurves
+from wrapjax.report.calibration_curves import describe_drive
+from wrapjax.report.cycle_panels import MomentCurves
 from wrapjax.report.starts import describe_starts
 from wrapjax.subject.subject import Subject
 
@@ -21,14 +21,14 @@ USES = ("calibration", "validation")
 
 
 def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
-    """Summarize a calibration as plain numbers and words.
+    """Summarize a calibration as plain numbers and strings.
 
     Returns
     -------
     dict
-        The contract's keys, moment errors in N m over all frames of the cycles. Beyond the contract:
-        the errors before calibration, root-mean-square errors by use, what drove each muscle, the hard
-        limits, where each start ended, the cost and its parts, and of each trial the name of its files.
+        Guaranteed keys, with moment errors in N m over all frames of the cycles. Further keys: errors before
+        calibration, root mean square errors by use, drive of each muscle, hard limits, result of each start,
+        cost and its terms, and the file name of each trial.
     """
     errors = errors_of(result.measured, result.modelled)
     before = errors_of(result.measured, result.initial_modelled)
@@ -63,9 +63,9 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
 
 
 def geometry_change(result: CalibrationResult) -> dict[str, float]:
-    """Compare calibrated with nominal paths: mean absolute changes over all frames of all cycles.
+    """Compute mean absolute changes of path lengths (m) and moment arms (m) over all frames of all cycles.
 
-    Of moment arms, those of coordinates that a muscle spans count.
+    Moment arms are averaged over the coordinates that a muscle spans.
     """
     before, after = result.initial_states.path, result.states.path
     arms = np.asarray(before.moment_arm)
@@ -77,10 +77,10 @@ def geometry_change(result: CalibrationResult) -> dict[str, float]:
 
 
 def file_stems(trials: Sequence[str]) -> dict[str, str]:
-    """Name the files of each trial: its own name with ``/`` as ``_``.
+    """Choose the file name of each trial: its name with ``/`` replaced by ``_``.
 
-    Where two names come to the same (also for file systems that ignore case), the later one is
-    numbered, so that no trial's files replace another's.
+    If two names become equal (also on file systems that ignore case), the later one gets a number, so that
+    no trial's files replace another's.
     """
     stems: dict[str, str] = {}
     taken: set[str] = set()
@@ -99,12 +99,12 @@ def errors_of(
     measured: Float[np.ndarray, "trial coordinate frame"],
     modelled: Float[np.ndarray, "trial coordinate frame"],
 ) -> list[MomentErrors]:
-    """Compare modelled with measured moments (N m), cycle by cycle."""
+    """Compute the errors of modelled moments (N m) of each cycle."""
     return [moment_errors(*pair) for pair in zip(measured, modelled, strict=True)]
 
 
 def by_trial(errors: list[MomentErrors], cycles: MomentCurves) -> dict[str, dict[str, Any]]:
-    """Give each cycle's use, errors in N m, and the name of its files."""
+    """Describe each cycle: its use, errors in N m, and the name of its files."""
     files = file_stems(cycles.trials)
     return {
         trial: {
@@ -125,7 +125,7 @@ def by_use(
     """Pool the errors of the cycles of each use; None for a use without cycles."""
     return {
         use: pool(
-            [error for error, given in zip(errors, cycles.uses, strict=True) if given == use],
+            [error for error, cycle_use in zip(errors, cycles.uses, strict=True) if cycle_use == use],
             cycles.coordinates,
         )
         for use in USES
@@ -133,9 +133,9 @@ def by_use(
 
 
 def pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
-    """Pool root-mean-square errors over the frames of all cycles, by coordinate.
+    """Pool root mean square errors (N m) over the frames of all cycles, by coordinate.
 
-    ``mean`` is their average over coordinates. None without any cycle.
+    ``mean`` is their average over coordinates. None if there is no cycle.
     """
     if not errors:
         return None

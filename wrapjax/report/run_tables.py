@@ -1,4 +1,4 @@
-"""Parameters as a CSV table, curves over time as OpenSim tables."""
+"""Tables of a calibration: parameters as CSV and ``.osimx``, curves over time as OpenSim storage."""
 
 from __future__ import annotations
 
@@ -15,54 +15,54 @@ from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.storage import Storage
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.preprocessing.nmsm_osimx import OSIMX_QUANTITIES, OsimxMuscle, osimx_text
-from wrapjax.report.moment_curves import MomentCurves
+from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx
+from wrapjax.report.cycle_panels import MomentCurves
 
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
-#: Where spreads were asked for.
+#: Further columns if uncertainty was requested.
 SPREAD_COLUMNS = ("sd", "low_90", "high_90")
-#: Said in an ``.osimx`` file of muscles whose paths changed.
+#: Remark in an ``.osimx`` file of muscles whose paths changed.
 CHANGED_PATHS = (
     "{method} changed muscle geometry as well, by coefficients of polynomials, which neither this file nor a "
-    "model can carry: along the paths of the model named here these parameters do not give the calibrated "
-    "moments. parameters.csv and paths.npz of the run have the coefficients."
+    "model can represent: with the paths of the model named here, these parameters do not give the "
+    "calibrated moments. The coefficients are in parameters.csv and paths.npz of the run."
 )
 
 
 def parameters_csv(result: CalibrationResult, spread: LegSpread | None = None) -> str:
-    """Write every parameter of every muscle, SI units and all digits; bounds only where it was free.
+    """Write every parameter of every muscle in SI units with all digits, with bounds if it was free.
 
-    Of excitations that synergies made the weights follow; of cylinders that were free every parameter; of
-    paths that were free, every coefficient (``PathSurrogate.term_names``), which has no bounds: the length is
-    the sum of coefficients times terms, whose coordinates are scaled as settings.json says. Given the spread,
-    standard deviation and 90 % interval follow where a parameter was free; coefficients have none.
+    Then follow the weights of excitations made from synergies, the parameters of freed cylinders, and the
+    coefficients of freed paths (``PathSurrogate.term_names``), which have no bounds: the path length is the
+    sum of coefficients times terms, whose coordinates are scaled as stated in settings.json. Given the
+    uncertainty, free parameters also have a standard deviation and a 90 % interval; coefficients have none.
     """
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(PARAMETER_COLUMNS + (SPREAD_COLUMNS if spread is not None else ()))
-    known = {} if spread is None else _spread_cells(spread)
-    nothing: list[float | str] = [""] * (0 if spread is None else len(SPREAD_COLUMNS))
+    spread_cells = {} if spread is None else _spread_cells(spread)
+    empty: list[float | str] = [""] * (0 if spread is None else len(SPREAD_COLUMNS))
     for row, muscle in enumerate(result.muscles):
         for name, quantity in QUANTITIES.items():
             value = float(getattr(result.parameters, name)[row])
             bounds: tuple[float | str, float | str] = ("", "")
             if name in freed:
                 bounds = (float(freed[name].lower[row]), float(freed[name].upper[row]))
-            cells = known.get(f"{muscle}.{name}", nothing)
+            cells = spread_cells.get(f"{muscle}.{name}", empty)
             writer.writerow((muscle, "muscle", name, value, quantity.unit, *bounds, *cells))
     for owner, name, value, bound in _synergy_weights(result):
-        cells = known.get(f"{owner}.{name}", nothing)
+        cells = spread_cells.get(f"{owner}.{name}", empty)
         writer.writerow((owner, "synergy", name, value, "1", -bound, bound, *cells))
     for owner, name, *entries in wrap_parameters(result):
-        writer.writerow((owner, "wrap", name, *entries, *known.get(f"{owner}.{name}", nothing)))
+        writer.writerow((owner, "wrap", name, *entries, *spread_cells.get(f"{owner}.{name}", empty)))
     if result.freedom.paths is not None and result.calibrated_paths is not None:
         paths = result.calibrated_paths
         names, used, coefficients = paths.term_names(), np.asarray(paths.used), np.asarray(paths.coefficients)
         for row in np.flatnonzero(result.freedom.paths.muscles).tolist():
             values = coefficients[row, used[row]].tolist()
             for term, value in zip(names[row], values, strict=True):
-                writer.writerow((result.muscles[row], "term", term, value, "m", "", "", *nothing))
+                writer.writerow((result.muscles[row], "term", term, value, "m", "", "", *empty))
     return text.getvalue()
 
 
@@ -73,7 +73,7 @@ def _spread_cells(spread: LegSpread) -> dict[str, list[float]]:
 
 
 def band_table(result: CalibrationResult, spread: LegSpread, trial: int) -> Storage:
-    """Give the band about one cycle's modelled moments that holds 90 % of the draws, in N m."""
+    """Tabulate the band about one cycle's modelled moments that contains 90 % of the draws, in N m."""
     columns = tuple(f"{name}_moment_{end}_90" for end in ("low", "high") for name in result.coordinates)
     rows = np.concatenate([spread.low[trial], spread.high[trial]])
     name = f"90 % bands of modelled joint moments (N m) of {result.trials[trial]}"
@@ -81,17 +81,17 @@ def band_table(result: CalibrationResult, spread: LegSpread, trial: int) -> Stor
 
 
 def osimx_of(result: CalibrationResult, model_file: str) -> str:
-    """Write the muscles' parameters as the NMSM Pipeline takes them on.
+    """Write the muscle parameters as an ``.osimx`` file of the NMSM Pipeline.
 
-    It has no place for geometry: cylinders that moved are in the model that it names, polynomials that
-    changed are nowhere in it, and it says so.
+    The format has no elements for geometry. Calibrated cylinders are in the model that the file names;
+    changed polynomials cannot be represented, which a remark in the file states.
 
     Parameters
     ----------
     result
-        Of one leg.
+        Result of one leg.
     model_file
-        The model that they belong to, from the folder that this is written to.
+        Model to which the parameters apply, relative to the folder of the written file.
     """
     columns = {name: np.asarray(getattr(result.parameters, name)) for name in OSIMX_QUANTITIES}
     muscles = [
@@ -99,11 +99,11 @@ def osimx_of(result: CalibrationResult, model_file: str) -> str:
         for row, muscle in enumerate(result.muscles)
     ]
     remark = "" if result.freedom.paths is None else CHANGED_PATHS.format(method=result.method)
-    return osimx_text(PurePosixPath(model_file).stem, model_file, muscles, remark)
+    return format_osimx(PurePosixPath(model_file).stem, model_file, muscles, remark)
 
 
 def _synergy_weights(result: CalibrationResult) -> Iterator[tuple[str, str, float, float]]:
-    """Give the weights of each excitation that synergies made: its name, the weight's, value and bound."""
+    """Iterate over synergy weights: name of the excitation, name of the weight, value and bound."""
     freed = result.freedom.synergies
     if freed is None:
         return
@@ -117,7 +117,7 @@ def _synergy_weights(result: CalibrationResult) -> Iterator[tuple[str, str, floa
 def wrap_parameters(
     result: CalibrationResult,
 ) -> Iterator[tuple[str, str, float, str, float, float]]:
-    """Give each free cylinder's parameters: owner, name, value, unit and bounds, as in `WRAP_PARAMETERS`."""
+    """Iterate over parameters of freed cylinders: cylinder, parameter name, value, unit and bounds."""
     wraps = result.freedom.wraps
     if wraps is None:
         return
@@ -129,27 +129,27 @@ def wrap_parameters(
 
 
 def moment_labels(coordinates: Sequence[str]) -> tuple[str, ...]:
-    """Name the columns of a table of moments: modelled, then measured."""
+    """Make the column names of a table of moments: modelled, then measured."""
     labels = tuple(f"{coordinate}_moment" for coordinate in coordinates)
     return labels + tuple(f"{label}_measured" for label in labels)
 
 
 def moment_table(cycles: MomentCurves, time: Float[np.ndarray, "trial frame"], trial: int) -> Storage:
-    """Give one cycle's moments, modelled and measured, in N m over time in s."""
+    """Tabulate one cycle's moments, modelled and measured, in N m over time in s."""
     moments = np.concatenate([cycles.modelled[trial], cycles.measured[trial]])
     name = f"joint moments (N m) of {cycles.trials[trial]}"
     return Storage(name, moment_labels(cycles.coordinates), time[trial], moments.T)
 
 
 def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:
-    """Give one cycle's curves, by the name of the folder they go to.
+    """Tabulate one cycle's curves, by the name of the folder to which they are written.
 
     Parameters
     ----------
     result
-        All cycles.
+        Result of the calibration.
     trial
-        Which one.
+        Index of the cycle.
 
     Returns
     -------

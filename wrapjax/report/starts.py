@@ -1,7 +1,4 @@
-"""Where the starts of a calibration ended, and what that says about its parameters.
-
-The starts in the report: whether they agree, in words, a table and figures.
-"""
+"""Results of the starts of a calibration, whether they agree, and the report section on them."""
 
 from __future__ import annotations
 
@@ -17,22 +14,26 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup
+from wrapjax.report.formatting import counted
 from wrapjax.report.parameters import place_within_bounds
 from wrapjax.report.style import (
     BLUE,
     GRAY,
     LIGHT_GRAY,
     PAGE_WIDTH,
+    PALE_BLUE,
     VERMILION,
     Figure,
-    counted,
     in_style,
+    label_bounds,
+    label_rows,
     new_figure,
 )
 
-#: Costs this close, relatively, are taken for equally good.
+#: Relative difference below which two costs count as equally good.
 EQUALLY_GOOD = 0.01
-#: A parameter whose values at equally good ends lie further apart, in parts of its bounds, is not determined.
+#: Range of a parameter over equally good starts, as a share of the range between its bounds, above which the
+#: recordings do not determine it.
 APART = 0.1
 
 START_COLUMNS = ("start", "seed", "owner", "parameter", "value", "unit")
@@ -41,7 +42,7 @@ Values = dict[str, Float[np.ndarray, "start muscle"]]
 
 
 def describe_starts(result: CalibrationResult) -> list[dict[str, Any]]:
-    """Say of each start how it was made and where it ended."""
+    """Describe how each start was made and its result, for ``summary.json``."""
     return [
         {
             "seed": outcome.seed,
@@ -58,9 +59,9 @@ def describe_starts(result: CalibrationResult) -> list[dict[str, Any]]:
 
 
 def starts_csv(result: CalibrationResult) -> str:
-    """Write one row a start, muscle and freed parameter, SI units and all digits.
+    """Write one row for each start, muscle and freed parameter, in SI units with all digits.
 
-    No seed means the model's own values. Of paths there is nothing here: their coefficients are many.
+    An empty seed means the model's own values. Path coefficients are not listed, because there are many.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -76,7 +77,7 @@ def starts_csv(result: CalibrationResult) -> str:
 
 
 def end_values(result: CalibrationResult) -> Values:
-    """Read every freed parameter where each start ended, in its own unit."""
+    """Collect the values of all freed parameters at the end of each start, in SI units."""
     trees = [
         outcome.solution.problem.parameters(jnp.asarray(outcome.solution.variables))
         for outcome in result.outcomes
@@ -86,7 +87,7 @@ def end_values(result: CalibrationResult) -> Values:
 
 
 def end_places(result: CalibrationResult) -> Values:
-    """Place the same between 0 at the lower and 1 at the upper bound."""
+    """Scale the final values of all freed parameters to 0 at the lower and 1 at the upper bound."""
     freed = {parameter.name: parameter for parameter in result.freedom.parameters}
     return {
         name: np.stack([place_within_bounds(freed[name], row) for row in values])
@@ -95,7 +96,7 @@ def end_places(result: CalibrationResult) -> Values:
 
 
 def equally_good(result: CalibrationResult) -> Bool[np.ndarray, " start"]:
-    """Mark the start that was taken and those that converged about as low or lower."""
+    """Mark the selected start and those that converged to a cost at most 1 % higher."""
     costs = np.array([outcome.solution.cost for outcome in result.outcomes])
     converged = np.array([outcome.solution.status.converged for outcome in result.outcomes])
     good = converged & (costs <= costs[result.chosen] * (1.0 + EQUALLY_GOOD))
@@ -104,19 +105,19 @@ def equally_good(result: CalibrationResult) -> Bool[np.ndarray, " start"]:
 
 
 def undetermined_parameters(result: CalibrationResult) -> dict[str, list[str]]:
-    """Name, by parameter, the muscles for which equally good ends give values that are far apart."""
+    """List, by parameter, the muscles whose values differ widely between equally good starts."""
     good = equally_good(result)
-    found = {}
+    undetermined = {}
     for name, places in end_places(result).items():
-        width = np.ptp(places[good], axis=0)
-        muscles = [muscle for muscle, own in zip(result.muscles, width, strict=True) if own > APART]
+        ranges = np.ptp(places[good], axis=0)
+        muscles = [muscle for muscle, width in zip(result.muscles, ranges, strict=True) if width > APART]
         if muscles:
-            found[name] = muscles
-    return found
+            undetermined[name] = muscles
+    return undetermined
 
 
 def moment_arm_spread(result: CalibrationResult) -> float:
-    """Give how far moment arms (m) of equally good ends are apart at most, over the calibration cycles."""
+    """Compute the largest difference of moment arms (m) between equally good starts on calibration cycles."""
     arms = []
     for place in np.flatnonzero(equally_good(result)):
         solution = result.outcomes[place].solution
@@ -128,36 +129,36 @@ def moment_arm_spread(result: CalibrationResult) -> float:
     return float(np.ptp(np.stack(arms), axis=0).max())
 
 
-# How the ends of starts are told apart. Rings go round the dot of the one taken, not under it.
-_TAKEN = {"color": BLUE, "markersize": 4.2, "zorder": 3, "label": "taken"}
-_GOOD = {"color": GRAY, "markersize": 5.0, "markerfacecolor": "none", "zorder": 4, "label": "about as good"}
-_POORER = {"color": "#C4C4C4", "markersize": 2.6, "zorder": 2, "label": "poorer, or not converged"}
+# Markers of starts. Rings are drawn over the dot of the selected start, around which they remain visible.
+_SELECTED = {"color": BLUE, "markersize": 4.2, "zorder": 3, "label": "selected"}
+_GOOD = {"color": GRAY, "markersize": 5.0, "markerfacecolor": "none", "zorder": 4, "label": "equally good"}
+_POORER = {"color": "#C4C4C4", "markersize": 2.6, "zorder": 2, "label": "higher cost, or not converged"}
 
 
 def starts_section(result: CalibrationResult) -> str:
-    """Write the part of the report on the starts."""
+    """Write the report section on the starts."""
     count = len(result.outcomes)
     if count == 1:
         return markup.section(
             "Starts",
             markup.paragraph(
                 "The calibration ran from one start, the model's own values. Problems of this kind have "
-                "several minima: whether another start would end lower, or as low with other values, is not "
-                "known."
+                "several local minima: whether another start would reach a lower cost, or the same cost with "
+                "other parameter values, is unknown."
             ),
         )
     costs = markup.picture(
         start_cost_figure(result),
-        alternative=f"Cost at which each of {count} starts ended.",
-        caption="Cost at which each start ended. The band reaches up to 1 % above the one taken (blue). "
-        "Random starts (with a seed) lie up to 30 % of the way from the model's own values towards the "
-        "bounds.",
+        alternative=f"Final cost of each of {count} starts.",
+        caption="Final cost of each start. The band extends to 1 % above the cost of the selected start "
+        "(blue). Random starts (with a seed) lie up to 30 % of the way from the model's own values towards "
+        "the bounds.",
     )
     table = markup.table(
-        ("start", "made from", "cost", "converged", "iterations", "seconds"),
+        ("start", "initial values", "cost", "converged", "iterations", "seconds"),
         [
             (
-                f"{number}{' (taken)' if entry['taken'] else ''}",
+                f"{number}{' (selected)' if entry['taken'] else ''}",
                 _origin(entry["seed"]),
                 f"{entry['cost']:#.5g}",
                 "yes" if entry["converged"] else "no",
@@ -166,46 +167,47 @@ def starts_section(result: CalibrationResult) -> str:
             )
             for number, entry in enumerate(describe_starts(result))
         ],
-        caption="Where each start ended.",
+        caption="Result of each start.",
     )
     return markup.section(
-        "Starts", *map(markup.paragraph, findings(result)), table, costs, *_parameter_spread(result)
+        "Starts", *map(markup.paragraph, start_findings(result)), table, costs, *_parameter_spread(result)
     )
 
 
-def findings(result: CalibrationResult) -> list[str]:
-    """Say in plain sentences whether the starts agree on the cost and on the parameters."""
+def start_findings(result: CalibrationResult) -> list[str]:
+    """Write sentences on whether the starts agree on the cost and on the parameters."""
     costs = np.array([outcome.solution.cost for outcome in result.outcomes])
     good, count = int(equally_good(result).sum()), len(costs)
-    taken = f"{costs[result.chosen]:.4g}"
+    selected = f"{costs[result.chosen]:.4g}"
     all_converged = all(outcome.solution.status.converged for outcome in result.outcomes)
     if good == count:
-        all_of_them = "Both starts" if count == 2 else f"All {count} starts"
-        sentences = [f"{all_of_them} ended within 1 % of one cost, {taken}."]
+        starts = "Both starts" if count == 2 else f"All {count} starts"
+        sentences = [f"{starts} ended within 1 % of the same cost, {selected}."]
     elif good == 1:
         sentences = [
-            f"None of the other starts came within 1 % of the cost of the one taken, {taken}: more starts "
-            "may find a lower one."
+            f"No other start ended within 1 % of the cost of the selected start, {selected}: more starts may "
+            "find a lower cost."
         ]
     else:
         sentences = [
-            f"{good} of {count} starts ended within 1 % of one cost, {taken}; the others "
-            f"{'ended in poorer minima' if all_converged else 'ended higher or did not converge'}."
+            f"{good} of {count} starts ended within 1 % of the same cost, {selected}; the others "
+            f"{'converged to' if all_converged else 'ended at'} a higher cost"
+            f"{'' if all_converged else ' or did not converge'}."
         ]
     if good == 1:
         return sentences
     number = sum(map(len, undetermined_parameters(result).values()))
     total = len(result.freedom.parameters) * len(result.muscles)
     sentences.append(
-        f"Of {counted(total, 'muscle parameter')} {number} "
-        f"{'differs' if number == 1 else 'differ'} among these by more than a tenth of the way between the "
-        "bounds: the recordings do not determine them."
+        f"{number} of {counted(total, 'muscle parameter')} {'differs' if number == 1 else 'differ'} among "
+        "these starts by more than a tenth of the range between the bounds: the recordings do not determine "
+        f"{'it' if number == 1 else 'them'}."
         if number
-        else "These agree on every muscle parameter to within a tenth of the way between its bounds."
+        else "These starts agree on every muscle parameter to within a tenth of the range between its bounds."
     )
     if result.freedom.moving_paths is not None:
-        apart = max(0.1, 1e3 * moment_arm_spread(result))
-        sentences.append(f"Their moment arms differ by {apart:.1f} mm at most.")
+        difference = max(0.1, 1e3 * moment_arm_spread(result))
+        sentences.append(f"Their moment arms differ by at most {difference:.1f} mm.")
     return sentences
 
 
@@ -215,11 +217,11 @@ def _parameter_spread(result: CalibrationResult) -> list[str]:
     undetermined = undetermined_parameters(result)
     spread = markup.picture(
         spread_figure(result),
-        alternative=f"Parameters of {len(result.muscles)} muscles where {len(result.outcomes)} starts ended, "
+        alternative=f"Final parameters of {len(result.muscles)} muscles for {len(result.outcomes)} starts, "
         f"within their bounds; {sum(map(len, undetermined.values()))} differ although the costs agree.",
-        caption="Each freed parameter between its lower bound (left) and upper bound (right) where the "
-        "starts ended. Red strokes join values of about equally good ends that lie more than a tenth of the "
-        "way apart.",
+        caption="Final value of each freed parameter between its lower bound (left) and upper bound (right) "
+        "for each start. Red lines join values of equally good starts that differ by more than a tenth of "
+        "the range.",
     )
     if not undetermined:
         return [spread]
@@ -229,23 +231,24 @@ def _parameter_spread(result: CalibrationResult) -> list[str]:
         markup.table(
             ("parameter", "number", "muscles"),
             rows,
-            caption="Parameters that the recordings do not determine: they differ, the costs do not.",
+            caption="Parameters that the recordings do not determine: they differ between starts of equal "
+            "cost.",
         ),
     ]
 
 
 @in_style
 def start_cost_figure(result: CalibrationResult) -> Figure:
-    """Draw the cost at which each start ended, one row a start."""
+    """Draw the final cost of each start, one row a start."""
     costs = np.array([outcome.solution.cost for outcome in result.outcomes])
-    rows, taken = np.arange(len(costs)), costs[result.chosen]
+    rows, selected = np.arange(len(costs)), costs[result.chosen]
     figure = new_figure(0.6 * PAGE_WIDTH, 0.2 * len(rows) + 0.7)
     panel = figure.subplots()
-    if np.isfinite(taken):
-        panel.axvspan(taken, taken * (1.0 + EQUALLY_GOOD), color="#F1F6FA", zorder=0)
+    if np.isfinite(selected):
+        panel.axvspan(selected, selected * (1.0 + EQUALLY_GOOD), color=PALE_BLUE, zorder=0)
     panel.hlines(rows, 0.0, 1.0, transform=panel.get_yaxis_transform(), color=LIGHT_GRAY, linewidth=0.8)
-    for number, kind in enumerate(_kinds(result)):
-        panel.plot(costs[number], number, "o", **kind)
+    for number, marker in enumerate(_markers(result)):
+        panel.plot(costs[number], number, "o", **marker)
     origins = [_origin(outcome.seed) for outcome in result.outcomes]
     panel.set_yticks(rows, [f"{number}: {origin}" for number, origin in enumerate(origins)])
     panel.set_ylim(len(rows) - 0.5, -0.5)
@@ -258,7 +261,7 @@ def start_cost_figure(result: CalibrationResult) -> Figure:
 
 @in_style
 def spread_figure(result: CalibrationResult) -> Figure:
-    """Draw where the starts ended, one column a parameter, one row a muscle."""
+    """Draw the final parameters of all starts, one column a parameter, one row a muscle."""
     places, good = end_places(result), equally_good(result)
     rows = np.arange(len(result.muscles))
     figure = new_figure(PAGE_WIDTH, 0.18 * len(rows) + 1.9)
@@ -268,29 +271,21 @@ def spread_figure(result: CalibrationResult) -> Figure:
         low, high = values[good].min(axis=0), values[good].max(axis=0)
         apart = high - low > APART
         panel.hlines(rows[apart], low[apart], high[apart], color=VERMILION, linewidth=1.4, zorder=1)
-        for own, kind in zip(values, _kinds(result), strict=True):
-            panel.plot(own, rows, "o", **kind)
-        panel.set_title(name.replace("_", "\n", 1).replace("_", " "))
-        panel.set_xlim(-0.06, 1.06)
-        panel.set_xticks([0.0, 1.0], ["lower", "upper"])
-        panel.tick_params(axis="y", length=0)
-        panel.spines["left"].set_visible(False)
-        # Inwards, or the labels of neighbors meet.
-        for label, side in zip(panel.get_xticklabels(), ("left", "right"), strict=True):
-            label.set_horizontalalignment(side)
-    panels[0].set_yticks(rows, result.muscles, parse_math=False)
-    panels[0].set_ylim(len(rows) - 0.4, -0.6)
+        for start, marker in zip(values, _markers(result), strict=True):
+            panel.plot(start, rows, "o", **marker)
+        label_bounds(panel, name)
+    label_rows(panels, result.muscles)
     drawn = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))
-    labels = [kind["label"] for kind in (_TAKEN, _GOOD, _POORER) if kind["label"] in drawn]
+    labels = [marker["label"] for marker in (_SELECTED, _GOOD, _POORER) if marker["label"] in drawn]
     figure.legend([drawn[label] for label in labels], labels, loc="outside upper left", ncols=len(labels))
     return figure
 
 
-def _kinds(result: CalibrationResult) -> list[dict[str, Any]]:
-    """How to draw the end of each start."""
-    kinds = [_GOOD if good else _POORER for good in equally_good(result)]
-    kinds[result.chosen] = _TAKEN
-    return kinds
+def _markers(result: CalibrationResult) -> list[dict[str, Any]]:
+    """Choose the marker of each start."""
+    markers = [_GOOD if good else _POORER for good in equally_good(result)]
+    markers[result.chosen] = _SELECTED
+    return markers
 
 
 def _origin(seed: int | None) -> str:

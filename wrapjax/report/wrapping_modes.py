@@ -21,16 +21,17 @@ from wrapjax.geometry.engine import (
     nominal_parameters,
     wrap_at_samples,
 )
-from wrapjax.report.moment_curves import mark_gait_cycle
+from wrapjax.report.cycle_panels import mark_gait_cycle
 from wrapjax.report.style import (
     BLUE,
     GRAY,
-    LIGHT_GRAY,
     PAGE_WIDTH,
     VERMILION,
     Axes,
     Figure,
+    draw_zero_line,
     in_style,
+    legend_above,
     new_figure,
 )
 
