@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def recovery_table(demonstration: Demonstration) -> str:
-    """Tabulate the errors of muscle parameters before and after calibration without geometric adjustment (NGA)."""
+    """Tabulate the errors of muscle parameters before and after calibration of these alone (NGA)."""
     lines = [
         "Absolute errors of the parameters, median over muscles. The recordings come from the same model",
         "equations: this tests the software, not the accuracy on people. 'sd' is the standard deviation of a",

@@ -303,7 +303,7 @@ def decide_on_single_effect(
         Probabilities, and evidence of each effect, nats.
     tie
         The strongest effect and those that cannot be told from it.
-    least_detection_threshold
+    detection_threshold
         Evidence that has to be exceeded, nats.
     negative_controls
         Effects that cannot be present in such a recording: if one is the strongest, the cause is another.
