@@ -148,13 +148,9 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
             "length of the muscle-tendon path",
             trial_first(states.path.length),
         ),
-        "moment_arm": (
-            ("trial", "muscle", "coordinate", "frame"),
-            "m",
-            "moment arm, -dL/dq",
-            trial_first(states.path.moment_arm),
-        ),
     }
+    arm_axes = ("trial", "muscle", "coordinate", "frame")
+    columns["moment_arm"] = (arm_axes, "m", "moment arm, -dL/dq", trial_first(states.path.moment_arm))
     for name, quantity in QUANTITIES.items():
         columns[name] = (("muscle",), quantity.unit, quantity.meaning, getattr(result.parameters, name))
     labels: dict[str, Any] = {
@@ -448,13 +444,6 @@ def initialisation_dataset(initialisation: Initialisation) -> Dataset:
         "coordinate": initialisation.subject.trials.moment_coordinates,
         "sample": np.arange(measured.shape[1]),
     }
-    of_samples: dict[str, Column] = {
-        "passive_trial": (
-            ("sample",),
-            "",
-            "passive trial that the sample is from",
-            np.array(trials, dtype=str),
-        )
-    }
+    origin = (("sample",), "", "passive trial that the sample is from", np.array(trials, dtype=str))
     attributes = {"subject": initialisation.subject.name, "status": initialisation.status.value}
-    return labelled(columns, labels, of_samples, attributes)
+    return labelled(columns, labels, {"passive_trial": origin}, attributes)
