@@ -67,7 +67,7 @@ def test_probabilities_are_calibrated(cases, found):
 
 def test_threshold_is_rarely_exceeded_without_effect(cases, found):
     nothing = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
-    assert np.sum(np.array(nothing) > found.detection_threshold) == 1
+    assert np.sum(np.array(nothing) > found.least_detection_threshold) == 1
     unknown = [one.structured > found.structured_offset for one in cases if one.truth["tier"] == "none"]
     assert np.mean(unknown) == pytest.approx(0.1)
 
