@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.calibration.dense import dense_slopes, half
+from tests.calibration.dense import dense_slopes, half_cost
 from tests.model.small import MUSCLES, small_objective
 from wrapjax.calibration.path_penalties import feasibility_limits
 from wrapjax.geometry.feasibility import Feasibility
@@ -87,7 +87,7 @@ def test_derivatives_equal_those_of_the_cost(problem):
     np.testing.assert_allclose(found.gradient, jacobian.T @ rows, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(found.gauss_newton, jacobian.T @ jacobian, rtol=1e-8, atol=1e-8)
     # Without the limit the derivatives by the parameters of its wrap differ.
-    free = jax.jit(jax.grad(half(problem.with_limits(()))))(point)
+    free = jax.jit(jax.grad(half_cost(problem.with_limits(()))))(point)
     assert (np.abs(found.gradient - free)[moved] > 1e-3).any()
 
 

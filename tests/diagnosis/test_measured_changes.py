@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from tests.subject import synthetic
 from tests.subject.synthetic_forces import LOADS, POINT, TORQUE, force, with_forces
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.effects.measured_changes import compute_measured_changes
 from wrapjax.diagnosis.effects.measured_motion import foot_loads, skin_slides
 from wrapjax.diagnosis.effects.scaled_model import FOOT_DISPLACED, FOOT_HELD
 from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import UP, RecordedGait
+from wrapjax.diagnosis.subject_context import compute_measured_changes
 from wrapjax.errors import InputError
 from wrapjax.osim.mechanics import Mechanics
 from wrapjax.osim.motion import Motion

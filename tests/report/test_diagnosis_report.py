@@ -29,7 +29,7 @@ from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import EffectSize
 from wrapjax.diagnosis.verification import ReleasedParameter
 from wrapjax.io.storage import read_storage
-from wrapjax.report import diagnosis_page as diagnosis_page
+from wrapjax.report import diagnosis_page
 from wrapjax.report.diagnosis_effects import alike_pairs, half_interval
 from wrapjax.report.diagnosis_location import resolved
 from wrapjax.report.diagnosis_numbers import (

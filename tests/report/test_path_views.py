@@ -19,7 +19,7 @@ from wrapjax.report.comparison_page import render_comparison
 from wrapjax.report.comparison_summary import comparison_rows
 from wrapjax.report.path_views import look_at, path_section, path_view_figure
 from wrapjax.report.paths import describe_move, moved_paths
-from wrapjax.report.run_folder import write_run
+from wrapjax.report.run_page import write_run
 
 #: 3 and 4 mm across the axis, 10 degrees about x, a tenth larger.
 CHANGE = np.array([0.003, 0.004, 0.0, np.deg2rad(10.0), 0.0, 0.1])

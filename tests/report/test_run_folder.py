@@ -15,8 +15,8 @@ from wrapjax.io.storage import read_storage
 from wrapjax.model.freedom import FreedPaths
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, read_osimx
-from wrapjax.report import run_folder
-from wrapjax.report.run_folder import write_run
+from wrapjax.report import run_page
+from wrapjax.report.run_page import write_run
 
 
 @pytest.fixture
@@ -183,7 +183,7 @@ def test_a_failed_write_leaves_no_folder_and_keeps_an_existing_one(
     if force:
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / "old.txt").write_text("old")
-    monkeypatch.setattr(run_folder, writer, fail)
+    monkeypatch.setattr(run_page, writer, fail)
     with pytest.raises(OSError, match="disk full"):
         write_run([(subject, result)], tmp_path / "run", force=force)
     assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == (

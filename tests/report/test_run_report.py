@@ -142,7 +142,7 @@ def test_report_without_free_parameters(subject, result):
 
 def test_importing_the_package_or_the_report_does_not_import_matplotlib():
     code = (
-        "import sys, wrapjax, wrapjax.report.run_folder; "
+        "import sys, wrapjax, wrapjax.report.run_page; "
         "print(sorted({'matplotlib', 'opensim', 'pandas', 'sklearn'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,8 +8,7 @@ import pytest
 
 from wrapjax.calibration.uncertainty.intervals import LegSpread, Spread
 from wrapjax.io.storage import read_storage
-from wrapjax.report.run_folder import write_run
-from wrapjax.report.run_page import render_report
+from wrapjax.report.run_page import render_report, write_run
 from wrapjax.report.spread import band_figure, interval_figure, kinds_of
 from wrapjax.report.style import to_svg
 

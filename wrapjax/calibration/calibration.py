@@ -14,12 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibration.leg_setup import (
-    LegSetup,
-    MuscleOptions,
-    build_leg_setups,
-    calibration_fingerprint,
-)
+from wrapjax.calibration.leg_setup import LegSetup, MuscleOptions, build_leg_setups, calibration_fingerprint
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_stages, fit_for_methods
 from wrapjax.calibration.result import CalibrationResult
@@ -115,7 +110,7 @@ class Calibration:
         InputError
             If the folder exists and ``force`` is not set, or it cannot be created.
         """
-        from wrapjax.report.run_folder import write_run
+        from wrapjax.report.run_page import write_run
 
         legs = [(leg.subject, leg.result) for leg in self.legs]
         write_run(

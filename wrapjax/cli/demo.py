@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, checkpoint_folder, print_json, read_json
+from wrapjax.cli.common import (
+    DONE,
+    NOT_CONVERGED,
+    AddCommand,
+    checkpoint_folder,
+    print_json,
+    read_json,
+)
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 

@@ -9,7 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wrapjax.cli.common import DONE, METHODS_HELP, NOT_CONVERGED, AddCommand, positive_integer, print_result
+from wrapjax.cli.common import (
+    DONE,
+    METHODS_HELP,
+    NOT_CONVERGED,
+    AddCommand,
+    positive_integer,
+    print_result,
+)
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 

@@ -66,7 +66,7 @@ class Comparison:
     def legs(self) -> tuple[ComparedLeg, ...]:
         """All calibrated legs; both legs of a person where they were calibrated together."""
         from wrapjax.comparison.samples import ComparedLeg
-        from wrapjax.report.run_folder import OTHER_LEG
+        from wrapjax.report.run_page import OTHER_LEG
 
         legs: list[ComparedLeg] = []
         names = set(self.labels)

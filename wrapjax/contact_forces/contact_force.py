@@ -256,7 +256,7 @@ def _labels(runs: Sequence[RunCurves]) -> list[str]:
 
 def _model_file(entry: RunCurves) -> Path:
     """Return the model file with the muscle paths of a run."""
-    from wrapjax.report.run_folder import PERSONALISED_MODEL
+    from wrapjax.report.run_page import PERSONALISED_MODEL
 
     run = entry.run
     if run.method == "PGA":

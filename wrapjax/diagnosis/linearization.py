@@ -27,13 +27,7 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.effects.effect import Effect, Effects, scale_prior
-from wrapjax.diagnosis.error_sources import (
-    InputErrors,
-    MuscleErrors,
-    angle_errors,
-    emg_errors,
-    muscle_errors,
-)
+from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, angle_errors, emg_errors, muscle_errors
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.prediction import finite_difference_signatures
 from wrapjax.model.forward import Recording, joint_moments, muscle_states

@@ -1,7 +1,12 @@
-"""Context of a calibrated subject: everything that effects are built from."""
+"""Context of a calibrated subject: everything that effects are built from.
+
+The context holds the changes of the measured moments and of the recorded paths by errors in the inputs of
+inverse dynamics.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import jax
@@ -12,9 +17,11 @@ from jaxtyping import Array, Float
 
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
-from wrapjax.diagnosis.context import AtBound, Context, PathChanges
-from wrapjax.diagnosis.effects.measured_changes import compute_measured_changes, compute_path_changes
+from wrapjax.diagnosis.context import AtBound, Context, MeasuredChange, PathChanges
+from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
+from wrapjax.diagnosis.effects.effect import EffectSizes
 from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
+from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths
@@ -33,6 +40,72 @@ from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import build_undriven_muscles
 from wrapjax.path_sources.wrap_freedom import freed_wraps
 from wrapjax.subject.subject import Subject
+
+
+def compute_measured_changes(gait: RecordedGait) -> dict[str, dict[str, MeasuredChange]]:
+    """Compute what each effect adds to the measured moments.
+
+    An effect size is an error in the laboratory's inputs of inverse dynamics, and the change is what this
+    error added to the moments. It is linear in the effect sizes.
+
+    Parameters
+    ----------
+    gait
+        Recorded gait.
+
+    Returns
+    -------
+    changes
+        By identifier of the effect and label of the variant: functions from effect sizes to N m (trial x
+        coordinate x frame). Effects and variants that change nothing are left out.
+    """
+    return {
+        definition.id: changes
+        for definition in DEFINITIONS
+        if definition.moment_derivatives is not None
+        and (
+            changes := {
+                label: _linear_change(gait, derivatives)
+                for label, derivatives in definition.moment_derivatives(gait).items()
+                if derivatives.any()
+            }
+        )
+    }
+
+
+def compute_path_changes(
+    recorded: RecordedPaths, measured: Collection[str]
+) -> dict[str, Mapping[str, PathState]]:
+    """Compute what a unit of each effect size adds to the recorded paths (`Context.path_changes`).
+
+    Parameters
+    ----------
+    recorded
+        Recorded paths.
+    measured
+        Identifiers of the effects that change the measured moments; paths of other effects are not needed.
+    """
+    return {
+        definition.id: changes
+        for definition in DEFINITIONS
+        if definition.id in measured
+        and definition.path_derivatives is not None
+        and (changes := definition.path_derivatives(recorded))
+    }
+
+
+def _linear_change(
+    gait: RecordedGait, derivatives: Float[np.ndarray, "parameter coordinate pose"]
+) -> MeasuredChange:
+    by_trial = derivatives.reshape(*derivatives.shape[:2], *gait.time.shape)
+    return Partial(_sum_changes, jnp.asarray(np.moveaxis(by_trial, 1, 2)))
+
+
+def _sum_changes(
+    derivatives: Float[Array, "parameter trial coordinate frame"], effect_sizes: EffectSizes
+) -> Float[Array, "trial coordinate frame"]:
+    return jnp.tensordot(effect_sizes, derivatives, axes=1)
+
 
 #: Prior standard deviation of the place of a muscle's end (m): personalised paths have moment arms that
 #: differ from the model's by 4 to 12 mm.

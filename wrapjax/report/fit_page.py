@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 
 from wrapjax.report import markup
-from wrapjax.report.fit_wraps import SampledPath, cylinder_findings, cylinders_section, sampled_paths_section
+from wrapjax.report.fit_wraps import (
+    SampledPath,
+    cylinder_findings,
+    cylinders_section,
+    sampled_paths_section,
+)
 from wrapjax.report.formatting import DASH, counted
 from wrapjax.report.provenance import versions_platform_and_time
 from wrapjax.report.style import (

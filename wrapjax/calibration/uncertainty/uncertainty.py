@@ -127,7 +127,7 @@ class Uncertainty:
         InputError
             If the folder exists and ``force`` is not set, or it cannot be created.
         """
-        from wrapjax.report.run_folder import write_run
+        from wrapjax.report.run_page import write_run
 
         write_run(
             [(leg.subject, leg.result) for leg in self.calibration.legs],

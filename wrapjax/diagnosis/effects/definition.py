@@ -12,9 +12,15 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from wrapjax.diagnosis.context import Context, MeasuredChange
-from wrapjax.diagnosis.effects.effect import Effect, EffectParameter, EffectSizes, NotTestable, Variant
+from wrapjax.diagnosis.effects.effect import (
+    Effect,
+    EffectParameter,
+    EffectSizes,
+    NotTestable,
+    Variant,
+    add_to_paths,
+)
 from wrapjax.diagnosis.effects.experiments import Experiment
-from wrapjax.diagnosis.effects.shared_alterations import add_to_paths
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState

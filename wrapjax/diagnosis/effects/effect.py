@@ -1,4 +1,4 @@
-"""Effects of one subject: parameters with priors, variants, and several effects at once."""
+"""Effects of one subject: parameters with priors, variants, several effects at once, shared alterations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
+from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
+from wrapjax.muscle.excitation import EmgSpline
 
 EffectSizes = Float[Array, " parameter"]
 
@@ -291,3 +293,21 @@ class Effects(eqx.Module):
     def parameters(self) -> list[EffectParameter]:
         """Parameters of all effects."""
         return [entry for effect in self.members for entry in effect.parameters]
+
+
+def add_to_paths(change: PathState, paths: PathState) -> PathState:
+    """Add changes to lengths (m), lengthening velocities (m/s) and moment arms (m)."""
+    return eqx.tree_at(
+        lambda tree: (tree.length, tree.velocity, tree.moment_arm),
+        paths,
+        (
+            paths.length + change.length,
+            paths.velocity + change.velocity,
+            paths.moment_arm + change.moment_arm,
+        ),
+    )
+
+
+def delay_emg(delay: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
+    """Delay the EMG of each muscle and cycle by an additional time (s)."""
+    return replace(emg, lag=delay if emg.lag is None else emg.lag + delay)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
-from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
+from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant, delay_emg
 from wrapjax.diagnosis.effects.experiments import (
     EMG_AT_REST,
     ISOMETRIC_RAMPS,
@@ -21,7 +21,6 @@ from wrapjax.diagnosis.effects.experiments import (
     SYNC_PULSE,
 )
 from wrapjax.diagnosis.effects.periodic import with_padding
-from wrapjax.diagnosis.effects.shared_alterations import delay_emg
 from wrapjax.model.alteration import Alteration, MuscleAlteration, MuscleInputs
 from wrapjax.muscle.excitation import EmgSpline, sharpen_emg
 from wrapjax.subject.muscle_groups import are_neighbours, region_of

@@ -11,9 +11,8 @@ from jax.tree_util import Partial
 
 from wrapjax.diagnosis.context import PathChanges
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
-from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
+from wrapjax.diagnosis.effects.effect import EffectSizes, Variant, add_to_paths
 from wrapjax.diagnosis.effects.experiments import PATHS_BY_ULTRASOUND
-from wrapjax.diagnosis.effects.shared_alterations import add_to_paths
 from wrapjax.model.alteration import Alteration
 
 #: Largest effect size, in prior standard deviations.

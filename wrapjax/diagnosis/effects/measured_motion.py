@@ -11,19 +11,10 @@ from jax.tree_util import Partial
 from jaxtyping import Array, Float
 
 from wrapjax.diagnosis.context import Context, MeasuredChange
-from wrapjax.diagnosis.effects.definition import (
-    EffectDefinition,
-    RepeatedParameter,
-    Requirement,
-)
-from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant
-from wrapjax.diagnosis.effects.experiments import (
-    MULTI_SEGMENT_FOOT,
-    SQUAT_WITH_CLUSTERS,
-    THIRD_WALKING_SPEED,
-)
+from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
+from wrapjax.diagnosis.effects.effect import EffectParameter, EffectSizes, Variant, add_to_paths, delay_emg
+from wrapjax.diagnosis.effects.experiments import MULTI_SEGMENT_FOOT, SQUAT_WITH_CLUSTERS, THIRD_WALKING_SPEED
 from wrapjax.diagnosis.effects.periodic import periodic_bell
-from wrapjax.diagnosis.effects.shared_alterations import add_to_paths, delay_emg
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
