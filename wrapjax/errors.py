@@ -77,7 +77,7 @@ class InputError(ValueError):
         return InputError, (self.problems,)
 
 
-class WorkError(RuntimeError):
+class ComputationError(RuntimeError):
     """Failure of a computation on valid input; its message has no full stop.
 
     The command line prints the message and exits with status 1.

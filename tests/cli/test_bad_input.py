@@ -14,7 +14,7 @@ from tests.cli.test_check import assert_only_errors
 from tests.subject.synthetic import MODEL, write_subject
 from tests.subject.test_broken_folders import BROKEN
 from wrapjax.cli.command_line import ADD_COMMANDS
-from wrapjax.errors import WorkError
+from wrapjax.errors import ComputationError
 
 
 @pytest.fixture
@@ -124,7 +124,10 @@ def test_full_disk_is_reported(run, subject, fitted, tmp_path, monkeypatch):
     [
         (MemoryError(), "there is not enough memory for this"),
         (JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "there is not enough memory for this"),
-        (WorkError("a worker process died: killed, or out of memory"), "a worker process died: killed"),
+        (
+            ComputationError("a worker process died: killed, or out of memory"),
+            "a worker process died: killed",
+        ),
     ],
 )
 def test_failures_on_valid_input_have_exit_status_1(run, subject, monkeypatch, error, words):

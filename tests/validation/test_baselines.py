@@ -113,7 +113,7 @@ def test_all_methods_answer_on_one_linearized_model(tmp_path):
     linearized = lines(np.random.default_rng(0), 0.5)
     done = SimpleNamespace(
         result=SimpleNamespace(linearized=linearized, outcome="named", detection_threshold=3.0),
-        data=SimpleNamespace(moment_sd=np.random.default_rng(1).uniform(0.5, 1.5, COORDINATES)),
+        data=SimpleNamespace(measured_moment_sd=np.random.default_rng(1).uniform(0.5, 1.5, COORDINATES)),
     )
     write_other_answers(done, {name: tmp_path / name for name in (*BASELINES, *ABLATIONS)})
     for name in (*BASELINES, *ABLATIONS):

@@ -23,7 +23,7 @@ Ablation = Callable[[LinearizedModel, MomentSd], tuple[LinearizedModel, MomentSd
 
 
 def score_ablated(
-    ablation: Ablation, linearized: LinearizedModel, moment_sd: MomentSd, detection_threshold: float
+    ablation: Ablation, linearized: LinearizedModel, measured_moment_sd: MomentSd, detection_threshold: float
 ) -> dict[str, tuple[float, bool]]:
     """Score all effects with a term left out.
 
@@ -32,45 +32,51 @@ def score_ablated(
     dict
         Log Bayes factor (nats) of each effect, and whether it exceeds the detection threshold.
     """
-    linearized, moment_sd = ablation(linearized, moment_sd)
+    linearized, measured_moment_sd = ablation(linearized, measured_moment_sd)
     (scored,) = score_each(
-        linearized.residual.reshape(1, -1), nulls(linearized, moment_sd), linearized.candidates
+        linearized.residual.reshape(1, -1), nulls(linearized, measured_moment_sd), linearized.candidates
     )
     return {one.id: (one.evidence, one.evidence > detection_threshold) for one in scored.scores}
 
 
-def _complete(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
-    return linearized, moment_sd
+def _complete(linearized: LinearizedModel, measured_moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+    return linearized, measured_moment_sd
 
 
 def _without_input_errors(
-    linearized: LinearizedModel, moment_sd: MomentSd
+    linearized: LinearizedModel, measured_moment_sd: MomentSd
 ) -> tuple[LinearizedModel, MomentSd]:
     """Assume exact EMG and angles, so that all cycle noise is noise of moments."""
-    return replace(linearized, input_errors=()), moment_sd
+    return replace(linearized, input_errors=()), measured_moment_sd
 
 
 def _without_muscle_errors(
-    linearized: LinearizedModel, moment_sd: MomentSd
+    linearized: LinearizedModel, measured_moment_sd: MomentSd
 ) -> tuple[LinearizedModel, MomentSd]:
     none = replace(linearized.muscle_errors, arms=np.zeros_like(linearized.muscle_errors.arms))
-    return replace(linearized, muscle_errors=none), moment_sd
+    return replace(linearized, muscle_errors=none), measured_moment_sd
 
 
-def _without_repeated(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
-    return linearized, np.zeros_like(moment_sd)
+def _without_repeated(
+    linearized: LinearizedModel, measured_moment_sd: MomentSd
+) -> tuple[LinearizedModel, MomentSd]:
+    return linearized, np.zeros_like(measured_moment_sd)
 
 
-def _without_nuisances(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+def _without_nuisances(
+    linearized: LinearizedModel, measured_moment_sd: MomentSd
+) -> tuple[LinearizedModel, MomentSd]:
     """Assume the model's muscle curves and activation dynamics, and unfiltered envelopes."""
-    return replace(linearized, nuisances=np.zeros_like(linearized.nuisances)), moment_sd
+    return replace(linearized, nuisances=np.zeros_like(linearized.nuisances)), measured_moment_sd
 
 
-def _without_give(linearized: LinearizedModel, moment_sd: MomentSd) -> tuple[LinearizedModel, MomentSd]:
+def _without_give(
+    linearized: LinearizedModel, measured_moment_sd: MomentSd
+) -> tuple[LinearizedModel, MomentSd]:
     """Assume known calibrated parameters, which do not compensate for effects."""
     return replace(
         linearized, prior_root=np.zeros_like(linearized.prior_root), residual=linearized.fitted_residual
-    ), moment_sd
+    ), measured_moment_sd
 
 
 #: Ablations by the name of the answerer.

@@ -107,9 +107,12 @@ def write_other_answers(done: Diagnosis, folders: Mapping[str, Path]) -> None:
         elif name in BASELINES:
             write_answer(BASELINES[name](linearized), folder)
         else:
-            moment_sd = done.data.moment_sd
+            measured_moment_sd = done.data.measured_moment_sd
             write_answer(
-                score_ablated(ABLATIONS[name], linearized, moment_sd, done.result.detection_threshold), folder
+                score_ablated(
+                    ABLATIONS[name], linearized, measured_moment_sd, done.result.detection_threshold
+                ),
+                folder,
             )
 
 

@@ -45,7 +45,7 @@ class LinearizedCase:
     """Linearized model of a case, and standard deviations of its measured moments (N m)."""
 
     linearized: LinearizedModel
-    moment_sd: Float[np.ndarray, " coordinate"]
+    measured_moment_sd: Float[np.ndarray, " coordinate"]
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def linearize_case(job: Job) -> str:
     )
     case = diagnosis_input(calibration)
     linearized = linearize(case, case.variables)
-    save(LinearizedCase(linearized, case.moment_sd), job.file)
+    save(LinearizedCase(linearized, case.measured_moment_sd), job.file)
     clear_caches_near_map_limit()
     return f"{len(linearized.candidates)} effects"
 
@@ -103,7 +103,7 @@ def save(lines: LinearizedCase, file: Path) -> None:
     linearized = lines.linearized
     arrays: dict[str, Any] = {name: getattr(linearized, attribute) for name, attribute in _ARRAYS.items()}
     arrays |= {
-        "sizes": lines.moment_sd,
+        "sizes": lines.measured_moment_sd,
         "states": linearized.muscle_errors.states,
         "arms": linearized.muscle_errors.arms,
     }

@@ -63,7 +63,9 @@ def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
     found = []
     for truth, own in development_linearizations(bank, lines):
         residual = own.linearized.residual.reshape(1, -1)
-        (scored,) = score_each(residual, nulls(own.linearized, own.moment_sd), own.linearized.candidates)
+        (scored,) = score_each(
+            residual, nulls(own.linearized, own.measured_moment_sd), own.linearized.candidates
+        )
         found.append(
             ScoredCase(truth, {one.id: one.evidence for one in scored.scores}, scored.structured_evidence)
         )

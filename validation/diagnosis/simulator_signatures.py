@@ -56,7 +56,9 @@ def score_both(
     """Score a case with the catalogue's signatures, then with the simulator's."""
     linearized = lines.linearized
     candidates = (*linearized.candidates, *simulator_candidates(linearized, library))
-    (scored,) = score_each(linearized.residual.reshape(1, -1), nulls(linearized, lines.moment_sd), candidates)
+    (scored,) = score_each(
+        linearized.residual.reshape(1, -1), nulls(linearized, lines.measured_moment_sd), candidates
+    )
     # Both have the same ids, so they are distinguished by their order.
     evidence = [(one.id, one.evidence) for one in scored.scores]
     count = len(linearized.candidates)

@@ -49,7 +49,7 @@ def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]
     fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
     linearized = linearize(case, fitted.calibrated)
     return {
-        "evidence": {one.id: one.evidence for one in _scores(linearized, case.moment_sd)},
+        "evidence": {one.id: one.evidence for one in _scores(linearized, case.measured_moment_sd)},
         "cost": float(fitted.cost),
         "variables": fitted.calibrated.tolist(),
     }
@@ -79,8 +79,10 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
     }
     others = done.data.context.undriven_muscles
     if hidden and found.linearized is not None and others is not None:
-        moment_sd = done.data.moment_sd
-        out["drive"] = _drive(found.linearized, moment_sd, others.groups, wrapjax.load_subject(whole), hidden)
+        measured_moment_sd = done.data.measured_moment_sd
+        out["drive"] = _drive(
+            found.linearized, measured_moment_sd, others.groups, wrapjax.load_subject(whole), hidden
+        )
     return out
 
 
@@ -89,16 +91,18 @@ def _calibrated(subject: Subject, starts: int) -> Calibration:
     return cached_calibration(alone, "NGA", wrapjax.fit(alone, "engine", processes=1), starts=starts)
 
 
-def _scores(linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate"]) -> tuple[Score, ...]:
+def _scores(
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"]
+) -> tuple[Score, ...]:
     (found,) = score_each(
-        linearized.residual.reshape(1, -1), nulls(linearized, moment_sd), linearized.candidates
+        linearized.residual.reshape(1, -1), nulls(linearized, measured_moment_sd), linearized.candidates
     )
     return found.scores
 
 
 def _drive(
     linearized: LinearizedModel,
-    moment_sd: Float[np.ndarray, " coordinate"],
+    measured_moment_sd: Float[np.ndarray, " coordinate"],
     groups: Sequence[tuple[str, tuple[str, ...]]],
     whole: Subject,
     hidden: str,
@@ -119,7 +123,7 @@ def _drive(
     )
     found = []
     for (group, members), score in zip(
-        groups, _scores(replace(linearized, candidates=each), moment_sd), strict=True
+        groups, _scores(replace(linearized, candidates=each), measured_moment_sd), strict=True
     ):
         drive = np.asarray(drive_over_cycle(jnp.asarray(score.effect_sizes), PHASES))
         found.append(

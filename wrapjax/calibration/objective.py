@@ -248,7 +248,7 @@ class Objective(AbstractCalibration):
             return replace(path, moment_arm=arm[..., None, :])
 
         def of_one(own, single, path, modes, *inputs):
-            def weighted(single, path):
+            def weighted_sum(single, path):
                 moment, quantities = self._muscle_outputs(single, path, *inputs)
                 total = jnp.sum(moment)
                 for multiplier, penalty, quantity in zip(own, self._all_penalties, quantities, strict=True):
@@ -256,7 +256,7 @@ class Objective(AbstractCalibration):
                         total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return differentiate(weighted, single, with_weighted_arm(path), with_weighted_arm(modes))
+            return differentiate(weighted_sum, single, with_weighted_arm(path), with_weighted_arm(modes))
 
         return jax.vmap(of_one)(multipliers, *inputs)
 
@@ -272,14 +272,14 @@ class Objective(AbstractCalibration):
         count = self.variables.nonpath_count
 
         def of_one(own, single, path, modes, *inputs):
-            def weighted(path):
+            def weighted_sum(path):
                 moment, quantities = self._muscle_outputs(single, path, *inputs)
                 total = jnp.vdot(weights, moment)
                 for multiplier, penalty, quantity in zip(own, self._all_penalties, quantities, strict=True):
                     total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return jax.grad(weighted)(path)
+            return jax.grad(weighted_sum)(path)
 
         changes = self.variables.unpack(variables).path_changes
         scale = jnp.asarray(self.variables.scale)[:, count:]

@@ -31,7 +31,7 @@ from wrapjax.cli import (
 )
 from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
 from wrapjax.cli.settings import add_settings, apply_settings, save_settings
-from wrapjax.errors import InputError, WorkError
+from wrapjax.errors import InputError, ComputationError
 from wrapjax.io.locks import lock_folder
 from wrapjax.jax_setup import set_threads
 
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if len(error.problems) > 1:
             print(f"{len(error.problems)} problems found; nothing was written.", file=sys.stderr)
         return BAD_INPUT
-    except WorkError as error:
+    except ComputationError as error:
         print(f"error: {error}; nothing was written.", file=sys.stderr)
         return NOT_CONVERGED
     except MemoryError:

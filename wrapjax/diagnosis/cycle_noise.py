@@ -66,7 +66,7 @@ class CycleNoise:
         return np.kron(self.between, _stationary_kernel(phases, self.spectrum))
 
     def covariance(self, cycles: int, phases: int) -> Matrix:
-        """Compute the covariance of several cycles, without errors of inputs, (N m)^2."""
+        """Compute the covariance of the moment noise of several cycles, without errors of inputs, (N m)^2."""
         block = self.block(phases)
         return block_diagonal(np.broadcast_to(block, (cycles, *block.shape)))
 

@@ -110,7 +110,7 @@ class DiagnosisInput:
         return {effect.id: effect for effect in effects_in(self.entries)}
 
     @property
-    def moment_sd(self) -> Float[np.ndarray, " coordinate"]:
+    def measured_moment_sd(self) -> Float[np.ndarray, " coordinate"]:
         """Standard deviation of the measured moments of the calibration cycles, N m."""
         return self.measured[self.plan.calibration].std(axis=(0, 2))
 

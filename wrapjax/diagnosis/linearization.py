@@ -39,7 +39,7 @@ Signature = Float[np.ndarray, "parameter row"]
 
 @dataclass(frozen=True)
 class Candidate:
-    """Signatures and prior of an effect that may be named.
+    """Effect that the diagnosis may name as a cause: its signatures and prior.
 
     Parameters
     ----------

@@ -50,7 +50,9 @@ class Null:
     log_prior: float = 0.0
 
 
-def nulls(linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate"]) -> Iterator[Null]:
+def nulls(
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"]
+) -> Iterator[Null]:
     """Compute null covariances over a grid of the unknown error sizes, one after the other.
 
     Parameters
@@ -63,7 +65,7 @@ def nulls(linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate
     phases = linearized.residual.shape[-1]
     fixed = fixed_covariance(linearized)
     by_force = muscle_covariance(linearized.muscle_errors)
-    repeatable = repeatable_covariance(np.asarray(moment_sd, dtype=float), linearized.speeds, phases)
+    repeatable = repeatable_covariance(np.asarray(measured_moment_sd, dtype=float), linearized.speeds, phases)
     for force, error in product(FORCE_ERRORS, REPEATABLE_ERRORS):
         # Exponential priors: larger errors are less plausible.
         log_prior = -force / EXPECTED_FORCE_ERROR - error / EXPECTED_REPEATABLE_ERROR

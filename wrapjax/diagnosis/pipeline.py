@@ -114,7 +114,9 @@ def run_diagnosis(
             )
             null_residuals = null_replicate_residuals(model, null_replicates, seed)
     with watch.during("score", "scoring effects"):
-        scores = score(linearized, data.moment_sd, null_residuals, constants.least_detection_threshold)
+        scores = score(
+            linearized, data.measured_moment_sd, null_residuals, constants.least_detection_threshold
+        )
     singles = effects_to_refit(scores)
     names = ", ".join(id for ids in singles for id in ids) or "no effect"
     with watch.during("refits", f"fitting {names} with all calibrated parameters"):

@@ -84,7 +84,7 @@ class Scores:
 
 def score(
     linearized: LinearizedModel,
-    moment_sd: Float[np.ndarray, " coordinate"],
+    measured_moment_sd: Float[np.ndarray, " coordinate"],
     null_residuals: Float[np.ndarray, "replicate row"],
     least_threshold: float,
 ) -> Scores:
@@ -103,7 +103,7 @@ def score(
     """
     candidates = linearized.candidates
     residuals = np.concatenate([linearized.residual.reshape(1, -1), null_residuals])
-    projections = [project(residuals, null, candidates) for null in nulls(linearized, moment_sd)]
+    projections = [project(residuals, null, candidates) for null in nulls(linearized, measured_moment_sd)]
     test, *of_replicates = score_projected(projections, candidates)
     null_maxima = np.array(
         [max((one.evidence for one in replicate.scores), default=0.0) for replicate in of_replicates]
@@ -120,13 +120,13 @@ def score(
         detection_threshold=threshold,
         jointly_significant=jointly_significant_effects(of_subject, candidates, by_id, threshold),
         compared=compared,
-        distinguishability=_distances(linearized, moment_sd, test, [by_id[id] for id in compared]),
+        distinguishability=_distances(linearized, measured_moment_sd, test, [by_id[id] for id in compared]),
     )
 
 
 def _distances(
     linearized: LinearizedModel,
-    moment_sd: Float[np.ndarray, " coordinate"],
+    measured_moment_sd: Float[np.ndarray, " coordinate"],
     test: ScoreTest,
     scores: Sequence[Score],
 ) -> Float[np.ndarray, "effect effect"]:
@@ -138,16 +138,16 @@ def _distances(
     signatures = [variant[list(one.part)] for one, variant in zip(scores, variants, strict=True)]
     signals = [one.effect_sizes @ variant for one, variant in zip(scores, variants, strict=True)]
     return distinguishability(
-        signals, signatures, most_plausible_null(linearized, moment_sd, test).covariance
+        signals, signatures, most_plausible_null(linearized, measured_moment_sd, test).covariance
     )
 
 
 def most_plausible_null(
-    linearized: LinearizedModel, moment_sd: Float[np.ndarray, " coordinate"], test: ScoreTest
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"], test: ScoreTest
 ) -> Null:
     """Compute the null hypothesis with the largest posterior probability."""
     best = int(np.argmax(test.null_weights))
-    return next(null for number, null in enumerate(nulls(linearized, moment_sd)) if number == best)
+    return next(null for number, null in enumerate(nulls(linearized, measured_moment_sd)) if number == best)
 
 
 def jointly_significant_effects(

@@ -235,5 +235,5 @@ def _unsupported(model: ModelDescription, what: str) -> Problem:
     return Problem(
         model.name,
         f"{what}: the exact engine does not support it",
-        hint="NGA, SGA and LSGA use OpenSim's own paths: run 'calibrate' without --fit and --geometry",
+        hint="run 'calibrate' with --method NGA, SGA or LSGA and without --geometry: these use OpenSim's own paths",
     )

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import WorkError
+from wrapjax.errors import ComputationError
 from wrapjax.osim.path_engine import PathEngine, WrapParameters
 
 #: Remaining work (s) above which workers are started. Each of them imports OpenSim and loads the model, which
@@ -111,7 +111,7 @@ def _analyse_in_workers(
             yield key, length, moment_arm
     except BrokenProcessPool as error:
         broken = True
-        raise WorkError(
+        raise ComputationError(
             "a worker process of the muscle analysis died: killed, or out of memory. "
             "Finished results are kept; run it again, or in one process (--threads 1)"
         ) from error

@@ -145,7 +145,7 @@ STANDARD_FIBER_LENGTH_GROUPS = (
 def activation_groups(
     model_groups: dict[str, tuple[str, ...]], driven: tuple[str, ...], side: str
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of driven muscles that share the delay and scale of their excitation.
+    """Return the groups of driven muscles whose delays and EMG scales are expected to be similar.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Subject:
     muscle_channels
         Position in ``trials.channels`` of the EMG channel of each muscle that has one.
     activation_groups
-        Groups of two or more driven muscles that share the delay and scale of their excitation.
+        Groups of two or more driven muscles whose delays and EMG scales are expected to be similar.
     fiber_length_groups
         Groups of two or more driven muscles of similar normalised fiber length.
     undriven_muscles
