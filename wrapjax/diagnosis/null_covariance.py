@@ -59,7 +59,7 @@ def nulls(
     ----------
     linearized
         Linearised model.
-    moment_sd
+    measured_moment_sd
         Standard deviation of the measured moment of each coordinate over the gait cycle, N m.
     """
     phases = linearized.residual.shape[-1]

@@ -3,7 +3,8 @@
 A replicate has the subject's angles, EMG and calibrated parameters, but muscles with force curves by other
 formulas, slightly different moment arms, and other noise of electrodes and moments. It is calibrated again,
 and its residual is scored. Tabulated distributions give no usable detection threshold, because the residual
-of a model whose curves differ from the person's is not noise. `wrapjax.diagnosis.score` derives the threshold.
+of a model whose curves differ from the person's is not noise.
+`wrapjax.diagnosis.score` derives the threshold.
 """
 
 from __future__ import annotations

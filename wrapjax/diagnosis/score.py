@@ -94,7 +94,7 @@ def score(
     ----------
     linearized
         Linearised model.
-    moment_sd
+    measured_moment_sd
         Standard deviation of the measured moment of each coordinate, N m.
     null_residuals
         Residuals of null replicates, N m.
