@@ -235,5 +235,5 @@ def _unsupported(model: ModelDescription, what: str) -> Problem:
     return Problem(
         model.name,
         f"{what}: the exact engine does not support it",
-        hint="run 'calibrate' with --method NGA, SGA or LSGA, which use OpenSim's own paths, without --geometry",
+        hint="run 'calibrate' with --method NGA, SGA or LSGA, without --geometry: OpenSim's own paths",
     )
