@@ -56,5 +56,5 @@ def test_contact_forces_are_those_of_compliant_tendons(stretching, run):
 
 
 def test_a_diagnosis_of_it_is_refused(stretching):
-    with pytest.raises(InputError, match="the calibration of synthetic: has tendons that stretch"):
+    with pytest.raises(InputError, match="the calibration of synthetic: has compliant tendons"):
         diagnose_calibrated(stretching)

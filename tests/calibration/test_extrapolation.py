@@ -82,7 +82,7 @@ def test_the_run_folder_records_the_excitation_of_each_muscle(folder):
     }
     assert "semiten_l,synergy,synergy_offset," in (folder / "parameters.csv").read_text()
     report = (folder / "report.html").read_text()
-    assert "What drove the muscles" in report and "1 principal component of" in report
+    assert "Drive of the muscles" in report and "1 principal component of" in report
 
 
 def test_a_loaded_run_reproduces_its_moments(bare, driven, folder):
@@ -94,14 +94,14 @@ def test_evaluation_on_unsuitable_subjects_is_refused(person, folder, tmp_path):
         evaluate(load_run(folder), person)
     other = without_channel(tmp_path / "other")
     trials = dataclasses.replace(other.trials, channels=("Vasti",))
-    with pytest.raises(InputError, match="lacks EMG channel 'RecFem', which synergies"):
+    with pytest.raises(InputError, match="lacks EMG channel 'RecFem', which the synergies"):
         evaluate(load_run(folder), dataclasses.replace(other, trials=trials))
 
 
 def test_contact_uses_calibrated_forces(driven, folder):
     """Static optimization leaves the forces of driven muscles unchanged."""
     result = contact(folder).result
-    assert result.runs[0].undriven.muscles == () and result.runs[0].undriven.left_out == ()
+    assert result.runs[0].undriven.muscles == () and result.runs[0].undriven.without_force == ()
     force = np.asarray(driven.result.states.fiber.tendon_force)
     # Both muscles compress the knee with their full force, one at an angle to the other.
     pressed = result.runs[0].magnitude[:, 1]

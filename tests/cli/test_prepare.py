@@ -69,7 +69,7 @@ def test_the_report_shows_forces_and_all_cycles(prepared):
     content = json.loads((prepared[1] / "preparation.json").read_text())
     # Measured and required forces, angles, moments and EMG; no external resources.
     assert page.count('<img alt="') == 4 and "http" not in page.split("base64,")[0]
-    assert "3 gait cycles can be calibrated with." in page
+    assert "3 gait cycles can be used for calibration." in page
     for check in content["trials"]["walk"]["checks"]:
         assert markup.text(check["found"]) in page
 

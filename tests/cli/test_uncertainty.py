@@ -19,7 +19,7 @@ def with_uncertainty(run, subject, fitted, tmp_path_factory):
 
 def test_bootstrap_writes_intervals_of_all_parameters(with_uncertainty, calibrated):
     outcome, folder = with_uncertainty
-    assert outcome.status == 0 and "calibrating made-up moments: 4 done" in outcome.progress
+    assert outcome.status == 0 and "calibrating simulated moments: 4 done" in outcome.progress
     assert "4 draws (bootstrap" in outcome.output
     told = read_json(folder / "uncertainty.json")
     assert told["schema"] == SCHEMA and told["way"] == "bootstrap" and told["draws"] == 4

@@ -104,7 +104,7 @@ def test_population_statistics(done):
 def test_the_report_names_failures_and_is_rendered_again(done):
     page = (done.folder / "report.html").read_bytes()
     text = page.decode()
-    assert "2 of 3 subjects done" in text and "1 subject failed:" in text and "model.osim" in text
+    assert "2 of 3 subjects completed" in text and "1 subject failed:" in text and "model.osim" in text
     assert 'href="anna/calibration/report.html"' in text and 'href="ben/diagnosis/report.html"' in text
     (done.folder / "report.html").unlink()
     assert redraw(done.folder) == done.folder / "report.html"

@@ -106,7 +106,7 @@ def test_no_job_waits_for_a_slow_one(tmp_path):
 
 
 def test_no_scheduler(monkeypatch):
-    monkeypatch.setattr("wrapjax.cohorts.scheduling._CONNECTING_S", 0.2)
+    monkeypatch.setattr("wrapjax.cohorts.scheduling._CONNECTION_TIMEOUT_S", 0.2)
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:9: no dask scheduler answers"):
         collected(math.sqrt, {"four": 4.0}, scheduler="tcp://127.0.0.1:9")
 

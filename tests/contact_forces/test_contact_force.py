@@ -189,7 +189,7 @@ def test_pga_uses_the_model_that_it_wrote(without_forces, tmp_path):
     model.write_text(model.read_text().replace("<location>-0.05 0.0 0<", "<location>-0.08 0.0 0<"))
     assert np.abs(contact(folder).result.runs[0].force - before).max() > 5.0
     model.unlink()
-    with pytest.raises(InputError, match=r"model_personalized\.osim: is not there"):
+    with pytest.raises(InputError, match=r"model_personalized\.osim: is missing"):
         contact(folder)
 
 
