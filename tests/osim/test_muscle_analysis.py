@@ -396,7 +396,7 @@ def test_names_are_checked_without_poses_too(odd_model):
 def test_coordinates_that_cannot_be_set_are_errors(odd_model):
     followed, locked = problems_of(odd_model, ["flexor"], ["patella_turn", "toe"], np.array([[0.1, 0.3]]))
     assert followed.place == "patella_turn" and "follows knee" in followed.message
-    assert locked.place == "toe" and "locked at 0.1, and a pose has it at 0.3" in locked.message
+    assert locked.place == "toe" and "locked at 0.1 in the model, but a pose has it at 0.3" in locked.message
 
 
 def test_a_locked_coordinate_may_be_given_at_its_locked_value(odd_model):

@@ -88,7 +88,7 @@ def test_only_freed_paths_have_terms_in_the_files(done, run, tmp_path):
 def test_settings_contain_the_solver_and_valid_paths(done, run):
     settings = json.loads((run / "settings.json").read_text())
     assert settings["solver"]["class"] == "AugmentedLagrangian"
-    assert settings["solver"]["inner"]["class"] == "ProjectedLM"
+    assert settings["solver"]["inner"]["class"] == "ProjectedLevenbergMarquardt"
     assert settings["solver"]["inner"]["max_iterations"] == 100
     assert settings["starts"] == [None, 1]
     assert not settings["subject"]["folder"].startswith("/")
