@@ -60,7 +60,7 @@ def test_forces_50_ms_late_are_refused_with_the_lag(run, overground):
     outcome = run("prepare", overground, "--out", overground.parent / "out")
     assert outcome.status == 2
     (line,) = (line for line in outcome.progress.splitlines() if line.startswith("error"))
-    assert "timing of forces" in line and "50 ms late" in line
+    assert "timing of forces" in line and "as 50 ms late" in line
 
 
 @pytest.mark.parametrize(("shift", "said"), [(0.0, ""), (0.05, "ms late"), (-0.05, "ms early")])
