@@ -238,7 +238,8 @@ class Objective(AbstractCalibration):
         """Compute the sum of residuals times their Hessians: one block per muscle, as moments are sums.
 
         Moments are linear in the moment arms. Arms are therefore first summed over coordinates, weighted by
-        the residuals of the moments; quantities of the arms alone have no second derivatives.
+        the residuals of the moments; quantities of the arms alone have no second derivatives. Second
+        derivatives by the muscle law are omitted, as in a Gauss-Newton method: they cost more than they gain.
         """
         weights = (self.row_scale() * rows).reshape(self.measured.shape)
         differentiate = coupled_hessian if self.alterations else framewise_hessian
@@ -247,18 +248,30 @@ class Objective(AbstractCalibration):
             arm = jnp.einsum("tcf,...tcf->...tf", weights, path.moment_arm)
             return replace(path, moment_arm=arm[..., None, :])
 
+        laws = self.variables.laws
+        count = self.variables.nonpath_count - laws
+
         def of_one(own, single, path, modes, *inputs):
+            law = single[count:]
+
             def weighted_sum(single, path):
-                moment, quantities = self._muscle_outputs(single, path, *inputs)
+                moment, quantities = self._muscle_outputs(jnp.concatenate([single, law]), path, *inputs)
                 total = jnp.sum(moment)
                 for multiplier, penalty, quantity in zip(own, self._all_penalties, quantities, strict=True):
                     if quantity.ndim < 3:
                         total += multiplier @ penalty.reduce(quantity)
                 return total
 
-            return differentiate(weighted_sum, single, with_weighted_arm(path), with_weighted_arm(modes))
+            return differentiate(
+                weighted_sum, single[:count], with_weighted_arm(path), with_weighted_arm(modes)
+            )
 
-        return jax.vmap(of_one)(multipliers, *inputs)
+        blocks = jax.vmap(of_one)(multipliers, *inputs)
+        if not laws:
+            return blocks
+        kept = np.delete(np.arange(self.variables.scale.shape[1]), np.s_[count : count + laws])
+        full = jnp.zeros((len(blocks), *self.variables.scale.shape[1:] * 2))
+        return full.at[:, kept[:, None], kept[None]].set(blocks)
 
     def _path_curvatures(
         self,

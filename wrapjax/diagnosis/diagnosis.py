@@ -20,6 +20,7 @@ from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
 from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.muscle_law import fit_muscle_law
 from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.diagnosis.subject_context import build_context
@@ -217,11 +218,12 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     recording, context = build_context(calibration)
     subject, result = calibration.subject, calibration.result
     trials, solution = subject.trials, result.solution
-    problem, variables = solution.problem, np.asarray(solution.variables)
+    problem = solution.problem
     assert isinstance(problem, Objective)
     if problem.variables.modes:
         problem = _with_held_paths(problem, result)
-        variables = np.asarray(problem.start(result.parameters))
+    cache = SolveCache(cache_folder("diagnoses"))
+    law = fit_muscle_law(problem, result.parameters, result.freedom.with_held_paths(), result.muscles, cache)
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
     order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
@@ -232,8 +234,9 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
         order,
     )
     return DiagnosisInput(
-        problem=problem,
-        variables=variables,
+        problem=law.held,
+        law=law,
+        variables=law.variables,
         outcomes=result.outcomes,
         recording=recording,
         context=context,
@@ -244,7 +247,7 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
         time=trials.time,
         measured=trials.moments,
         inputs=np.concatenate(inputs, axis=1),
-        cache=SolveCache(cache_folder("diagnoses")),
+        cache=cache,
     )
 
 

@@ -12,8 +12,9 @@ from jaxtyping import Array, Float, Int
 
 from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.context import Context
+from wrapjax.diagnosis.priors import MOMENT_ARM_SD
 from wrapjax.geometry.paths import PathState, fixed_path
-from wrapjax.model.forward import MuscleState, Recording, joint_moments
+from wrapjax.model.forward import MuscleState, Recording, joint_moments, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
@@ -26,6 +27,8 @@ EMG_ERROR, EMG_WIDTH = 0.10, 0.04
 ANGLE_ERROR, ANGLE_WIDTH = np.radians(1.5), 0.08
 #: Differences of activation, normalised fiber length and velocity at which errors of force are independent.
 STATE_SCALES = (0.3, 0.075, 0.15)
+# Largest moment arm (m) of a muscle about a coordinate that it does not cross.
+_SMALLEST_ARM = 0.002
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,52 @@ def _moments_by_angle(
 
     # One after the other: all at once would need memory for muscles times frames times angles.
     return jax.lax.map(along, jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), by_angle))
+
+
+def moment_arm_errors(
+    curves: AbstractCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    context: Context,
+    frames: Int[np.ndarray, " phase"],
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute the change of the moments by a constant error of one standard deviation of each moment arm, N m.
+
+    The length of the path changes with the angle as the arm says. Arms about coordinates that a muscle does
+    not cross have no errors.
+    """
+    path = recording.path.at(parameters.path_changes)
+    angles, velocities = jnp.asarray(context.angles), jnp.asarray(context.velocities)
+    changes = np.asarray(_moments_by_arm(curves, parameters, recording, path, angles, velocities))
+    crossed = np.abs(np.asarray(path.moment_arm)).max(axis=(1, 3)).T > _SMALLEST_ARM
+    return MOMENT_ARM_SD * changes[crossed][..., frames]
+
+
+@eqx.filter_jit
+def _moments_by_arm(
+    curves: AbstractCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    path: PathState,
+    angles: Float[Array, "trial coordinate frame"],
+    velocities: Float[Array, "trial coordinate frame"],
+) -> Float[Array, "coordinate muscle trial coordinate frame"]:
+    """Differentiate each muscle's moments by a constant change of its arm about each coordinate, N m per m."""
+    at = PathState(path.length, path.velocity, path.moment_arm)
+
+    def moments(path: PathState) -> Float[Array, "muscle trial coordinate frame"]:
+        return muscle_states(curves, parameters, replace(recording, path=fixed_path(path))).moment
+
+    def along(coordinate: Int[Array, ""]) -> Float[Array, "muscle trial coordinate frame"]:
+        angle, velocity = angles[:, coordinate], velocities[:, coordinate]
+        direction = PathState(
+            jnp.broadcast_to(angle.mean() - angle, at.length.shape),
+            jnp.broadcast_to(-velocity, at.velocity.shape),
+            jnp.zeros_like(at.moment_arm).at[:, :, coordinate].set(1.0),
+        )
+        return jax.jvp(moments, (at,), (direction,))[1]
+
+    return jax.lax.map(along, jnp.arange(angles.shape[1]))
 
 
 def muscle_errors(

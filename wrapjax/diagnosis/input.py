@@ -17,6 +17,7 @@ from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMoments, cross_validation_plan
 from wrapjax.diagnosis.effects.catalogue import catalogue, effects_in
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
+from wrapjax.diagnosis.muscle_law import MuscleLawFit
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.model.forward import Recording
 
@@ -43,8 +44,10 @@ class DiagnosisInput:
     Parameters
     ----------
     problem, variables
-        Objective of the calibration of one leg over its calibration cycles, in their order, with held paths;
-        and the variables at which it ended.
+        Objective of the calibration of one leg over its calibration cycles, in their order, with held paths
+        and the person's muscle law held; and the variables at which it ended.
+    law
+        Fit of the muscle law.
     outcomes
         Result of each start of the calibration.
     recording, context
@@ -64,6 +67,7 @@ class DiagnosisInput:
     """
 
     problem: Objective
+    law: MuscleLawFit
     variables: Float[np.ndarray, " variable"]
     outcomes: Sequence[Outcome]
     recording: Recording

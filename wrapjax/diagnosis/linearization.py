@@ -27,7 +27,14 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.effects.effect import Effect, Effects, scale_prior
-from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors, angle_errors, emg_errors, muscle_errors
+from wrapjax.diagnosis.error_sources import (
+    InputErrors,
+    MuscleErrors,
+    angle_errors,
+    emg_errors,
+    moment_arm_errors,
+    muscle_errors,
+)
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.prediction import finite_difference_signatures
 from wrapjax.model.forward import Recording, joint_moments, muscle_states
@@ -158,8 +165,8 @@ def linearize(data: DiagnosisInput, variables: Float[np.ndarray, " variable"]) -
         Calibrated variables about which to linearise.
     """
     return linearized_model(
-        data.problem,
-        jnp.asarray(variables),
+        data.law.free,
+        jnp.asarray(data.law.with_free_law(variables)),
         data.calibration_recording,
         data.measured[data.plan.calibration],
         data.calibration_context,
@@ -195,7 +202,8 @@ def linearized_model(
     slopes = moment_slopes(problem, variables, averaged, frames)
     prior_root, from_prior_mean = parameter_prior(problem, variables)
     fitted = np.asarray(measured - np.asarray(joint_moments(curves, parameters, recording)))[..., frames]
-    candidates, nuisances = [], [np.zeros((0, *fitted.shape))]
+    candidates = []
+    nuisances = [moment_arm_errors(curves, parameters, averaged, context, frames)]
     for effect in effects:
         candidate = _candidate(effect, problem, parameters, averaged, frames)
         if effect.nuisance:

@@ -106,8 +106,8 @@ def run_diagnosis(
     if null_residuals is None:
         with watch.during("twins", f"simulating {null_replicates} null replicates"):
             model = NullModel(
-                data.problem,
-                baseline.variables,
+                data.law.free,
+                data.law.with_free_law(baseline.variables),
                 data.calibration_recording,
                 linearized,
                 linearized.noise,

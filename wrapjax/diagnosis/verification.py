@@ -169,7 +169,8 @@ def _released_parameters(
         problem.variables.labels,
         before,
         fit.full.calibrated,
-        linearized.parameter_sd,
+        # The parameters of the muscle law, which fits hold, come last.
+        linearized.parameter_sd[: len(before)],
         at_bound,
         strict=True,
     )

@@ -25,6 +25,7 @@ from wrapjax.muscle.activation import muscle_activation, neural_activation
 from wrapjax.muscle.curves import AbstractCurves
 from wrapjax.muscle.excitation import EmgSpline
 from wrapjax.muscle.hill import FiberState, rigid_tendon_fiber
+from wrapjax.muscle.personal_law import PersonalCurves, personal_neural_activation, personal_shape
 
 
 class Recording(eqx.Module):
@@ -88,6 +89,8 @@ def muscle_state_along(
     MuscleState
         State of the muscle; leaves have the axes ``trial frame`` or ``trial coordinate frame``.
     """
+    law = parameters.law
+    curves = curves if law is None else PersonalCurves(curves, law)
     inputs = MuscleInputs(curves, parameters, path, emg, padding)
     for alteration in alterations:
         inputs = alteration.inputs(inputs)
@@ -96,11 +99,11 @@ def muscle_state_along(
     excitation = own.emg_scale * envelope
     for alteration in alterations:
         excitation = alteration.excitation(excitation, inputs)
-    neural = neural_activation(
-        excitation, own.activation_time_constant, inputs.emg.step, inputs.deactivation_ratio
-    )
+    dynamics = (excitation, own.activation_time_constant, inputs.emg.step, inputs.deactivation_ratio)
+    neural = neural_activation(*dynamics) if law is None else personal_neural_activation(*dynamics, law)
     inside = slice(padding, neural.shape[-1] - padding)
     activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), own.activation_nonlinearity)
+    activation = activation if law is None else personal_shape(activation, law)
     for alteration in alterations:
         activation = alteration.activation(activation, inputs)
     for alteration in alterations:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
+from wrapjax.muscle.personal_law import LAW_NAMES, LAW_PARAMETERS
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,33 @@ class FreedSynergies:
         return synergy_labels(self.commands)
 
 
+@dataclass(frozen=True)
+class FreedLaw:
+    """Freed parameters of the person's muscle law, which all muscles share; see `personal_law`.
+
+    Parameters
+    ----------
+    names
+        Names of the parameters.
+    lower, upper, prior_sd
+        Bounds and prior standard deviations; the prior mean is zero, the given law.
+    """
+
+    names: tuple[str, ...]
+    lower: Float[np.ndarray, " law_parameter"]
+    upper: Float[np.ndarray, " law_parameter"]
+    prior_sd: Float[np.ndarray, " law_parameter"]
+
+    @classmethod
+    def published(cls) -> FreedLaw:
+        """Free all parameters of the family within the spread of published laws."""
+        columns = {
+            name: np.array([getattr(parameter, name) for parameter in LAW_PARAMETERS])
+            for name in ("lower", "upper", "prior_sd")
+        }
+        return cls(LAW_NAMES, **columns)
+
+
 def synergy_labels(commands: int) -> tuple[str, ...]:
     """List the names of the weights of one excitation; the last is that of the constant command."""
     return (*(f"synergy_weight_{number}" for number in range(1, commands)), "synergy_offset")
@@ -162,6 +190,8 @@ class Freedom:
         Freed wraps; None where these are held.
     synergies
         Freed synergy weights; None where every muscle has a channel.
+    law
+        Freed parameters of the muscle law; None where the law is given.
 
     Raises
     ------
@@ -174,6 +204,7 @@ class Freedom:
     paths: FreedPaths | None = None
     wraps: FreedWraps | None = None
     synergies: FreedSynergies | None = None
+    law: FreedLaw | None = None
 
     def __post_init__(self):
         if self.paths is not None and self.wraps is not None:

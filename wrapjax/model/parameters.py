@@ -31,6 +31,9 @@ class ModelParameters(eqx.Module):
     #: Weights of the synergy commands in the EMG of muscles without a channel, dimensionless; zero for other
     #: muscles. None where every muscle has a channel.
     synergy_weights: Float[Array, "*muscle command"] | None = None
+    #: Parameters of the person's muscle law (`personal_law.LAW_PARAMETERS`), dimensionless, the same in all
+    #: muscles. None for the given curves and the dynamics of He et al. 1991.
+    law: Float[Array, "*muscle law_parameter"] | None = None
 
 
 @dataclass(frozen=True)

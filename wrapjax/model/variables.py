@@ -13,12 +13,15 @@ from jaxtyping import Array, Float, Int
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_path_modes
 
+#: Owner of the parameters of the muscle law in labels of variables.
+LAW_OWNER = "muscle_law"
+
 
 class Variables(eqx.Module):
     """Free entries of a parameter tree as a vector of variables of order one.
 
     A muscle's force depends on that muscle's parameters alone. Each muscle therefore has a short vector of
-    local entries (scalar parameters, synergy weights, path modes), and ``index`` maps local entries to
+    local entries (scalar parameters, synergy weights, muscle law, path modes), and ``index`` maps local entries to
     variables. Local entries of several muscles may refer to one variable: such parameters are shared.
     """
 
@@ -28,6 +31,8 @@ class Variables(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     #: Number of synergy weights, the next local entries; 0 where every muscle has a channel.
     weights: int = eqx.field(static=True)
+    #: Number of parameters of the muscle law, the next local entries; 0 where the law is held.
+    laws: int = eqx.field(static=True)
     #: Number of path modes, the last local entries; 0 where paths are held.
     modes: int = eqx.field(static=True)
     #: Size of one solver unit, in the unit of the entry.
@@ -52,7 +57,7 @@ class Variables(eqx.Module):
     @property
     def nonpath_count(self) -> int:
         """Number of local entries of a muscle that are not path modes."""
-        return len(self.names) + self.weights
+        return len(self.names) + self.weights + self.laws
 
     def start(self) -> Float[Array, " variable"]:
         """Compute the variables of the base parameters, clipped to the bounds."""
@@ -83,17 +88,25 @@ class Variables(eqx.Module):
 
     def _local(self, parameters: ModelParameters) -> Float[Array, "muscle local"]:
         single = jnp.stack([getattr(parameters, name) for name in self.names], axis=-1)
-        parts = [single, parameters.path_changes[:, : self.modes]]
+        parts = [single]
         if parameters.synergy_weights is not None:
-            parts.insert(1, parameters.synergy_weights[:, : self.weights])
+            parts.append(parameters.synergy_weights[:, : self.weights])
+        if self.laws:
+            parts.append(parameters.law)
+        parts.append(parameters.path_changes[:, : self.modes])
         return jnp.concatenate(parts, axis=-1) / self.scale
 
     def insert(self, parameters: ModelParameters, values: Float[Array, "*muscle single"]) -> ModelParameters:
-        """Insert scalar parameters and synergy weights, in their units, into a tree of one or all muscles."""
+        """Insert all entries but path modes, in their units, into a tree of one or all muscles."""
         leaves = [values[..., place] for place in range(len(self.names))]
+        names = list(self.names)
+        first_law = len(names) + self.weights
         if self.weights:
-            leaves.append(values[..., len(self.names) :])
-        names = (*self.names, *(["synergy_weights"] if self.weights else []))
+            leaves.append(values[..., len(self.names) : first_law])
+            names.append("synergy_weights")
+        if self.laws:
+            leaves.append(values[..., first_law : first_law + self.laws])
+            names.append("law")
         return eqx.tree_at(lambda tree: [getattr(tree, name) for name in names], parameters, replace=leaves)
 
     def gather(self, blocks: Float[Array, "muscle local row"]) -> Float[Array, "variable row"]:
@@ -144,8 +157,8 @@ def _places(index: Int[np.ndarray, "muscle local"], count: int) -> Int[np.ndarra
 def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[str]) -> Variables:
     """Build the variables of a freedom.
 
-    Their order is: scalar parameters and path modes muscle by muscle, then synergy weights, then wrap
-    parameters.
+    Their order is: scalar parameters and path modes muscle by muscle, then synergy weights, then the muscle
+    law, then wrap parameters.
 
     Parameters
     ----------
@@ -163,23 +176,25 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     count = len(muscles)
     synergies = freedom.synergies
     weights = 0 if synergies is None else synergies.commands
+    laws = 0 if freedom.law is None else len(freedom.law.names)
     # The prior is on the norm of the vector of mode coefficients, not on each of them.
     mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
 
     def local_values(name: str, mode_value: float) -> Float[np.ndarray, "muscle local"]:
         single = [getattr(parameter, name) for parameter in freed]
-        # Values of synergy weights, set below, and of held modes are placeholders.
-        return np.stack([*single, *[np.full(count, mode_value)] * (weights + modes)], axis=-1)
+        # Values of synergy weights and of the law, set below, and of held modes are placeholders.
+        return np.stack([*single, *[np.full(count, mode_value)] * (weights + laws + modes)], axis=-1)
 
     scale = local_values("scale", 1.0)
     free = np.ones(scale.shape, dtype=bool)
-    first_mode = len(freed) + weights
+    first_law = len(freed) + weights
+    first_mode = first_law + laws
     free[:, len(freed) : first_mode] = False
     free[:, first_mode:] = False if paths is None else paths.free
     offset = int(free.sum())
     index = np.full(free.shape, offset)
     index[free] = np.arange(offset)
-    names = [parameter.name for parameter in freed] + [""] * weights
+    names = [parameter.name for parameter in freed] + [""] * (weights + laws)
     names += [f"path_changes_{mode:03d}" for mode in range(modes)]
     labels = [f"{muscles[muscle]}.{names[place]}" for muscle, place in np.argwhere(free)]
     bounds = {
@@ -188,14 +203,14 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     }
     prior_mean = (local_values("prior_mean", 0.0) / scale)[free]
     prior_precision = (scale / local_values("prior_sd", mode_sd))[free]
-    total = offset + (0 if synergies is None else len(synergies.names) * weights)
+    total = offset + laws + (0 if synergies is None else len(synergies.names) * weights)
     if wraps is not None:
         total += wraps.lower.size
     index[index == offset] = total
     if synergies is not None:
         # After the variables of single muscles: several muscles may share an excitation.
         number = offset + synergies.places[:, None] * weights + np.arange(weights)
-        index[:, len(freed) : first_mode] = np.where(synergies.places[:, None] < 0, total, number)
+        index[:, len(freed) : first_law] = np.where(synergies.places[:, None] < 0, total, number)
         labels += [f"{name}.{weight}" for name in synergies.names for weight in synergies.labels]
         size = len(synergies.names) * weights
         for name, sign in (("lower", -1.0), ("upper", 1.0)):
@@ -203,6 +218,16 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
         prior_mean = np.append(prior_mean, np.zeros(size))
         prior_precision = np.append(prior_precision, np.full(size, 1.0 / synergies.prior_sd))
         offset += size
+    if freedom.law is not None:
+        index[:, first_law:first_mode] = offset + np.arange(laws)
+        scale[:, first_law:first_mode] = freedom.law.prior_sd
+        labels += [f"{LAW_OWNER}.{name}" for name in freedom.law.names]
+        for name in bounds:
+            bounds[name] = np.append(bounds[name], getattr(freedom.law, name) / freedom.law.prior_sd)
+        prior_mean = np.append(prior_mean, np.zeros(laws))
+        # Priors of muscles are means over muscles; that of the law counts as much as one muscle's.
+        prior_precision = np.append(prior_precision, np.full(laws, 1.0 / np.sqrt(count)))
+        offset += laws
     if wraps is not None:
         # Last: several muscles may share a wrap.
         held = wraps.places[:, :, None] < 0
@@ -218,6 +243,7 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
         base=base,
         names=tuple(parameter.name for parameter in freed),
         weights=weights,
+        laws=laws,
         modes=modes,
         scale=scale,
         index=index,
