@@ -138,7 +138,7 @@ def moment_arm_errors(
     context: Context,
     frames: Int[np.ndarray, " phase"],
 ) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
-    """Compute the change of the moments by a constant error of one standard deviation of each moment arm, N m.
+    """Compute the change of the moments by a constant error of each moment arm, one standard deviation, N m.
 
     The length of the path changes with the angle as the arm says. Arms about coordinates that a muscle does
     not cross have no errors.
@@ -159,7 +159,7 @@ def _moments_by_arm(
     angles: Float[Array, "trial coordinate frame"],
     velocities: Float[Array, "trial coordinate frame"],
 ) -> Float[Array, "coordinate muscle trial coordinate frame"]:
-    """Differentiate each muscle's moments by a constant change of its arm about each coordinate, N m per m."""
+    """Differentiate each muscle's moments by a constant change of its moment arms, N m per m."""
     at = PathState(path.length, path.velocity, path.moment_arm)
 
     def moments(path: PathState) -> Float[Array, "muscle trial coordinate frame"]:

@@ -37,6 +37,7 @@ from wrapjax.diagnosis.error_sources import (
 )
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.prediction import finite_difference_signatures
+from wrapjax.diagnosis.undriven_capacity import undriven_signatures
 from wrapjax.model.forward import Recording, joint_moments, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.excitation import EmgSpline
@@ -203,7 +204,10 @@ def linearized_model(
     prior_root, from_prior_mean = parameter_prior(problem, variables)
     fitted = np.asarray(measured - np.asarray(joint_moments(curves, parameters, recording)))[..., frames]
     candidates = []
-    nuisances = [moment_arm_errors(curves, parameters, averaged, context, frames)]
+    nuisances = [
+        moment_arm_errors(curves, parameters, averaged, context, frames),
+        undriven_signatures(context, frames),
+    ]
     for effect in effects:
         candidate = _candidate(effect, problem, parameters, averaged, frames)
         if effect.nuisance:

@@ -21,8 +21,9 @@ class Variables(eqx.Module):
     """Free entries of a parameter tree as a vector of variables of order one.
 
     A muscle's force depends on that muscle's parameters alone. Each muscle therefore has a short vector of
-    local entries (scalar parameters, synergy weights, muscle law, path modes), and ``index`` maps local entries to
-    variables. Local entries of several muscles may refer to one variable: such parameters are shared.
+    local entries (scalar parameters, synergy weights, muscle law, path modes), and ``index`` maps local
+    entries to variables. Local entries of several muscles may refer to one variable: such parameters are
+    shared.
     """
 
     #: Parameter tree with the values of entries that are held, and the initial values of free ones.

@@ -2,8 +2,8 @@
 
 Published laws differ in the width of the active force-length curve, in the force-velocity curve, in the
 passive force and in the activation dynamics, and recordings tell them apart. The family starts from a given
-set of curves and the dynamics of He et al. 1991, and changes both by the parameters of `LAW_PARAMETERS`, which
-all muscles share. All are zero for the given law, which the family then reproduces to the last bit.
+set of curves and the dynamics of He et al. 1991, and changes both by the parameters of `LAW_PARAMETERS`,
+which all muscles share. All are zero for the given law, which the family then reproduces to the last bit.
 """
 
 from __future__ import annotations
@@ -50,22 +50,48 @@ _SHAPE = (
 
 #: Parameters of the family, in the order of the vectors that hold their values.
 LAW_PARAMETERS: tuple[LawParameter, ...] = (
-    LawParameter("active_shift", 0.04, -0.15, 0.15, "optimal fiber lengths by which the peak lies later", _LENGTH),
+    LawParameter(
+        "active_shift", 0.04, -0.15, 0.15, "optimal fiber lengths by which the peak lies later", _LENGTH
+    ),
     LawParameter("active_width_short", 0.15, -0.5, 0.5, "log factor on the width below the peak", _LENGTH),
     LawParameter("active_width_long", 0.15, -0.5, 0.5, "log factor on the width above the peak", _LENGTH),
-    LawParameter("active_flatness", 0.20, -0.5, 0.6, "log factor on the exponent of the distance from the peak", _LENGTH),
-    LawParameter("shortening_curvature", 0.30, -1.0, 1.0, "log factor on the curvature while shortening", _VELOCITY),
-    LawParameter("lengthening_slope", 0.40, -1.2, 1.2, "log factor on the slope at the start of lengthening", _VELOCITY),
-    LawParameter("lengthening_plateau", 0.25, -0.8, 0.8, "log factor on the force that lengthening adds", _VELOCITY),
+    LawParameter(
+        "active_flatness",
+        0.20,
+        -0.5,
+        0.6,
+        "log factor on the exponent of the distance from the peak",
+        _LENGTH,
+    ),
+    LawParameter(
+        "shortening_curvature", 0.30, -1.0, 1.0, "log factor on the curvature while shortening", _VELOCITY
+    ),
+    LawParameter(
+        "lengthening_slope", 0.40, -1.2, 1.2, "log factor on the slope at the start of lengthening", _VELOCITY
+    ),
+    LawParameter(
+        "lengthening_plateau", 0.25, -0.8, 0.8, "log factor on the force that lengthening adds", _VELOCITY
+    ),
     LawParameter("passive_force", 0.50, -1.5, 1.5, "log factor on the passive force at length 1.4", _PASSIVE),
-    LawParameter("passive_growth", 0.30, -0.9, 0.9, "log factor on the growth of passive force with length", _PASSIVE),
+    LawParameter(
+        "passive_growth", 0.30, -0.9, 0.9, "log factor on the growth of passive force with length", _PASSIVE
+    ),
     LawParameter("second_stage", 0.60, 0.0, 1.0, "share of dynamics with two equal stages", _DYNAMICS),
-    LawParameter("deactivation_ratio", 0.40, -1.2, 1.2, "log factor on the ratio of fall to rise time", _DYNAMICS),
+    LawParameter(
+        "deactivation_ratio", 0.40, -1.2, 1.2, "log factor on the ratio of fall to rise time", _DYNAMICS
+    ),
     LawParameter("rate_exponent", 0.50, -1.5, 1.0, "log exponent of the excitation in the rate", _DYNAMICS),
-    LawParameter("directional_rate", 0.60, 0.0, 1.0, "share of a rate that depends on activation and direction", _DYNAMICS),
+    LawParameter(
+        "directional_rate",
+        0.60,
+        0.0,
+        1.0,
+        "share of a rate that depends on activation and direction",
+        _DYNAMICS,
+    ),
     LawParameter("shape_exponent", 0.20, -0.6, 0.6, "log exponent of activation", _SHAPE),
     LawParameter("shape_saturation", 0.50, -0.6, 2.5, "saturation h of a (1 + h) / (1 + h a)", _SHAPE),
-)  # fmt: skip
+)
 
 _PLACE = {parameter.name: place for place, parameter in enumerate(LAW_PARAMETERS)}
 #: Names of the parameters, in the order of vectors.

@@ -1,0 +1,134 @@
+"""Share of each joint's moment capacity that muscles without EMG have, and their moments in null hypotheses.
+
+Where most of the muscles that flex a joint have no electrode, the moment error at that joint says little
+about any other cause. The excitation of such muscles is therefore uncertain in every null hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from wrapjax.diagnosis.context import Context
+from wrapjax.diagnosis.effects.periodic import periodic_splines
+from wrapjax.model.alteration import fiber_parameters
+from wrapjax.muscle.hill import rigid_tendon_fiber
+from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
+
+#: Number of periodic splines of an unrecorded activation.
+SPLINES = 10
+#: Standard deviation of an unrecorded activation where no muscle of a direction has EMG: peaks in walking are
+#: 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
+ACTIVATION_SD = 0.2
+#: Share of the capacity without EMG up to which a direction is taken as recorded.
+RECORDED_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class CapacityShare:
+    """Share of the moment capacity of muscles without EMG in either direction of a coordinate, 0 to 1."""
+
+    positive: float
+    negative: float
+
+    @property
+    def largest(self) -> float:
+        """Larger one of both directions."""
+        return max(self.positive, self.negative)
+
+
+def undriven_capacity(context: Context) -> Mapping[str, CapacityShare]:
+    """Compute the share of each coordinate's moment capacity without EMG.
+
+    The capacity of a muscle is its maximum isometric force times the mean of its moment arm over all frames
+    in which the arm has the direction.
+
+    Parameters
+    ----------
+    context
+        Context of the cycles.
+    """
+    driven = _capacity(context.paths.moment_arm, context.parameters.max_isometric_force)
+    others = context.undriven_muscles
+    if others is None:
+        return {name: CapacityShare(0.0, 0.0) for name in context.coordinates}
+    undriven = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
+    total = np.maximum(driven.sum(axis=0) + undriven.sum(axis=0), 1e-12)
+    share = undriven.sum(axis=0) / total
+    return {
+        name: CapacityShare(float(share[0, place]), float(share[1, place]))
+        for place, name in enumerate(context.coordinates)
+    }
+
+
+def _capacity(
+    arms: Float[Array | np.ndarray, "muscle trial coordinate frame"],
+    force: Float[Array | np.ndarray, " muscle"],
+) -> Float[np.ndarray, "muscle direction coordinate"]:
+    """Compute the moment capacity of each muscle in the positive and the negative direction, N m."""
+    arms = np.asarray(arms)
+    both = np.stack([np.maximum(arms, 0.0), np.maximum(-arms, 0.0)], axis=1).mean(axis=(2, 4))
+    return both * np.asarray(force)[:, None, None]
+
+
+def undriven_signatures(
+    context: Context, frames: Int[np.ndarray, " phase"]
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute the moments by unrecorded activations of one standard deviation, N m.
+
+    Each group of muscles with a common excitation has one parameter for each spline of the cycle. Groups that
+    act in recorded directions alone have none.
+
+    Parameters
+    ----------
+    context
+        Context of the cycles.
+    frames
+        Frames at which moments are compared.
+    """
+    empty = np.zeros((0, len(context.trials), len(context.coordinates), len(frames)))
+    others = context.undriven_muscles
+    if others is None:
+        return empty
+    shares = undriven_capacity(context)
+    by_direction = np.array(
+        [[shares[name].positive, shares[name].negative] for name in context.coordinates]
+    ).T
+    beyond = np.maximum(by_direction - RECORDED_SHARE, 0.0) / (1.0 - RECORDED_SHARE)
+    acts = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
+    # A muscle counts for a direction where it has at least a tenth of the largest capacity without EMG.
+    counts = acts > 0.1 * acts.max(axis=0, keepdims=True)
+    weight = np.max(counts * beyond[None], axis=(1, 2))
+    groups = [np.array([others.names.index(name) for name in members]) for _, members in others.groups]
+    sizes = np.array([weight[rows].max() for rows in groups])
+    per_unit = np.asarray(_active_moments(others))[..., frames]
+    splines = periodic_splines(context.phase[frames], SPLINES)
+    signatures = [
+        ACTIVATION_SD * size * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
+        for rows, size in zip(groups, sizes, strict=True)
+        if size > 0.0
+    ]
+    return np.concatenate([empty, *signatures])
+
+
+@eqx.filter_jit
+def _active_moments(muscles: UndrivenMuscles) -> Float[Array, "muscle trial coordinate frame"]:
+    """Compute the moments of the muscles at full activation, without passive force, N m."""
+
+    def one_muscle(path, parameters):
+        fiber = rigid_tendon_fiber(
+            muscles.curves,
+            jnp.ones_like(path.length),
+            path.length,
+            path.velocity,
+            **fiber_parameters(parameters),
+        )
+        return path.moment_arm * fiber.active_force[:, None, :]
+
+    return jax.vmap(one_muscle)(muscles.path, muscles.parameters)
