@@ -53,8 +53,8 @@ LAW_PARAMETERS: tuple[LawParameter, ...] = (
     LawParameter(
         "active_shift", 0.04, -0.15, 0.15, "optimal fiber lengths by which the peak lies later", _LENGTH
     ),
-    LawParameter("active_width_short", 0.15, -0.5, 0.5, "log factor on the width below the peak", _LENGTH),
-    LawParameter("active_width_long", 0.15, -0.5, 0.5, "log factor on the width above the peak", _LENGTH),
+    LawParameter("active_width_short", 0.30, -0.9, 0.9, "log factor on the width below the peak", _LENGTH),
+    LawParameter("active_width_long", 0.30, -0.9, 0.9, "log factor on the width above the peak", _LENGTH),
     LawParameter(
         "active_flatness",
         0.20,
