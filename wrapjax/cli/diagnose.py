@@ -29,9 +29,11 @@ _MOST_EFFECTS = 6
 
 def diagnosis_table(result: DiagnosisResult) -> str:
     """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
-    from wrapjax.report.diagnosis_words import diagnosis_findings, untested_findings
+    from wrapjax.report.diagnosis_words import diagnosis_findings, gate_rows, untested_findings
 
     lines = [textwrap.fill(sentence, _WIDTH) for sentence in diagnosis_findings(result)]
+    if rows := gate_rows(result):
+        lines += ["", *(f"{name:10s}{passed:8s}{figure}" for name, _, figure, passed in rows)]
     if result.effects:
         lines += ["", *_effect_lines(result)]
     if result.budget is not None:
@@ -53,9 +55,9 @@ def diagnosis_table(result: DiagnosisResult) -> str:
 
 
 def _effect_lines(result: DiagnosisResult) -> list[str]:
-    from wrapjax.report.diagnosis_words import effect_sizes_in_words
+    from wrapjax.report.diagnosis_words import effect_sizes_in_words, shown_effects
 
-    shown = result.effects[:_MOST_EFFECTS]
+    shown = shown_effects(result)[:_MOST_EFFECTS]
     width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
     lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  effect sizes"]
     for effect in shown:
@@ -63,7 +65,8 @@ def _effect_lines(result: DiagnosisResult) -> list[str]:
             f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
             f"  {effect_sizes_in_words(effect.effect_sizes, most=2)}".rstrip()
         )
-    rest = sum(effect.probability for effect in result.effects[_MOST_EFFECTS:])
+    names = {effect.id for effect in shown}
+    rest = sum(effect.probability for effect in result.effects if effect.id not in names)
     others = len(result.effects) - len(shown)
     if others:
         lines.append(f"{f'{others} others':{width}s}{rest:12.2f}")

@@ -8,7 +8,7 @@ explain is not counted twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -60,6 +60,10 @@ class CycleNoise:
     def independent_values(self) -> float:
         """Number of independent values in a cycle over all coordinates."""
         return self.independent_phases * len(self.between)
+
+    def of_coordinates(self, coordinates: Int[np.ndarray, " kept"]) -> CycleNoise:
+        """Select coordinates."""
+        return replace(self, between=self.between[np.ix_(coordinates, coordinates)])
 
     def block(self, phases: int) -> Float[np.ndarray, "own own"]:
         """Compute the covariance within one cycle, without errors of inputs, (N m)^2."""

@@ -17,6 +17,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logsumexp
 
+from wrapjax.diagnosis.families import family_probabilities
+from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.refit import Ids
 from wrapjax.diagnosis.score import Scores
@@ -38,6 +40,8 @@ MIN_DETECTABILITY, RELIABLE_DETECTABILITY = 2.0, 5.0
 #:     One effect explains the error best, or several do together, each of them needed beside the others.
 #: tie
 #:     Several effects do that this recording cannot tell apart.
+#: family
+#:     Effects of one family do, but the recording does not tell which of them.
 #: unknown
 #:     The model has an error that no effect of the catalogue explains.
 #: none
@@ -46,7 +50,7 @@ MIN_DETECTABILITY, RELIABLE_DETECTABILITY = 2.0, 5.0
 #:     There are too few cycles to separate the repeatable error from noise.
 #: not_converged
 #:     The convergence check failed; the error may be that of an unfinished fit.
-OUTCOMES = ("named", "tie", "unknown", "none", "insufficient_data", "not_converged")
+OUTCOMES = ("named", "tie", "family", "unknown", "none", "insufficient_data", "not_converged")
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,14 @@ class Decision:
         Probabilities of the effects; None where they were not scored.
     credible_set
         Smallest set of effects with 90 % probability; can contain ``none_of_these``.
+    family
+        Identifier of the family that is named; empty for none.
+    credible_families
+        Smallest set of families with 90 % probability; can contain ``none_of_these``.
+    best_partial
+        Effects that explain most where the outcome is ``unknown``, but not as a claim has to; not named.
+    gates
+        Gates of the claim; None before they are examined (`wrapjax.diagnosis.gates`).
     """
 
     outcome: str
@@ -121,6 +133,10 @@ class Decision:
     tie: tuple[str, ...] = ()
     probabilities: Probabilities | None = None
     credible_set: tuple[str, ...] = ()
+    family: str = ""
+    credible_families: tuple[str, ...] = ()
+    best_partial: tuple[str, ...] = ()
+    gates: Gates | None = None
 
     @property
     def accepted(self) -> tuple[str, ...]:
@@ -165,6 +181,7 @@ def decide(
         decision,
         probabilities=probability,
         credible_set=credible_set(probability, tie, constants.set_level),
+        credible_families=credible_families(probability, constants.set_level),
     )
     joint = scores.jointly_significant
     if (
@@ -282,6 +299,20 @@ def credible_set(probability: Probabilities, tie: Sequence[str], level: float) -
         if total >= level:
             break
         members += ids
+        total += share
+    return tuple(members)
+
+
+def credible_families(probability: Probabilities, level: float) -> tuple[str, ...]:
+    """Select the smallest set of families with a probability of at least ``level``; see `credible_set`."""
+    shares = family_probabilities(probability.effects)
+    shares["none_of_these"] = probability.none + probability.unknown
+    members: list[str] = []
+    total = 0.0
+    for id, share in sorted(shares.items(), key=lambda one: -one[1]):
+        if total >= level:
+            break
+        members.append(id)
         total += share
     return tuple(members)
 

@@ -118,6 +118,8 @@ class LinearizedModel:
         Errors of muscle force, of one unit of normalised force.
     speeds
         Speed number of each cycle, counted from 0 for the slowest.
+    known_noise
+        Noise where it was estimated from more cycles than these; None to estimate it from these.
     """
 
     residual: Float[np.ndarray, "cycle coordinate phase"]
@@ -130,11 +132,47 @@ class LinearizedModel:
     input_errors: tuple[InputErrors, ...]
     muscle_errors: MuscleErrors
     speeds: Int[np.ndarray, " cycle"]
+    known_noise: CycleNoise | None = None
 
     @cached_property
     def noise(self) -> CycleNoise:
         """Noise that differs from cycle to cycle, and the size of the input errors."""
+        if self.known_noise is not None:
+            return self.known_noise
         return cycle_noise(self.fitted_residual, self.speeds, self.input_errors)
+
+    def restricted(
+        self, cycles: Int[np.ndarray, " chosen"], coordinates: Int[np.ndarray, " kept"]
+    ) -> LinearizedModel:
+        """Select cycles and coordinates; the noise stays that of all cycles."""
+
+        def select(values: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+            """Select along the axes ``cycle coordinate phase``, the last three."""
+            return np.asarray(values)[..., cycles, :, :][..., coordinates, :]
+
+        shape = self.residual.shape
+
+        def select_rows(variant: Signature) -> Signature:
+            return select(variant.reshape(-1, *shape)).reshape(len(variant), -1)
+
+        return replace(
+            self,
+            residual=select(self.residual),
+            fitted_residual=select(self.fitted_residual),
+            slopes=select(self.slopes),
+            nuisances=select(self.nuisances),
+            candidates=tuple(
+                replace(one, variants=tuple(map(select_rows, one.variants))) for one in self.candidates
+            ),
+            input_errors=tuple(replace(one, signatures=select(one.signatures)) for one in self.input_errors),
+            muscle_errors=replace(
+                self.muscle_errors,
+                states=self.muscle_errors.states[:, cycles],
+                arms=select(self.muscle_errors.arms),
+            ),
+            speeds=self.speeds[cycles],
+            known_noise=self.noise.of_coordinates(coordinates),
+        )
 
     @property
     def input_variance(self) -> Float[np.ndarray, "coordinate phase"]:

@@ -1,6 +1,7 @@
 """Steps of a diagnosis, from its input to its result, each from the results of the earlier ones.
 
-``fit_baseline`` -> ``linearize`` -> ``localize`` -> ``score`` -> ``refit`` -> ``verify`` -> ``decide``
+``fit_baseline`` -> ``linearize`` -> ``localize`` -> ``score`` -> ``refit`` -> ``verify`` -> ``decide`` ->
+``settle``
 
 Refits and their verification come in two rounds: single effects first, then, where the decision on these
 allows it, the subsets of effects that are jointly significant.
@@ -15,12 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.diagnosis.baseline import BaselineFit, fit_baseline
+from wrapjax.diagnosis.claim import settle
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.linearization import linearize
 from wrapjax.diagnosis.localization import localize
 from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
-from wrapjax.diagnosis.refit import effects_to_refit, refit
+from wrapjax.diagnosis.refit import Ids, Refit, effects_to_refit, refit
 from wrapjax.diagnosis.result import DiagnosisResult, diagnosis_result, result_without_diagnosis
 from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.verification import verify
@@ -125,11 +127,14 @@ def run_diagnosis(
         verification = verify(data, baseline, linearized, localization, refits)
     with watch.during("verdict", "comparing effects"):
         decision = decide(data, scores, verification, constants)
+    joint: dict[Ids, Refit] = {}
     if subsets := subsets_to_refit(data, scores, verification, decision):
         with watch.during("together", f"fitting {', '.join(scores.jointly_significant)} together"):
             joint = refit(data, baseline, scores, subsets)
             verification = verification.joined(verify(data, baseline, linearized, localization, joint))
             decision = decide(data, scores, verification, constants)
+    with watch.during("gates", "examining the claim"):
+        decision = settle(data, linearized, scores, null_residuals, refits | joint, decision)
     result = diagnosis_result(
         data=data,
         baseline=baseline,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import jax.numpy as jnp
@@ -14,6 +14,8 @@ from wrapjax.diagnosis.advice import Advice, advise
 from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
 from wrapjax.diagnosis.decision import MIN_DETECTABILITY, Decision, describe_effect
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
+from wrapjax.diagnosis.families import family_probabilities
+from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.joint_fit import effect_size_covariance
 from wrapjax.diagnosis.linearization import LinearizedModel
@@ -22,6 +24,7 @@ from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.refit import Ids, Refit
 from wrapjax.diagnosis.score import Scores
 from wrapjax.diagnosis.score_test import Score
+from wrapjax.diagnosis.undriven_capacity import CapacityShare, undriven_capacity
 from wrapjax.diagnosis.verification import Verification, VerifiedRefit, shapley_values
 
 
@@ -113,6 +116,12 @@ class DiagnosisResult:
         Time of each step, s.
     linearized
         Linearised model that was scored; None without a diagnosis.
+    family, family_probability, credible_families, best_partial, gates
+        See `decision.Decision`; the probability is that of the named family.
+    muscle_law
+        Muscle law of the person, and evidence for published laws.
+    undriven_capacity
+        Share of the moment capacity of muscles without EMG, by coordinate.
     """
 
     outcome: str
@@ -147,6 +156,13 @@ class DiagnosisResult:
     convergence_check: ConvergenceCheck
     seconds: dict[str, float]
     linearized: LinearizedModel | None = None
+    family: str = ""
+    family_probability: float = 0.0
+    credible_families: tuple[str, ...] = ()
+    best_partial: tuple[str, ...] = ()
+    gates: Gates | None = None
+    muscle_law: dict[str, float] = field(default_factory=dict)
+    undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
 
 
 def result_without_diagnosis(
@@ -213,6 +229,8 @@ def result_without_diagnosis(
         advice=(),
         convergence_check=check,
         seconds=seconds,
+        muscle_law=data.law.law,
+        undriven_capacity=undriven_capacity(data.context),
     )
 
 
@@ -275,6 +293,11 @@ def diagnosis_result(
         global_p=scores.global_p,
         advice=_advice(data, scores, decision.tie),
         linearized=linearized,
+        family=decision.family,
+        family_probability=family_probabilities(probability.effects).get(decision.family, 0.0),
+        credible_families=decision.credible_families,
+        best_partial=decision.best_partial,
+        gates=decision.gates,
     )
 
 

@@ -93,6 +93,7 @@ class Variables(eqx.Module):
         if parameters.synergy_weights is not None:
             parts.append(parameters.synergy_weights[:, : self.weights])
         if self.laws:
+            assert parameters.law is not None
             parts.append(parameters.law)
         parts.append(parameters.path_changes[:, : self.modes])
         return jnp.concatenate(parts, axis=-1) / self.scale

@@ -18,6 +18,7 @@ from wrapjax.report.diagnosis_words import (
     effect_names,
     effect_sizes_in_words,
     positive_controls,
+    shown_effects,
 )
 from wrapjax.report.formatting import DASH, counted, decimals, readable
 from wrapjax.report.style import (
@@ -110,8 +111,16 @@ def evidence_section(result: DiagnosisResult) -> str:
     """Write the report section on the evidence for each effect; empty if no effect was scored."""
     if not result.effects:
         return ""
-    rows = [_effect_row(effect) for effect in result.effects]
+    shown = shown_effects(result)
+    rows = [_effect_row(effect) for effect in shown]
+    names = {effect.id for effect in shown}
+    others = [effect for effect in result.effects if effect.id not in names]
     rest = [
+        *(
+            [(f"{len(others)} others", decimals(sum(one.probability for one in others)), *[DASH] * 4)]
+            if others
+            else []
+        ),
         ("no effect", decimals(result.none_probability), *[DASH] * 4),
         ("not in the catalogue", decimals(result.unknown_probability), *[DASH] * 4),
     ]
@@ -122,8 +131,8 @@ def evidence_section(result: DiagnosisResult) -> str:
         else ""
     )
     caption = (
-        "All effects that these data can test, the most probable first; the probabilities of all rows sum to "
-        "one. Evidence: log Bayes factor, the natural logarithm of the ratio of the likelihood of the error "
+        "Effects that these data can test with a probability of at least 0.005, the most probable first; the "
+        "probabilities of all rows sum to one. Evidence: log Bayes factor, the natural logarithm of the ratio of the likelihood of the error "
         "with the effect to that without it (3: 20 times as likely); values above zero support the "
         f"effect.{detection_threshold} Detectability: signal-to-noise ratio of an effect of expected size, "
         "in standard deviations; below 2, this recording could not show the effect. Effect sizes: most "
@@ -134,7 +143,7 @@ def evidence_section(result: DiagnosisResult) -> str:
     if hidden := rows[_MOST_OPEN:]:
         table = markup.table(_HEADER, hidden, caption="Less probable effects, columns as above.")
         parts.append(markup.folded(f"{counted(len(hidden), 'less probable effect')}", table))
-    meanings = markup.bullets(effect_meaning(effect.id) for effect in result.effects)
+    meanings = markup.bullets(effect_meaning(effect.id) for effect in shown)
     parts.append(markup.folded("Meaning of each effect", meanings))
     return markup.section("Evidence for each effect", *_controls(result), *parts)
 

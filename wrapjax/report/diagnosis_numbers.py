@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.diagnosis.baseline import ConvergenceCheck
+from wrapjax.diagnosis.families import family_by_id
+from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.localization import BIN_PERCENT, ErrorBudget
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding
@@ -111,7 +113,7 @@ def _floor(result: DiagnosisResult, budget: ErrorBudget) -> dict[str, float]:
 
 
 #: Version of the layout of ``gap.json``.
-SCHEMA = 1
+SCHEMA = 2
 
 # Frames closer in time than this (s) are identical, given the digits of times in files.
 _SAME_TIME = 1e-6
@@ -136,7 +138,11 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
         "reason": result.reason,
         "named": result.named,
         "ties": result.ties,
+        "best_partial": result.best_partial,
         "credible_set": result.credible_set,
+        "family": _family(result),
+        "credible_families": result.credible_families,
+        "gates": _gates(result.gates),
         "effects": [
             *map(_effect, result.effects),
             _no_effect("none", result.none_probability),
@@ -148,6 +154,8 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
         "mae_Nm": mean_absolute_errors(result),
         "not_testable": [asdict(one) for one in result.not_testable],
         "advice": [asdict(one) for one in result.advice],
+        "muscle_law": {"parameters": result.muscle_law, "evidence_nats": {}},
+        "undriven_capacity": {name: asdict(one) for name, one in result.undriven_capacity.items()},
         "withheld": result.withheld,
         "trials": {
             name: {"use": use, "speed_m_s": float(speed), "file": files[recording]}
@@ -163,6 +171,49 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
         "certificate": _certificate(result.convergence_check),
         "seconds": result.seconds,
     }
+
+
+def _family(result: DiagnosisResult) -> dict[str, Any] | None:
+    if not result.family:
+        return None
+    testable = {one.id for one in result.effects}
+    family = family_by_id(result.family)
+    return {
+        "id": family.id,
+        "probability": result.family_probability,
+        "members": [id for id in family.members if id in testable],
+    }
+
+
+def _gates(gates: Gates | None) -> dict[str, Any] | None:
+    """Describe the gates; null for those that concern a claim where none was made."""
+    if gates is None:
+        return None
+    described: dict[str, Any] = {
+        "adequate": {
+            "passed": gates.adequate.passed,
+            "left_rms_Nm": gates.adequate.left_rms,
+            "floor_rms_Nm": gates.adequate.floor_rms,
+        },
+        "plausible": None,
+        "stable": None,
+        "specific": None,
+    }
+    if gates.plausible is not None:
+        described["plausible"] = {"passed": gates.plausible.passed, "worst": asdict(gates.plausible)}
+    if gates.stable is not None:
+        described["stable"] = {
+            "passed": gates.stable.passed,
+            "agreement": gates.stable.agreement,
+            "first": dict(gates.stable.first),
+        }
+    if gates.specific is not None:
+        described["specific"] = {
+            "passed": gates.specific.passed,
+            "shrinkage": gates.specific.shrinkage,
+            "sham_shrinkage": gates.specific.sham_shrinkage,
+        }
+    return described
 
 
 def error_locations(result: DiagnosisResult) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from wrapjax.report.diagnosis_effects import evidence_section, signature_section
 from wrapjax.report.diagnosis_location import location_section, muscles_section, parts_section
 from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
-from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, untested_findings
+from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, gate_rows, untested_findings
 from wrapjax.report.formatting import DASH, counted, decimals, leg_name, p_value, readable
 from wrapjax.report.provenance import versions_platform_and_time
 from wrapjax.report.run_summary import USES, file_stems
@@ -140,6 +140,7 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") 
             markup.header(title, under),
             *([markup.paragraph(note)] if note else []),
             _verdict_section(subject, result),
+            _gates_section(result),
             _untested_section(result),
             location_section(result),
             parts_section(result),
@@ -166,6 +167,21 @@ def _verdict_section(subject: Subject, result: DiagnosisResult) -> str:
     return markup.verdict(
         [conclusion, " ".join(others), *untested_findings(result)],
         fine=result.outcome not in INCONCLUSIVE,
+    )
+
+
+def _gates_section(result: DiagnosisResult) -> str:
+    """Write the gates that were examined, and the muscle law that the plain model has."""
+    rows = gate_rows(result)
+    if not rows:
+        return ""
+    return markup.section(
+        "What a name has to pass",
+        markup.paragraph(
+            "An effect is named only if it passes four gates, whatever its probability. Where nothing is "
+            "claimed, the first gate concerns the plain model."
+        ),
+        markup.table(("gate", "question", "figure", "result"), rows, caption="Gates of this diagnosis."),
     )
 
 

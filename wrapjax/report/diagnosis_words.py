@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.families import family_by_id
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
 from wrapjax.diagnosis.verification import VerifiedRefit
@@ -17,6 +18,8 @@ from wrapjax.report.diagnosis_numbers import (
 )
 from wrapjax.report.formatting import counted, readable
 
+#: Probability below which an effect is not shown as an explanation.
+LEAST_SHOWN = 0.005
 #: Outcomes without a conclusion on effects.
 INCONCLUSIVE = ("insufficient_data", "not_converged")
 
@@ -27,7 +30,7 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
     The first states the explainable share of the error and the outcome.
     """
     # For the other outcomes, the reason repeats the statement of the outcome.
-    needed = result.reason and result.outcome in (*INCONCLUSIVE, "unknown")
+    needed = result.reason and result.outcome in (*INCONCLUSIVE, "unknown", "family")
     reason = [_sentence(result.reason)] if needed else []
     if result.outcome in INCONCLUSIVE:
         return [_outcome_finding(result), *reason]
@@ -54,6 +57,69 @@ def untested_findings(result: DiagnosisResult) -> list[str]:
             "diagnosis cannot name it."
         )
     return sentences
+
+
+def shown_effects(result: DiagnosisResult) -> list[EffectFinding]:
+    """List the effects that are shown with a probability: testable ones, unless they are improbable.
+
+    Effects that are named are always among them.
+    """
+    claimed = {*result.named, *(id for tie in result.ties for id in tie)}
+    possible = {effect.id for effect in testable(result)}
+    return [
+        effect
+        for effect in result.effects
+        if effect.id in claimed or (effect.id in possible and effect.probability >= LEAST_SHOWN)
+    ]
+
+
+def gate_rows(result: DiagnosisResult) -> list[tuple[str, str, str, str]]:
+    """Write each examined gate as a row: its name, the question, its figure, and whether it is passed."""
+    gates = result.gates
+    if gates is None:
+        return []
+    claim = "with the claimed effects" if gates.plausible is not None else "by the plain model"
+    adequate = gates.adequate
+    rows = [
+        (
+            "adequate",
+            f"Is the repeatable error left {claim} within that of models with nothing else amiss?",
+            f"{adequate.left_rms:.2f} N m left; 95 % of null replicates leave less than "
+            f"{adequate.floor_rms:.2f} N m",
+            adequate.passed,
+        )
+    ]
+    if gates.plausible is not None:
+        size = gates.plausible
+        rows.append(
+            (
+                "plausible",
+                "Are all effect sizes within their published ranges and three standard deviations?",
+                f"{readable(size.name)} {size.value:.3g}; limit {size.limit:.3g}",
+                size.passed,
+            )
+        )
+    if gates.stable is not None:
+        rows.append(
+            (
+                "stable",
+                "Do parts of the recording put the same effect first?",
+                f"{100.0 * gates.stable.agreement:.0f} % of {counted(len(gates.stable.first), 'part')}",
+                gates.stable.passed,
+            )
+        )
+    if gates.specific is not None:
+        specific = gates.specific
+        rows.append(
+            (
+                "specific",
+                "Does it shrink the error on unseen cycles more than sham effects do?",
+                f"{100.0 * specific.shrinkage:.0f} %; 95 % of sham effects less than "
+                f"{100.0 * specific.sham_shrinkage:.0f} %",
+                specific.passed,
+            )
+        )
+    return [(*row[:3], "passed" if row[3] else "failed") for row in rows]
 
 
 def testable(result: DiagnosisResult) -> list[EffectFinding]:
@@ -124,11 +190,20 @@ def _outcome_finding(result: DiagnosisResult) -> str:
             f"The error is best explained, among {among}, by any of {groups} (probability in brackets): this "
             "recording cannot distinguish these effects."
         )
-    if result.outcome == "unknown":
+    if result.outcome == "family":
+        family = family_by_id(result.family)
+        members = effect_list(effect.id for effect in result.effects if effect.id in family.members)
         return (
-            f"The model has an error that none of {among} explains (probability "
-            f"{result.unknown_probability:.2f})."
+            f"The error is best explained, among {among}, by an effect on {family.meaning} (probability "
+            f"{result.family_probability:.2f}); which of {members} it is, is not decided."
         )
+    if result.outcome == "unknown":
+        partly = (
+            f" {_sentence(effect_names(result.best_partial) + ' explains a part')}"
+            if (result.best_partial)
+            else ""
+        )
+        return f"Not decided: none of {among} explains the error as a cause would.{partly}"
     if result.outcome == "none":
         return (
             "The error does not exceed that expected without any effect (probability of no effect "

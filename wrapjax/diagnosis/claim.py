@@ -1,0 +1,180 @@
+"""Claim of a diagnosis: a decision on effects, held to the four gates.
+
+A claim that fails a gate becomes a tie, a family or ``unknown``; never another name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision
+from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
+from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Gates, Recorded, examine
+from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
+from wrapjax.diagnosis.linearization import LinearizedModel
+from wrapjax.diagnosis.refit import Ids, Refit
+from wrapjax.diagnosis.score import Scores
+
+#: Largest number of effects that a claim which parts of the recording contradict can list as a tie.
+MOST_IN_TIE = 3
+
+
+def settle(
+    data: DiagnosisInput,
+    linearized: LinearizedModel,
+    scores: Scores,
+    null_residuals: Float[np.ndarray, "replicate row"],
+    refits: Mapping[Ids, Refit],
+    decision: Decision,
+) -> Decision:
+    """Examine the claim of a decision, and return the decision that the gates allow.
+
+    Parameters
+    ----------
+    data, linearized, scores, refits
+        Results of the earlier steps.
+    null_residuals
+        Residuals of null replicates, N m.
+    decision
+        Decision by evidence.
+    """
+    decision = with_family(decision, scores.evidence, scores.detection_threshold)
+    claimed = claimed_effects(decision, scores.evidence)
+    frames = phase_frames(data.measured.shape[-1])
+    context = data.calibration_context
+    recorded = Recorded(
+        context.angles[..., frames],
+        context.velocities[..., frames],
+        data.plan.blocks,
+        data.measured_moment_sd,
+    )
+    gates = examine(
+        linearized, scores, null_residuals, recorded, claimed, _sizes(data, scores, refits, decision, claimed)
+    )
+    return through_gates(decision, gates, claimed)
+
+
+def with_family(decision: Decision, evidence: Mapping[str, float], detection_threshold: float) -> Decision:
+    """Claim a family where no effect is named, but its effects together are probable and one is significant.
+
+    Parameters
+    ----------
+    decision
+        Decision by evidence.
+    evidence, detection_threshold
+        Evidence of each effect, and that which has to be exceeded, nats.
+    """
+    if decision.accepted or decision.probabilities is None:
+        return decision
+    shares = family_probabilities(decision.probabilities.effects)
+    family = max(shares, key=lambda id: shares[id], default="")
+    strongest = next(iter(evidence), None)
+    if strongest is None or evidence[strongest] <= detection_threshold or shares[family] < MIN_PROBABILITY:
+        return decision
+    if family_of(strongest).id != family or decision.outcome == "unknown":
+        # The decision has found a reason against the strongest effect.
+        return decision
+    reason = "effects of one family explain the error; the recording does not tell which of them"
+    return replace(decision, outcome="family", reason=reason, family=family)
+
+
+def claimed_effects(decision: Decision, evidence: Mapping[str, float]) -> tuple[str, ...]:
+    """List the effects whose claim is examined: those named, those of a tie, or the leader of a family."""
+    if decision.accepted:
+        return decision.accepted
+    if decision.family:
+        return (next(id for id in evidence if family_of(id).id == decision.family),)
+    return ()
+
+
+def through_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Decision:
+    """Return what the gates leave of a decision.
+
+    Parameters
+    ----------
+    decision
+        Decision by evidence, or the claim of a family.
+    gates
+        Examined gates.
+    claimed
+        Effects whose claim was examined; empty where none was.
+    """
+    decision = replace(decision, gates=gates)
+    if not claimed:
+        if decision.outcome == "none" and not gates.adequate.passed:
+            return replace(
+                decision, outcome="unknown", reason="more error repeats than null replicates leave"
+            )
+        return decision
+    failed = gates.failed
+    names = ", ".join(claimed)
+    if "adequate" in failed:
+        reason = (
+            f"with {names} a repeatable error of {gates.adequate.left_rms:.1f} N m is left, "
+            f"more than the {gates.adequate.floor_rms:.1f} N m of models with nothing else amiss"
+        )
+        return _unknown(decision, claimed, reason)
+    if gates.plausible is not None and "plausible" in failed:
+        size = gates.plausible
+        reason = f"{names} would need {size.name} of {size.value:.3g}; up to {size.limit:.3g} is plausible"
+        return _unknown(decision, claimed, reason)
+    if gates.specific is not None and "specific" in failed:
+        reason = f"{names} predicts unseen cycles no better than effects without a mechanism do"
+        return _unknown(decision, claimed, reason)
+    if gates.stable is not None and "stable" in failed:
+        return _contradicted(decision, tuple(dict.fromkeys((*claimed, *gates.stable.leaders))), claimed)
+    return decision
+
+
+def _contradicted(decision: Decision, leaders: tuple[str, ...], claimed: Sequence[str]) -> Decision:
+    """Claim what all parts of the recording have in common."""
+    if same_family(leaders):
+        reason = "parts of the recording put different effects of one family first"
+        family = family_of(leaders[0]).id
+        return replace(decision, outcome="family", reason=reason, named=(), tie=(), family=family)
+    if decision.named and len(leaders) <= MOST_IN_TIE:
+        reason = "parts of the recording put one or another of these effects first"
+        return replace(decision, outcome="tie", reason=reason, named=(), tie=leaders, family="")
+    return _unknown(decision, claimed, "parts of the recording put different effects first")
+
+
+def _unknown(decision: Decision, claimed: Sequence[str], reason: str) -> Decision:
+    return replace(
+        decision,
+        outcome="unknown",
+        reason=reason,
+        named=(),
+        tie=(),
+        family="",
+        best_partial=tuple(claimed),
+    )
+
+
+def _sizes(
+    data: DiagnosisInput,
+    scores: Scores,
+    refits: Mapping[Ids, Refit],
+    decision: Decision,
+    claimed: Sequence[str],
+) -> list[tuple[str, float, float]]:
+    """List name, value and limit of the effect sizes of a claim; of a tie, those of its strongest effect."""
+    examined = claimed if len(decision.named) > 1 else claimed[:1]
+    together = refits.get(tuple(examined))
+    sizes, place = [], 0
+    for id in examined:
+        score = scores.by_id[id]
+        part = list(score.part)
+        values = score.effect_sizes[part]
+        if together is not None:
+            values = together.fit.effect_sizes[place : place + len(part)]
+            place += len(part)
+        parameters = [data.calibration_effects[id].parameters[number] for number in part]
+        sizes += [
+            (f"{id} {one.name}", float(value), float(min(one.limit, MOST_DEVIATIONS * one.prior_sd)))
+            for one, value in zip(parameters, values, strict=True)
+        ]
+    return sizes

@@ -1,0 +1,329 @@
+"""Four gates that a claim has to pass before it is made: adequate, plausible, stable, specific.
+
+Evidence grows with the misfit of the model, so that the surest names are given where most is unexplained. A
+claim is therefore examined for what evidence does not show: whether the model with the claimed effects is as
+good as models of people with nothing else amiss, whether the effect sizes are those of people, whether parts
+of the recording say the same, and whether the effect predicts unseen cycles better than a sham does.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.residual_fit import ResidualModel, ScaledSignatures, UnseenCycles, repeatable_rms
+from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.score_test import project, score_projected
+from wrapjax.diagnosis.sham_effects import scaled_like, sham_effects
+
+#: Quantile of null replicates, and of sham effects, beyond which a claim fails.
+LEVEL = 0.95
+#: Smallest share of the parts of a recording that have to agree with the claim.
+AGREEMENT = 0.8
+#: Largest effect size in prior standard deviations, and share of the limit at which a size counts as at it.
+MOST_DEVIATIONS, AT_LIMIT = 3.0, 0.99
+# Cycles below which one at a time is left out; cycles of a part of the recording that can be scored.
+_FEW_CYCLES, _FEWEST = 6, 3
+# Nulls less plausible than the most plausible one by this many nats are omitted in parts of the recording.
+_NEGLIGIBLE = 4.0
+
+
+@dataclass(frozen=True)
+class Adequate:
+    """Whether the repeatable error that is left is within what null replicates leave.
+
+    Parameters
+    ----------
+    left_rms
+        Root mean square of the repeatable error with the claimed effects, N m.
+    floor_rms
+        95th percentile of that of null replicates, fitted with the same effects, N m.
+    """
+
+    left_rms: float
+    floor_rms: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate is passed."""
+        return self.left_rms <= self.floor_rms
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """Whether all effect sizes are within their published ranges and three prior standard deviations.
+
+    Parameters
+    ----------
+    name, value, limit
+        Effect size that is nearest to its limit or farthest beyond it, with that limit, in its unit.
+    """
+
+    name: str
+    value: float
+    limit: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate is passed."""
+        return abs(self.value) < AT_LIMIT * self.limit
+
+
+@dataclass(frozen=True)
+class Stable:
+    """Whether parts of the recording put the same effect first.
+
+    Parameters
+    ----------
+    agreement
+        Share of the parts whose strongest effect is one of the claimed ones.
+    first
+        Strongest effect of each part, by the name of the part.
+    """
+
+    agreement: float
+    first: Mapping[str, str]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate is passed."""
+        return self.agreement >= AGREEMENT
+
+    @property
+    def leaders(self) -> tuple[str, ...]:
+        """Strongest effects of the parts, the most frequent first."""
+        return tuple(id for id, _ in Counter(self.first.values()).most_common())
+
+
+@dataclass(frozen=True)
+class Specific:
+    """Whether the effect shrinks the error on unseen cycles more than sham effects do.
+
+    Parameters
+    ----------
+    shrinkage
+        Share of the explainable error on unseen cycles that the claimed effects remove, by linearised fits.
+    sham_shrinkage
+        95th percentile of the same of sham effects.
+    """
+
+    shrinkage: float
+    sham_shrinkage: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gate is passed."""
+        return self.shrinkage > self.sham_shrinkage
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Figures of all gates; those that concern a claimed effect are None where none is claimed."""
+
+    adequate: Adequate
+    plausible: Plausible | None = None
+    stable: Stable | None = None
+    specific: Specific | None = None
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the gates that are not passed."""
+        return tuple(name for name, gate in vars(self).items() if gate is not None and not gate.passed)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Angles (rad), velocities (rad/s) and moments of the recording, and blocks of cycles to leave out."""
+
+    angles: Float[np.ndarray, "cycle coordinate phase"]
+    velocities: Float[np.ndarray, "cycle coordinate phase"]
+    blocks: Sequence[Int[np.ndarray, " left_out"]]
+    measured_moment_sd: Float[np.ndarray, " coordinate"]
+
+
+def examine(
+    linearized: LinearizedModel,
+    scores: Scores,
+    null_residuals: Float[np.ndarray, "replicate row"],
+    recorded: Recorded,
+    claimed: Sequence[str],
+    sizes: Sequence[tuple[str, float, float]],
+) -> Gates:
+    """Examine a claim.
+
+    Parameters
+    ----------
+    linearized, scores
+        Linearised model, and scores of all effects.
+    null_residuals
+        Residuals of null replicates, N m.
+    recorded
+        Angles, velocities and blocks of the cycles.
+    claimed
+        Identifiers of the effects that would be named or in the tie; empty where none would.
+    sizes
+        Name, value and limit of each effect size of the refit, in its unit; the limit is the smaller one of
+        the published range and three prior standard deviations.
+    """
+    model = ResidualModel.of(linearized)
+    signatures = [_claimed_signatures(linearized, scores, id) for id in claimed]
+    # Members of a tie replace one another: the strongest stands for all.
+    adequate = adequacy(model, linearized, null_residuals, signatures)
+    if not claimed:
+        return Gates(adequate)
+    return Gates(
+        adequate,
+        plausibility(sizes),
+        stability(linearized, recorded.measured_moment_sd, claimed),
+        specificity(model, linearized, recorded, signatures[0]),
+    )
+
+
+def adequacy(
+    model: ResidualModel,
+    linearized: LinearizedModel,
+    null_residuals: Float[np.ndarray, "replicate row"],
+    signatures: Sequence[ScaledSignatures],
+) -> Adequate:
+    """Compare the repeatable error that is left with that of null replicates, fitted in the same way.
+
+    Parameters
+    ----------
+    model, linearized
+        Model of the residual without effects, and the linearised model.
+    null_residuals
+        Residuals of null replicates, N m.
+    signatures
+        Signatures of one prior standard deviation of the claimed effects, N m.
+    """
+    fitted = model
+    for one in signatures:
+        fitted = fitted.adding(one)
+    residuals = np.concatenate(
+        [linearized.residual[None], null_residuals.reshape(-1, *linearized.residual.shape)]
+    )
+    own, *others = repeatable_rms(fitted.fit(residuals), linearized.speeds)
+    return Adequate(float(own), float(np.quantile(others, LEVEL)) if others else np.inf)
+
+
+def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:
+    """Find the effect size that is largest relative to its limit.
+
+    Parameters
+    ----------
+    sizes
+        Name, value and limit of each effect size, in its unit.
+    """
+    if not sizes:
+        return Plausible("", 0.0, np.inf)
+    return Plausible(*max(sizes, key=lambda one: abs(one[1]) / one[2]))
+
+
+def stability(
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"], claimed: Sequence[str]
+) -> Stable:
+    """Score all effects again on parts of the recording.
+
+    Parts are odd and even cycles of each speed (all but one cycle, one after the other, where there are fewer
+    than six), each speed, and all coordinates but one.
+
+    Parameters
+    ----------
+    linearized
+        Linearised model.
+    measured_moment_sd
+        Standard deviation of the measured moment of each coordinate, N m.
+    claimed
+        Identifiers of the claimed effects.
+    """
+    first = {}
+    for name, (cycles, coordinates) in recording_parts(linearized).items():
+        part = linearized.restricted(cycles, coordinates)
+        first[name] = strongest_effect(part, measured_moment_sd[coordinates])
+    agreement = float(np.mean([id in claimed for id in first.values()])) if first else 1.0
+    return Stable(agreement, first)
+
+
+def recording_parts(
+    linearized: LinearizedModel,
+) -> dict[str, tuple[Int[np.ndarray, " cycle"], Int[np.ndarray, " coordinate"]]]:
+    """List the cycles and coordinates of each part of a recording that `stability` scores, by its name."""
+    cycles, coordinates, _ = linearized.residual.shape
+    all_cycles, all_coordinates = np.arange(cycles), np.arange(coordinates)
+    speeds = linearized.speeds
+    parts = {}
+    if cycles < _FEW_CYCLES:
+        for cycle in all_cycles:
+            parts[f"without cycle {cycle + 1}"] = (np.delete(all_cycles, cycle), all_coordinates)
+    else:
+        turn = np.array([np.sum(speeds[:place] == speed) for place, speed in enumerate(speeds)])
+        for name, rest in (("even cycles", 1), ("odd cycles", 0)):
+            parts[name] = (np.flatnonzero(turn % 2 == rest), all_coordinates)
+    known = np.unique(speeds)
+    for number, speed in enumerate(known if len(known) > 1 else ()):
+        if np.sum(speeds == speed) >= _FEWEST:
+            parts[f"speed {number + 1}"] = (np.flatnonzero(speeds == speed), all_coordinates)
+    for place in all_coordinates if coordinates > 1 else ():
+        parts[f"without coordinate {place + 1}"] = (all_cycles, np.delete(all_coordinates, place))
+    return parts
+
+
+def strongest_effect(
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"]
+) -> str:
+    """Score all effects against the plausible nulls, and return the identifier of the strongest."""
+    residual = linearized.residual.reshape(1, -1)
+    weights = [project(residual, null, ()).weight[0] for null in nulls(linearized, measured_moment_sd)]
+    projections = [
+        project(residual, null, linearized.candidates)
+        for weight, null in zip(weights, nulls(linearized, measured_moment_sd), strict=True)
+        if weight > max(weights) - _NEGLIGIBLE
+    ]
+    (test,) = score_projected(projections, linearized.candidates)
+    return max(test.scores, key=lambda one: one.evidence).id
+
+
+def specificity(
+    model: ResidualModel,
+    linearized: LinearizedModel,
+    recorded: Recorded,
+    signatures: ScaledSignatures,
+) -> Specific:
+    """Compare the shrinkage of the error on unseen cycles by an effect with that by sham effects.
+
+    Parameters
+    ----------
+    model, linearized
+        Model of the residual without effects, and the linearised model.
+    recorded
+        Angles, velocities and blocks of the cycles.
+    signatures
+        Signatures of one prior standard deviation of the effect, N m.
+    """
+    drawn = sham_effects(len(signatures), recorded.angles, recorded.velocities, linearized.muscle_errors.arms)
+    shams = [model.whitened(scaled_like(one, signatures, model)) for one in drawn]
+    cycles = UnseenCycles(model.columns, model.whitened(linearized.residual[None])[..., 0], recorded.blocks)
+    nothing = np.zeros((*shams[0].shape[:2], 0))
+    before, after, *of_shams = cycles.errors([nothing, model.whitened(signatures), *shams])
+    # Noise alone leaves an error of one.
+    explainable = max(before - 1.0, 1e-3 * before)
+    return Specific(
+        float((before - after) / explainable),
+        float(np.quantile((before - np.array(of_shams)) / explainable, LEVEL)),
+    )
+
+
+def _claimed_signatures(linearized: LinearizedModel, scores: Scores, id: str) -> ScaledSignatures:
+    """Return the signatures of the most plausible variant and part, of one prior standard deviation."""
+    candidate: Candidate = next(one for one in linearized.candidates if one.id == id)
+    score = scores.by_id[id]
+    part = np.array(score.part)
+    sd = candidate.scaled_prior_sd(max(score.prior_factor, 1.0))[part]
+    shape = linearized.residual.shape
+    return (candidate.variants[score.variant][part] * sd[:, None]).reshape(len(part), *shape)
