@@ -152,7 +152,7 @@ class LinearizedModel:
 
         shape = self.residual.shape
 
-        def select_rows(variant: Signature) -> Signature:
+        def select_rows(variant: Signature) -> Float[np.ndarray, "parameter kept_row"]:
             return select(variant.reshape(-1, *shape)).reshape(len(variant), -1)
 
         return replace(

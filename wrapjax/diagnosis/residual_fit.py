@@ -128,7 +128,7 @@ class UnseenCycles:
 
 
 def _rows(values: Float[np.ndarray, "cycle own any"]) -> Float[np.ndarray, "row any"]:
-    return values.reshape(-1, values.shape[-1])
+    return values.reshape(values.shape[0] * values.shape[1], values.shape[2])
 
 
 def repeatable_rms(
