@@ -65,7 +65,7 @@ def _add_lag(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Altera
 ACTIVATION_FAMILY = EffectDefinition(
     id="activation_family",
     meaning="muscles turn excitation into activation by other dynamics",
-    family="activation",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="lag_with_level",
@@ -128,7 +128,7 @@ def _raise_activation(each: Float[Array, " muscle"], effect_sizes: EffectSizes) 
 EMG_NONLINEARITY = EffectDefinition(
     id="emg_nonlinearity",
     meaning="activation does not rise with EMG along the assumed curve",
-    family="activation",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="exponent",
@@ -170,7 +170,7 @@ def _change_deactivation(each: Float[Array, " muscle"], effect_sizes: EffectSize
 DEACTIVATION_ASYMMETRY = EffectDefinition(
     id="deactivation_asymmetry",
     meaning="muscles deactivate more slowly or faster than assumed",
-    family="activation",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="ratio_change",

@@ -60,7 +60,7 @@ def _move_beyond_bounds(
 BOUND_PRESSURE = EffectDefinition(
     id="bound_pressure",
     meaning="a calibrated parameter is held back by its bound",
-    family="calibration",
+    family="activation_and_muscle",
     requirements=(
         Requirement(
             "a calibrated muscle parameter at a bound",

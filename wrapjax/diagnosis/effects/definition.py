@@ -98,7 +98,7 @@ class EffectDefinition:
     meaning
         What differs in the person or the recording: a clause for reports, without a full stop.
     family
-        One of `FAMILIES`: the stage of the measurement or of the model at which the effect enters.
+        One of `FAMILIES`: what kind of thing differs from the model.
     parameters
         Parameters with priors, in the order of the effect sizes.
     variants

@@ -12,24 +12,12 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
+from wrapjax.diagnosis.effects.family import FAMILIES
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.alteration import Alteration
 from wrapjax.muscle.excitation import EmgSpline
 
 EffectSizes = Float[Array, " parameter"]
-
-#: Stages at which an effect can enter, in the order in which recordings are turned into joint moments.
-FAMILIES = (
-    "measurement",
-    "kinematics",
-    "geometry",
-    "excitation",
-    "activation",
-    "fiber",
-    "tendon",
-    "joint",
-    "calibration",
-)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _multiply_emg(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpli
 EMG_DRIFT = EffectDefinition(
     id="emg_drift",
     meaning="a channel's gain changes from the first cycle to the last",
-    family="excitation",
+    family="emg",
     requirements=(
         Requirement(
             "cycles recorded at different times",
@@ -128,7 +128,7 @@ def _subtract_from_emg(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSp
 EMG_OFFSET = EffectDefinition(
     id="emg_offset",
     meaning="envelopes do not come down to zero at rest",
-    family="excitation",
+    family="emg",
     parameters=(
         RepeatedParameter(
             repetitions=_each_channel,
@@ -167,7 +167,7 @@ def _sharpen(share: Float[Array, ""], emg: EmgSpline) -> EmgSpline:
 EMG_SMOOTHING = EffectDefinition(
     id="emg_smoothing",
     meaning="filtered envelopes lack fast changes of the muscles' excitation",
-    family="excitation",
+    family="emg",
     parameters=(
         EffectParameter(
             name="share_at_6_Hz",
@@ -233,7 +233,7 @@ def _subtract_other_channels(shares: Float[Array, "muscle muscle"], emg: EmgSpli
 EMG_CROSSTALK = EffectDefinition(
     id="emg_crosstalk",
     meaning="an electrode records a neighboring muscle as well",
-    family="excitation",
+    family="emg",
     requirements=(
         Requirement(
             "two channels over neighboring muscles",
@@ -310,7 +310,7 @@ def _change_gain(
 POSTURE_DEPENDENT_GAIN = EffectDefinition(
     id="posture_dependent_gain",
     meaning="a channel's gain changes with the joint's angle",
-    family="excitation",
+    family="emg",
     parameters=(
         RepeatedParameter(
             repetitions=_each_channel,
@@ -358,7 +358,7 @@ def _delay_by_cycle(
 SPEED_DEPENDENT_DELAY = EffectDefinition(
     id="speed_dependent_delay",
     meaning="force follows EMG with another delay at another walking speed",
-    family="excitation",
+    family="control",
     requirements=(
         Requirement("walking speeds of all cycles", _speeds_that_are_not_given),
         Requirement("two walking speeds", _one_speed),

@@ -53,7 +53,7 @@ def _velocity_factor(effect_sizes: EffectSizes) -> EffectSizes:
 SLOW_FIBERS = EffectDefinition(
     id="slow_fibers",
     meaning="muscle fibers shorten more slowly than assumed",
-    family="fiber",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="slowing",
@@ -99,7 +99,7 @@ def _lengthen_by_activation(each: Float[Array, " muscle"], effect_sizes: EffectS
 ACTIVATION_DEPENDENT_FIBER_LENGTH = EffectDefinition(
     id="activation_dependent_fiber_length",
     meaning="muscles at low activation are strongest at a greater length",
-    family="fiber",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="length_gain",
@@ -168,7 +168,7 @@ def _apply_history(memory: Float[Array, " muscle"], effect_sizes: EffectSizes) -
 FORCE_ENHANCEMENT = EffectDefinition(
     id="force_enhancement",
     meaning="force depends on whether the muscle was stretched or shortened just before",
-    family="fiber",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="enhancement",
@@ -243,7 +243,7 @@ def _stiffen(each: Float[Array, " muscle"], effect_sizes: EffectSizes) -> Altera
 SHORT_RANGE_STIFFNESS = EffectDefinition(
     id="short_range_stiffness",
     meaning="muscles at rest are stiff when they begin to move",
-    family="fiber",
+    family="activation_and_muscle",
     parameters=(
         EffectParameter(
             name="stiffness",

@@ -145,7 +145,7 @@ def _shared_by_all_muscles(name: str, prior_sd: float, quantity: str) -> EffectP
 CURVE_FAMILY = EffectDefinition(
     id="curve_family",
     meaning="force depends on fiber length and velocity by other curves",
-    family="fiber",
+    family="activation_and_muscle",
     parameters=(
         RepeatedParameter(
             repetitions=_each_muscle,
@@ -213,7 +213,7 @@ def _shift_passive_force(belongs: Float[Array, "parameter muscle"], effect_sizes
 CONTRACTURE = EffectDefinition(
     id="contracture",
     meaning="muscles are shorter at rest, as after a stroke",
-    family="fiber",
+    family="passive",
     requirements=(
         PARETIC_LEG,
         Requirement(

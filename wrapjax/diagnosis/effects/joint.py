@@ -111,7 +111,7 @@ def _exponent(
 PASSIVE_JOINT_MOMENT = EffectDefinition(
     id="passive_joint_moment",
     meaning="capsule and ligaments resist motion near the ends of the range",
-    family="joint",
+    family="passive",
     parameters=(
         RepeatedParameter(
             repetitions=_each_end,
@@ -154,7 +154,7 @@ def _joint_damping(context: Context) -> tuple[Variant, ...]:
 JOINT_DAMPING = EffectDefinition(
     id="joint_damping",
     meaning="joints resist motion in proportion to its speed",
-    family="joint",
+    family="passive",
     parameters=(
         RepeatedParameter(
             repetitions=_each_coordinate_with_damping,
@@ -205,7 +205,7 @@ def _biarticular_spring(context: Context) -> tuple[Variant, ...]:
 BIARTICULAR_SPRING = EffectDefinition(
     id="biarticular_spring",
     meaning="tissue that spans hip and knee couples them like a spring",
-    family="joint",
+    family="passive",
     requirements=(
         Requirement(
             "moments of hip flexion and of the knee",
@@ -256,7 +256,7 @@ def _ankle_foot_orthosis(context: Context) -> tuple[Variant, ...]:
 ANKLE_FOOT_ORTHOSIS = EffectDefinition(
     id="ankle_foot_orthosis",
     meaning="a brace or a shoe acts on the ankle like a spring",
-    family="joint",
+    family="device",
     requirements=(
         Requirement(
             "moment of the ankle",

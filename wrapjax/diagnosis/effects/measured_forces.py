@@ -30,7 +30,7 @@ def _moments_by_displaced_forces(
 COP_OFFSET = EffectDefinition(
     id="cop_offset",
     meaning="the ground reaction force acts elsewhere on the foot than recorded",
-    family="measurement",
+    family="measured_force",
     parameters=(
         EffectParameter(
             name="anterior_m",
@@ -69,7 +69,7 @@ def _moments_by_latency(gait: RecordedGait) -> dict[str, MomentDerivatives]:
 FORCE_LATENCY = EffectDefinition(
     id="force_latency",
     meaning="ground forces and motion are not recorded at the same time",
-    family="measurement",
+    family="measured_force",
     parameters=(
         EffectParameter(
             name="latency",
@@ -114,7 +114,7 @@ def _moments_by_crossed_plates(gait: RecordedGait) -> dict[str, MomentDerivative
 CROSSED_PLATES = EffectDefinition(
     id="crossed_plates",
     meaning="a plate's force contains a part of the other foot's",
-    family="measurement",
+    family="measured_force",
     parameters=(
         EffectParameter(
             name="other_share",
@@ -156,7 +156,7 @@ CROSSED_PLATES = EffectDefinition(
 BELT_ACCELERATION = EffectDefinition(
     id="belt_acceleration",
     meaning="the treadmill's plates record their own acceleration",
-    family="measurement",
+    family="measured_force",
     requirements=(Requirement("belt speed", lambda context: "no belt speed is recorded"),),
     parameters=(
         EffectParameter(
@@ -177,7 +177,7 @@ BELT_ACCELERATION = EffectDefinition(
 HANDRAIL_FORCE = EffectDefinition(
     id="handrail_force",
     meaning="a hand leans on the rail",
-    family="measurement",
+    family="measured_force",
     requirements=(Requirement("handrail force", lambda context: "no handrail force is recorded"),),
     parameters=(
         EffectParameter(
@@ -197,7 +197,7 @@ HANDRAIL_FORCE = EffectDefinition(
 DEVICE_TORQUE = EffectDefinition(
     id="device_torque",
     meaning="a powered device moves the joint",
-    family="measurement",
+    family="device",
     requirements=(Requirement("torque of a device", lambda context: "no torque of a device is recorded"),),
     parameters=(
         EffectParameter(

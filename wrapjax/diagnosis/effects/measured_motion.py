@@ -140,7 +140,7 @@ def _moments_by_soft_tissue(gait: RecordedGait) -> dict[str, MomentDerivatives]:
 SOFT_TISSUE_ARTIFACT = EffectDefinition(
     id="soft_tissue_artifact",
     meaning="skin and markers move against the bones, so that recorded angles are wrong",
-    family="kinematics",
+    family="measured_motion",
     requirements=(
         Requirement(
             "paths as polynomials of the joint angles",
@@ -254,7 +254,7 @@ def _paths_by_foot(recorded: RecordedPaths) -> Mapping[str, PathState]:
 FOOT_DEFORMATION = EffectDefinition(
     id="foot_deformation",
     meaning="the foot bends, where the model has it rigid",
-    family="measurement",
+    family="measured_motion",
     parameters=(
         EffectParameter(
             name="bend",
@@ -292,7 +292,7 @@ def _shift_cycles(
 EVENT_JITTER = EffectDefinition(
     id="event_jitter",
     meaning="EMG and motion of single cycles are shifted against each other",
-    family="kinematics",
+    family="measured_motion",
     requirements=(
         Requirement(
             "two cycles",

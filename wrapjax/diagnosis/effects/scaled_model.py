@@ -93,7 +93,7 @@ _HIP_SOURCE = "Stagni et al. 2000, doi:10.1016/S0021-9290(00)00093-2"
 HIP_CENTER_OFFSET = EffectDefinition(
     id="hip_center_offset",
     meaning="the hip's center lies elsewhere than in the model",
-    family="measurement",
+    family="geometry",
     parameters=(
         EffectParameter(
             name="anterior_m",
@@ -211,7 +211,7 @@ def _axis_parameter(name: str, meaning: str) -> EffectParameter:
 JOINT_AXIS_ROTATION = EffectDefinition(
     id="joint_axis_rotation",
     meaning="axes of knee, ankle or foot point elsewhere than in the model",
-    family="measurement",
+    family="geometry",
     parameters=(
         _axis_parameter("knee_rad", "knee axis turned outward in the horizontal plane"),
         _axis_parameter("knee_tilt_rad", "knee axis with its outer end too high"),
@@ -264,7 +264,7 @@ def _bodies_of_segments(gait: RecordedGait) -> tuple[list[int], list[int], list[
 SEGMENT_INERTIA = EffectDefinition(
     id="segment_inertia",
     meaning="thigh, shank or foot are heavier or lighter than in the model",
-    family="measurement",
+    family="measured_force",
     parameters=tuple(
         EffectParameter(
             name=f"{quantity}_fraction_{segment}",
@@ -320,7 +320,7 @@ def _about_hip_and_knee(gait: RecordedGait, moment: Float[np.ndarray, "trial fra
 WOBBLING_MASS = EffectDefinition(
     id="wobbling_mass",
     meaning="soft tissue swings after the foot's impact",
-    family="measurement",
+    family="measured_force",
     parameters=(
         EffectParameter(
             name="hip_impulse",
@@ -367,7 +367,7 @@ def _moments_by_knee_laxity(gait: RecordedGait) -> dict[str, MomentDerivatives]:
 KNEE_LAXITY = EffectDefinition(
     id="knee_laxity",
     meaning="the knee gives way sideways",
-    family="measurement",
+    family="geometry",
     parameters=(
         EffectParameter(
             name="lever_m",

@@ -15,6 +15,7 @@ import numpy as np
 from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter
 from wrapjax.diagnosis.effects.effect import EffectParameter
+from wrapjax.diagnosis.effects.family import FAMILIES
 
 #: Lines of a document between which the tables stand.
 START, END = "<!-- tables: start -->", "<!-- tables: end -->"
@@ -24,7 +25,8 @@ _DIFFERS = "differs"
 
 
 def effect_tables() -> str:
-    """Write two tables in Markdown: all effects, and all their parameters."""
+    """Write tables in Markdown: the families, all effects, and all their parameters."""
+    families = _markdown_table(("family", "meaning"), ((f"`{id}`", text) for id, text in FAMILIES.items()))
     effects = _markdown_table(
         ("effect", "meaning", "family", "needs", "experiment that shows it"),
         (_effect_row(definition) for definition in DEFINITIONS),
@@ -33,7 +35,7 @@ def effect_tables() -> str:
         ("effect", "parameters", "unit", "prior SD", "limits", "source of the prior"),
         (row for definition in DEFINITIONS for row in _parameter_rows(definition)),
     )
-    return f"{effects}\n\n{parameters}"
+    return f"{families}\n\n{effects}\n\n{parameters}"
 
 
 def with_tables(document: str) -> str:
@@ -49,7 +51,7 @@ def _effect_row(definition: EffectDefinition) -> tuple[str, ...]:
     return (
         f"`{definition.id}`" + (f" ({role})" if role else ""),
         definition.meaning,
-        definition.family,
+        f"`{definition.family}`",
         "; ".join(definition.needs) or "nothing else",
         "none" if experiment is None else f"{experiment.text} ({experiment.minutes} min)",
     )

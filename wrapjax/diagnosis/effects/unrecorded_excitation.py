@@ -108,7 +108,7 @@ def _peak_activation(splines: Float[Array, "frame spline"], effect_sizes: Effect
 MISSING_DRIVE = EffectDefinition(
     id="missing_drive",
     meaning="muscles without an electrode are active",
-    family="excitation",
+    family="control",
     requirements=(MUSCLES_WITHOUT_EMG,),
     parameters=tuple(
         EffectParameter(
@@ -181,7 +181,7 @@ def _add_reflex_moments(
 SPASTICITY_UNRECORDED = EffectDefinition(
     id="spasticity_unrecorded",
     meaning="muscles without an electrode respond to fast stretch",
-    family="excitation",
+    family="control",
     requirements=(PARETIC_LEG, MUSCLES_WITHOUT_EMG),
     parameters=(
         EffectParameter(
@@ -224,7 +224,7 @@ def _add_reflex_excitation(
 SPASTICITY_RECORDED = EffectDefinition(
     id="spasticity_recorded",
     meaning="recorded muscles respond to fast stretch, which their EMG shows already",
-    family="excitation",
+    family="control",
     requirements=(
         Requirement(
             "EMG of a muscle that is often spastic",
