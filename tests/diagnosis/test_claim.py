@@ -7,7 +7,8 @@ import pytest
 from wrapjax.diagnosis.claim import claimed_effects, through_gates, with_family
 from wrapjax.diagnosis.decision import Decision, Probabilities, credible_families
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.families import FAMILIES, family_of, family_probabilities, same_family
+from wrapjax.diagnosis.effects.family import FAMILIES
+from wrapjax.diagnosis.families import family_members, family_of, family_probabilities, same_family
 from wrapjax.diagnosis.gates import Adequate, Gates, Plausible, Specific, Stable
 
 GOOD = Gates(
@@ -76,11 +77,12 @@ def test_a_family_is_claimed_where_its_members_share_the_probability():
 
 
 def test_every_effect_that_can_be_named_has_one_family():
-    members = [id for family in FAMILIES for id in family.members]
+    members = [id for family in FAMILIES for id in family_members(family)]
     assert len(members) == len(set(members))
     assert set(members) == {id for id, one in CATALOGUE.items() if not one.nuisance}
+    assert all(id in family_members(family_of(id)) for id in members)
     with pytest.raises(KeyError):
-        family_of("curve_family")
+        family_members("measurement")
 
 
 def test_family_probabilities_and_sets():

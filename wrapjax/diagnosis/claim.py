@@ -75,7 +75,7 @@ def with_family(decision: Decision, evidence: Mapping[str, float], detection_thr
     strongest = next(iter(evidence), None)
     if strongest is None or evidence[strongest] <= detection_threshold or shares[family] < MIN_PROBABILITY:
         return decision
-    if family_of(strongest).id != family or decision.outcome == "unknown":
+    if family_of(strongest) != family or decision.outcome == "unknown":
         # The decision has found a reason against the strongest effect.
         return decision
     reason = "effects of one family explain the error; the recording does not tell which of them"
@@ -87,7 +87,7 @@ def claimed_effects(decision: Decision, evidence: Mapping[str, float]) -> tuple[
     if decision.accepted:
         return decision.accepted
     if decision.family:
-        return (next(id for id in evidence if family_of(id).id == decision.family),)
+        return (next(id for id in evidence if family_of(id) == decision.family),)
     return ()
 
 
@@ -134,7 +134,7 @@ def _contradicted(decision: Decision, leaders: tuple[str, ...], claimed: Sequenc
     """Claim what all parts of the recording have in common."""
     if same_family(leaders):
         reason = "parts of the recording put different effects of one family first"
-        family = family_of(leaders[0]).id
+        family = family_of(leaders[0])
         return replace(decision, outcome="family", reason=reason, named=(), tie=(), family=family)
     if decision.named and len(leaders) <= MOST_IN_TIE:
         reason = "parts of the recording put one or another of these effects first"

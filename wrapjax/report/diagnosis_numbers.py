@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.diagnosis.baseline import ConvergenceCheck
-from wrapjax.diagnosis.families import family_by_id
+from wrapjax.diagnosis.families import family_members
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.localization import BIN_PERCENT, ErrorBudget
 from wrapjax.diagnosis.noise_floor import Estimate
@@ -177,11 +177,10 @@ def _family(result: DiagnosisResult) -> dict[str, Any] | None:
     if not result.family:
         return None
     testable = {one.id for one in result.effects}
-    family = family_by_id(result.family)
     return {
-        "id": family.id,
+        "id": result.family,
         "probability": result.family_probability,
-        "members": [id for id in family.members if id in testable],
+        "members": [id for id in family_members(result.family) if id in testable],
     }
 
 

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.families import family_by_id
+from wrapjax.diagnosis.effects.family import FAMILIES
+from wrapjax.diagnosis.families import family_members
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
 from wrapjax.diagnosis.verification import VerifiedRefit
@@ -191,11 +192,12 @@ def _outcome_finding(result: DiagnosisResult) -> str:
             "recording cannot distinguish these effects."
         )
     if result.outcome == "family":
-        family = family_by_id(result.family)
-        members = effect_list(effect.id for effect in result.effects if effect.id in family.members)
+        known = family_members(result.family)
+        members = effect_list(effect.id for effect in result.effects if effect.id in known)
         return (
-            f"The error is best explained, among {among}, by an effect on {family.meaning} (probability "
-            f"{result.family_probability:.2f}); which of {members} it is, is not decided."
+            f"The error is best explained, among {among}, by an effect of one family: "
+            f"{FAMILIES[result.family]} (probability {result.family_probability:.2f}). Which of {members} it "
+            "is, is not decided."
         )
     if result.outcome == "unknown":
         partly = (
