@@ -31,7 +31,7 @@ from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residu
 _FLAT, _MIN_PRECISION = 1e-3, 1e-3
 
 _Matrix = Float[np.ndarray, "variable variable"]
-# Number of parallel chains, sweeps before the first draw, and sweeps from one draw to the next.
+# Gibbs sampler: parallel chains, sweeps before the first draw, and sweeps from one draw to the next.
 _CHAINS, _BURN_IN, _THINNING = 100, 25, 3
 
 
