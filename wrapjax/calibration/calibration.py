@@ -14,9 +14,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibration.leg_setup import LegSetup, MuscleOptions, build_leg_setups, calibration_fingerprint
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.problem import build_stages, fit_for_methods
+from wrapjax.calibration.problem import (
+    LegSetup,
+    MuscleOptions,
+    build_leg_setups,
+    build_stages,
+    calibration_fingerprint,
+    fit_for_methods,
+)
 from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
