@@ -1,4 +1,4 @@
-"""Construction of the objective of a calibration from a subject, its muscle paths and a method."""
+"""Objective of a calibration from a subject, its muscle paths and a method; setup of one or two legs."""
 
 from __future__ import annotations
 
@@ -280,7 +280,7 @@ def build_leg_setups(
         Source of the subject's muscle paths; None to fit polynomials or take them from the cache. The paths
         of the other leg come from a source of the same kind.
     method
-        Method, one of `wrapjax.calibration.problem.METHODS`; ignored where ``freedom`` is given.
+        Method, one of `METHODS`; ignored where ``freedom`` is given.
     freedom
         Custom freedom, for one leg alone.
     undriven, synergies
