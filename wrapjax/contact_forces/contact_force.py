@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.contact_forces.gait_phase import gait_phases
 from wrapjax.contact_forces.result import (
     JOINT_REACTION,
     MAX_CONDYLE_DISTANCE,
@@ -40,7 +39,7 @@ from wrapjax.muscle.hill import rigid_tendon_fiber
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles, build_undriven_muscles
-from wrapjax.preprocessing.gait_events import find_contacts
+from wrapjax.preprocessing.gait_events import find_contacts, gait_phases
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject
