@@ -174,7 +174,7 @@ class Fit:
             If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not one of
             the subject.
         """
-        from wrapjax.path_sources.sample_figures import REPORTED_SAMPLES, sampled_paths
+        from wrapjax.path_sources.path_samples import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
 
         if subject is not None:
