@@ -43,11 +43,10 @@ from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import with_path_modes
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
-from wrapjax.path_sources.exact import ExactGeometry
+from wrapjax.path_sources.exact import SURFACES, ExactGeometry
 from wrapjax.path_sources.model_inputs import recording
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES
-from wrapjax.path_sources.wrap_freedom import SURFACES
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES

@@ -23,13 +23,12 @@ from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_path_modes
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
-from wrapjax.path_sources.exact import ExactGeometry, exact_geometry
+from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording
 from wrapjax.path_sources.path_fitting import fit as fit_paths
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES, apply_undriven_strategy, with_synergy_weights
 from wrapjax.path_sources.wrap_fitting import fit_wraps
-from wrapjax.path_sources.wrap_freedom import SURFACES
 from wrapjax.subject.subject import Subject, read_legs
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 

@@ -19,6 +19,7 @@ from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.locks import BusyError
 from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.model.parameters import ModelParameters
+from wrapjax.path_sources.exact import NO_WRAPS_TO_FREE
 from wrapjax.path_sources.model_inputs import model_parameters
 from wrapjax.path_sources.polynomial_paths import (
     WrapFit,
@@ -28,7 +29,6 @@ from wrapjax.path_sources.polynomial_paths import (
     wrap_fit_from,
     wrapped_polynomial_paths,
 )
-from wrapjax.path_sources.wrap_freedom import NO_WRAPS_TO_FREE
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 

@@ -19,10 +19,9 @@ from wrapjax.geometry.two_level import InnerLevel, TwoLevelPaths, two_level_path
 from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
-from wrapjax.path_sources.exact import angles_of_other_trials, build_engine, recorded_motion
+from wrapjax.path_sources.exact import angles_of_other_trials, build_engine, freed_wraps, recorded_motion
 from wrapjax.path_sources.model_inputs import coefficient_paths, model_parameters, surrogate_paths
 from wrapjax.path_sources.proximity_paths import ProximityPaths, with_exact_proximity
-from wrapjax.path_sources.wrap_freedom import freed_wraps
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
