@@ -25,7 +25,7 @@ from wrapjax.geometry.physiological import PhysiologicalThresholds, measure_path
 from wrapjax.geometry.training_samples import SampleSet, fastest_cycle_poses, plan_samples, random_poses
 from wrapjax.geometry.wrapping import WrappedPath
 from wrapjax.osim.model import describe_model
-from wrapjax.osim.placed_analysis import analyse_placements
+from wrapjax.osim.muscle_analysis import analyse_placements
 from wrapjax.path_sources.exact import WRAPPINGS
 from wrapjax.subject.subject import Subject
 
