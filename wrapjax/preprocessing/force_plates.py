@@ -16,7 +16,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import write_text
 from wrapjax.io.storage import Storage, find_columns, read_storage, write_storage
 from wrapjax.preprocessing.gait_events import CONTACT_FORCE
-from wrapjax.preprocessing.motion_filter import low_pass
+from wrapjax.preprocessing.markers import low_pass
 
 #: Names of the sides.
 SIDES = {"l": "left", "r": "right"}
