@@ -14,7 +14,7 @@ from .comparison.comparison import Comparison as Comparison
 from .comparison.comparison import compare as compare
 from .contact_forces.contact_force import Contact as Contact
 from .contact_forces.contact_force import contact as contact
-from .datasets.download import fetch as fetch
+from .datasets.public_recordings import fetch as fetch
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.cli.folders import names
-from wrapjax.datasets.download import RETRIES, write_public_subject
-from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS
+from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS, RETRIES, write_public_subject
 from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
