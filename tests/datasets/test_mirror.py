@@ -7,10 +7,9 @@ import opensim
 import pytest
 
 from wrapjax.datasets.virtual_person.anatomy import BODIES, COORDINATES
-from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.gait import normative_cycle
 from wrapjax.datasets.virtual_person.leg import MUSCLES, build_leg_model, mirrored, on_side
-from wrapjax.datasets.virtual_person.subject import write_virtual_legs, write_virtual_subject
+from wrapjax.datasets.virtual_person.subject import Series, write_virtual_legs, write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import draw_true_parameters, read_true_parameters
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.virtual_leg import Body, Joint, LegModel

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES, CYLINDERS
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.subject import Series, write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import (
     LARGEST_CHANGE,
     TRUE_PARAMETERS_FILE,
