@@ -20,8 +20,7 @@ from wrapjax.subject.muscle_parameters import (
     is_on_side,
     read_muscle_parameters,
 )
-from wrapjax.subject.passive import PassiveTrial, read_passive_trial
-from wrapjax.subject.recordings import read_signals
+from wrapjax.subject.recordings import PassiveTrial, read_passive_trial, read_signals
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
 from wrapjax.subject.synergies import Synergies
 from wrapjax.subject.trials import Trials
