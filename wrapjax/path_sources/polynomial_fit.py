@@ -14,9 +14,8 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
-from wrapjax.io.files import content_hash, new_folder, write_atomically, write_json, write_text
+from wrapjax.io.files import BusyError, content_hash, new_folder, write_atomically, write_json, write_text
 from wrapjax.io.json_and_arrays import load_arrays, load_json
-from wrapjax.io.locks import BusyError
 from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.exact import NO_WRAPS_TO_FREE
