@@ -41,7 +41,7 @@ from wrapjax.preprocessing.markers import (
     write_trc,
 )
 from wrapjax.preprocessing.prepared_folder import PreparedTrial
-from wrapjax.subject.emg import compute_envelopes, resample_evenly, sampling_rate
+from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sampling_rate
 from wrapjax.subject.recordings import MIN_RAW_EMG_RATE
 
 #: Motion kept before and after the cycles, s, so that edge effects of filters and derivatives are outside.

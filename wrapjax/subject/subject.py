@@ -12,7 +12,7 @@ from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.io.toml import collect_problems
 from wrapjax.subject.cycles import cut_cycles
-from wrapjax.subject.emg import sampling_rate
+from wrapjax.subject.emg_envelopes import sampling_rate
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
 from wrapjax.subject.muscle_parameters import (
     check_channels,
