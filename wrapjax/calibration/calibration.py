@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import (
     LegSetup,
@@ -23,7 +24,6 @@ from wrapjax.calibration.problem import (
     calibration_fingerprint,
     fit_for_methods,
 )
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status

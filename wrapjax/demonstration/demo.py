@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from wrapjax.calibration.calibration import Calibration, calibrate
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS

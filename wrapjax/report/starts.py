@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup
 from wrapjax.report.formatting import counted
