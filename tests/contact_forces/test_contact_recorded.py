@@ -11,7 +11,7 @@ from wrapjax.contact_forces.contact_force import (
     lines_of_action,
     sum_muscle_forces,
 )
-from wrapjax.contact_forces.result import JOINT_REACTION, peak_windows, peaks
+from wrapjax.contact_forces.contact_result import JOINT_REACTION, peak_windows, peaks
 from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
 from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.geometry.engine import PARITY

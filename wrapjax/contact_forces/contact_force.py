@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.contact_forces.result import (
+from wrapjax.contact_forces.contact_result import (
     JOINT_REACTION,
     MAX_CONDYLE_DISTANCE,
     MIN_CONDYLE_DISTANCE,
