@@ -29,8 +29,8 @@ from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parame
 from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import WRAP_PARAMETERS
 from wrapjax.osim.model import describe_model
+from wrapjax.report.moved_paths import MovedPath, describe_move
 from wrapjax.report.path_views import path_view_figure
-from wrapjax.report.paths import MovedPath, describe_move
 from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
 # %% [markdown]

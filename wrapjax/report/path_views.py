@@ -17,7 +17,7 @@ from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import draw_spread, label_gait_cycles
 from wrapjax.report.formatting import counted
-from wrapjax.report.paths import MovedPath, describe_move
+from wrapjax.report.moved_paths import MovedPath, describe_move
 from wrapjax.report.style import (
     BLACK,
     BLUE,
