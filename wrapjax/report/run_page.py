@@ -24,7 +24,7 @@ from wrapjax.report.calibration_curves import (
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
 from wrapjax.report.moved_paths import MovedPath, moved_paths
-from wrapjax.report.parameters import parameters_section, solver_section
+from wrapjax.report.parameters_and_solver import parameters_section, solver_section
 from wrapjax.report.path_views import path_section
 from wrapjax.report.provenance import describe_settings, path_from, versions_in_words
 from wrapjax.report.run_summary import USES, file_stems, summarize

@@ -15,7 +15,7 @@ from wrapjax.calibration.objective import Objective
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup
 from wrapjax.report.formatting import counted
-from wrapjax.report.parameters import place_within_bounds
+from wrapjax.report.parameters_and_solver import place_within_bounds
 from wrapjax.report.style import (
     BLUE,
     GRAY,
