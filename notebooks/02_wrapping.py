@@ -24,7 +24,7 @@ set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 import numpy as np
 
 import wrapjax
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import WRAP_PARAMETERS

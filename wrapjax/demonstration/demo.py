@@ -20,8 +20,8 @@ from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
-from wrapjax.datasets.virtual_person.subject import Series, write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import TrueParameters, parameter_names
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.demonstration.wrap_recovery import WrapRecovery, wrap_recovery
 from wrapjax.diagnosis.diagnosis import Diagnosis, diagnose
 from wrapjax.io.files import write_json
