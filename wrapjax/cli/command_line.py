@@ -30,7 +30,7 @@ from wrapjax.cli import (
     report,
 )
 from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
-from wrapjax.cli.settings import add_settings, apply_settings, save_settings
+from wrapjax.cli.settings_file import add_settings, apply_settings, save_settings
 from wrapjax.errors import ComputationError, InputError
 from wrapjax.io.files import lock_folder
 from wrapjax.jax_setup import set_threads
