@@ -58,7 +58,7 @@ def main() -> int:
 def _write_subjects(place: Path, count: int) -> list[Path]:
     """Simulate the virtual subjects that do not exist yet."""
     set_up_jax()
-    from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+    from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 
     folders = [place / f"virtual_{seed:02d}" for seed in range(count)]
     for seed, folder in enumerate(folders):

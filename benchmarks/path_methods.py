@@ -11,8 +11,8 @@ import numpy as np
 import wrapjax
 from benchmarks.metric import Metric
 from benchmarks.timing import median_seconds
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.problem import build_stages
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.interface import DampingState, SolverState
 from wrapjax.calibration.solvers.levenberg_marquardt import propose_step
 from wrapjax.path_sources.polynomial_fit import Fit

@@ -28,7 +28,7 @@ def default_subject(given: Path | None) -> Iterator[Path]:
     elif os.environ.get("WRAPJAX_DATA"):
         yield Path(os.environ["WRAPJAX_DATA"]) / "s1_left"
     else:
-        from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+        from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 
         with tempfile.TemporaryDirectory() as folder:
             write_virtual_subject(Path(folder) / "virtual")

@@ -13,8 +13,8 @@ from wrapjax.geometry.surrogate import fit_surrogate
 from wrapjax.geometry.training_samples import angle_ranges, fastest_cycle_poses, random_poses
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import analyse_muscles
-from wrapjax.path_sources.fit_poses import TRAINING_POSES
 from wrapjax.path_sources.path_fitting import path_errors
+from wrapjax.path_sources.path_samples import TRAINING_POSES
 from wrapjax.subject.subject import Subject
 
 #: Muscles with broad origins, paths over the pelvic brim, paths that lift off their wrap, knee and ankle.

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import path_limits
 from wrapjax.calibration.penalties import GroupPenalty, pipeline_penalties
-from wrapjax.geometry.path_modes import PATH_CHANGE
 from wrapjax.geometry.paths import AdjustablePath, PathState
 from wrapjax.model.forward import Recording, muscle_states
 from wrapjax.model.freedom import nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import free_variables
+from wrapjax.path_sources.polynomial_paths import PATH_CHANGE
 
 #: Amplitude of a synthetic path mode, relative to the path.
 _MODE_SIZE = 0.01

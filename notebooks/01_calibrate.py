@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import wrapjax
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 
 # %% [markdown]
 # ## A subject

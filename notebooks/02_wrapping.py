@@ -24,13 +24,13 @@ set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 import numpy as np
 
 import wrapjax
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.routed_path import route_path
 from wrapjax.geometry.wrapping import WRAP_PARAMETERS
 from wrapjax.osim.model import describe_model
+from wrapjax.report.moved_paths import MovedPath, describe_move
 from wrapjax.report.path_views import path_view_figure
-from wrapjax.report.paths import MovedPath, describe_move
 from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
 # %% [markdown]

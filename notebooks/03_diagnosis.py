@@ -22,7 +22,7 @@ import numpy as np
 
 import wrapjax
 from wrapjax.cli.diagnose import diagnosis_table
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 
 folder = Path(tempfile.mkdtemp())
 write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")

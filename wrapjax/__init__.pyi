@@ -14,7 +14,7 @@ from .comparison.comparison import Comparison as Comparison
 from .comparison.comparison import compare as compare
 from .contact_forces.contact_force import Contact as Contact
 from .contact_forces.contact_force import contact as contact
-from .datasets.download import fetch as fetch
+from .datasets.public_recordings import fetch as fetch
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings
@@ -27,9 +27,9 @@ from .geometry.physiological import PhysiologicalThresholds as PhysiologicalThre
 from .path_sources.exact import ExactGeometry as ExactGeometry
 from .path_sources.exact import exact_geometry as exact_geometry
 from .path_sources.path_fitting import fit as fit
+from .path_sources.path_samples import physiological_picture as physiological_picture
 from .path_sources.polynomial_fit import Fit as Fit
 from .path_sources.polynomial_fit import load_fit as load_fit
-from .path_sources.sample_figures import physiological_picture as physiological_picture
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject

@@ -6,7 +6,7 @@ import pytest
 from tests.path_sources.round_trip import assert_reproduces_itself
 from wrapjax.calibration.calibration import calibrate
 from wrapjax.contact_forces.contact_force import contact
-from wrapjax.contact_forces.result import MUSCLE_SHARE
+from wrapjax.contact_forces.contact_result import MUSCLE_SHARE
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated
 from wrapjax.errors import InputError
 from wrapjax.evaluation.evaluation import evaluate

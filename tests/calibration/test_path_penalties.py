@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from wrapjax.calibration.path_penalties import FIBER_LENGTH_RANGE, path_limits
-from wrapjax.geometry.path_modes import path_modes
 from wrapjax.geometry.paths import PathState
+from wrapjax.path_sources.polynomial_paths import path_modes
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l")
 MUSCLES, TERMS, TRIALS, FRAMES = 2, 5, 2, 30

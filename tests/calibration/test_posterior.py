@@ -16,9 +16,8 @@ from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration
 from wrapjax.calibration.uncertainty.intervals import summarize_draws
-from wrapjax.calibration.uncertainty.posterior import Posterior, posterior
+from wrapjax.calibration.uncertainty.posterior import Posterior, draw_truncated_normal, posterior
 from wrapjax.calibration.uncertainty.residual_noise import ResidualNoise, residual_noise
-from wrapjax.calibration.uncertainty.truncated_normal import draw_truncated_normal
 from wrapjax.calibration.uncertainty.uncertainty import randomized_refits
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.freedom import Freedom, FreedParameter

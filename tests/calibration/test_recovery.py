@@ -14,8 +14,8 @@ import wrapjax
 from wrapjax.calibration.problem import build_objective
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import parameter_names
+from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 from wrapjax.model.forward import joint_moments
 
 #: Moment noise at which a parameter counts as identifiable if its standard deviation is below 1 %.

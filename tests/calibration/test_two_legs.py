@@ -14,8 +14,7 @@ from wrapjax.calibration.calibration import calibrate
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.two_legs import SHARED
 from wrapjax.cli.command_line import main
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_legs
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_legs
 from wrapjax.errors import InputError
 from wrapjax.subject.subject import load_subject as load_subject
 

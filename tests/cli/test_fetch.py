@@ -33,7 +33,7 @@ def test_unknown_name(run, tmp_path, monkeypatch, words, said):
 
 
 def test_existing_folder_is_refused_before_any_request(run, tmp_path, monkeypatch):
-    monkeypatch.setattr("wrapjax.datasets.download.write_public_subject", None)
+    monkeypatch.setattr("wrapjax.datasets.public_recordings.write_public_subject", None)
     (tmp_path / "healthy_treadmill").mkdir()
     monkeypatch.chdir(tmp_path)
     assert_only_errors(run("fetch", "healthy_treadmill"), "healthy_treadmill")
@@ -42,7 +42,7 @@ def test_existing_folder_is_refused_before_any_request(run, tmp_path, monkeypatc
 def test_folder_is_named_like_the_recording(run, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "wrapjax.datasets.download.write_public_subject",
+        "wrapjax.datasets.public_recordings.write_public_subject",
         lambda recording, place, **how: asked.append((recording.name, str(place), how["force"])),
     )
     monkeypatch.chdir(tmp_path)

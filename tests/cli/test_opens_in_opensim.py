@@ -16,8 +16,7 @@ from tests.cli.test_diagnose import QUICK
 from tests.contact_forces.synthetic_run import write_run
 from tests.preprocessing import walker
 from tests.subject.synthetic import write_subject
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.io.storage import read_storage
 from wrapjax.subject.subject import load_subject
 

@@ -15,7 +15,7 @@ from tests.preprocessing import walker, walker_c3d
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.osim.model import describe_model
 from wrapjax.report import markup
-from wrapjax.subject.emg import compute_envelopes
+from wrapjax.subject.emg_envelopes import compute_envelopes
 from wrapjax.subject.subject import load_subject
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.contact_forces.result import knee_compartments
+from wrapjax.contact_forces.contact_result import knee_compartments
 
 
 def on_tibia(points, forces):

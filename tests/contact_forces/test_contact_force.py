@@ -12,7 +12,7 @@ from tests.subject import synthetic
 from tests.subject.synthetic_forces import POINT, TORQUE, force, with_forces
 from wrapjax.cli.contact import contact_table
 from wrapjax.contact_forces.contact_force import contact
-from wrapjax.contact_forces.result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
+from wrapjax.contact_forces.contact_result import GRAVITY, JOINT_REACTION, MUSCLE_SHARE, peaks
 from wrapjax.errors import InputError
 from wrapjax.evaluation.stored_run import load_run
 from wrapjax.subject.subject import load_subject

@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 import wrapjax
-from wrapjax.contact_forces.contact_force import _joint_reactions, _joints, contact
-from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
-from wrapjax.contact_forces.result import JOINT_REACTION, peak_windows, peaks
+from wrapjax.contact_forces.contact_force import (
+    _joint_reactions,
+    _joints,
+    contact,
+    lines_of_action,
+    sum_muscle_forces,
+)
+from wrapjax.contact_forces.contact_result import JOINT_REACTION, peak_windows, peaks
 from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
 from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.geometry.engine import PARITY

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
+from wrapjax.contact_forces.contact_force import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
 from wrapjax.geometry.model_description import (
     IDENTITY,

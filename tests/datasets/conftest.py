@@ -9,10 +9,9 @@ import opensim
 import pytest
 
 from wrapjax.datasets.public_recordings import PublicFile, PublicRecording
-from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.leg import build_leg_model
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import read_true_parameters
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 
 
 @dataclass

@@ -7,11 +7,10 @@ import opensim
 import pytest
 
 from wrapjax.datasets.virtual_person.anatomy import BODIES, COORDINATES
-from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.gait import normative_cycle
 from wrapjax.datasets.virtual_person.leg import MUSCLES, build_leg_model, mirrored, on_side
-from wrapjax.datasets.virtual_person.subject import write_virtual_legs, write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import draw_true_parameters, read_true_parameters
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_legs, write_virtual_subject
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.virtual_leg import Body, Joint, LegModel
 from wrapjax.subject.subject import load_subject, read_legs
@@ -152,7 +151,7 @@ def test_legs_are_written_completely_or_not_at_all(tmp_path, monkeypatch):
     def fail(*_, **__):
         raise OSError("disk full")
 
-    monkeypatch.setattr("wrapjax.datasets.virtual_person.subject.settings_text", fail)
+    monkeypatch.setattr("wrapjax.datasets.virtual_person.virtual_subject.settings_text", fail)
     for write in (write_virtual_legs, write_virtual_subject):
         with pytest.raises(OSError, match="disk full"):
             write(tmp_path / "person", series=(Series(1.2, 1, 0),))

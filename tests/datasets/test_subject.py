@@ -7,9 +7,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import draw_true_parameters, parameter_names
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.io.storage import read_storage
 from wrapjax.model.forward import Recording, muscle_states

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from wrapjax.datasets.virtual_person.anatomy import COORDINATES, CYLINDERS
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import (
     LARGEST_CHANGE,
     TRUE_PARAMETERS_FILE,
     parameter_names,
     read_true_parameters,
 )
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.osim.muscle_analysis import analyse_muscles
 from wrapjax.osim.personalised_model import write_personalised_model

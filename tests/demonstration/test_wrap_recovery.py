@@ -4,9 +4,8 @@ import pytest
 
 from tests.path_sources.hidden_cylinders import errors_of_identifiable_arms, hidden
 from wrapjax.calibration.problem import build_objective
-from wrapjax.datasets.virtual_person.folder import Series
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import parameter_names
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.path_sources.exact import exact_geometry
 from wrapjax.subject.subject import load_subject
 

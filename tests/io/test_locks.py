@@ -11,8 +11,7 @@ import pytest
 
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError
-from wrapjax.io.files import new_folder, write_text
-from wrapjax.io.locks import BusyError, lock_folder
+from wrapjax.io.files import BusyError, lock_folder, new_folder, write_text
 
 #: Program that locks a folder until it is killed.
 HOLDER = """

@@ -6,7 +6,7 @@ import numpy as np
 import opensim
 import pytest
 
-from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
+from wrapjax.contact_forces.contact_force import lines_of_action, sum_muscle_forces
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import PARITY
 from wrapjax.osim.joint_reaction import analyse_joint_reactions

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
-from wrapjax.osim import placed_analysis
+from wrapjax.osim import muscle_analysis
+from wrapjax.osim.muscle_analysis import analyse_placements
 from wrapjax.osim.path_engine import PathEngine
-from wrapjax.osim.placed_analysis import analyse_placements
 
 MUSCLES, COORDINATES = ("flexor", "extensor"), ("hip", "knee")
 
@@ -42,24 +42,24 @@ def test_only_missing_results_are_computed_again(inputs, monkeypatch):
     length = first.of("flexor")[0]
     first.files[1].unlink()
     analysed = []
-    analyse = placed_analysis.analyse_chunks
+    analyse = muscle_analysis.analyse_chunks
 
     def recording(file, coordinates, spans, chunks, processes):
         analysed.extend(chunks)
         return analyse(file, coordinates, spans, chunks, processes)
 
-    monkeypatch.setattr(placed_analysis, "analyse_chunks", recording)
+    monkeypatch.setattr(muscle_analysis, "analyse_chunks", recording)
     again = analyse_placements(*inputs, processes=1, quiet=True)
-    assert analysed == [placed_analysis.CHUNK]
+    assert analysed == [muscle_analysis.PLACED_CHUNK]
     np.testing.assert_array_equal(again.of("flexor")[0], length)
     analyse_placements(*inputs, processes=1, quiet=True)
-    assert analysed == [placed_analysis.CHUNK]
+    assert analysed == [muscle_analysis.PLACED_CHUNK]
 
 
 def test_workers_give_identical_results(inputs, monkeypatch):
-    monkeypatch.setattr(placed_analysis, "_FORMAT", "for this test")
+    monkeypatch.setattr(muscle_analysis, "_PLACED_FORMAT", "for this test")
     alone = analyse_placements(*inputs, processes=1, quiet=True).of("flexor")
-    monkeypatch.setattr(placed_analysis, "_FORMAT", "for this test, too")
+    monkeypatch.setattr(muscle_analysis, "_PLACED_FORMAT", "for this test, too")
     shared = analyse_placements(*inputs, processes=2, quiet=True).of("flexor")
     for one, other in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -16,8 +16,7 @@ from tests.subject.synthetic import (
     write_wrapped_subject,
 )
 from wrapjax.calibration.calibration import calibrate
-from wrapjax.calibration.leg_setup import build_leg_setups
-from wrapjax.calibration.problem import build_objective, build_stages
+from wrapjax.calibration.problem import build_leg_setups, build_objective, build_stages
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.cli.command_line import main
 from wrapjax.errors import InputError

@@ -22,8 +22,8 @@ from wrapjax.osim.model import describe_model
 from wrapjax.osim.path_engine import PathEngine
 from wrapjax.osim.personalised_model import write_personalised_model
 from wrapjax.path_sources import wrap_fitting
-from wrapjax.path_sources.fit_poses import fit_poses
 from wrapjax.path_sources.path_fitting import fit
+from wrapjax.path_sources.path_samples import fit_poses
 from wrapjax.path_sources.polynomial_fit import load_fit
 from wrapjax.path_sources.wrap_fitting import fit_wraps
 from wrapjax.subject.subject import load_subject as load_subject

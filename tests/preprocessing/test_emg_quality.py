@@ -5,7 +5,7 @@ import pytest
 
 from tests.preprocessing.synthetic_emg import NAMES, RATE, raw_emg
 from wrapjax.preprocessing.emg_quality import emg_faults
-from wrapjax.subject.emg import compute_envelopes
+from wrapjax.subject.emg_envelopes import compute_envelopes
 
 
 def _zero(volts):

@@ -12,7 +12,7 @@ from wrapjax.preprocessing.force_plates import (
     write_forces,
 )
 from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
-from wrapjax.preprocessing.motion_filter import low_pass
+from wrapjax.preprocessing.markers import low_pass
 from wrapjax.subject.external_loads import read_external_loads
 
 TIME = np.arange(1000) / 1000.0

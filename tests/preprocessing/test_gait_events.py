@@ -1,4 +1,4 @@
-"""Gait events and cycles from the vertical ground reaction force."""
+"""Gait events and cycles from the vertical ground reaction force; phases are counted from strikes."""
 
 import tomllib
 
@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from wrapjax.io.storage import read_storage
-from wrapjax.preprocessing.gait_events import find_contacts
+from wrapjax.preprocessing.gait_events import (
+    AT_STRIKE,
+    find_contacts,
+    gait_phases,
+    phase_from_strikes,
+    uniform_phases,
+)
 
 RATE = 1000.0
+STRIKES = np.array([0.2, 1.3, 2.5])
+#: A walk of equal strides.
+WALK = 0.3 + 1.1 * np.arange(5)
 
 
 def force_of_steps(time, strikes, stance=0.7, weight=700.0):
@@ -66,3 +75,80 @@ def test_all_cycles_of_a_treadmill_recording_are_found_within_a_frame(data_folde
     assert len(found) == len(listed) == 53
     # Samples are 20 ms apart, their times printed to a microsecond.
     np.testing.assert_allclose(found, listed, atol=0.02 + 1e-5)
+
+
+def cycle(start, end):
+    return np.linspace(start, end, 101)
+
+
+def test_a_cycle_from_strike_to_strike_is_uniform():
+    found = phase_from_strikes(cycle(0.2, 1.3), STRIKES)
+    np.testing.assert_allclose(found, uniform_phases(101), atol=1e-9)
+
+
+@pytest.mark.parametrize("early", [0.5, -0.5])
+def test_a_frame_just_before_the_strike_has_phase_zero(early):
+    """Limits of cycles are given with few digits."""
+    step = 1.1 / 100
+    found = phase_from_strikes(cycle(0.2, 1.3) - early * step, STRIKES)
+    np.testing.assert_allclose(found, uniform_phases(101), atol=1.0)
+
+
+def test_a_cycle_that_starts_later_exceeds_100_after_the_next_strike():
+    time = cycle(0.75, 1.9)
+    found = phase_from_strikes(time, STRIKES)
+    assert found[0] == pytest.approx(50.0) and found[-1] == pytest.approx(150.0)
+    assert (np.diff(found) > 0.0).all()
+
+
+def test_strikes_are_extrapolated():
+    """By the median stride time; by the duration of the cycle if only one strike was recorded."""
+    ahead = phase_from_strikes(cycle(0.85, 1.95), WALK)
+    for number in range(-5, 10):
+        beyond = phase_from_strikes(cycle(0.85, 1.95) + 1.1 * number, WALK)
+        np.testing.assert_allclose(beyond, ahead, atol=1e-9)
+    np.testing.assert_allclose(phase_from_strikes(cycle(0.85, 1.95), WALK[:1]), ahead, atol=1e-9)
+
+
+@pytest.mark.parametrize("early", [0.02, -0.01])
+def test_limits_of_cycles_take_precedence_over_filtered_forces(early):
+    """Filtered forces rise early; the first cycle, the last one and one without forces are treated alike."""
+    listed = np.array([cycle(*WALK[row : row + 2]) for row in (0, 1, 3, 2)])
+    forces = [WALK - early] * 3 + [np.zeros(0)]
+    np.testing.assert_array_equal(gait_phases(listed, forces), np.tile(uniform_phases(101), (4, 1)))
+    np.testing.assert_array_equal(
+        gait_phases(listed, [WALK[1:-1] - early] * 4), np.tile(uniform_phases(101), (4, 1))
+    )
+
+
+def test_cycles_that_start_elsewhere_are_counted_from_strikes():
+    """No strike was recorded after the last cycle, and none at all in another."""
+    later = 0.4 * 1.1
+    cut = np.array([cycle(*WALK[row : row + 2] + later) for row in (0, 1, 3, 2)])
+    found = gait_phases(cut, [WALK[:-1]] * 3 + [np.zeros(0)])
+    np.testing.assert_allclose(found, np.tile(40.0 + uniform_phases(101), (4, 1)), atol=1e-9)
+
+
+def test_one_cycle_that_starts_elsewhere_suffices_to_use_strikes():
+    listed = np.array([cycle(*WALK[:2]), cycle(*WALK[1:3] + 2.0 * AT_STRIKE)])
+    first, second = gait_phases(listed, [WALK - 0.02] * 2)
+    assert first[0] == pytest.approx(100.0 * 0.02 / 1.1) and second[0] == pytest.approx(100.0 * 0.08 / 1.1)
+
+
+def test_a_partial_stride_is_not_a_complete_cycle():
+    """It starts at a strike and ends before the next one."""
+    found = gait_phases(np.array([cycle(WALK[0], WALK[0] + 0.88)]), [WALK])
+    np.testing.assert_allclose(found[0], 0.8 * uniform_phases(101), atol=1e-9)
+
+
+def test_starts_are_averaged_on_a_circle():
+    """5 % late and 5 % early average to the strike, not to half a cycle."""
+    late, early = (cycle(*WALK[:2] + 1.1 * share) for share in (0.05, -0.05))
+    found = gait_phases(np.array([late, early, late]), [WALK, WALK, np.zeros(0)])
+    assert found[1][0] == pytest.approx(95.0)
+    assert min(found[2][0], 100.0 - found[2][0]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_without_strikes_phases_are_uniform():
+    found = gait_phases(np.array([cycle(0.0, 1.1), cycle(2.0, 3.2)]), [np.zeros(0)] * 2)
+    np.testing.assert_array_equal(found, np.tile(uniform_phases(101), (2, 1)))

@@ -12,7 +12,7 @@ from tests.calibration.fixtures import paths as paths
 from tests.calibration.fixtures import person as person
 from tests.model.small import small_objective
 from tests.report.solutions import with_solution
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.solvers.augmented_lagrangian import (
     AugmentedLagrangian,
     ConstrainedSolution,

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 
 
 def with_solution(result: CalibrationResult, **changes: Any) -> CalibrationResult:

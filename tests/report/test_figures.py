@@ -7,7 +7,12 @@ import numpy as np
 
 from wrapjax.report.calibration_curves import activation_figure, fiber_length_figure, moment_figure
 from wrapjax.report.cycle_panels import groups_by_speed, groups_by_speed_and_use, spread
-from wrapjax.report.parameters import bounds_figure, cost_figure, history_figure, place_within_bounds
+from wrapjax.report.parameters_and_solver import (
+    bounds_figure,
+    cost_figure,
+    history_figure,
+    place_within_bounds,
+)
 from wrapjax.report.style import new_figure, to_svg
 
 

@@ -10,7 +10,7 @@ from tests.calibration.test_initialisation import knee_only, write_passive
 from wrapjax.calibration.initialisation import Initialisation
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.comparison.comparison import Comparison
-from wrapjax.contact_forces.result import MUSCLE_SHARE, ContactResult, RunContact, Undriven
+from wrapjax.contact_forces.contact_result import MUSCLE_SHARE, ContactResult, RunContact, Undriven
 from wrapjax.evaluation.evaluation import Evaluation
 from wrapjax.evaluation.stored_run import load_run
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS

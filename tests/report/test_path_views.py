@@ -17,8 +17,8 @@ from wrapjax.model.freedom import FreedWraps, with_wraps
 from wrapjax.osim.model import describe_model
 from wrapjax.report.comparison_page import render_comparison
 from wrapjax.report.comparison_summary import comparison_rows
+from wrapjax.report.moved_paths import describe_move, moved_paths
 from wrapjax.report.path_views import look_at, path_section, path_view_figure
-from wrapjax.report.paths import describe_move, moved_paths
 from wrapjax.report.run_page import write_run
 
 #: 3 and 4 mm across the axis, 10 degrees about x, a tenth larger.

@@ -31,7 +31,7 @@ from validation.calibration.hidden_wraps import (
     summary,
     with_prior,
 )
-from wrapjax.path_sources.wrap_freedom import freed_wraps
+from wrapjax.path_sources.exact import freed_wraps
 from wrapjax.subject.subject import load_subject
 
 WRAPPED = ("iliacus_r", "psoas_r", "recfem_r", "vasmed_r", "vaslat_r", "gasmed_r", "gaslat_r")

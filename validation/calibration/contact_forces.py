@@ -21,7 +21,7 @@ from benchmarks.machine import pin_threads
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.contact_forces.result import ContactResult
+    from wrapjax.contact_forces.contact_result import ContactResult
 
 #: Default recording.
 RECORDING = "healthy_overground"
@@ -53,7 +53,7 @@ def main() -> int:
 def peak_table(result: ContactResult) -> list[str]:
     """Format a Markdown table: mean peaks over cycles in bodyweights, and their gait phases (%)."""
     from wrapjax.comparison.statistics import spread
-    from wrapjax.contact_forces.result import peak_windows, peaks
+    from wrapjax.contact_forces.contact_result import peak_windows, peaks
 
     lines = [
         "| | " + " | ".join(f"{run.label} | at" for run in result.runs) + " |",

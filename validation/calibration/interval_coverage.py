@@ -58,7 +58,7 @@ def main() -> int:
     set_up_jax()
     if options.subject:
         return _measure(options.subject, options)
-    from wrapjax.datasets.virtual_person.subject import write_virtual_subject
+    from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
 
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "person"

@@ -14,10 +14,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from wrapjax.calibration.leg_setup import LegSetup, MuscleOptions, build_leg_setups, calibration_fingerprint
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.problem import build_stages, fit_for_methods
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.problem import (
+    LegSetup,
+    MuscleOptions,
+    build_leg_setups,
+    build_stages,
+    calibration_fingerprint,
+    fit_for_methods,
+)
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
 from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
@@ -37,11 +43,10 @@ from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import with_path_modes
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
-from wrapjax.path_sources.exact import ExactGeometry
+from wrapjax.path_sources.exact import SURFACES, ExactGeometry
 from wrapjax.path_sources.model_inputs import recording
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import STRATEGIES
-from wrapjax.path_sources.wrap_freedom import SURFACES
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES

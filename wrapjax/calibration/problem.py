@@ -1,9 +1,9 @@
-"""Construction of the objective of a calibration from a subject, its muscle paths and a method."""
+"""Objective of a calibration from a subject, its muscle paths and a method; setup of one or two legs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,8 +12,10 @@ from jaxtyping import Array, Float
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import feasibility_limits, path_limits, proximity_penalty
 from wrapjax.calibration.penalties import pipeline_penalties
+from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
+from wrapjax.io.files import code_hash, content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
@@ -21,14 +23,14 @@ from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters, with_path_modes
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
-from wrapjax.path_sources.exact import ExactGeometry, exact_geometry
+from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording
 from wrapjax.path_sources.path_fitting import fit as fit_paths
 from wrapjax.path_sources.polynomial_fit import Fit
-from wrapjax.path_sources.undriven_muscles import with_synergy_weights
+from wrapjax.path_sources.undriven_muscles import STRATEGIES, apply_undriven_strategy, with_synergy_weights
 from wrapjax.path_sources.wrap_fitting import fit_wraps
-from wrapjax.path_sources.wrap_freedom import SURFACES
-from wrapjax.subject.subject import Subject
+from wrapjax.subject.subject import Subject, read_legs
+from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 
 #: Methods of calibration, by the names of Ao, Fregly et al.; see `wrapjax.calibrate`.
 METHODS = ("NGA", "SGA", "LSGA", "PGA")
@@ -247,3 +249,102 @@ def method_freedom(
     if surfaces not in SURFACES:
         raise ValueError(f"unknown surfaces '{surfaces}': expected one of {', '.join(SURFACES)}")
     return with_synergy_weights(fit.freedom(method, subject, surfaces), subject)
+
+
+@dataclass(frozen=True)
+class LegSetup:
+    """Inputs of the calibration of one leg: subject, source of the muscle paths, and freedom."""
+
+    subject: Subject
+    fit: Fit | ExactGeometry
+    freedom: Freedom
+
+
+def build_leg_setups(
+    subject: Subject,
+    fit: Fit | ExactGeometry | None,
+    method: str,
+    freedom: Freedom | None,
+    undriven: str = STRATEGIES[0],
+    synergies: int = DEFAULT_SYNERGIES,
+    surfaces: str = SURFACES[0],
+) -> list[LegSetup]:
+    """Build the setups of the legs that are calibrated together: the subject's, and its ``other_leg`` if any.
+
+    Parameters
+    ----------
+    subject
+        Subject to calibrate.
+    fit
+        Source of the subject's muscle paths; None to fit polynomials or take them from the cache. The paths
+        of the other leg come from a source of the same kind.
+    method
+        Method, one of `METHODS`; ignored where ``freedom`` is given.
+    freedom
+        Custom freedom, for one leg alone.
+    undriven, synergies
+        See `apply_undriven_strategy`.
+    surfaces
+        Wraps that PGA frees, one of `SURFACES`.
+
+    Returns
+    -------
+    list of LegSetup
+        One or two legs, the subject's first.
+
+    Raises
+    ------
+    ValueError
+        If a custom freedom is given for two legs.
+    InputError
+        If the fit is not one of the subject, or the method has nothing to free.
+    """
+    subjects = read_legs(subject)
+    if len(subjects) == 2 and freedom is not None:
+        raise ValueError("a custom freedom is for one leg alone: remove other_leg from subject.toml")
+    legs = []
+    for read in subjects:
+        leg = apply_undriven_strategy(read, undriven, synergies)
+        given = fit if read is subject else None
+        if isinstance(given, ExactGeometry) and given.engine.muscles != leg.muscles.names:
+            given = None  # built before the undriven muscles were added
+        if isinstance(given, Fit) and leg is not read:
+            given.require_subject(leg, "fit")
+        fitted = given or (fit_for_methods((method,), leg) if fit is None else matching_path_source(fit, leg))
+        free = (
+            with_synergy_weights(freedom, leg) if freedom else method_freedom(method, leg, fitted, surfaces)
+        )
+        legs.append(LegSetup(leg, fitted, free))
+    return legs
+
+
+@dataclass(frozen=True)
+class MuscleOptions:
+    """Muscle model of a calibration: names of the Hill curves and of the kind of tendon."""
+
+    curves: str = "paper"
+    tendon: str = "rigid"
+
+
+def calibration_fingerprint(
+    legs: list[LegSetup], solver: AugmentedLagrangian, options: MuscleOptions, starts: int, seed: int
+) -> str:
+    """Compute the hash of everything that determines the result of a calibration."""
+    return content_hash(code_hash(), *map(_fingerprint, legs), repr((solver, options, starts, seed)))
+
+
+def _fingerprint(leg: LegSetup) -> str:
+    """Compute the hash of a leg's inputs to a calibration."""
+    subject, trials = leg.subject, leg.subject.trials
+    return content_hash(
+        subject.model_file,
+        leg.fit.key,
+        repr(subject.muscles),
+        trials.moments,
+        trials.emg,
+        trials.angles,
+        repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
+        repr((subject.activation_groups, subject.fiber_length_groups)),
+        repr(leg.freedom),
+        *(() if subject.synergies is None else (repr(subject.synergies.basis),)),
+    )

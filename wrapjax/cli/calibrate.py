@@ -29,7 +29,7 @@ from wrapjax.progress import print_progress, progress_bar
 
 if TYPE_CHECKING:
     from wrapjax.calibration.calibration import Calibration
-    from wrapjax.calibration.result import CalibrationResult
+    from wrapjax.calibration.calibration_result import CalibrationResult
     from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
     from wrapjax.calibration.solvers.interface import Iteration
     from wrapjax.calibration.solvers.multistart import IterationCallback
@@ -82,7 +82,7 @@ def calibration_table(calibration: Calibration) -> str:
 
 def _solver_lines(result: CalibrationResult) -> list[str]:
     """Describe starts, limits and changes of muscle paths, as far as they apply."""
-    from wrapjax.calibration.result import describe_limits
+    from wrapjax.calibration.calibration_result import describe_limits
     from wrapjax.report.run_summary import geometry_change
     from wrapjax.report.starts import equally_good
 

@@ -30,9 +30,9 @@ from wrapjax.cli import (
     report,
 )
 from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
-from wrapjax.cli.settings import add_settings, apply_settings, save_settings
+from wrapjax.cli.settings_file import add_settings, apply_settings, save_settings
 from wrapjax.errors import ComputationError, InputError
-from wrapjax.io.locks import lock_folder
+from wrapjax.io.files import lock_folder
 from wrapjax.jax_setup import set_threads
 
 #: Functions that add a command to the parser, in the order of ``wrapjax --help``.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def contact_table(contact: Contact) -> str:
     """Tabulate the peak contact forces of each joint by each run, with the tests between runs."""
     from wrapjax.comparison.statistics import spread
-    from wrapjax.contact_forces.result import peak_windows, peaks
+    from wrapjax.contact_forces.contact_result import peak_windows, peaks
     from wrapjax.report.contact_page import contact_findings, undriven_findings
     from wrapjax.report.contact_summary import compared_peaks, tests_reason
 

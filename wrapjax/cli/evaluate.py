@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.cli.common import DONE, NOT_CONVERGED, AddCommand, print_json
-from wrapjax.cli.settings import add_settings
+from wrapjax.cli.settings_file import add_settings
 from wrapjax.io.files import check_output_folder, to_json_values
 from wrapjax.jax_setup import set_up_jax
 

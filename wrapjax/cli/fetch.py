@@ -20,7 +20,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from wrapjax.datasets.download import fetch, public_recordings
+    from wrapjax.datasets.public_recordings import fetch, public_recordings
 
     known = public_recordings()
     if options.list:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.comparison.statistics import MINIMUM_UNITS
 from wrapjax.errors import InputError, Problem
 from wrapjax.subject.subject import Subject, name_without_side, read_legs

@@ -12,9 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from wrapjax.contact_forces.gait_phase import gait_phases
-from wrapjax.contact_forces.lines_of_action import lines_of_action, sum_muscle_forces
-from wrapjax.contact_forces.result import (
+from wrapjax.contact_forces.contact_result import (
     JOINT_REACTION,
     MAX_CONDYLE_DISTANCE,
     MIN_CONDYLE_DISTANCE,
@@ -29,7 +27,11 @@ from wrapjax.diagnosis.recorded_inputs.read_gait import read_recorded_gait
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import RecordedGait
 from wrapjax.errors import InputError, Problem
 from wrapjax.evaluation.stored_run import Run, RunCurves, read_curves
+from wrapjax.geometry.engine import GEODESIC, ExactPaths, Wrapping
+from wrapjax.geometry.joint_changes import sliding_coordinates, with_sliding_joints
+from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.paths import PathState
+from wrapjax.geometry.wrapped_paths import wrapped_paths
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import fiber_parameters
 from wrapjax.model.parameters import ModelParameters
@@ -37,7 +39,7 @@ from wrapjax.muscle.hill import rigid_tendon_fiber
 from wrapjax.osim.joint_reaction import analyse_joint_reactions
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles, build_undriven_muscles
-from wrapjax.preprocessing.gait_events import find_contacts
+from wrapjax.preprocessing.gait_events import find_contacts, gait_phases
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject
@@ -381,3 +383,73 @@ def _muscle_contribution(
     rows = [trials.coordinates.index(name) for name in coordinates]
     lines = lines_of_action(model, muscles, joints, coordinates, trials.angles[:, rows])
     return sum_muscle_forces(lines, force)
+
+
+def lines_of_action(
+    model: ModelDescription,
+    muscles: Sequence[str],
+    joints: Sequence[str],
+    coordinates: Sequence[str],
+    angles: Float[np.ndarray, "trial coordinate frame"],
+    wrapping: Wrapping = GEODESIC,
+) -> Float[np.ndarray, "muscle joint 3 trial frame"]:
+    """Compute the force on each joint per unit force of each muscle, without OpenSim or ground forces.
+
+    Each joint gets translational coordinates. The derivative of a muscle's length with respect to these is
+    its line of action across the joint, just as its moment arm is the derivative with respect to a rotation.
+
+    Parameters
+    ----------
+    model
+        Model from `wrapjax.osim.model.describe_model`.
+    muscles, joints
+        Names of muscles and joints.
+    coordinates
+        Names of the recorded coordinates.
+    angles
+        Recorded angles, rad (m for translations).
+    wrapping
+        Wrapping of the exact engine: shortest paths, or parity with OpenSim.
+
+    Returns
+    -------
+    array
+        Force of the distal on the proximal body per unit muscle force (N/N), along x, y and z of the proximal
+        body. Zero for a muscle that does not cross the joint; otherwise the sum of one unit vector for each
+        crossing.
+
+    Raises
+    ------
+    InputError
+        If a path or a joint has a feature that the exact engine does not support.
+    """
+    slides = tuple(name for joint in joints for name in sliding_coordinates(joint))
+    engine = ExactPaths(with_sliding_joints(model, joints), muscles, (*coordinates, *slides))
+    trials, _, frames = angles.shape
+    zeros = np.zeros((trials, len(slides), frames))
+    poses = np.concatenate([angles, zeros], axis=1)
+    path = wrapped_paths(engine, poses, np.zeros_like(poses), slides, (), wrapping)[0].nominal
+    lines = np.asarray(path.moment_arm).reshape(len(muscles), trials, len(joints), 3, frames)
+    return np.moveaxis(lines, 1, 3)
+
+
+def sum_muscle_forces(
+    lines: Float[np.ndarray, "muscle joint 3 trial frame"], force: Float[np.ndarray, "muscle trial frame"]
+) -> Float[np.ndarray, "trial joint 3 frame"]:
+    """Sum the forces of all muscles on each joint.
+
+    This would be the joint's contact force if bodies had no mass and no external forces.
+
+    Parameters
+    ----------
+    lines
+        Lines of action from `lines_of_action`, N/N.
+    force
+        Tendon forces, N.
+
+    Returns
+    -------
+    array
+        Force of the distal on the proximal body by muscles, N, along x, y and z of the proximal body.
+    """
+    return np.einsum("mjxtf,mtf->tjxf", lines, force)

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from wrapjax.calibration.calibration import Calibration, calibrate
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.problem import build_objective
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.calibration.uncertainty.identifiability import laplace_deviation
-from wrapjax.datasets.virtual_person.folder import Series
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
-from wrapjax.datasets.virtual_person.subject import write_virtual_subject
 from wrapjax.datasets.virtual_person.true_parameters import TrueParameters, parameter_names
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.demonstration.wrap_recovery import WrapRecovery, wrap_recovery
 from wrapjax.diagnosis.diagnosis import Diagnosis, diagnose
 from wrapjax.io.files import write_json

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibration
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import PATH_PENALTIES
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback

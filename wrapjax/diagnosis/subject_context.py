@@ -34,11 +34,10 @@ from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.geometry.wrap_bounds import USUAL_TRANSLATION
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import QUANTITIES
-from wrapjax.path_sources.exact import ExactGeometry, build_engine, touched_wraps
+from wrapjax.path_sources.exact import ExactGeometry, build_engine, freed_wraps, touched_wraps
 from wrapjax.path_sources.model_inputs import recording
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.path_sources.undriven_muscles import build_undriven_muscles
-from wrapjax.path_sources.wrap_freedom import freed_wraps
 from wrapjax.subject.subject import Subject
 
 

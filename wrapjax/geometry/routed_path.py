@@ -11,13 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.engine import ExactPaths, points_and_bodies, surfaces_of
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
 from wrapjax.geometry.wrapping import NOMINAL, Surface
-from wrapjax.geometry.wrapping_inputs import points_and_bodies, surfaces_of
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
 _STEP = np.deg2rad(0.5)

@@ -1,7 +1,8 @@
-"""The exact path engine as the source of a subject's muscle paths: no fitting, adjustable wraps (PGA)."""
+"""The exact path engine as the source of a subject's muscle paths, and the wraps that PGA frees."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,14 +11,14 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.paths import AbstractPath, fixed_path
-from wrapjax.geometry.wrap_bounds import translation_bounds
+from wrapjax.geometry.wrap_bounds import parameter_box, translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.io.files import content_hash
 from wrapjax.jax_setup import require_float64
-from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
+from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import model_parameters
-from wrapjax.path_sources.wrap_freedom import NO_WRAPS_TO_FREE, freed_wraps
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
@@ -25,6 +26,17 @@ from wrapjax.subject.trials import Trials
 WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
 # Step of the recorded frames in which bounds on translations are determined.
 _FRAME_STEP = 4
+# Units of `WRAP_PARAMETERS`.
+_UNITS = ("m", "m", "m", "rad", "rad", "1")
+#: Choices of the wraps that PGA frees: those that some muscle touches in a recorded frame, or all.
+SURFACES = ("touched", "all")
+#: Error messages by this choice where there is no such wrap.
+NO_WRAPS_TO_FREE = {
+    "touched": "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
+    "all": "no driven muscle has a cylinder that could be moved: PGA frees nothing",
+}
+# Prior standard deviation in half widths of the bounds: wide, because the bounds limit the parameters.
+_PRIOR_WIDTH = 2.0
 
 
 @dataclass(frozen=True)
@@ -229,3 +241,39 @@ def recorded_motion(
     """Return the angles (rad or m) and angular velocities (rad/s or m/s) of coordinates in trials."""
     columns = [trials.coordinates.index(name) for name in coordinates]
     return trials.angles[:, columns], trials.angular_velocities[:, columns]
+
+
+def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
+    """Free wraps within the bounds of their parameters (see `parameter_box`), with nominal prior means.
+
+    Parameters
+    ----------
+    wraps_of
+        Names of the wraps of each muscle, in the order of its path.
+    translations
+        Largest translation along each axis of each freed wrap, m.
+
+    Returns
+    -------
+    FreedWraps
+        Freed wraps, in the order of ``translations``.
+    """
+    names = tuple(translations)
+    places = np.full((len(wraps_of), max(map(len, wraps_of), default=0)), -1)
+    for row, wraps in enumerate(wraps_of):
+        for place, wrap in enumerate(wraps):
+            if wrap in names:
+                places[row, place] = names.index(wrap)
+    bounds = np.reshape([parameter_box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
+    lower, upper = bounds[:, 0] - NOMINAL, bounds[:, 1] - NOMINAL
+    half_width = 0.5 * (upper - lower)
+    return FreedWraps(
+        names=names,
+        quantities=WRAP_PARAMETERS,
+        units=_UNITS,
+        places=places,
+        lower=lower,
+        upper=upper,
+        scale=half_width,
+        prior_sd=_PRIOR_WIDTH * half_width,
+    )

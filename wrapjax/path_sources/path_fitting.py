@@ -17,7 +17,7 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry, analyse_muscles, touching_muscles
 from wrapjax.path_sources.exact import WRAPPINGS
-from wrapjax.path_sources.fit_poses import fit_poses
+from wrapjax.path_sources.path_samples import fit_poses
 from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
 from wrapjax.progress import print_progress
 from wrapjax.subject.subject import Subject

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
-from wrapjax.io.files import content_hash, new_folder, write_atomically, write_json, write_text
+from wrapjax.io.files import BusyError, content_hash, new_folder, write_atomically, write_json, write_text
 from wrapjax.io.json_and_arrays import load_arrays, load_json
-from wrapjax.io.locks import BusyError
 from wrapjax.model.freedom import Freedom, nga_freedom, with_wraps
 from wrapjax.model.parameters import ModelParameters
+from wrapjax.path_sources.exact import NO_WRAPS_TO_FREE
 from wrapjax.path_sources.model_inputs import model_parameters
 from wrapjax.path_sources.polynomial_paths import (
     WrapFit,
@@ -28,7 +28,6 @@ from wrapjax.path_sources.polynomial_paths import (
     wrap_fit_from,
     wrapped_polynomial_paths,
 )
-from wrapjax.path_sources.wrap_freedom import NO_WRAPS_TO_FREE
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
@@ -174,7 +173,7 @@ class Fit:
             If the folder exists and ``force`` is not set, or cannot be created; or if the fit is not one of
             the subject.
         """
-        from wrapjax.path_sources.sample_figures import REPORTED_SAMPLES, sampled_paths
+        from wrapjax.path_sources.path_samples import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
 
         if subject is not None:

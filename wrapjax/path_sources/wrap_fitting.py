@@ -24,10 +24,15 @@ from wrapjax.io.files import cache_folder, content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
-from wrapjax.path_sources.fit_poses import SMOOTH_POSES, fit_poses
+from wrapjax.path_sources.path_samples import (
+    SMOOTH_POSES,
+    EngineAnalyzer,
+    OpenSimAnalyzer,
+    PathAnalyzer,
+    fit_poses,
+)
 from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
 from wrapjax.path_sources.polynomial_paths import WrapFit, WrapQuality
-from wrapjax.path_sources.sample_analysis import EngineAnalyzer, OpenSimAnalyzer, PathAnalyzer
 from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject
 

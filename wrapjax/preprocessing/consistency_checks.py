@@ -15,8 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.preprocessing.force_plates import SIDES, FootForces, centers_of_pressure
-from wrapjax.preprocessing.plate_contacts import MAX_SWING, all_contact_measured, find_plate_contacts
+from wrapjax.preprocessing.force_plates import (
+    MAX_SWING,
+    SIDES,
+    FootForces,
+    all_contact_measured,
+    centers_of_pressure,
+    find_plate_contacts,
+)
 
 #: Largest accepted time shift between forces and motion, s: two frames of a slow camera. In recorded walking
 #: of two healthy adults, at 50 and 1000 Hz, the estimate is accurate to 5 ms.

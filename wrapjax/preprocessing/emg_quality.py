@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.signal import butter, sosfiltfilt, welch
 
-from wrapjax.subject.emg import HIGH_PASS_HZ
+from wrapjax.subject.emg_envelopes import HIGH_PASS_HZ
 from wrapjax.subject.recordings import MAX_ENVELOPE
 
 #: A channel whose amplitude above `HIGH_PASS_HZ` is below this share of the median channel's has no signal.

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
+from scipy.signal import butter, sosfiltfilt
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.files import read_content, write_text
-from wrapjax.preprocessing.motion_filter import low_pass
 
 #: Meters in each unit of length that files may name.
 METERS_PER_UNIT = {"m": 1.0, "meters": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "millimeters": 0.001}
@@ -21,6 +21,11 @@ METERS_PER_UNIT = {"m": 1.0, "meters": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, 
 MAX_GAP = 0.15
 #: Limits of the extent of all markers of a person, m, which reveal a wrong unit of length.
 MIN_EXTENT, MAX_EXTENT = 0.3, 4.0
+#: Cut-off frequency of motion and forces times the gait period (Ao, Fregly et al.).
+MOTION_HARMONIC = 7.0
+#: Order of the Butterworth filter. Run forwards and backwards (zero lag) it has the fourth order that is
+#: usual in gait laboratories.
+FILTER_ORDER = 2
 
 
 @dataclass(frozen=True)
@@ -225,3 +230,32 @@ def match_markers(
         message = f"expected the model's markers, found {len(common)} of {len(model_markers)}"
         raise InputError(Problem(str(path), message, hint=nearest_name(unknown, model_markers)))
     return common
+
+
+def low_pass(
+    time: Float[np.ndarray, " frame"], values: Float[np.ndarray, "channel frame"], cutoff_hz: float
+) -> Float[np.ndarray, "channel frame"]:
+    """Filter motion or forces by a zero-lag low-pass Butterworth filter of fourth order.
+
+    Parameters
+    ----------
+    time
+        Times, s, evenly spaced.
+    values
+        Finite values of each channel.
+    cutoff_hz
+        Cut-off frequency, Hz. At or above half the sampling rate, the values are returned unchanged.
+
+    Returns
+    -------
+    Float[np.ndarray, "channel frame"]
+        Filtered values.
+    """
+    rate = (time.size - 1) / (time[-1] - time[0])
+    if cutoff_hz >= 0.5 * rate:
+        return values
+    sections = butter(FILTER_ORDER, cutoff_hz, "lowpass", fs=rate, output="sos")
+    # Signals are extended at both ends by a period of the cut-off frequency, as forces can start in
+    # mid-stance.
+    padding = min(round(rate / cutoff_hz), time.size - 1)
+    return sosfiltfilt(sections, values, axis=1, padlen=padding)

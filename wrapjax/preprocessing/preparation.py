@@ -23,9 +23,13 @@ from wrapjax.preprocessing.nmsm_project import Project, read_project, write_proj
 from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_subject_folder
 from wrapjax.preprocessing.trial_preparation import PreparationModel, prepare_trial
 from wrapjax.renamed import renamed_arguments
-from wrapjax.subject.body_mass import describe_masses, mass_agrees_with_model, mass_looks_like_pounds
 from wrapjax.subject.description import Table
-from wrapjax.subject.subject import load_subject
+from wrapjax.subject.subject import (
+    describe_masses,
+    load_subject,
+    mass_agrees_with_model,
+    mass_looks_like_pounds,
+)
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,16 @@ from wrapjax.preprocessing.force_plates import SIDES, FootForces, read_force_col
 from wrapjax.preprocessing.gait_events import find_contacts
 from wrapjax.preprocessing.joint_angles import Motion, read_motion
 from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial, laboratory_rotation
-from wrapjax.preprocessing.markers import Markers, match_markers, read_trc, write_trc
-from wrapjax.preprocessing.motion_filter import MOTION_HARMONIC, low_pass
+from wrapjax.preprocessing.markers import (
+    MOTION_HARMONIC,
+    Markers,
+    low_pass,
+    match_markers,
+    read_trc,
+    write_trc,
+)
 from wrapjax.preprocessing.prepared_folder import PreparedTrial
-from wrapjax.subject.emg import compute_envelopes, resample_evenly, sampling_rate
+from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sampling_rate
 from wrapjax.subject.recordings import MIN_RAW_EMG_RATE
 
 #: Motion kept before and after the cycles, s, so that edge effects of filters and derivatives are outside.

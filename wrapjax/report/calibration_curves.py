@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from wrapjax.calibration.calibration_result import FIBER_LIMITS, CalibrationResult, muscles_at_limits
 from wrapjax.calibration.path_penalties import FIBER_LENGTH_RANGE
-from wrapjax.calibration.result import FIBER_LIMITS, CalibrationResult, muscles_at_limits
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import (
     MomentCurves,

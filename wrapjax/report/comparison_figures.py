@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.comparison.samples import ComparedLeg, CycleGroup, all_cycles, group_by_speed
 from wrapjax.report.cycle_panels import draw_spread, label_gait_cycles, moment_grid
 from wrapjax.report.formatting import counted

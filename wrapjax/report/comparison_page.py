@@ -29,8 +29,8 @@ from wrapjax.report.comparison_tables import (
     variance_table,
 )
 from wrapjax.report.formatting import DASH, counted, decimals
+from wrapjax.report.moved_paths import MOST_MUSCLES, moved_paths
 from wrapjax.report.path_views import path_views
-from wrapjax.report.paths import MOST_MUSCLES, moved_paths
 from wrapjax.report.provenance import versions_in_words
 from wrapjax.report.run_summary import USES
 

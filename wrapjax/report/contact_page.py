@@ -9,11 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from wrapjax.comparison.statistics import PairedTest, Spread, spread
-from wrapjax.contact_forces.gait_phase import uniform_phases
-from wrapjax.contact_forces.result import JOINT_REACTION, ContactResult, RunContact, peak_windows, peaks
+from wrapjax.contact_forces.contact_result import (
+    JOINT_REACTION,
+    ContactResult,
+    RunContact,
+    peak_windows,
+    peaks,
+)
 from wrapjax.contact_forces.static_optimization import RESIDUAL_SCALE
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
+from wrapjax.preprocessing.gait_events import uniform_phases
 from wrapjax.report import markup
 from wrapjax.report.contact_summary import (
     compared_peaks,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.comparison.statistics import MINIMUM_UNITS, PairedTest, paired_test, spread
-from wrapjax.contact_forces.result import (
+from wrapjax.contact_forces.contact_result import (
     COMPARTMENTS,
     ContactResult,
     RunContact,

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult
-from wrapjax.contact_forces.result import COMPARTMENTS, ContactResult
+from wrapjax.calibration.calibration_result import CalibrationResult
+from wrapjax.contact_forces.contact_result import COMPARTMENTS, ContactResult
 from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.model.parameters import QUANTITIES

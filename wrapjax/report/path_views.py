@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import draw_spread, label_gait_cycles
 from wrapjax.report.formatting import counted
-from wrapjax.report.paths import MovedPath, describe_move
+from wrapjax.report.moved_paths import MovedPath, describe_move
 from wrapjax.report.style import (
     BLACK,
     BLUE,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.io.files import content_hash
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.subject.subject import Subject

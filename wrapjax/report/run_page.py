@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.io.files import new_folder, write_atomically, write_json, write_text
 from wrapjax.io.storage import write_storage
@@ -23,9 +23,9 @@ from wrapjax.report.calibration_curves import (
     moments_section,
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
-from wrapjax.report.parameters import parameters_section, solver_section
+from wrapjax.report.moved_paths import MovedPath, moved_paths
+from wrapjax.report.parameters_and_solver import parameters_section, solver_section
 from wrapjax.report.path_views import path_section
-from wrapjax.report.paths import MovedPath, moved_paths
 from wrapjax.report.provenance import describe_settings, path_from, versions_in_words
 from wrapjax.report.run_summary import USES, file_stems, summarize
 from wrapjax.report.run_tables import band_table, curve_tables, osimx_of, parameters_csv

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult, describe_limits
+from wrapjax.calibration.calibration_result import CalibrationResult, describe_limits
 from wrapjax.evaluation.metrics import MomentErrors, moment_errors, pooled_mae
 from wrapjax.report.calibration_curves import describe_drive
 from wrapjax.report.cycle_panels import MomentCurves

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.storage import Storage

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.report import markup

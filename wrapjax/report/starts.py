@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.result import CalibrationResult
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup
 from wrapjax.report.formatting import counted
-from wrapjax.report.parameters import place_within_bounds
+from wrapjax.report.parameters_and_solver import place_within_bounds
 from wrapjax.report.style import (
     BLUE,
     GRAY,

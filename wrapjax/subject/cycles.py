@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from wrapjax.errors import Problem
-from wrapjax.subject.emg import compute_envelopes, normalise, resample_evenly
+from wrapjax.subject.emg_envelopes import compute_envelopes, normalise, resample_evenly
 from wrapjax.subject.recordings import Signals
 from wrapjax.subject.settings import Settings
 from wrapjax.subject.trials import FRAMES, TIME_TOLERANCE, Trials

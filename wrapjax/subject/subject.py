@@ -11,9 +11,8 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.io.toml import collect_problems
-from wrapjax.subject.body_mass import mass_notes
 from wrapjax.subject.cycles import cut_cycles
-from wrapjax.subject.emg import sampling_rate
+from wrapjax.subject.emg_envelopes import sampling_rate
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
 from wrapjax.subject.muscle_parameters import (
     check_channels,
@@ -21,11 +20,16 @@ from wrapjax.subject.muscle_parameters import (
     is_on_side,
     read_muscle_parameters,
 )
-from wrapjax.subject.passive import PassiveTrial, read_passive_trial
-from wrapjax.subject.recordings import read_signals
+from wrapjax.subject.recordings import PassiveTrial, read_passive_trial, read_signals
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
 from wrapjax.subject.synergies import Synergies
 from wrapjax.subject.trials import Trials
+
+#: Largest accepted difference between the person's mass and that of the scaled model, as a share of the
+#: latter.
+MAX_MASS_DIFFERENCE = 0.10
+#: Pounds in a kilogram.
+POUNDS_PER_KG = 2.2046
 
 
 @dataclass(frozen=True)
@@ -288,3 +292,45 @@ def read_legs(subject: Subject) -> tuple[Subject, ...]:
 
 def _names_without_side(subject: Subject) -> set[str]:
     return set(map(name_without_side, subject.muscles.names))
+
+
+def mass_agrees_with_model(mass_kg: float, model_kg: float) -> bool:
+    """Return whether the person's and the model's mass (kg) agree; true if the model's is NaN."""
+    return not abs(mass_kg / model_kg - 1.0) > MAX_MASS_DIFFERENCE if model_kg > 0.0 else True
+
+
+def mass_looks_like_pounds(mass_kg: float, model_kg: float) -> bool:
+    """Return whether the person's mass, given as kg, is the model's mass in pounds."""
+    return model_kg > 0.0 and abs(mass_kg / model_kg / POUNDS_PER_KG - 1.0) <= MAX_MASS_DIFFERENCE
+
+
+def describe_masses(mass_kg: float, model_kg: float) -> str:
+    """Describe both masses (kg) and their ratio in a clause."""
+    ratio = mass_kg / model_kg
+    return f"mass_kg is {mass_kg:.4g}, {ratio:.3g} times the {model_kg:.4g} kg of all bodies of the model"
+
+
+def mass_notes(mass_kg: float, model_kg: float) -> tuple[str, ...]:
+    """Note a person's mass that is implausible for the model.
+
+    A model that is lighter than the person is accepted, as it may have a leg only, unless the ratio suggests
+    pounds.
+
+    Parameters
+    ----------
+    mass_kg
+        Mass of the person, kg.
+    model_kg
+        Mass of all bodies of the model, kg; NaN if unknown.
+
+    Returns
+    -------
+    tuple of str
+        One sentence, or none.
+    """
+    pounds = mass_looks_like_pounds(mass_kg, model_kg)
+    if mass_agrees_with_model(mass_kg, model_kg) or (mass_kg > model_kg and not pounds):
+        return ()
+    question = "is it in lb?" if pounds else "is the model scaled to the person?"
+    masses = describe_masses(mass_kg, model_kg)
+    return (f"{masses}: {question} Forces in bodyweights are divided by mass_kg",)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath, route_path
 from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.subject.subject import Subject

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.subject.emg import compute_envelopes, normalise, resample_evenly, sampling_rate
+from wrapjax.subject.emg_envelopes import compute_envelopes, normalise, resample_evenly, sampling_rate
 
 RATE = 1000.0
 TIME = np.arange(8000) / RATE

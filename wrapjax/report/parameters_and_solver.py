@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.calibration.result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.model.freedom import FreedParameter
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.report import markup

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from tests.cli.folders import names
-from wrapjax.datasets.download import RETRIES, write_public_subject
-from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS
+from wrapjax.datasets.public_recordings import PUBLIC_RECORDINGS, RETRIES, write_public_subject
 from wrapjax.errors import InputError
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.preprocessing.joint_angles import Motion, find_coupled_coordinates, read_motion
-from wrapjax.preprocessing.motion_filter import low_pass
+from wrapjax.preprocessing.markers import low_pass
 from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import load_subject
 
