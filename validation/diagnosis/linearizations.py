@@ -39,13 +39,17 @@ _ARRAYS = {
     "speeds": "speeds",
 }
 
+#: Number of null replicates of each case.
+REPLICATES = 20
+
 
 @dataclass(frozen=True)
 class LinearizedCase:
-    """Linearized model of a case, and standard deviations of its measured moments (N m)."""
+    """Linearized model of a case, standard deviations of its moments, and residuals of null replicates, N m."""
 
     linearized: LinearizedModel
     measured_moment_sd: Float[np.ndarray, " coordinate"]
+    null_residuals: Float[np.ndarray, "replicate row"]
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,7 @@ def linearize_case(job: Job) -> str:
     import wrapjax
     from wrapjax.diagnosis.diagnosis import diagnosis_input
     from wrapjax.diagnosis.linearization import linearize
+    from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
     from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 
     set_up_jax()
@@ -93,7 +98,15 @@ def linearize_case(job: Job) -> str:
     )
     case = diagnosis_input(calibration)
     linearized = linearize(case, case.variables)
-    save(LinearizedCase(linearized, case.measured_moment_sd), job.file)
+    model = NullModel(
+        case.law.free,
+        case.law.with_free_law(case.variables),
+        case.calibration_recording,
+        linearized,
+        linearized.noise,
+    )
+    replicates = null_replicate_residuals(model, REPLICATES)
+    save(LinearizedCase(linearized, case.measured_moment_sd, replicates), job.file)
     clear_caches_near_map_limit()
     return f"{len(linearized.candidates)} effects"
 
@@ -104,6 +117,7 @@ def save(lines: LinearizedCase, file: Path) -> None:
     arrays: dict[str, Any] = {name: getattr(linearized, attribute) for name, attribute in _ARRAYS.items()}
     arrays |= {
         "sizes": lines.measured_moment_sd,
+        "replicates": lines.null_residuals,
         "states": linearized.muscle_errors.states,
         "arms": linearized.muscle_errors.arms,
     }
@@ -141,15 +155,16 @@ def load(file: Path) -> LinearizedCase:
         for place, entry in enumerate(json.loads(str(arrays["candidates"])))
     )
     inputs = sum(name.startswith("input_") for name in arrays)
+    plain: dict[str, Any] = {attribute: arrays[name] for name, attribute in _ARRAYS.items()}
     linearized = LinearizedModel(
-        **{attribute: arrays[name] for name, attribute in _ARRAYS.items()},
+        **plain,
         candidates=candidates,
         input_errors=tuple(
             InputErrors(arrays[f"input_{place}"], float(arrays[f"width_{place}"])) for place in range(inputs)
         ),
         muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
     )
-    return LinearizedCase(linearized, arrays["sizes"])
+    return LinearizedCase(linearized, arrays["sizes"], arrays["replicates"])
 
 
 def development_linearizations(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any], LinearizedCase]]:

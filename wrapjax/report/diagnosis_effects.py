@@ -133,8 +133,8 @@ def evidence_section(result: DiagnosisResult) -> str:
     caption = (
         "Effects that these data can test with a probability of at least 0.005, the most probable first; the "
         "probabilities of all rows sum to one. Evidence: log Bayes factor, the natural logarithm of the "
-        "ratio of the likelihood of the error with the effect to that without it (3: 20 times as likely); values "
-        "above zero support the "
+        "ratio of the likelihood of the error with the effect to that without it (3: 20 times as likely); "
+        "values above zero support the "
         f"effect.{detection_threshold} Detectability: signal-to-noise ratio of an effect of expected size, "
         "in standard deviations; below 2, this recording could not show the effect. Effect sizes: most "
         "plausible value ± standard deviation. Ids in files have underscores instead of spaces; the last two "
