@@ -32,4 +32,4 @@ def lines(signal, signatures, *, calibrated=None):
         muscle_errors=MuscleErrors(np.zeros((1, CYCLES, PHASES, 3)), np.zeros((1, *SHAPE))),
         speeds=np.zeros(CYCLES, dtype=int),
     )
-    return LinearizedCase(linearized, np.full(COORDINATES, 1e-3))
+    return LinearizedCase(linearized, np.full(COORDINATES, 1e-3), generator.normal(size=(3, rows.size)))

@@ -30,9 +30,11 @@ def test_linearized_case_is_read_as_written(tmp_path):
         muscle_errors=MuscleErrors(draw(size=(2, 4, 5, 3)), draw(size=(2, *rows))),
         speeds=np.array([0, 0, 1, 1]),
     )
-    save(LinearizedCase(linearized, np.ones(2)), tmp_path / "case.npz")
+    replicates = draw(size=(3, 40))
+    save(LinearizedCase(linearized, np.ones(2), replicates), tmp_path / "case.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["case.npz"]
     loaded = load(tmp_path / "case.npz").linearized
+    np.testing.assert_allclose(load(tmp_path / "case.npz").null_residuals, replicates, rtol=1e-6)
     for name in (
         "residual",
         "fitted_residual",

@@ -45,7 +45,7 @@ REPLICATES = 20
 
 @dataclass(frozen=True)
 class LinearizedCase:
-    """Linearized model of a case, standard deviations of its moments, and residuals of null replicates, N m."""
+    """Linearized model of a case, standard deviations of its moments (N m), and null replicates (N m)."""
 
     linearized: LinearizedModel
     measured_moment_sd: Float[np.ndarray, " coordinate"]
