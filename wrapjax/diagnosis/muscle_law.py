@@ -53,7 +53,7 @@ class MuscleLawFit:
         assert law is not None
         return dict(zip(LAW_NAMES, np.asarray(law)[0].tolist(), strict=True))
 
-    def with_free_law(self, variables: Float[np.ndarray, " variable"]) -> Float[np.ndarray, " variable"]:
+    def with_free_law(self, variables: Float[np.ndarray, " held"]) -> Float[np.ndarray, " free"]:
         """Convert variables of the objective with the law held to those of the one with a free law."""
         return np.asarray(self.free.start(self.held.parameters(jnp.asarray(variables))))
 
