@@ -20,7 +20,16 @@ from validation.blind.world import World, joint_moments, record
 from validation.blind.worlds import BackgroundSettings
 
 #: Mechanisms outside the catalogue that act at the same time in unmodelled moments, with their amounts.
-_MECHANISMS = {"joint_friction": 6.0, "size_principle": 0.4, "patella_tracking": 0.3, "catch_like_force": 0.4}
+_MECHANISMS = tuple(
+    (OUTSIDE[name], amount)
+    for name, amount in (
+        ("joint_friction", 6.0),
+        ("size_principle", 0.4),
+        ("patella_tracking", 0.3),
+        ("catch_like_force", 0.4),
+    )
+)
+_LATE_FORCES = EFFECTS["force_latency"]
 _PHASES, _HARMONICS = 100, 5
 
 
@@ -45,7 +54,7 @@ def background_of(who: Person, seed: tuple[int, ...]) -> Background | None:
         # Inverse dynamics uses the nominal joint centers.
         moments += ground_moments(who.nominal, world.walk) - world.inverse
     if settings.force_delay > 0.0:
-        late = record(EFFECTS["force_latency"].apply(world, settings.force_delay, ()))
+        late = record(_LATE_FORCES.apply(world, settings.force_delay, ()))
         timely = record(world)
         moments += late.moments - timely.moments
         ground += late.ground - timely.ground
@@ -72,8 +81,8 @@ def with_background(world: World, background: Background | None) -> World:
 def _unmodelled_moments(world: World, limits: tuple[float, float], rng: np.random.Generator) -> np.ndarray:
     """Draw moments that depend only on phase and speed: mechanisms plus a random smooth function of phase."""
     changed = world
-    for name, amount in _MECHANISMS.items():
-        changed = OUTSIDE[name].apply(changed, amount, ())
+    for mechanism, amount in _MECHANISMS:
+        changed = mechanism.apply(changed, amount, ())
     mechanisms = _repeated(world, joint_moments(changed) - joint_moments(world))
     count = world.inverse.shape[1]
     weight = rng.standard_normal((2, count, _HARMONICS)) / np.arange(1, _HARMONICS + 1) ** 0.7
