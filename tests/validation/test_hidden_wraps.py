@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from validation.blind import gait, person
+from validation.blind import gait
 from validation.blind.anatomy import COORDINATES, Cylinder, reference_leg
 from validation.blind.hidden_wraps import (
     MOST,
@@ -20,6 +20,7 @@ from validation.blind.hidden_wraps import (
 )
 from validation.blind.hidden_wraps import hidden_wraps as simulate
 from validation.blind.opensim_leg import muscle_paths
+from validation.blind.worlds import GaitSettings, WorldSettings
 from validation.calibration import hidden_wraps
 from validation.calibration.hidden_wraps import (
     Question,
@@ -42,7 +43,10 @@ def hidden():
     """Simulate a person with a short walk."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gait, "DURATION", 4.0)
-        patch.setattr(person, "_SPEEDS", ((1.1, 1.2),) * len(person._SPEEDS))
+        short = GaitSettings(speeds=((1.1, 1.2),) * len(GaitSettings().speeds))
+        patch.setattr(
+            "validation.blind.hidden_wraps.default_world", lambda name: WorldSettings(name, name, gait=short)
+        )
         yield simulate(3)
 
 

@@ -18,6 +18,7 @@ from validation.blind.person import bursts, draw_person
 from validation.blind.plan import Bank, PlannedCase, bank_of, plan_cases, with_targets
 from validation.blind.seal import digest
 from validation.blind.world import joint_moments, record
+from validation.blind.worlds import WORLDS
 from wrapjax.subject.subject import load_subject
 
 BANK = Bank("development", 9, 4, 4, 2, 2, 2)
@@ -28,7 +29,7 @@ LEVEL = EMG_LEVELS[1]
 
 @pytest.fixture(scope="module")
 def who():
-    return draw_person("somebody", (5, 0, 1), "thelen", paretic=True)
+    return draw_person("somebody", (5, 0, 1), WORLDS["thelen"], paretic=True)
 
 
 @pytest.fixture(scope="module")

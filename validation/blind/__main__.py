@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from validation.blind.case_selection import add_selection_arguments, selection_of
-from validation.blind.plan import BANK_SIZES, bank_of
+from validation.blind.plan import BANK_SIZES, WORLD_BANK, banks_of
+from validation.blind.worlds import WORLDS
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,7 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     make = commands.add_parser(
         "make", help="simulate the cases of a bank and write their hashes; continues an interrupted run"
     )
-    make.add_argument("--bank", choices=sorted(BANK_SIZES), default="development")
+    make.add_argument("--bank", choices=sorted({*BANK_SIZES, WORLD_BANK}), default="development")
+    make.add_argument("--world", choices=list(WORLDS), help=f"make only one world of bank {WORLD_BANK}")
     make.add_argument("--cases", type=int, help="size of a smaller bank with the same proportions")
     add_selection_arguments(make)
     make.add_argument("--workers", type=int, default=1)
@@ -60,7 +62,12 @@ def main(arguments: list[str] | None = None) -> int:
 def _make(chosen: argparse.Namespace) -> int:
     from validation.blind.make import make
 
-    planned = make(bank_of(chosen.bank, chosen.cases), chosen.out, chosen.workers, selection_of(chosen))
+    try:
+        banks = banks_of(chosen.bank, chosen.cases, chosen.world)
+    except ValueError as reason:
+        print(reason, file=sys.stderr)
+        return 1
+    planned = make(banks, chosen.out, chosen.workers, selection_of(chosen))
     print(f"{len(planned)} cases in {chosen.out}, sealed by {chosen.out / 'manifest.json'}")
     return 0
 

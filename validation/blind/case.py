@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from validation.blind.anatomy import COORDINATES
+from validation.blind.background import Background, with_background
 from validation.blind.effects import EFFECTS
 from validation.blind.effects.effect import Effect
 from validation.blind.folder import FILE_STEP, write_folder
 from validation.blind.library import SHARE, Library, imitations, likeness, ties
-from validation.blind.noise import EMG_LEVELS, moment_noise, noisy_envelopes
-from validation.blind.oracle import CALIBRATION, Oracle, cycles, difference, flat, signal
+from validation.blind.noise import moment_noise, noisy_envelopes
+from validation.blind.oracle import Oracle, cycles, difference, flat, signal
 from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person
 from validation.blind.plan import Bank, PlannedCase, stratum_of
@@ -32,13 +33,14 @@ def make_case(
     library: Library,
     oracles: dict[float, Oracle],
     folder: Path,
+    background: Background | None = None,
 ) -> None:
     """Write ``cases/<id>``, ``truth/<id>.json`` and ``truth/<id>.npy`` in a folder, each atomically."""
     oracle = oracles[planned.level]
     world, causes = who.world, []
     for (name, variant), sign, target in zip(planned.causes, planned.signs, planned.targets, strict=True):
         effect = ALL[name]
-        reach = _reach(library, planned, name, variant)
+        reach = _reach(library, who.world, planned, name, variant)
         amount, reached = find_amount(who.world, oracle, effect, variant, sign, target, reach)
         world = effect.apply(world, amount, variant)
         causes.append(
@@ -55,24 +57,25 @@ def make_case(
             }
         )
     rng = np.random.default_rng((bank.seed, 3, planned.order))
+    found = _detectability_and_ties(who.world, world, planned, library, oracle)
+    world = with_background(world, background)
     clean, noise, emg = _record_with_noise(world, planned.level, rng)
     truth: dict[str, Any] = {
         "schema": 1,
         "id": planned.id,
         "bank": bank.name,
         "person": who.name,
-        "world": who.world.family.name,
+        "world": who.world.settings.name,
         "tier": planned.tier,
         "emg_noise": planned.level,
         "causes": causes,
-        **_detectability_and_ties(who.world, world, planned, library, oracle),
+        **found,
+        **({} if background is None else {"background": _described(who.world, background, library, oracle)}),
         "floor_Nm2": _noise_floors(world, emg, noise),
         "speeds_m_s": list(who.world.walk.speeds),
-        "calibration_cycles": CALIBRATION,
+        "calibration_cycles": who.world.settings.gait.calibration,
         "cycles": cycles(who.world),
-        "rms_Nm": dict(
-            zip(COORDINATES, map(_six_digits, np.sqrt((clean.moments**2).mean(axis=(0, 2)))), strict=True)
-        ),
+        "rms_Nm": _rms(clean.moments),
         # Without a nonce the truth could be guessed from its hash.
         "nonce": rng.bytes(16).hex(),
     }
@@ -80,10 +83,17 @@ def make_case(
     _write(folder, planned.id, who, recorded, truth, clean.moments)
 
 
-def _reach(library: Library, planned: PlannedCase, name: str, variant: tuple[str, ...]) -> float | None:
+def _rms(moments: np.ndarray) -> dict[str, float]:
+    return dict(zip(COORDINATES, map(_six_digits, np.sqrt((moments**2).mean(axis=(0, 2)))), strict=True))
+
+
+def _reach(
+    library: Library, world: World, planned: PlannedCase, name: str, variant: tuple[str, ...]
+) -> float | None:
     if name not in EFFECTS:
         return None
-    return float(library.reach[EMG_LEVELS.index(planned.level), library.entries.index((name, variant))])
+    level = world.settings.emg.levels.index(planned.level)
+    return float(library.reach[level, library.entries.index((name, variant))])
 
 
 def find_amount(
@@ -135,9 +145,22 @@ def _detectability_and_ties(
     }
 
 
+def _described(world: World, background: Background, library: Library, oracle: Oracle) -> dict[str, Any]:
+    """Describe a background: its d*, the effect most similar to it, and its moments."""
+    values = flat(world, signal(with_background(world, background), world))
+    strength = float(values @ oracle.whiten(values))
+    name, cosine = likeness(imitations(library, oracle, "", values), strength)
+    return {
+        "d_star": _six_digits(np.sqrt(strength)),
+        "like": {"id": name, "cosine": _six_digits(cosine)},
+        "rms_Nm": _rms(background.moments),
+    }
+
+
 def _record_with_noise(world: World, level: float, rng: np.random.Generator):
-    clean = record(world)
-    return clean, moment_noise(world.walk, world.leg.mass, rng), noisy_envelopes(clean.emg, level, rng)
+    clean, settings = record(world), world.settings
+    noise = moment_noise(world.walk, world.leg.mass, rng, settings.moments)
+    return clean, noise, noisy_envelopes(clean.emg, level, rng, settings.emg)
 
 
 def _noise_floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str, float]:
@@ -146,7 +169,7 @@ def _noise_floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str,
     driven = replace(world, drive=np.maximum(world.drive + emg - record(world).emg, 0.0))
     error = (noise + joint_moments(world) - joint_moments(driven)) ** 2
     time = world.walk.time
-    used = cycles(world)
+    used, calibration = cycles(world), world.settings.gait.calibration
 
     def mean(sets: list[tuple[int, tuple[float, float]]]) -> float:
         parts = [error[r][:, (time >= a) & (time <= b)].mean() for r, (a, b) in sets]
@@ -154,7 +177,7 @@ def _noise_floors(world: World, emg: np.ndarray, noise: np.ndarray) -> dict[str,
 
     last = len(used) - 1
     return {
-        "held_out_cycles": mean([(r, pair) for r in range(last) for pair in used[r][CALIBRATION:]]),
+        "held_out_cycles": mean([(r, pair) for r in range(last) for pair in used[r][calibration:]]),
         "held_out_speed": mean([(last, pair) for pair in used[last]]),
     }
 
@@ -172,8 +195,17 @@ def _six_digits(value: float) -> float:
 def _write(folder: Path, name: str, who: Person, recorded, truth, clean: np.ndarray) -> None:
     cases, answers, work = folder / "cases", folder / "truth", folder / "work" / name
     shutil.rmtree(work, ignore_errors=True)
-    walk = who.world.walk
-    write_folder(work / name, who.nominal, who.paretic, walk.speeds, cycles(who.world), recorded)
+    settings = who.world.settings
+    write_folder(
+        work / name,
+        who.nominal,
+        who.paretic,
+        who.world.walk.speeds,
+        cycles(who.world),
+        recorded,
+        settings.gait.calibration,
+        settings.emg.unrecorded,
+    )
     answers.mkdir(parents=True, exist_ok=True)
     cases.mkdir(parents=True, exist_ok=True)
     np.save(work / "clean.npy", np.round(clean[..., ::FILE_STEP], 3).astype(np.float32))

@@ -50,7 +50,9 @@ def draw_cases(bank: Path, file: Path, count: int = 6, truth: bool = True) -> No
     for index, case in enumerate(cases):
         settings = tomllib.loads((case / "subject.toml").read_text(encoding="utf-8"))
         mass = settings["subject"]["mass_kg"]
-        for row, signals in zip(axes[2 * index : 2 * index + 2], (upper, lower), strict=True):
+        # Some worlds have fewer channels.
+        recorded = [signal for signal in lower if signal[1] in settings["emg"]["channels"]]
+        for row, signals in zip(axes[2 * index : 2 * index + 2], (upper, recorded), strict=True):
             for axis, (kind, name) in zip(row, signals, strict=False):
                 _draw_signal(axis, case, kind, name, mass)
         note = axes[2 * index, -1]

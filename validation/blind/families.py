@@ -1,8 +1,9 @@
 """Families of muscle curves and activation dynamics.
 
 `millard` (OpenSim's Millard 2012 curves and a two-stage twitch) is reserved for the test banks; the
-development bank uses `thelen` and `spline`. Arguments of all curves are fiber lengths in optimal fiber
-lengths and velocities in maximum velocities, positive for lengthening.
+development bank uses `thelen` and `spline`, and the bank of worlds also `polynomial` and `gordon`. Arguments
+of all curves are fiber lengths in optimal fiber lengths and velocities in maximum velocities, positive for
+lengthening.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
 
 from validation.blind.opensim_leg import millard_tables
 
@@ -94,6 +96,55 @@ def spline_curves() -> Curves:
     return Curves(lambda x: active(np.clip(x, 0.30, 2.2)), lambda v: velocity(np.clip(v, -1.2, 1.2)), passive)
 
 
+def polynomial_curves() -> Curves:
+    """Build the curves of EMG-driven models of the 1990s.
+
+    Active force is a parabola (van Soest and Bobbert 1993, doi:10.1007/BF00198959), force over velocity the
+    function of Schutte 1993, and passive force an exponential without a slack range.
+    """
+
+    def active(length):
+        # A smooth corner where the parabola reaches zero.
+        parabola = 1.0 - ((length - 1.0) / 0.56) ** 2
+        return 0.02 * np.logaddexp(0.0, parabola / 0.02)
+
+    def velocity(v):
+        v = np.clip(v, -1.0, 1.2)
+        return 0.1472 / (0.1074 + np.exp(-1.3 * np.sinh(2.8 * v + 1.64)))
+
+    def passive(length):
+        toe = np.exp(10.0 * (np.minimum(length, 1.6) - 1.5))
+        return toe + 10.0 * np.e * np.maximum(length - 1.6, 0.0)
+
+    return Curves(active, velocity, passive)
+
+
+def gordon_curves() -> Curves:
+    """Build piecewise linear active force (Gordon, Huxley and Julian 1966) and the curve of Hill and Katz.
+
+    Lengths are those of human filaments (Walker and Schrodt 1974); corners are rounded. Katz 1939 found a
+    steeper slope in lengthening than in shortening.
+    """
+    grid = np.linspace(0.2, 2.0, 721)
+    corners = np.interp(grid, [0.47, 0.72, 0.94, 1.06, 1.58], [0.0, 0.80, 1.0, 1.0, 0.0])
+    rounded = gaussian_filter1d(corners, 0.035 / (grid[1] - grid[0]), mode="nearest")
+    active = _clipped(grid, rounded / rounded.max())
+
+    def velocity(v):
+        v = np.clip(v, -1.0, 1.2)
+        slow, fast = np.minimum(v, 0.0), np.maximum(v, 0.0)
+        shortening = (1.0 + slow) / (1.0 - slow / 0.22)
+        slope = 3.0 * (1.0 + 1.0 / 0.22)
+        lengthening = 1.0 + 0.7 * slope * fast / (0.7 + slope * fast)
+        return np.where(v < 0.0, shortening, lengthening)
+
+    def passive(length):
+        stretched = np.clip(length - 0.95, 0.0, None) / 0.6
+        return np.where(stretched < 1.3, stretched**3, 1.3**3 + 3.0 * 1.3**2 * (stretched - 1.3))
+
+    return Curves(active, velocity, passive)
+
+
 def _twitch(u, a, rise, fall):
     # Two equal stages, critically damped (Milner-Brown 1973): half the time constant each.
     return 2.0 / rise * (1.0 / fall + (1.0 - 1.0 / fall) * np.sqrt(np.clip(u, 0.0, 1.0)))
@@ -108,6 +159,17 @@ def _winters(u, a, rise, fall):
 
 def _cascade(u, a, rise, fall):
     return 2.0 / rise * (1.0 / fall + (1.0 - 1.0 / fall) * u / (0.25 + 0.75 * u + 1e-9))
+
+
+def _zajac(u, a, rise, fall):
+    # One stage whose rate is linear in excitation (Zajac 1989).
+    return (1.0 / fall + (1.0 - 1.0 / fall) * np.clip(u, 0.0, 1.0)) / rise
+
+
+def _calcium(u, a, rise, fall):
+    # Three stages; the release of calcium is sigmoid in excitation, similar to Hatze 1977.
+    released = np.clip(u, 0.0, 1.0) ** 2
+    return 3.0 / rise * (1.0 / fall + (1.0 - 1.0 / fall) * 1.09 * released / (released + 0.09))
 
 
 def _exponential(a, bend):
@@ -125,12 +187,24 @@ def _hyperbolic(a, bend):
     return a * (1.0 + half) / (a + half)
 
 
+def _lloyd(a, bend):
+    # Exponential with a shape factor between -3 and 0 (Lloyd and Besier 2003).
+    factor = -(0.01 + 2.99 * bend)
+    return np.expm1(factor * a) / np.expm1(factor)
+
+
+def _parabolic(a, bend):
+    return a * (1.0 + 0.6 * bend * (1.0 - a))
+
+
 FAMILIES = {
     family.name: family
     for family in (
         Family("millard", millard_curves, 2, _twitch, _exponential),
         Family("thelen", thelen_curves, 1, _winters, _logarithmic),
         Family("spline", spline_curves, 2, _cascade, _hyperbolic),
+        Family("polynomial", polynomial_curves, 1, _zajac, _lloyd),
+        Family("gordon", gordon_curves, 3, _calcium, _parabolic),
     )
 }
 BANKS = {"test": ("millard",), "second_test": ("millard",), "development": ("thelen", "spline")}

@@ -16,7 +16,7 @@ from validation.blind.anatomy import CHANNELS, COORDINATES, Leg
 from validation.blind.gait import FILE_RATE, RATE
 from validation.blind.leg_file import leg_text
 from validation.blind.opensim_leg import ALL_COORDINATES
-from validation.blind.oracle import CALIBRATION
+from validation.blind.worlds import USUAL_GAIT
 
 FILE_STEP = int(RATE / FILE_RATE)
 _STAMP = 946_684_800  # 2000-01-01
@@ -44,14 +44,25 @@ def write_folder(
     speeds: Sequence[float],
     uses: list[list[tuple[float, float]]],
     recorded: dict[str, np.ndarray],
+    calibration: int = USUAL_GAIT.calibration,
+    unrecorded: Sequence[str] = (),
 ) -> None:
     """Write a subject folder.
 
-    ``recorded`` has moments, emg, pose and ground, each (recording, row, frame) on the fine time base.
+    ``recorded`` has moments, emg, pose and ground, each (recording, row, frame) on the fine time base;
+    ``calibration`` is the number of calibration cycles of each recording. ``unrecorded`` channels are left
+    out.
     """
+    channels = {name: muscles for name, muscles in CHANNELS.items() if name not in unrecorded}
+    chosen = [row for row, name in enumerate(CHANNELS) if name in channels]
     folder.mkdir(parents=True)
     _text(folder / "model.osim", leg_text(nominal), "<!--", "-->")
-    _text(folder / "subject.toml", _settings(folder.name, nominal, paretic, speeds, uses), "#", "")
+    _text(
+        folder / "subject.toml",
+        _settings(folder.name, nominal, paretic, speeds, uses, calibration, channels),
+        "#",
+        "",
+    )
     rotational = np.array(
         [not name.startswith("pelvis_t") or name == "pelvis_tilt" for name in ALL_COORDINATES]
     )
@@ -63,7 +74,7 @@ def write_folder(
         _storage(
             place / "moments.sto", "moments", [f"{c}_moment" for c in COORDINATES], recorded["moments"][index]
         )
-        _storage(place / "emg.sto", "envelopes", tuple(CHANNELS), recorded["emg"][index])
+        _storage(place / "emg.sto", "envelopes", tuple(channels), recorded["emg"][index][chosen])
         _storage(place / "ground_forces.mot", "ground", _GROUND, recorded["ground"][index])
         _text(place / "external_loads.xml", _LOADS, "<!--", "-->")
     for path in sorted(folder.rglob("*"), reverse=True):
@@ -95,7 +106,7 @@ def _storage(
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-def _settings(name, leg, paretic, speeds, uses) -> str:
+def _settings(name, leg, paretic, speeds, uses, calibration, channels) -> str:
     quoted = ", ".join(f'"{coordinate}"' for coordinate in COORDINATES)
     lines = [
         "[subject]",
@@ -112,14 +123,14 @@ def _settings(name, leg, paretic, speeds, uses) -> str:
         'kind = "envelope"',
         "[emg.channels]",
     ]
-    for channel, muscles in CHANNELS.items():
+    for channel, muscles in channels.items():
         driven = ", ".join(f'"{muscle}_r"' for muscle in muscles)
         lines.append(f"{channel} = [{driven}]")
     for index, (speed, pairs) in enumerate(zip(speeds, uses, strict=True)):
         last = index == len(speeds) - 1
         split = {
-            "calibration": [] if last else pairs[:CALIBRATION],
-            "validation": pairs if last else pairs[CALIBRATION:],
+            "calibration": [] if last else pairs[:calibration],
+            "validation": pairs if last else pairs[calibration:],
         }
         for use, some in split.items():
             if not some:

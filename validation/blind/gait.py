@@ -1,4 +1,4 @@
-"""Simulated treadmill walking: joint angles, pelvis pose and ground forces of successive cycles.
+"""Simulated walking on a treadmill or overground: joint angles, pelvis pose and ground forces of cycles.
 
 Mean curves approximate Winter 2009 and Perry 2010 at the phases below (deg; body weights); amplitudes,
 cadence and stance grow with speed as in Schwartz 2008 (doi:10.1016/j.jbiomech.2008.03.015). Cycles differ in
@@ -16,6 +16,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from validation.blind.anatomy import Leg
 from validation.blind.opensim_leg import ALL_COORDINATES, foot_points
+from validation.blind.worlds import USUAL_GAIT, GaitSettings
 
 # Tables are easier to read in one line.
 # ruff: noqa: E501
@@ -103,20 +104,23 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], frames: float
     return CubicSpline(np.arange(coarse) * step, noise, axis=-1)(np.arange(shape[-1]))
 
 
-def simulate_walk(leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...]) -> Walk:
+def simulate_walk(
+    leg: Leg, rng: np.random.Generator, speeds: tuple[float, ...], settings: GaitSettings = USUAL_GAIT
+) -> Walk:
     """Simulate walking at several speeds, 13 s each."""
     time = np.arange(int(DURATION * RATE)) / RATE
     habits = {name: 1.0 + 0.08 * rng.standard_normal() for name in ALL_COORDINATES}
     offsets = {name: rng.standard_normal() for name in ALL_COORDINATES}
-    cadence = 1.0 + 0.04 * rng.standard_normal()
-    recordings = [_recording(leg, rng, time, speed, habits, offsets, cadence) for speed in speeds]
+    cadence = settings.period * (1.0 + 0.04 * rng.standard_normal())
+    habits |= {name: habits[name] * factor for name, factor in settings.ranges}
+    recordings = [_recording(leg, rng, time, speed, habits, offsets, cadence, settings) for speed in speeds]
     phase, pose, stance, ground, other = (np.stack(part) for part in zip(*recordings, strict=True))
     return Walk(time, phase, speeds, pose, stance, ground, other)
 
 
-def _recording(leg, rng, time, speed, habits, offsets, cadence):
+def _recording(leg, rng, time, speed, habits, offsets, cadence, settings):
     period = 1.17 * speed**-0.38 * np.sqrt(leg.height / 1.72) * cadence
-    rate = 1.0 / period * (1.0 + 0.015 * smooth_noise(rng, time.shape, period * RATE))
+    rate = 1.0 / period * (1.0 + settings.period_spread * smooth_noise(rng, time.shape, period * RATE))
     phase = np.cumsum(rate) / RATE
     phase -= np.interp(LEAD, time, phase) - 1.0  # the first whole cycle begins after the lead
     toe_off = 0.675 - 0.045 * speed
@@ -125,15 +129,21 @@ def _recording(leg, rng, time, speed, habits, offsets, cadence):
     pose = np.stack(
         [
             _coordinate(
-                name, phase, amplitude * habits[name], offsets[name], smooth_noise(rng, time.shape, frames)
+                name,
+                phase,
+                amplitude * habits[name],
+                offsets[name],
+                settings.variability * smooth_noise(rng, time.shape, frames),
             )
             for name in ALL_COORDINATES
         ]
     )
     pose = lowpass(pose, 7.0 / period, RATE)
+    advance = speed * time if settings.overground else np.zeros_like(time)
+    pose[3] += advance
     ground, stance, local = _ground(leg, rng, phase, toe_off, speed, frames)
     _place_on_floor(leg, time, pose, stance, local, ground)
-    other = _mirrored_ground(phase, ground)
+    other = _mirrored_ground(phase, ground, advance)
     return phase, pose, stance, ground, other
 
 
@@ -200,10 +210,12 @@ def _place_on_floor(leg, time, pose, stance, local, ground):
     ground[3:6, np.isnan(stance)] = 0.0
 
 
-def _mirrored_ground(phase, ground):
+def _mirrored_ground(phase, ground, advance):
     """Mirror the ground forces of the right foot to the left, half a cycle later."""
     source = np.interp(phase - 0.5, phase, np.arange(phase.size), left=0)
     other = np.array([np.interp(source, np.arange(phase.size), row) for row in ground])
+    stepped = np.interp(np.arange(phase.size) - source, np.arange(phase.size), advance - advance[0])
+    other[3] += np.where(other[1] > 0.0, stepped, 0.0)
     other[[2, 6, 7]] *= -1.0
     other[5] = -other[5]
     return other

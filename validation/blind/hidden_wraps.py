@@ -23,6 +23,7 @@ from validation.blind.noise import moment_noise, noisy_envelopes
 from validation.blind.oracle import cycles
 from validation.blind.person import Person, draw_person
 from validation.blind.world import Paths, World, record, with_muscles
+from validation.blind.worlds import default_world
 
 #: Standard deviations of displacements: along each axis (m), about x and y (rad), of the radius (share).
 PLACE, TURN, RADIUS = 0.004, float(np.radians(5.0)), 0.06
@@ -84,7 +85,7 @@ def hidden_wraps(seed: int, family: str = "millard") -> HiddenWraps:
     family
         Curves and activation dynamics, a key of `families.FAMILIES`.
     """
-    who = draw_person(f"hidden_{seed:03d}", (_SEED, 0, seed), family)
+    who = draw_person(f"hidden_{seed:03d}", (_SEED, 0, seed), default_world(family))
     return HiddenWraps(who, displace(who.world, np.random.default_rng((_SEED, 1, seed))))
 
 

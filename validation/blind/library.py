@@ -9,9 +9,9 @@ import numpy as np
 
 from validation.blind.effects import EFFECTS
 from validation.blind.effects.effect import Effect, Variant
-from validation.blind.noise import EMG_LEVELS
 from validation.blind.oracle import TIE, Oracle, difference, flat
 from validation.blind.world import World
+from validation.blind.worlds import WorldSettings
 
 #: Share of an effect's largest amount at which its signature is computed.
 SHARE = 0.4
@@ -55,8 +55,17 @@ def library_of(bank: Path, name: str) -> Library:
     return Library.load(library_file(bank, int(name.rsplit("_", 1)[-1])))
 
 
+def variants_in(effect: Effect, settings: WorldSettings) -> tuple[Variant, ...]:
+    """Return the variants of an effect that are not about a channel that is not recorded."""
+    # Variants do not depend on the person.
+    every = effect.variants(None)  # type: ignore[arg-type]
+    return tuple(variant for variant in every if not set(variant) & set(settings.emg.unrecorded))
+
+
 def entries_of(world: World) -> list[tuple[Effect, Variant]]:
-    return [(effect, variant) for effect in EFFECTS.values() for variant in effect.variants(world)]
+    return [
+        (effect, variant) for effect in EFFECTS.values() for variant in variants_in(effect, world.settings)
+    ]
 
 
 def build_library(world: World, oracles: dict[float, Oracle]) -> Library:
@@ -68,7 +77,7 @@ def build_library(world: World, oracles: dict[float, Oracle]) -> Library:
     reach = np.stack(
         [
             np.sqrt(np.maximum(np.einsum("ij,ij->j", signals, oracles[level].whiten(signals)), 0.0)) / SHARE
-            for level in EMG_LEVELS
+            for level in world.settings.emg.levels
         ]
     )
     return Library(tuple((effect.id, variant) for effect, variant in entries), signals, reach)

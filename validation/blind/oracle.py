@@ -19,15 +19,15 @@ from validation.blind.effects.effect import Effect, Variant
 from validation.blind.families import FAMILIES
 from validation.blind.gait import LEAD
 from validation.blind.geometry import changed_paths, muscle_indices
-from validation.blind.noise import EMG_TIME, MOMENT_CORRELATION, MOMENT_PHASE, MOMENT_SD
+from validation.blind.noise import MOMENT_CORRELATION, MOMENT_SD
 from validation.blind.world import World, joint_moments, moments_by_muscle, record, with_muscles
+from validation.blind.worlds import GeometrySettings
 
 # Tables are easier to read in one line.
 # ruff: noqa: E501
 
 
 PHASES = 25
-CALIBRATION, VALIDATION = 5, 2
 #: Parameters that calibration adjusts: prior standard deviation, difference step, whether both are relative.
 _ADJUSTED = {
     "scale": (0.6, 0.05, True),
@@ -39,6 +39,10 @@ _ADJUSTED = {
 }
 #: Standard deviations of hidden moment arm errors (m), and of the change to curves of another family.
 _ARM_SD, _CURVE_SD = 0.0015, 1.0
+#: Families whose curves and dynamics are uncertain; those of the test banks are reserved for these.
+_OTHER_FAMILIES = ("thelen", "spline")
+#: Unknown drive of an unrecorded channel: standard deviation, and smooth bumps over the cycle.
+_DRIVE_SD, _BUMPS = 0.3, 10
 #: Two effects are tied below this difference, in squared standard deviations.
 TIE = 9.0
 
@@ -48,7 +52,7 @@ def cycles(world: World) -> list[list[tuple[float, float]]]:
 
     All cycles of the last recording are validation cycles.
     """
-    walk = world.walk
+    walk, gait = world.walk, world.settings.gait
     used = []
     for recording in range(len(walk.speeds)):
         strikes = walk.strikes(recording)
@@ -56,7 +60,7 @@ def cycles(world: World) -> list[list[tuple[float, float]]]:
         strikes = np.round(strikes[strikes >= LEAD - 1e-6], 4)
         pairs = [(float(a), float(b)) for a, b in pairwise(strikes)]
         pairs = [pair for pair in pairs if pair[1] < walk.time[-1] - 0.3]
-        used.append(pairs[: CALIBRATION + VALIDATION])
+        used.append(pairs[: gait.calibration + gait.validation])
     return used
 
 
@@ -72,8 +76,8 @@ def at_cycles(world: World, values: np.ndarray, uses: list[list[tuple[float, flo
 
 
 def calibration_cycles(world: World) -> list[list[tuple[float, float]]]:
-    used = cycles(world)
-    return [*(pairs[:CALIBRATION] for pairs in used[:-1]), []]
+    used, count = cycles(world), world.settings.gait.calibration
+    return [*(pairs[:count] for pairs in used[:-1]), []]
 
 
 def difference(world: World, effect: Effect, amount: float, variant: Variant) -> tuple[World, np.ndarray]:
@@ -87,7 +91,8 @@ def difference(world: World, effect: Effect, amount: float, variant: Variant) ->
 def signal(changed: World, base: World) -> np.ndarray:
     """Subtract the base world's moments, at the recorded EMG and angles, from the recorded moments."""
     recorded = record(changed)
-    predicted = replace(base, drive=recorded.emg)
+    # Effects on the recorded EMG of a channel that is not recorded have no influence.
+    predicted = replace(base, drive=np.where(base.recorded[:, None], recorded.emg, base.drive))
     shift = sum(changed.recorded_pose, np.zeros_like(base.walk.pose))[:, 6:]
     moved = [name for name, row in zip(COORDINATES, np.abs(shift).max(axis=(0, 2)), strict=True) if row > 0.0]
     if moved:
@@ -123,6 +128,8 @@ def oracles(world: World, levels: tuple[float, ...]) -> dict[float, Oracle]:
     plain = columns @ columns.T
     noise = _moment_covariance(world)
     electrodes = _emg_covariance(world, gains)
+    if world.settings.emg.baseline > 0.0:
+        noise = noise + world.settings.emg.baseline**2 * _emg_covariance(world, _by_drive(world))
     ridge = 0.05**2 * np.eye(plain.shape[0])
     return {
         level: Oracle(cho_factor(plain + noise + level**2 * electrodes + ridge, lower=True))
@@ -145,14 +152,16 @@ def _nuisances(world: World) -> tuple[np.ndarray, np.ndarray]:
             gains = np.stack(
                 [by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1
             )
-    for family in FAMILIES.values():
-        # Curves and activation dynamics of other families; those of the test banks are reserved for these.
-        if family.name not in (world.family.name, "millard"):
+    for name in _OTHER_FAMILIES:
+        family = FAMILIES[name]
+        if name != world.family.name:
             other = moments_by_muscle(replace(world, curves=family.curves())) - base
             columns.append(_by_muscle(world, other) * _CURVE_SD)
             twitch = replace(world, family=family)
             columns.append(_by_muscle(world, moments_by_muscle(twitch) - base) * _CURVE_SD)
     columns.append(_arm_errors(world, base))
+    if not world.recorded.all():
+        columns.append(_unknown_drive(world))
     nuisances = np.concatenate(columns, axis=1)
     return nuisances[:, np.abs(nuisances).max(0) > 1e-9], gains
 
@@ -161,14 +170,37 @@ def _by_muscle(world: World, change: np.ndarray) -> np.ndarray:
     return np.stack([flat(world, change[:, muscle]) for muscle in range(change.shape[1])], axis=1)
 
 
+def _by_drive(world: World) -> np.ndarray:
+    """Compute derivatives by an addition to the drive of each channel, (sample, channel)."""
+    step = 0.05
+    more = moments_by_muscle(replace(world, drive=world.drive + step)) - moments_by_muscle(world)
+    by_muscle = _by_muscle(world, more / step)
+    return np.stack([by_muscle[:, world.channel == c].sum(1) for c in range(world.drive.shape[1])], 1)
+
+
+def _unknown_drive(world: World) -> np.ndarray:
+    """Compute columns of the unknown drive of unrecorded channels, by phase and separately for each recording."""
+    counts = [len(pairs) for pairs in calibration_cycles(world)]
+    center = np.arange(_BUMPS) / _BUMPS
+    away = (np.arange(PHASES)[:, None] / PHASES - center + 0.5) % 1.0 - 0.5
+    bumps = np.repeat(np.exp(-0.5 * (away * _BUMPS) ** 2), len(COORDINATES), axis=0)
+    columns = []
+    for unit in _by_drive(world)[:, ~world.recorded].T:
+        for recording in range(len(counts) - 1):
+            within = np.repeat(np.arange(len(counts)) == recording, counts).astype(float)
+            columns.append(_DRIVE_SD * unit[:, None] * np.kron(within[:, None], bumps))
+    return np.concatenate(columns, axis=1)
+
+
 def _arm_errors(world: World, moments: np.ndarray) -> np.ndarray:
     columns = []
-    arms = world.paths.arms
+    arms, usual, own = world.paths.arms, GeometrySettings(), world.settings.geometry
+    sd = _ARM_SD * max(own.points / usual.points, own.radius / usual.radius)
     crossed = np.abs(arms).max(axis=(0, 3)) > 1e-4
     strength = np.linalg.norm(moments, axis=2) / np.maximum(np.linalg.norm(arms, axis=2), 1e-3)
     for muscle, coordinate in np.argwhere(crossed):
         column = np.zeros_like(world.inverse)
-        column[:, coordinate] = strength[:, muscle] * _ARM_SD
+        column[:, coordinate] = strength[:, muscle] * sd
         columns.append(flat(world, column))
     return np.stack(columns, axis=1)
 
@@ -179,8 +211,9 @@ def _correlation(width: float) -> np.ndarray:
 
 
 def _moment_covariance(world: World) -> np.ndarray:
-    sd = MOMENT_SD * world.leg.mass / 72.0
-    block = np.kron(_correlation(MOMENT_PHASE), MOMENT_CORRELATION * np.outer(sd, sd))
+    settings = world.settings.moments
+    sd = settings.noise * MOMENT_SD * world.leg.mass / 72.0
+    block = np.kron(_correlation(settings.phase), MOMENT_CORRELATION * np.outer(sd, sd))
     count = sum(map(len, calibration_cycles(world)))
     return np.kron(np.eye(count), block)
 
@@ -191,7 +224,9 @@ def _emg_covariance(world: World, gains: np.ndarray) -> np.ndarray:
     out = np.zeros((size * len(used), size * len(used)))
     for order, (start, end) in enumerate(used):
         # Wider than the EMG noise: activation dynamics smooth it.
-        near = np.kron(_correlation(1.5 * EMG_TIME / (end - start)), np.ones((len(COORDINATES),) * 2))
+        near = np.kron(
+            _correlation(1.5 * world.settings.emg.time / (end - start)), np.ones((len(COORDINATES),) * 2)
+        )
         part = slice(order * size, (order + 1) * size)
         own = gains[part]
         out[part, part] = (own @ own.T) * near

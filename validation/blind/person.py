@@ -14,12 +14,12 @@ from validation.blind.geometry import ground_moments, paths_along
 from validation.blind.muscles import Muscles, muscle_forces
 from validation.blind.opensim_leg import muscle_paths
 from validation.blind.world import Paths, World
+from validation.blind.worlds import GeometrySettings, PersonSettings, WorldSettings
 
 # Tables are easier to read in one line.
 # ruff: noqa: E501
 
 
-_SPEEDS = ((0.5, 0.8, 0.65), (0.5, 0.8, 1.0), (0.6, 1.0, 0.8), (0.7, 1.1, 1.3), (0.8, 1.2, 1.0))
 #: Mean normalized fiber length in walking, if not 0.95.
 _FIBER = {"vasmed": 0.85, "vaslat": 0.85, "glmax1": 1.0, "glmax2": 1.0, "bflh": 1.0, "semimem": 1.0, "tibant": 0.9, "iliacus": 1.0, "psoas": 1.0, "recfem": 0.9}  # fmt: skip
 
@@ -54,44 +54,65 @@ class Person:
     world: World  # the truth
 
 
-def draw_person(name: str, seed: tuple[int, ...], family_name: str, paretic: bool = False) -> Person:
+def draw_person(name: str, seed: tuple[int, ...], settings: WorldSettings, paretic: bool = False) -> Person:
     """Draw a person and their walk; the same seed gives the same person."""
     rng = np.random.default_rng(seed)
     mass, height = rng.uniform(58, 92), rng.uniform(1.58, 1.86)
-    family = FAMILIES[family_name]
+    family, gait = FAMILIES[settings.family], settings.gait
     nominal = reference_leg(float(mass), float(height))
-    true = _with_hidden_errors(nominal, rng)
-    walked = simulate_walk(true, rng, _SPEEDS[int(rng.integers(len(_SPEEDS)))])
+    true = _with_hidden_errors(nominal, rng, settings.geometry)
+    walked = simulate_walk(true, rng, gait.speeds[int(rng.integers(len(gait.speeds)))], gait)
     paths = paths_along(true, walked)
     nominal = _with_slack(nominal, walked)
-    muscles = _muscles(true, paths, rng)
+    muscles = _muscles(true, paths, rng, settings.person)
     target = ground_moments(true, walked)
-    drive, muscles = _drive(walked, family, paths, muscles, target, rng)
+    drive, muscles = _drive(walked, family, paths, muscles, target, bursts(walked, gait.bursts), rng)
     curves = family.curves()
+    channel = channel_of(true.names)
     world = World(
-        true, walked, family, curves, muscles, paths, paths, channel_of(true.names), drive, target, paretic
+        true,
+        walked,
+        family,
+        curves,
+        muscles,
+        paths,
+        paths,
+        channel,
+        drive,
+        target,
+        paretic,
+        settings=settings,
     )
     return Person(name, paretic, nominal, world)
 
 
-def _with_hidden_errors(leg: Leg, rng: np.random.Generator) -> Leg:
-    """Add small errors of geometry: points by a millimeter or two, cylinders by a few percent."""
+def _with_hidden_errors(leg: Leg, rng: np.random.Generator, settings: GeometrySettings) -> Leg:
+    """Add errors of geometry: by default points by a millimeter or two, cylinders by a few percent."""
 
     def moved(point):
         body, place = point
-        x, y, z = np.array(place) + 0.0012 * rng.standard_normal(3)
+        x, y, z = np.array(place) + settings.points * rng.standard_normal(3)
         return body, (float(x), float(y), float(z))
 
     muscles = tuple(replace(m, points=tuple(map(moved, m.points))) for m in leg.muscles)
     cylinders = tuple(
         replace(
             c,
-            radius=float(c.radius * (1 + 0.02 * rng.standard_normal())),
+            radius=float(c.radius * (1 + settings.radius * rng.standard_normal())),
             translation=moved((c.body, c.translation))[1],
         )
         for c in leg.cylinders
     )
-    return replace(leg, muscles=muscles, cylinders=cylinders)
+    leg = replace(leg, muscles=muscles, cylinders=cylinders)
+    return _with_displaced_centers(leg, rng, settings.centers) if settings.centers > 0.0 else leg
+
+
+def _with_displaced_centers(leg: Leg, rng: np.random.Generator, distance: float) -> Leg:
+    """Displace the hip center in any direction, the knee and ankle centers along their segments."""
+    direction = rng.standard_normal(3)
+    x, y, z = map(float, np.array(leg.hip_center) + distance * direction / np.linalg.norm(direction))
+    thigh, shank = (distance * rng.choice((-1.0, 1.0), 2)).tolist()
+    return replace(leg, hip_center=(x, y, z), thigh=leg.thigh + thigh, shank=leg.shank + shank)
 
 
 def _target_fiber(leg: Leg) -> np.ndarray:
@@ -109,18 +130,19 @@ def _with_slack(leg: Leg, walked: Walk) -> Leg:
     return replace(leg, muscles=tuple(muscles))
 
 
-def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
+def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator, settings: PersonSettings) -> Muscles:
     count = len(leg.muscles)
     draw = lambda spread: np.clip(spread * rng.standard_normal(count), -2 * spread, 2 * spread)  # noqa: E731
     channel = channel_of(leg.names)
     # Muscles of one channel are similar, but not identical.
     common = rng.standard_normal(channel.max() + 1)[channel]
-    fiber = np.array([m.optimal_fiber_length for m in leg.muscles]) * np.exp(draw(0.06))
+    fiber = np.array([m.optimal_fiber_length for m in leg.muscles]) * np.exp(draw(settings.fiber))
     pennation = np.array([m.pennation for m in leg.muscles])
     mean = paths.length.mean(axis=(0, 2))
-    slack = mean - (_target_fiber(leg) + draw(0.04)) * fiber * np.cos(pennation)
+    slack = mean - (_target_fiber(leg) + draw(settings.slack)) * fiber * np.cos(pennation)
     zero = np.zeros(count)
-    delay = np.clip(0.045 + 0.010 * common + draw(0.004), 0.015, 0.085)
+    latest = max(0.085, settings.delay + 3.0 * settings.delay_spread)
+    delay = np.clip(settings.delay + settings.delay_spread * common + draw(0.004), 0.015, latest)
     return Muscles(
         max_isometric_force=np.array([m.max_isometric_force for m in leg.muscles]),
         optimal_fiber_length=fiber,
@@ -128,9 +150,9 @@ def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
         pennation=pennation,
         scale=np.exp(draw(0.15)),  # completed with the drive
         delay=np.tile(delay, (paths.length.shape[0], 1)),
-        rise=0.016 * np.exp(draw(0.15)),
+        rise=settings.rise * np.exp(draw(0.15)),
         fall=np.full(count, FALL_TO_RISE),
-        bend=np.clip(0.28 + draw(0.08), 0.05, 0.6),
+        bend=np.clip(settings.bend + draw(0.08), 0.05, 0.6),
         slowness=zero,
         length_gain=zero,
         enhancement=zero,
@@ -140,12 +162,16 @@ def _muscles(leg: Leg, paths: Paths, rng: np.random.Generator) -> Muscles:
     )
 
 
-def bursts(walked: Walk) -> np.ndarray:
+def bursts(walked: Walk, additional: tuple[tuple[str, float, float, float], ...] = ()) -> np.ndarray:
     """Compute typical activations of the channels from the literature, (recording, channel, frame)."""
+    table = {
+        name: [*own, *(burst[1:] for burst in additional if burst[0] == name)]
+        for name, own in _BURSTS.items()
+    }
     phase = 100.0 * (walked.phase % 1.0)
     out = np.zeros((phase.shape[0], len(CHANNELS), phase.shape[1]))
     for row, name in enumerate(CHANNELS):
-        for center, width, height in _BURSTS[name]:
+        for center, width, height in table[name]:
             away = (phase - center + 50.0) % 100.0 - 50.0
             out[:, row] += height * np.exp(-0.5 * (away / width) ** 2)
     brisk = 0.55 + 0.45 * np.array(walked.speeds) / 1.2
@@ -158,6 +184,7 @@ def _drive(
     paths: Paths,
     muscles: Muscles,
     target: np.ndarray,
+    typical: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, Muscles]:
     """Find envelopes near typical bursts that approximate the moments, and scales that make their peaks 1."""
@@ -169,7 +196,7 @@ def _drive(
     arms, moments = paths.arms[..., ::every], target[coarse]
     passive = muscle_forces(curves, muscles, np.zeros_like(length), length, rate, every / RATE)
     full = muscle_forces(curves, muscles, np.ones_like(length), length, rate, every / RATE) - passive
-    prior = bursts(walked)[coarse]
+    prior = typical[coarse]
     members = np.stack([channel == row for row in range(len(CHANNELS))]) * ratio
     activations = np.zeros_like(prior)
     for recording in range(prior.shape[0]):

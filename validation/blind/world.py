@@ -8,14 +8,15 @@ time base.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from validation.blind.anatomy import Leg
+from validation.blind.anatomy import CHANNELS, Leg
 from validation.blind.families import Curves, Family, activate
 from validation.blind.gait import RATE, Walk
 from validation.blind.muscles import Muscles, muscle_forces
+from validation.blind.worlds import WorldSettings, default_world
 
 Change = Callable[["World", np.ndarray], np.ndarray]
 
@@ -51,6 +52,12 @@ class World:
     recorded_pose: tuple[np.ndarray, ...] = ()  # added to the recorded pose
     recorded_moments: tuple[np.ndarray, ...] = ()  # added to the moments by wrong inverse dynamics
     recorded_ground: tuple[Change, ...] = ()  # change the recorded ground forces
+    settings: WorldSettings = field(default_factory=lambda: default_world("millard"))
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """Whether each channel is recorded."""
+        return np.array([name not in self.settings.emg.unrecorded for name in CHANNELS])
 
 
 @dataclass(frozen=True)

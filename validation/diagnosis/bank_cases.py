@@ -37,7 +37,7 @@ def cases_of(bank: Path, selection: CaseSelection = ALL_CASES) -> list[Path]:
 
 
 def development_truth(bank: Path, case: str) -> dict[str, Any]:
-    """Read the truth of a case of a development bank.
+    """Read the truth of a case of a development bank (`development` or `worlds`).
 
     Raises
     ------
@@ -51,6 +51,6 @@ def development_truth(bank: Path, case: str) -> dict[str, Any]:
     if any(case in load_json(manifest)["cases"] for manifest in SEALED.glob("*.json")):
         raise not_development
     truth = json.loads(file.read_text(encoding="utf-8"))
-    if truth["bank"] != "development":
+    if truth["bank"] not in ("development", "worlds"):
         raise not_development
     return dict(truth)
