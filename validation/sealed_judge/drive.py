@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 from scipy.interpolate import BSpline
+from scipy.ndimage import gaussian_filter1d
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.optimize import nnls
 
@@ -21,6 +22,17 @@ from .muscle import RATE, Constants, activation_shape, kernel, unit_forces
 #: Weight of the six moments in the fit; hip rotation counts little.
 WEIGHT = np.array([1.0, 1.0, 0.15, 1.0, 1.0, 1.5])
 FIRST = [anatomy.NAMES.index(m[0]) for m in anatomy.CHANNELS.values()]
+
+
+#: Standard deviation (s) of the Gaussian that limits the bandwidth of every drive to about 6 Hz.
+SMOOTH = 0.042
+#: Penalty on the logarithmic correction of the drive.
+PULL = 12.0
+
+
+def band_limit(drive: np.ndarray) -> np.ndarray:
+    """Return the drive without content that no low-passed electromyogram could show."""
+    return gaussian_filter1d(drive, SMOOTH * RATE, axis=0, mode="nearest")
 
 
 def channel_weights(lmt: np.ndarray, arms: np.ndarray, c: Constants) -> tuple[np.ndarray, np.ndarray]:
@@ -41,7 +53,7 @@ def burst_prior(phase: np.ndarray) -> np.ndarray:
 
 
 def mean_drive(
-    phase: np.ndarray, period: float, per: np.ndarray, rest: np.ndarray, c: Constants, knots: int = 24
+    phase: np.ndarray, period: float, per: np.ndarray, rest: np.ndarray, c: Constants, knots: int = 13
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the periodic drive of a mean cycle as a function of phase.
 
@@ -128,11 +140,13 @@ class DriveFit:
     def __init__(self, start: np.ndarray, per: np.ndarray, c: Constants, wanted: np.ndarray) -> None:
         self.start, self.wanted = start, wanted
         frames, channels = start.shape
-        spacing = 8
+        spacing = 18
         count = frames // spacing + 4
         knots = np.arange(-3, count + 1) * spacing
-        self.basis = sp.csr_matrix(BSpline.design_matrix(np.arange(frames, dtype=float), knots.astype(float), 3))
-        self.scale = WEIGHT / np.maximum(0.005 * np.abs(wanted).max(axis=0), 0.15)
+        self.basis = sp.csr_matrix(
+            BSpline.design_matrix(np.arange(frames, dtype=float), knots.astype(float), 3)
+        )
+        self.scale = WEIGHT / np.maximum(0.008 * np.abs(wanted).max(axis=0), 0.15)
         self.rows = slice(0, frames, 2)
         columns = []
         for j in range(channels):
@@ -148,7 +162,7 @@ class DriveFit:
         order = np.arange(channels * splines).reshape(channels, splines).T.ravel()
         self.jac = sp.hstack(columns).tocsc()[:, order]
         self.size = (splines, channels)
-        normal = (self.jac.T @ self.jac + sp.eye(self.jac.shape[1]) * 6.0).tocoo()
+        normal = (self.jac.T @ self.jac + sp.eye(self.jac.shape[1]) * PULL).tocoo()
         width = int((normal.row - normal.col).max())
         band = np.zeros((width + 1, normal.shape[0]))
         lower = normal.row >= normal.col
@@ -171,10 +185,10 @@ class DriveFit:
             Drive, shape (T, C).
         """
         c = np.zeros(self.size)
-        drive = self.start
+        drive = band_limit(self.start)
         for _ in range(steps):
             gap = ((self.wanted - forward(drive)) * self.scale)[self.rows].T.ravel()
-            gradient = self.jac.T @ gap - 6.0 * c.ravel()
-            c = np.clip(c + cho_solve_banded((self.factor, True), gradient).reshape(self.size), -1.6, 1.6)
-            drive = np.minimum(self.start * np.exp(self.basis @ c), 1.0)
+            gradient = self.jac.T @ gap - PULL * c.ravel()
+            c = np.clip(c + cho_solve_banded((self.factor, True), gradient).reshape(self.size), -1.2, 1.2)
+            drive = band_limit(np.minimum(self.start * np.exp(self.basis @ c), 1.0))
         return drive

@@ -11,7 +11,14 @@ from .effect import Effect, View
 from .muscle import RATE, Constants, fiber
 from .person import Person
 
-STRONG = ("soleus", "gastrocnemius_medialis", "gluteus_medius", "medial_hamstrings", "iliopsoas", "tibialis_anterior")
+STRONG = (
+    "soleus",
+    "gastrocnemius_medialis",
+    "gluteus_medius",
+    "medial_hamstrings",
+    "iliopsoas",
+    "tibialis_anterior",
+)
 
 
 def shift(values: np.ndarray, seconds: np.ndarray | float) -> np.ndarray:
@@ -31,7 +38,11 @@ class MissingDrive(Effect):
         self.members = (("pect", "sartorius"), ("flex_hal",))[group]
         self.centre = float(rng.uniform(*((0.54, 0.66), (0.36, 0.50))[group]))
         self.width = float(rng.uniform(0.14, 0.22))
-        self.extra = {"muscles": list(self.members), "centre_cycle": self.centre, "half_width_cycle": self.width}
+        self.extra = {
+            "muscles": list(self.members),
+            "centre_cycle": self.centre,
+            "half_width_cycle": self.width,
+        }
 
     def muscles(self, c: Constants, view: View) -> Constants:
         # The muscle is not slack in this person.
@@ -54,7 +65,7 @@ class SpeedDelay(Effect):
     """The electromechanical delay differs between speeds, in proportion to the logarithm of speed."""
 
     id, family, parameter, unit = "speed_dependent_delay", "emg", "delay_change_slow_to_fast", "s"
-    limits, signs = (0.008, 0.060), (-1, 1)
+    limits, signs = (0.002, 0.060), (-1, 1)
 
     def drive(self, drive: np.ndarray, view: View) -> np.ndarray:
         low, high = np.log(min(view.speeds)), np.log(max(view.speeds))
@@ -73,7 +84,10 @@ class EmgDrift(Effect):
         others = rng.choice(len(anatomy.CHANNELS), int(rng.integers(0, 3)), replace=False)
         self.channels = sorted({anatomy.CHANNEL_NAMES.index(STRONG[first]), *map(int, others)})
         self.tau = float(rng.uniform(0.4, 1.2))
-        self.extra = {"channels": [anatomy.CHANNEL_NAMES[i] for i in self.channels], "time_constant": self.tau}
+        self.extra = {
+            "channels": [anatomy.CHANNEL_NAMES[i] for i in self.channels],
+            "time_constant": self.tau,
+        }
 
     def emg(self, envelope: np.ndarray, view: View) -> np.ndarray:
         # Position in the session: recordings follow one another with equal weight.
@@ -199,7 +213,7 @@ class SlowRelaxation(Effect):
     """Activation falls more slowly than it rises: a first-order stage that acts on the falling side only."""
 
     id, family, parameter, unit = "deactivation_asymmetry", "muscle", "decay_time_constant", "s"
-    limits = (0.010, 0.120)
+    limits = (0.003, 0.120)
 
     def activation(self, a: np.ndarray, view: View) -> np.ndarray:
         keep = np.exp(-1.0 / (RATE * self.size))
@@ -213,7 +227,7 @@ class EventJitter(Effect):
     """The clock of the electromyograph slips by a random time in each cycle."""
 
     id, family, parameter, unit = "event_jitter", "emg", "sd_of_slip", "cycle"
-    limits = (0.008, 0.08)
+    limits = (0.001, 0.08)
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.slips = np.clip(rng.standard_normal((3, 20)), -1.8, 1.8)
@@ -262,7 +276,9 @@ class Dropouts(Effect):
         order = view.speeds.index(view.rec.speed)
         ph = view.rec.phase - self.start
         cycle = np.clip(np.floor(ph).astype(int) + 2, 0, 19)
-        gone = self.lost[order][cycle] * np.clip(6 * np.sin(np.pi * np.clip(np.mod(ph, 1) / 0.35, 0, 1)), 0, 1)
+        gone = self.lost[order][cycle] * np.clip(
+            6 * np.sin(np.pi * np.clip(np.mod(ph, 1) / 0.35, 0, 1)), 0, 1
+        )
         out = envelope.copy()
         out[:, anatomy.CHANNEL_NAMES.index(self.channel)] *= 1 - self.size * gone
         return out
@@ -272,7 +288,7 @@ class ClockDrift(Effect):
     """Outside the catalogue: the sampling clock of the electromyograph runs fast or slow in each recording."""
 
     id, family, parameter, unit = "outside_clock_drift", "emg", "relative_rate_error", "1"
-    limits, signs = (0.002, 0.03), (-1, 1)
+    limits, signs = (0.0003, 0.03), (-1, 1)
 
     def emg(self, envelope: np.ndarray, view: View) -> np.ndarray:
         return shift(envelope, self.size * (view.rec.time - view.rec.events[0]))
@@ -294,5 +310,3 @@ class Potentiation(Effect):
         for t in range(1, len(a)):
             memory[t] = keep * memory[t - 1] + (1 - keep) * a[t]
         return a * (1 + self.size * (memory - memory.mean(axis=0)))
-
-

@@ -17,7 +17,9 @@ class PassiveMoment(Effect):
     limits = (0.015, 0.30)
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
-        self.joint, self.end, self.other = ((0, -1, 3), (3, 1, 0), (4, 1, 3), (4, -1, 3), (1, 1, 0))[int(rng.integers(5))]
+        self.joint, self.end, self.other = ((0, -1, 3), (3, 1, 0), (4, 1, 3), (4, -1, 3), (1, 1, 0))[
+            int(rng.integers(5))
+        ]
         self.onset, self.couple = float(rng.uniform(0.4, 0.65)), float(rng.uniform(-0.25, 0.25))
         self.extra = {"coordinate": anatomy.COORDS[self.joint], "end": "high" if self.end > 0 else "low",
                       "onset_in_range": self.onset, "neighbour_shift": self.couple}  # fmt: skip
@@ -103,7 +105,9 @@ class DeviceTorque(Effect):
     limits, signs = (0.02, 0.5), (-1, 1)
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
-        self.joint, peak = ((4, (0.45, 0.55)), (0, (0.6, 0.75)), (0, (0.1, 0.2)), (3, (0.10, 0.2)))[int(rng.integers(4))]
+        self.joint, peak = ((4, (0.45, 0.55)), (0, (0.6, 0.75)), (0, (0.1, 0.2)), (3, (0.10, 0.2)))[
+            int(rng.integers(4))
+        ]
         self.peak = float(rng.uniform(*peak))
         self.extra = {"coordinate": anatomy.COORDS[self.joint], "peak_cycle": self.peak}
 
@@ -154,7 +158,18 @@ class Attachment(Effect):
 
     id, family, parameter, unit = "muscle_attachment", "geometry", "distance", "m"
     limits = (0.004, 0.03)
-    SITES = ("soleus", "med_gas", "semimem", "iliacus", "glut_med2", "rect_fem", "tib_ant", "glut_max2", "bifemlh", "vas_lat")
+    SITES = (
+        "soleus",
+        "med_gas",
+        "semimem",
+        "iliacus",
+        "glut_med2",
+        "rect_fem",
+        "tib_ant",
+        "glut_max2",
+        "bifemlh",
+        "vas_lat",
+    )
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.name = str(rng.choice(self.SITES))

@@ -104,7 +104,7 @@ class SoftTissue(Effect):
     """Skin moves over bone: a share of flexion and a damped swing of the markers after heel strike."""
 
     id, family, parameter, unit = "soft_tissue_artifact", "motion", "peak_angle", "deg"
-    limits, signs = (0.5, 10.0), (-1, 1)
+    limits, signs = (0.2, 10.0), (-1, 1)
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.share = rng.standard_normal((2, 4)) * np.array([[1.0, 0.6, 1.2, 1.0], [0.5, 0.3, 0.5, 0.5]])
@@ -126,7 +126,7 @@ class FootDeformation(Effect):
     """The arch flattens under load and springs back with a lag: the measured ankle angle contains it."""
 
     id, family, parameter, unit = "foot_deformation", "motion", "angle_at_body_weight", "deg"
-    limits, signs = (0.5, 10.0), (-1, 1)
+    limits, signs = (0.2, 10.0), (-1, 1)
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.lag = float(rng.uniform(0.02, 0.06))
@@ -159,14 +159,16 @@ class BeltAcceleration(Effect):
         push = self.size * view.person.mass * wave / 0.55
         loaded = m.force[:, 1] > 60
         m.force[:, 0] += push * loaded
-        m.cop[:, 0] += np.where(loaded, np.clip(self.height * push / np.maximum(m.force[:, 1], 60), -0.06, 0.06), 0)
+        m.cop[:, 0] += np.where(
+            loaded, np.clip(self.height * push / np.maximum(m.force[:, 1], 60), -0.06, 0.06), 0
+        )
 
 
 class CrossedPlates(Effect):
     """In double support part of the other foot's load is on this plate."""
 
     id, family, parameter, unit = "crossed_plates", "force", "share_of_other_foot", "1"
-    limits = (0.02, 0.5)
+    limits = (0.004, 0.5)
 
     def measure(self, m: Measured, view: View) -> None:
         r = view.rec
@@ -229,7 +231,7 @@ class OverSmoothing(Effect):
     """Outside the catalogue: joint angles were low-passed far too strongly."""
 
     id, family, parameter, unit = "outside_oversmoothed_angles", "motion", "smoothing_time", "s"
-    limits = (0.01, 0.08)
+    limits = (0.015, 0.08)
 
     def measure(self, m: Measured, view: View) -> None:
         sos = butter(2, 0.25 / self.size, fs=RATE, output="sos")

@@ -29,7 +29,7 @@ def pick(rng: np.random.Generator, names: tuple[str, ...]) -> tuple[str, list[in
 def elastic_force(a: np.ndarray, lmt: np.ndarray, c: Constants, strain: float, rows: list[int]) -> np.ndarray:
     """Return tendon forces of some muscles in equilibrium with an elastic tendon.
 
-    The force balance with fiber damping 0.1 (Millard et al. 2013) is solved for all frames at once: Newton steps
+    The force balance with slight fiber damping (0.01) is solved for all frames at once: Newton steps
     on the fiber length with the velocity of the last estimate, which is updated with relaxation.
 
     Parameters
@@ -58,7 +58,9 @@ def elastic_force(a: np.ndarray, lmt: np.ndarray, c: Constants, strain: float, r
 
     def balance(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         length = np.hypot(s, thick)
-        inner = a * active(length / lo, curves) * velocity(v, curves) + passive(length / lo, curves) + 0.1 * v
+        inner = (
+            a * active(length / lo, curves) * velocity(v, curves) + passive(length / lo, curves) + 0.01 * v
+        )
         outer = tendon((lmt - s) / ls - 1.0, np.array(strain))
         return inner * s / length - outer, outer
 
@@ -101,7 +103,12 @@ class SlowFibers(Effect):
 class ActivationLength(Effect):
     """The optimal length grows as activation falls, exponentially (Guimaraes et al. 1994)."""
 
-    id, family, parameter, unit = "activation_dependent_fiber_length", "muscle", "relative_length_at_rest", "1"
+    id, family, parameter, unit = (
+        "activation_dependent_fiber_length",
+        "muscle",
+        "relative_length_at_rest",
+        "1",
+    )
     limits = (0.02, 0.30)
 
     def force(self, force: np.ndarray, a: np.ndarray, c: Constants, view: View) -> np.ndarray:
@@ -172,7 +179,12 @@ class Contracture(Effect):
 class Titin(Effect):
     """Outside the catalogue: a spring whose stiffness rises with activation (titin binding to actin)."""
 
-    id, family, parameter, unit = "outside_titin", "muscle", "stiffness_at_full_activation", "fmax per optimal length"
+    id, family, parameter, unit = (
+        "outside_titin",
+        "muscle",
+        "stiffness_at_full_activation",
+        "fmax per optimal length",
+    )
     limits = (0.3, 12.0)
 
     def force(self, force: np.ndarray, a: np.ndarray, c: Constants, view: View) -> np.ndarray:
@@ -193,7 +205,11 @@ class TendonCreep(Effect):
         longer = view.lmt.copy()
         longer[:, rows] -= c.ls[rows] * (self.size * np.log1p(4 * part) / np.log(5))[:, None]
         length, v, cosine = fiber(longer, c)
-        total = c.fmax * cosine * (a * active(length, c.curves) * velocity(v, c.curves) + passive(length, c.curves))
+        total = (
+            c.fmax
+            * cosine
+            * (a * active(length, c.curves) * velocity(v, c.curves) + passive(length, c.curves))
+        )
         out[:, rows] = total[:, rows]
         return out
 
@@ -209,5 +225,11 @@ class LooseRetinaculum(Effect):
         for name in ("tib_ant", "ext_dig", "soleus", "med_gas"):
             i = view.index(name)
             load = np.sqrt(force[:, i] / view.muscles.fmax[i])
-            out[:, 4] += self.size * load * force[:, i] * view.arms[:, i, 4] * (0.5 if i > view.index("flex_hal") else 0.25)
+            out[:, 4] += (
+                self.size
+                * load
+                * force[:, i]
+                * view.arms[:, i, 4]
+                * (0.5 if i > view.index("flex_hal") else 0.25)
+            )
         return out

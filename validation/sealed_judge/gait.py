@@ -18,7 +18,7 @@ NORMAL_SPEED = 1.25
 _P = [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 85, 90, 95]
 #: Degrees: flexion and adduction of the hip, internal rotation, knee flexion, dorsiflexion, inversion.
 ANGLES = (
-    [30, 29.5, 27, 23, 18, 12.5, 7, 2, -3, -7, -10, -10.5, -6, 2, 12, 21, 28, 33, 34, 32],
+    [30, 29.5, 27, 23, 18, 12.5, 7, 2, -3, -7, -10, -10.5, -5.5, 3.5, 14, 22.5, 28.5, 32, 33, 31.5],
     [0, 3, 5, 6, 6, 5.5, 5, 4.5, 4, 3, 2, -1, -5, -6, -5, -3.5, -2, -1.5, -1, -0.5],
     [-1, 1, 2.5, 3, 3, 2.5, 2, 1.5, 1, 0.5, 0, -1.5, -3, -4, -4.5, -5, -5, -4, -3, -2],
     [5, 9, 16, 19, 17.5, 14, 10, 7, 6, 7, 12, 22, 36, 51, 60, 59, 47, 30, 13, 4],
@@ -82,7 +82,7 @@ def _harmonics(values: list[float], phase: np.ndarray, order: int = 7) -> np.nda
     """Return a truncated Fourier series through a periodic curve given each 5 % of the cycle."""
     c = np.fft.rfft(np.asarray(values, float)) / len(values)
     k = np.arange(1, order + 1)
-    taper = np.where(k > order - 2, 0.6, 1.0)
+    taper = np.where(k == order, 0.75, 1.0)
     terms = 2 * np.real(np.exp(2j * np.pi * phase[:, None] * k) * (c[1 : order + 1] * taper))
     return c[0].real + terms.sum(axis=1)
 
@@ -138,7 +138,7 @@ def _wander(rng: np.random.Generator, phase: np.ndarray, count: int, sd: float, 
 def textbook_angles(phase: np.ndarray, speed: float) -> np.ndarray:
     """Return leg angles in degrees (knee flexion positive), shape (T, 6)."""
     size = (speed / NORMAL_SPEED) ** np.array([0.45, 0.3, 0.3, 0.2, 0.2, 0.2])
-    out = np.stack([_harmonics(a, phase, k) for a, k in zip(ANGLES, (5, 4, 4, 6, 7, 4), strict=True)], axis=1)
+    out = np.stack([_harmonics(a, phase, k) for a, k in zip(ANGLES, (3, 3, 3, 4, 5, 3), strict=True)], axis=1)
     mean = out.mean(axis=0)
     return mean + (out - mean) * size
 
@@ -157,7 +157,13 @@ def stance_curves(phase: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarr
 
 
 def record(
-    rng: np.random.Generator, leg: Leg, mass: float, speed: float, cycles: int, style: np.ndarray, steady: bool = False
+    rng: np.random.Generator,
+    leg: Leg,
+    mass: float,
+    speed: float,
+    cycles: int,
+    style: np.ndarray,
+    steady: bool = False,
 ) -> Recording:
     """Return one recording.
 
@@ -199,7 +205,10 @@ def record(
     q[:, 3] *= leg.knee_sign
     ph = 2 * np.pi * phase
     pelvis = np.zeros((len(time), 6))
-    pelvis[:, 0] = np.radians(-6 + 1.2 * np.cos(2 * ph - 0.6)) + np.radians(_wander(rng, phase, cycles, 0.5 * vary, 1))[:, 0]
+    pelvis[:, 0] = (
+        np.radians(-6 + 1.2 * np.cos(2 * ph - 0.6))
+        + np.radians(_wander(rng, phase, cycles, 0.5 * vary, 1))[:, 0]
+    )
     pelvis[:, 1] = np.radians(2.2 * np.sin(ph + 0.2))
     pelvis[:, 2] = np.radians(4.0 * np.cos(ph))
     pelvis[:, 3] = 0.012 * np.sin(2 * ph + 0.4)
@@ -215,9 +224,11 @@ def record(
     pelvis[:, 4] = basis @ coef
 
     weight = mass * 9.80665
+
     def contact(shift: float, amount: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         f, c = stance_curves(phase + shift, speed)
         return f * weight * (1 + amount), c
+
     amount = _wander(rng, phase, cycles, 0.015 * vary, 3)
     force, foot_cop = contact(0.0, amount)
     rot, org = frames(leg, q, pelvis)
@@ -228,12 +239,24 @@ def record(
     other_force[:, 2] *= -1
     early = np.mod(phase + 0.5, 1) / stance_fraction(speed)
     other_cop = np.stack([0.25 - 0.62 * early + other_foot[:, 0], 0 * phase, -0.09 - 0 * phase], axis=1)
-    target = np.stack([_harmonics(m, phase, 8) for m in MOMENTS], axis=1) * mass
+    target = np.stack([_harmonics(m, phase, 6) for m in MOMENTS], axis=1) * mass
     target[:, 3] *= leg.knee_sign * -1
     target *= (speed / NORMAL_SPEED) ** np.array([0.6, 0.1, 0.3, 0.6, 0.35, 0.3])
     target *= 1 + _wander(rng, phase, cycles, 0.02 * vary, 6)
     inside = np.flatnonzero((time > marks[1] - 0.35) & (time < marks[-2] + 0.35))
     kept = slice(int(inside[0]), int(inside[-1]) + 1)
     return Recording(
-        speed, time, phase, marks[1:-1], q, pelvis, force, cop, 0 * phase, other_force, other_cop, target, kept
+        speed,
+        time,
+        phase,
+        marks[1:-1],
+        q,
+        pelvis,
+        force,
+        cop,
+        0 * phase,
+        other_force,
+        other_cop,
+        target,
+        kept,
     )

@@ -69,7 +69,9 @@ class Leg:
         return copy.deepcopy(self)
 
 
-def generic_leg(scale: np.ndarray | None = None, mass: float = anatomy.GENERIC_MASS, knee_sign: int = 1) -> Leg:
+def generic_leg(
+    scale: np.ndarray | None = None, mass: float = anatomy.GENERIC_MASS, knee_sign: int = 1
+) -> Leg:
     """Return the generic leg with each body scaled by a factor.
 
     Parameters
@@ -208,7 +210,8 @@ def muscle_length(leg: Leg, name: str, rot: np.ndarray, org: np.ndarray) -> np.n
             cyl = leg.cylinders[wrap[0]]
             back = np.swapaxes(rot[:, cyl.body], 1, 2)
             local = [
-                np.einsum("tij,tj->ti", back, w - org[:, cyl.body]) - cyl.centre for w in (world[i], world[i + 1])
+                np.einsum("tij,tj->ti", back, w - org[:, cyl.body]) - cyl.centre
+                for w in (world[i], world[i + 1])
             ]
             total += wrapped_length(local[0], local[1], cyl.radius, cyl.side)
         else:

@@ -17,7 +17,9 @@ from .muscle import RATE
 from .person import Person
 
 
-def adjust_contact(leg_map: np.ndarray, rec: gait.Recording, gap: np.ndarray, mass: float, slack: float) -> None:
+def adjust_contact(
+    leg_map: np.ndarray, rec: gait.Recording, gap: np.ndarray, mass: float, slack: float
+) -> None:
     """Shift force, centre of pressure and free moment of a recording so that the joint moments change by ``gap``.
 
     The shift is the smallest in units of 5 % of the vertical force (12 mm, 0.008 m times force), frame by frame;
@@ -57,8 +59,8 @@ def adjust_contact(leg_map: np.ndarray, rec: gait.Recording, gap: np.ndarray, ma
 
 
 def smooth_envelope(envelope: np.ndarray) -> np.ndarray:
-    """Low-pass at 6 Hz without phase shift (second order, twice) and clip at zero."""
-    return np.maximum(sosfiltfilt(butter(2, 6.0, fs=RATE, output="sos"), envelope, axis=0), 0.0)
+    """Low-pass at 6 Hz without phase shift (fourth order, forwards and backwards) and clip at zero."""
+    return np.maximum(sosfiltfilt(butter(4, 6.0, fs=RATE, output="sos"), envelope, axis=0), 0.0)
 
 
 @dataclass
