@@ -1,7 +1,7 @@
 """Generic right leg: segments, joints, muscle paths and muscle constants.
 
-Coordinates in metres in the frames of the gait2392 model (Delp et al. 1990, doi:10.1109/10.102791): x forward,
-y up, z to the right.  Moving and conditional points of that model are replaced by cylinders.
+Coordinates in metres in the frames of the gait2392 model (Delp et al. 1990, doi:10.1109/10.102791): x
+forward, y up, z to the right.  Moving and conditional points of that model are replaced by cylinders.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ MUSCLES: dict[str, tuple] = {
     "glut_med1": (819, 0.0535, 8, 0.90, ((P, -0.0408, 0.0304, 0.1209), (F, -0.0218, -0.0117, 0.0555)), None),
     "glut_med2": (573, 0.0845, 0, 0.90, ((P, -0.0855, 0.0445, 0.0766), (F, -0.0258, -0.0058, 0.0527)), None),
     "glut_med3": (653, 0.0646, 19, 0.88, ((P, -0.1223, 0.0105, 0.0648), (F, -0.0309, -0.0047, 0.0518)), None),
-    "glut_min1": (270, 0.0680, 10, 0.95, ((P, -0.0467, -0.0080, 0.1056), (F, -0.0072, -0.0104, 0.0560)), None),
+    "glut_min1": (270, 0.068, 10, 0.95, ((P, -0.0467, -0.0080, 0.1056), (F, -0.0072, -0.0104, 0.0560)), None),
     "glut_min2": (285, 0.0560, 0, 0.95, ((P, -0.0633, -0.0065, 0.0991), (F, -0.0096, -0.0104, 0.0560)), None),
     "glut_min3": (323, 0.0480, 1, 0.95, ((P, -0.0834, -0.0063, 0.0856), (F, -0.0135, -0.0083, 0.0550)), None),
     "glut_max1": (
@@ -100,7 +100,7 @@ MUSCLES: dict[str, tuple] = {
          (T, 0.0060, -0.0487, 0.0297)), None,
     ),
     "rect_fem": (
-        1169, 0.114, 5, 0.88, ((P, -0.0295, -0.0311, 0.0968), (T, 0.0400, -0.0750, 0.0)), ("knee_front", 0)
+        1169, 0.114, 5, 0.88, ((P, -0.0295, -0.0311, 0.0968), (T, 0.0400, -0.0750, 0.001)), ("knee_front", 0)
     ),
     "vas_med": (
         1294, 0.089, 5, 0.80,
@@ -109,7 +109,7 @@ MUSCLES: dict[str, tuple] = {
     ),
     "vas_int": (
         1365, 0.087, 3, 0.80,
-        ((F, 0.0290, -0.1924, 0.0310), (F, 0.0335, -0.2084, 0.0285), (T, 0.0400, -0.0750, 0.0)),
+        ((F, 0.0290, -0.1924, 0.0310), (F, 0.0335, -0.2084, 0.0285), (T, 0.0400, -0.0750, 0.001)),
         ("knee_front", 1),
     ),
     "vas_lat": (
@@ -132,7 +132,8 @@ MUSCLES: dict[str, tuple] = {
         ((F, 0.0050, -0.2111, 0.0234), (T, -0.0301, -0.0360, 0.0294), (T, -0.0234, -0.0563, 0.0343)), None,
     ),
     "med_gas": (
-        1558, 0.060, 17, 0.90, ((F, -0.0120, -0.3740, -0.0235), (C, 0.0044, 0.0310, -0.0053)), ("knee_back", 0)
+        1558, 0.060, 17, 0.90, ((F, -0.0120, -0.3740, -0.0235), (C, 0.0044, 0.0310, -0.0053)),
+        ("knee_back", 0),
     ),
     "lat_gas": (
         683, 0.064, 8, 0.90, ((F, -0.0130, -0.3740, 0.0272), (C, 0.0044, 0.0310, -0.0053)), ("knee_back", 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -79,15 +80,18 @@ def _subject(session: Session, name: str) -> str:
         lines.append(f"{channel} = [{', '.join(f'{chr(34)}{m}_{side}{chr(34)}' for m in members)}]")
     for i, (take, (calibration, validation)) in enumerate(zip(session.takes, session.cycles, strict=True)):
         events = take.view.rec.events
-        pairs = [f"[{a:.4f}, {b:.4f}]" for a, b in zip(events, events[1:], strict=False)]
+        pairs = [f"[{a:.4f}, {b:.4f}]" for a, b in pairwise(events)]
         folder = f"trials/speed{i + 1}"
         for use, chosen in (("calibration", pairs[:calibration]), ("validation", pairs[calibration:])):
             if not chosen:
                 continue
             lines += [
-                "", "[[trial]]", f'name = "speed{i + 1}_{use}"', f'use = "{use}"', f"speed_m_s = {take.view.rec.speed:.2f}",
-                f'angles = "{folder}/angles.mot"', f'moments = "{folder}/moments.sto"', f'emg = "{folder}/emg.sto"',
-                f'ground_forces = "{folder}/ground_forces.mot"', f'external_loads = "{folder}/external_loads.xml"',
+                "", "[[trial]]", f'name = "speed{i + 1}_{use}"', f'use = "{use}"',
+                f"speed_m_s = {take.view.rec.speed:.2f}",
+                f'angles = "{folder}/angles.mot"', f'moments = "{folder}/moments.sto"',
+                f'emg = "{folder}/emg.sto"',
+                f'ground_forces = "{folder}/ground_forces.mot"',
+                f'external_loads = "{folder}/external_loads.xml"',
                 f"cycles = [{', '.join(chosen)}]",
             ]  # fmt: skip
         del validation
@@ -116,7 +120,8 @@ def _write_trial(
         angles[:, [0, 1, 2, *range(6, 12)]] = np.degrees(angles[:, [0, 1, 2, *range(6, 12)]])
     write_table(folder / "angles.mot", "Coordinates", names, time[slow], angles[slow], degrees)
     write_table(
-        folder / "moments.sto", "Inverse Dynamics Generalized Forces", [f"{c}_{side}_moment" for c in anatomy.COORDS],
+        folder / "moments.sto", "Inverse Dynamics Generalized Forces",
+        [f"{c}_{side}_moment" for c in anatomy.COORDS],
         time[slow], moments[slow],
     )  # fmt: skip
     write_table(folder / "emg.sto", "Electromyography", list(anatomy.CHANNEL_NAMES), time[fast], emg[fast])

@@ -1,13 +1,14 @@
 """Normalised muscle and tendon curves with the constants of Millard et al. 2013 (doi:10.1115/1.4023390).
 
-The published curves are quintic Bezier splines.  The pieces used here pass through the same published values and
-slopes: quintic Hermite pieces for active force and length, power laws for passive force and tendon, a hyperbola
-and a saturating exponential for force and velocity.
+The published curves are quintic Bezier splines.  The pieces used here pass through the same published values
+and slopes: quintic Hermite pieces for active force and length, power laws for passive force and tendon, a
+hyperbola and a saturating exponential for force and velocity.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def active(length: np.ndarray, curves: Curves) -> np.ndarray:
     """Return the active force at a normalised fiber length."""
     x = 1.0 + (length - 1.0) / curves.width
     out = np.zeros_like(x)
-    for left, right in zip(_NODES, _NODES[1:], strict=False):
+    for left, right in pairwise(_NODES):
         inside = (x >= left[0]) & (x < right[0])
         out = np.where(inside, _quintic(x, left, right), out)
     return np.maximum(out, 0.0)
@@ -70,7 +71,7 @@ def passive(length: np.ndarray, curves: Curves) -> np.ndarray:
 
 
 def velocity(v: np.ndarray, curves: Curves) -> np.ndarray:
-    """Return the force-velocity factor; v is normalised by the maximum shortening velocity, shortening negative."""
+    """Return the force-velocity factor; v is a share of the maximum velocity, shortening negative."""
     c = 1.0 / (curves.slope - 1.0)
     shortening = np.maximum(1.0 + v, 0.0) / (1.0 - np.minimum(v, 0.0) / c)
     rise = curves.plateau - 1.0

@@ -1,9 +1,10 @@
 """Detectability of an effect: its signal in the moment residual, in standard deviations.
 
 The residual is lab moments minus those of the true muscle model without effects, driven by the recorded
-electromyogram on the recorded motion.  Its change by an effect is the signal s.  Its covariance holds the noise
-of moments and electromyogram, the spread of muscle curves, of moment arms and of joint centres, and the free
-muscle parameters with broad priors (which projects them out).  d* = sqrt(s' C^-1 s) over the calibration cycles.
+electromyogram on the recorded motion.  Its change by an effect is the signal s.  Its covariance holds the
+noise of moments and electromyogram, the spread of muscle curves, of moment arms and of joint centres, what
+the filter of the electromyogram takes off, and the free muscle parameters with broad priors (which projects
+them out).  d* = sqrt(s' C^-1 s) over the calibration cycles.
 """
 
 from __future__ import annotations
@@ -14,20 +15,21 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from . import anatomy
-from .dynamics import inverse_dynamics
 from .drive import channel_weights
+from .dynamics import inverse_dynamics
 from .effect import Effect, View, forward
 from .leg import geometry
 from .muscle import Constants, activation_shape, twitch_filter, unit_forces
 from .session import Session, Take
-from .signals import LENGTH_COMMON, LENGTH_OWN, envelope, session_peak, smooth_envelope, gamma_noise
+from .signals import LENGTH_COMMON, LENGTH_OWN, envelope, gamma_noise, session_peak, smooth_envelope
 
 POINTS = 26
 USED = list(anatomy.USED)
 #: Broad priors of the free parameters: relative (lo, ls, fmax), seconds (delay, twitch), absolute (shape).
 FREE = {"lo": 0.25, "ls": 0.08, "fmax": 0.6, "delay": 0.04, "twitch": 0.015, "shape": 1.5}
 RELATIVE = ("lo", "ls", "fmax")
-#: Spread of curves (Millard et al. 2013; De Groote et al. 2016; Thelen 2003): logarithmic standard deviations.
+#: Spread of curves (Millard et al. 2013; De Groote et al. 2016; Thelen 2003): logarithmic standard
+#: deviations.
 SPREAD = {"width": 0.10, "passive_strain": 0.12, "slope": 0.20, "plateau": 0.05}
 ARM_SD, ARM_SLOPE_SD = 0.0015, 0.0015
 CENTRE_SD = {"hip": 0.0025, "knee": 0.0015, "ankle": 0.0012}
@@ -66,7 +68,7 @@ class Detector:
         self.base = self.residual([], session.takes)
 
     def _columns(self, take: Take, cycles: int) -> list[np.ndarray]:
-        """Return moment changes by free parameters and nuisances, each (rows, 6), one standard deviation long."""
+        """Return moment changes by one standard deviation of each free parameter and nuisance, (rows, 6)."""
         view, c = take.view, take.view.muscles
         drive = smooth_envelope(take.drive) @ anatomy.channel_matrix().T
         lmt = view.lmt
@@ -107,6 +109,13 @@ class Detector:
             moved = c.with_(curves=c.curves.with_(**{name: curves[name] * 1.02}))
             change = np.einsum("tm,tmk->tk", forces(moved, a=a0) - base, view.arms)
             out.append(sample(change, view, cycles) * (SPREAD[name] / 0.02))
+        # What the low-pass filter of the electromyogram takes off each electrode, with or without effects.
+        sharp = activation_shape(
+            twitch_filter(take.drive @ anatomy.channel_matrix().T, c.delay, c.twitch), c.shape
+        )
+        lost = sample(forces(c, a=sharp) - base, view, cycles)[:, :, None] * arms
+        lost = np.einsum("tmk,mc->tck", lost, groups)
+        out += [lost[:, j] for j in range(lost.shape[1])]
         stiffness = sample((forces(c, lmt + 1e-4, a0) - base) / 1e-4, view, cycles)
         level, q = sample(base, view, cycles), sample(view.rec.q, view, cycles)
         for m in range(arms.shape[1]):
@@ -153,7 +162,8 @@ class Detector:
             weights = sample(per, view, n)[:, :, USED]
 
             def moments(drive: np.ndarray) -> np.ndarray:
-                a = activation_shape(twitch_filter(drive, c.delay[first], c.twitch[first]), c.shape[first])  # noqa: B023
+                u = twitch_filter(drive, c.delay[first], c.twitch[first])  # noqa: B023
+                a = activation_shape(u, c.shape[first])  # noqa: B023
                 return np.einsum("tc,tck->tk", sample(a, view, n), weights)  # noqa: B023
 
             ref = moments(smooth_envelope(take.drive))

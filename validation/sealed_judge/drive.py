@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 from scipy.interpolate import BSpline
-from scipy.ndimage import gaussian_filter1d
 from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import nnls
 
 from . import anatomy, gait
@@ -25,7 +25,7 @@ FIRST = [anatomy.NAMES.index(m[0]) for m in anatomy.CHANNELS.values()]
 
 
 #: Standard deviation (s) of the Gaussian that limits the bandwidth of every drive to about 6 Hz.
-SMOOTH = 0.042
+SMOOTH = 0.040
 #: Penalty on the logarithmic correction of the drive.
 PULL = 12.0
 
@@ -94,6 +94,7 @@ def mean_drive(
     prior = 0.6 * burst_prior(centres) + 0.015
     x = prior.copy()
     shape = c.shape[FIRST]
+    trust = np.where(phase < 0.62, 0.6, 1.5)
     second = np.eye(knots) - 0.5 * (np.roll(np.eye(knots), 1, 0) + np.roll(np.eye(knots), -1, 0))
     for _ in range(4):
         u = np.stack([filtered[j] @ x[:, j] for j in range(channels)], axis=1)
@@ -103,8 +104,8 @@ def mean_drive(
         for k in range(6):
             cols = [scale[k] * (per[:, j, k] * slope[:, j])[:, None] * filtered[j] for j in range(channels)]
             lin = sum(per[:, j, k] * (a[:, j] - slope[:, j] * u[:, j]) for j in range(channels))
-            blocks.append(np.hstack(cols))
-            target.append(scale[k] * (rest[:, k] - lin))
+            blocks.append(trust[:, None] * np.hstack(cols))
+            target.append(trust * scale[k] * (rest[:, k] - lin))
         pull = np.eye(knots * channels) * 4.0
         blocks += [pull, np.kron(np.eye(channels), second) * 5.0]
         target += [4.0 * prior.T.ravel(), np.zeros(knots * channels)]
@@ -135,9 +136,13 @@ class DriveFit:
         Muscle constants.
     wanted : ndarray
         Wanted moments, shape (T, 6).
+    trust : ndarray
+        Weight of each frame: low in stance, where a shift of the ground reaction can absorb the rest.
     """
 
-    def __init__(self, start: np.ndarray, per: np.ndarray, c: Constants, wanted: np.ndarray) -> None:
+    def __init__(
+        self, start: np.ndarray, per: np.ndarray, c: Constants, wanted: np.ndarray, trust: np.ndarray
+    ) -> None:
         self.start, self.wanted = start, wanted
         frames, channels = start.shape
         spacing = 18
@@ -146,7 +151,7 @@ class DriveFit:
         self.basis = sp.csr_matrix(
             BSpline.design_matrix(np.arange(frames, dtype=float), knots.astype(float), 3)
         )
-        self.scale = WEIGHT / np.maximum(0.008 * np.abs(wanted).max(axis=0), 0.15)
+        self.scale = trust[:, None] * WEIGHT / np.maximum(0.008 * np.abs(wanted).max(axis=0), 0.15)
         self.rows = slice(0, frames, 2)
         columns = []
         for j in range(channels):
@@ -169,7 +174,9 @@ class DriveFit:
         band[(normal.row - normal.col)[lower], normal.col[lower]] = normal.data[lower]
         self.factor = cholesky_banded(band, lower=True)
 
-    def solve(self, forward: Callable[[np.ndarray], np.ndarray], steps: int = 5) -> np.ndarray:
+    def solve(
+        self, forward: Callable[[np.ndarray], np.ndarray], steps: int = 5, fresh: bool = True
+    ) -> np.ndarray:
         """Return the drive for a forward model of the moments.
 
         Parameters
@@ -178,6 +185,8 @@ class DriveFit:
             Moments (T, 6) of a drive (T, C).
         steps : int
             Number of Gauss-Newton steps.
+        fresh : bool
+            Limit the bandwidth of the result; False where the first drive is limited already.
 
         Returns
         -------
@@ -185,10 +194,11 @@ class DriveFit:
             Drive, shape (T, C).
         """
         c = np.zeros(self.size)
-        drive = band_limit(self.start)
+        limit = band_limit if fresh else (lambda x: x)
+        drive = limit(self.start)
         for _ in range(steps):
             gap = ((self.wanted - forward(drive)) * self.scale)[self.rows].T.ravel()
             gradient = self.jac.T @ gap - PULL * c.ravel()
             c = np.clip(c + cho_solve_banded((self.factor, True), gradient).reshape(self.size), -1.2, 1.2)
-            drive = band_limit(np.minimum(self.start * np.exp(self.basis @ c), 1.0))
+            drive = limit(np.minimum(self.start * np.exp(self.basis @ c), 1.0))
         return drive

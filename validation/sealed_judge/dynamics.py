@@ -46,7 +46,7 @@ def inertial_moments(leg: Leg, q: np.ndarray, pelvis: np.ndarray) -> np.ndarray:
 
 
 def contact_map(leg: Leg, q: np.ndarray, pelvis: np.ndarray) -> np.ndarray:
-    """Return the matrix from a wrench about the ground origin (force, moment) to generalised forces, (T, 6, 6)."""
+    """Return the matrix from a wrench about the ground origin to generalised forces, (T, 6, 6)."""
     rot, org = frames(leg, q, pelvis)
     axes, points = joint_axes(leg, q, rot, org)
     # axis . (moment - point x force) = axis . moment + (point x axis) . force

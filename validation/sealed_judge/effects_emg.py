@@ -7,7 +7,6 @@ from scipy.interpolate import PchipInterpolator
 
 from . import anatomy
 from .effect import Effect, View
-
 from .muscle import RATE, Constants, fiber
 from .person import Person
 
@@ -106,9 +105,12 @@ class Crosstalk(Effect):
     id, family, parameter, unit = "emg_crosstalk", "emg", "amplitude_ratio", "1"
     limits = (0.05, 0.8)
     PAIRS = (
-        ("tibialis_anterior", "peroneus"), ("tibialis_anterior", "soleus"), ("gastrocnemius_medialis", "tibialis_anterior"),
-        ("rectus_femoris", "vastus_lateralis"), ("medial_hamstrings", "adductors"), ("biceps_femoris", "vastus_lateralis"),
-        ("soleus", "gastrocnemius_medialis"), ("gluteus_maximus", "gluteus_medius"), ("vastus_medialis", "adductors"),
+        ("tibialis_anterior", "peroneus"), ("tibialis_anterior", "soleus"),
+        ("gastrocnemius_medialis", "tibialis_anterior"),
+        ("rectus_femoris", "vastus_lateralis"), ("medial_hamstrings", "adductors"),
+        ("biceps_femoris", "vastus_lateralis"),
+        ("soleus", "gastrocnemius_medialis"), ("gluteus_maximus", "gluteus_medius"),
+        ("vastus_medialis", "adductors"),
         ("vastus_lateralis", "rectus_femoris"), ("medial_hamstrings", "gastrocnemius_medialis"),
     )  # fmt: skip
 
@@ -182,7 +184,7 @@ class EmgFloor(Effect):
 
 
 class HiddenSpasticity(Effect):
-    """A stretch reflex in a muscle that its group's electrode does not see: square-root of velocity, delayed."""
+    """A stretch reflex that no electrode sees: square root of fiber velocity, delayed."""
 
     id, family, parameter, unit = "spasticity_unrecorded", "emg", "drive_at_peak_stretch", "1"
     limits = (0.03, 0.6)
@@ -245,8 +247,10 @@ class SwappedElectrodes(Effect):
 
     id, family, parameter, unit = "outside_swapped_leads", "emg", "share", "1"
     limits = (0.1, 1.0)
-    PAIRS = (("soleus", "tibialis_anterior"), ("medial_hamstrings", "biceps_femoris"), ("vastus_lateralis", "rectus_femoris"),
-             ("gastrocnemius_medialis", "tibialis_posterior"), ("gluteus_maximus", "gluteus_medius"))  # fmt: skip
+    PAIRS = (("soleus", "tibialis_anterior"), ("medial_hamstrings", "biceps_femoris"),
+             ("vastus_lateralis", "rectus_femoris"),
+             ("gastrocnemius_medialis", "tibialis_posterior"),
+             ("gluteus_maximus", "gluteus_medius"))  # fmt: skip
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.pair = self.PAIRS[int(rng.integers(len(self.PAIRS)))]
@@ -285,7 +289,7 @@ class Dropouts(Effect):
 
 
 class ClockDrift(Effect):
-    """Outside the catalogue: the sampling clock of the electromyograph runs fast or slow in each recording."""
+    """Outside the catalogue: the clock of the electromyograph runs fast or slow in each recording."""
 
     id, family, parameter, unit = "outside_clock_drift", "emg", "relative_rate_error", "1"
     limits, signs = (0.0003, 0.03), (-1, 1)

@@ -11,7 +11,7 @@ from .person import Person
 
 
 class PassiveMoment(Effect):
-    """Capsule and ligaments: a stiffening spring towards one end of the walking range, shifted by a neighbour."""
+    """Capsule and ligaments: a stiffening spring towards one end of range, shifted by a neighbour."""
 
     id, family, parameter, unit = "passive_joint_moment", "passive", "moment_at_end_of_range", "Nm/kg"
     limits = (0.015, 0.30)
@@ -162,7 +162,6 @@ class Attachment(Effect):
         "soleus",
         "med_gas",
         "semimem",
-        "iliacus",
         "glut_med2",
         "rect_fem",
         "tib_ant",
@@ -173,7 +172,7 @@ class Attachment(Effect):
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.name = str(rng.choice(self.SITES))
-        first = self.name in ("semimem", "iliacus", "glut_med2", "glut_max2", "bifemlh")
+        first = self.name in ("semimem", "glut_med2", "glut_max2", "bifemlh")
         self.at = 0 if first else -1
         angle = rng.uniform(0, 2 * np.pi)
         # Mostly in the sagittal plane, where it changes the arms of the large moments.

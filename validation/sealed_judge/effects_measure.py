@@ -43,7 +43,8 @@ class HipCenter(Effect):
     def lab_leg(self, leg: Leg) -> Leg:
         out = leg.copy()
         out.joints["hip"] = out.joints["hip"] + self.size * self.direction
-        # Markers on the thigh hold the femur, so that the point of the femur at the wrong centre is another one.
+        # Markers on the thigh hold the femur, so that the point of the femur at the wrong centre is another
+        # one.
         for name, (bodies, points) in out.paths.items():
             points = points.copy()
             points[bodies == anatomy.FEMUR] -= self.size * self.direction

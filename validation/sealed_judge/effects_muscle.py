@@ -29,8 +29,9 @@ def pick(rng: np.random.Generator, names: tuple[str, ...]) -> tuple[str, list[in
 def elastic_force(a: np.ndarray, lmt: np.ndarray, c: Constants, strain: float, rows: list[int]) -> np.ndarray:
     """Return tendon forces of some muscles in equilibrium with an elastic tendon.
 
-    The force balance with slight fiber damping (0.01) is solved for all frames at once: Newton steps
-    on the fiber length with the velocity of the last estimate, which is updated with relaxation.
+    The force balance with slight fiber damping (0.01) is integrated by implicit Euler steps of one frame,
+    each solved by bisection.  The recording is cut into pieces that march side by side, each after 0.3 s of
+    run-in.
 
     Parameters
     ----------
@@ -48,30 +49,39 @@ def elastic_force(a: np.ndarray, lmt: np.ndarray, c: Constants, strain: float, r
     ndarray
         Tendon force, N, shape (T, m).
     """
-    lo, ls, vmax = c.lo[rows], c.ls[rows], c.vmax[rows]
+    lo, ls, speed = c.lo[rows], c.ls[rows], c.lo[rows] * c.vmax[rows] / RATE
     thick = lo * np.sin(c.pennation[rows])
-    curves = c.curves.with_(
-        **{k: (v[rows] if isinstance(v, np.ndarray) else v) for k, v in vars(c.curves).items()}
-    )
-    s = np.maximum(lmt - ls * (1 + 0.3 * strain), 0.1 * lo)
-    v = np.gradient(np.hypot(s, thick), 1 / RATE, axis=0) / (lo * vmax)
+    own = {k: (v[rows] if isinstance(v, np.ndarray) else v) for k, v in vars(c.curves).items()}
+    curves = c.curves.with_(**own)
+    piece, run_in = 60, 60
+    starts = np.arange(0, len(a), piece)
+    frames = np.clip(starts[:, None] - run_in + np.arange(piece + run_in), 0, len(a) - 1)
 
-    def balance(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def excess(s: np.ndarray, t: np.ndarray, last: np.ndarray | None) -> np.ndarray:
         length = np.hypot(s, thick)
-        inner = (
-            a * active(length / lo, curves) * velocity(v, curves) + passive(length / lo, curves) + 0.01 * v
+        v = np.zeros_like(length) if last is None else (length - last) / speed
+        muscle = (
+            a[t] * active(length / lo, curves) * velocity(v, curves) + passive(length / lo, curves) + 0.01 * v
         )
-        outer = tendon((lmt - s) / ls - 1.0, np.array(strain))
-        return inner * s / length - outer, outer
+        return muscle * s / length - tendon((lmt[t] - s) / ls - 1.0, np.array(strain))
 
-    for _ in range(25):
-        for _ in range(2):
-            gap, _ = balance(s)
-            slope = (balance(s + 1e-6)[0] - gap) / 1e-6
-            s = np.clip(s - np.clip(gap / np.maximum(slope, 1.0), -0.01, 0.01), 0.1 * lo, lmt - 0.98 * ls)
-        new = np.gradient(np.hypot(s, thick), 1 / RATE, axis=0) / (lo * vmax)
-        v = 0.7 * v + 0.3 * np.clip(new, -1.0, 1.5)
-    return c.fmax[rows] * balance(s)[1]
+    force, last, s = np.empty_like(lmt), None, None
+    for k in range(frames.shape[1]):
+        t = frames[:, k]
+        top = lmt[t] - 0.98 * ls
+        low = 0.1 * lo + 0 * top if s is None else np.clip(s - 0.08 * lo, 0.1 * lo, top)
+        high = top if s is None else np.clip(s + 0.08 * lo, 0.1 * lo, top)
+        for _ in range(22 if s is None else 14):
+            middle = 0.5 * (low + high)
+            above = excess(middle, t, last) > 0
+            low, high = np.where(above, low, middle), np.where(above, middle, high)
+        s = 0.5 * (low + high)
+        last = np.hypot(s, thick)
+        if k >= run_in:
+            at = starts + k - run_in
+            inside = at < len(a)
+            force[at[inside]] = tendon((lmt[t] - s) / ls - 1.0, np.array(strain))[inside]
+    return c.fmax[rows] * force
 
 
 class TendonCompliance(Effect):
@@ -119,7 +129,7 @@ class ActivationLength(Effect):
 
 
 class ForceEnhancement(Effect):
-    """Stretch of active fibers leaves a force that levels off with stretch and fades (Herzog and Leonard 2002)."""
+    """Active stretch leaves a force that levels off with stretch and fades (Herzog and Leonard 2002)."""
 
     id, family, parameter, unit = "force_enhancement", "muscle", "relative_gain_at_saturation", "1"
     limits = (0.05, 0.9)
@@ -156,7 +166,7 @@ class ForceSharing(Effect):
 
 
 class Contracture(Effect):
-    """Collagen in parallel with the fibers: a smooth one-sided spring that starts inside the walking range."""
+    """Collagen in parallel with the fibers: a one-sided spring that starts inside the walking range."""
 
     id, family, parameter, unit = "contracture", "passive", "force_at_longest_gait_length", "fmax"
     limits = (0.02, 0.6)

@@ -1,7 +1,7 @@
 """Textbook curves of walking and one recording with natural variation between cycles.
 
-Key points are rounded from Winter (1991, The Biomechanics and Motor Control of Human Gait) and Perry (1992, Gait
-Analysis), for about 1.25 m/s, in per cent of the cycle from heel strike.
+Key points are rounded from Winter (1991, The Biomechanics and Motor Control of Human Gait) and Perry (1992,
+Gait Analysis), for about 1.25 m/s, in per cent of the cycle from heel strike.
 """
 
 from __future__ import annotations
@@ -16,26 +16,34 @@ from .muscle import RATE
 
 NORMAL_SPEED = 1.25
 _P = [0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 85, 90, 95]
-#: Degrees: flexion and adduction of the hip, internal rotation, knee flexion, dorsiflexion, inversion.
+#: Degrees: flexion and adduction of the hip, internal rotation, knee flexion, dorsiflexion, inversion.  Hip
+#: flexion, adduction and knee flexion were shifted by up to 3 degrees in swing so that the swing moments are
+#: Winter's.
 ANGLES = (
-    [30, 29.5, 27, 23, 18, 12.5, 7, 2, -3, -7, -10, -10.5, -5.5, 3.5, 14, 22.5, 28.5, 32, 33, 31.5],
-    [0, 3, 5, 6, 6, 5.5, 5, 4.5, 4, 3, 2, -1, -5, -6, -5, -3.5, -2, -1.5, -1, -0.5],
+    [29.5, 29.4, 27.1, 23.2, 18.2, 12.6, 7.1, 2, -3.2, -7.4,
+     -10.5, -11, -5.7, 4.5, 16.3, 24.8, 29.6, 31.2, 30.7, 28.8],
+    [0.4, 3.1, 4.8, 5.6, 5.8, 5.6, 5.3, 4.7, 3.9, 2.6,
+     1.6, -1.1, -4.7, -4.5, -4.3, -4.3, -3.7, -2.7, -0.8, 0.9],
     [-1, 1, 2.5, 3, 3, 2.5, 2, 1.5, 1, 0.5, 0, -1.5, -3, -4, -4.5, -5, -5, -4, -3, -2],
-    [5, 9, 16, 19, 17.5, 14, 10, 7, 6, 7, 12, 22, 36, 51, 60, 59, 47, 30, 13, 4],
+    [5.6, 9.1, 15.6, 18.5, 17.4, 14.2, 10.2, 6.9, 5.9, 7.2,
+     12.6, 22.6, 36.2, 49.8, 57.5, 56.3, 45, 29.4, 14.3, 6.7],
     [0, -4, -4, 0, 3, 5, 7, 8.5, 10, 11, 8, -3, -14, -16, -9, -3, 0, 2, 2, 1],
     [2, -2, -4, -5, -5, -5, -4.5, -4, -3, -1, 1, 3, 5, 4, 2.5, 1.5, 1, 1, 1, 1.5],
-)
+)  # fmt: skip
 #: Moments in Nm/kg, positive along the coordinates above (knee: extension), stance only is used as a target.
 MOMENTS = (
-    [-0.3, -0.7, -0.65, -0.5, -0.33, -0.15, 0.02, 0.2, 0.4, 0.6, 0.75, 0.72, 0.5, 0.3, 0.2, 0.1, 0, -0.15, -0.3, -0.33],
-    [-0.1, -0.4, -0.72, -0.82, -0.78, -0.7, -0.65, -0.68, -0.75, -0.8, -0.66, -0.35, -0.05, 0, 0, 0, 0, 0, 0, -0.02],
+    [-0.3, -0.7, -0.65, -0.5, -0.33, -0.15, 0.02, 0.2, 0.4, 0.6,
+     0.75, 0.72, 0.5, 0.3, 0.2, 0.1, 0, -0.15, -0.3, -0.33],
+    [-0.1, -0.4, -0.72, -0.82, -0.78, -0.7, -0.65, -0.68, -0.75, -0.8,
+     -0.66, -0.35, -0.05, 0, 0, 0, 0, 0, 0, -0.02],
     [0, 0.04, 0.06, 0.06, 0.04, 0.0, -0.04, -0.07, -0.09, -0.09, -0.06, -0.02, 0, 0, 0, 0, 0, 0, 0, 0],
-    [-0.25, 0.0, 0.42, 0.58, 0.5, 0.3, 0.1, -0.08, -0.2, -0.22, -0.08, 0.1, 0.15, 0.12, 0.06, 0, -0.1, -0.2, -0.28, -0.3],
+    [-0.25, 0.0, 0.42, 0.58, 0.5, 0.3, 0.1, -0.08, -0.2, -0.22,
+     -0.08, 0.1, 0.15, 0.12, 0.06, 0, -0.1, -0.2, -0.28, -0.3],
     [0.0, 0.1, -0.02, -0.2, -0.4, -0.58, -0.75, -0.93, -1.12, -1.38, -1.38, -0.8, -0.15, 0, 0, 0, 0, 0, 0, 0],
     [0, 0.0, 0.02, 0.04, 0.06, 0.07, 0.09, 0.11, 0.14, 0.17, 0.17, 0.1, 0.02, 0, 0, 0, 0, 0, 0, 0],
 )  # fmt: skip
-#: Ground reaction over the stance phase, body weights: forward, up, to the right; and centre of pressure (m) in
-#: the foot frame, forward and to the right.
+#: Ground reaction over the stance phase, body weights: forward, up, to the right; and centre of pressure (m)
+#: in the foot frame, forward and to the right.
 _S = [0, 0.04, 0.08, 0.15, 0.22, 0.35, 0.5, 0.65, 0.77, 0.85, 0.92, 0.97, 1.0]
 GRF = (
     [0, 0.01, -0.05, -0.16, -0.17, -0.08, -0.01, 0.06, 0.16, 0.20, 0.14, 0.04, 0],

@@ -150,7 +150,7 @@ def frames(leg: Leg, q: np.ndarray, pelvis: np.ndarray | None = None) -> tuple[n
 
 
 def joint_axes(leg: Leg, q: np.ndarray, rot: np.ndarray, org: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the axis and a point on the axis of each leg coordinate in the ground frame, shapes (T, 6, 3)."""
+    """Return an axis and a point on it for each leg coordinate, in the ground frame, (T, 6, 3)."""
     ex, ey, ez = np.eye(3)
     first = rotation(ez, q[:, 0])
     second = first @ rotation(ex, q[:, 1])

@@ -1,14 +1,14 @@
 """Muscle constants, activation dynamics and muscle force.
 
-Activation: neural drive, delayed by the electromechanical delay, passes a critically damped second-order twitch
-(Milner-Brown et al. 1973, doi:10.1113/jphysiol.1973.sp010087) and an exponential shape (Buchanan et al. 2004,
-doi:10.1123/jab.20.4.367).  Force: Hill-type muscle with rigid tendon and constant fiber thickness, so that
-pennation changes with length (Zajac 1989).
+Activation: neural drive, delayed by the electromechanical delay, passes a critically damped second-order
+twitch (Milner-Brown et al. 1973, doi:10.1113/jphysiol.1973.sp010087) and an exponential shape (Buchanan et
+al. 2004, doi:10.1123/jab.20.4.367).  Force: Hill-type muscle with rigid tendon and constant fiber thickness,
+so that pennation changes with length (Zajac 1989).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -45,7 +45,7 @@ class Constants:
     delay: np.ndarray
     twitch: np.ndarray
     shape: np.ndarray
-    curves: Curves = Curves()
+    curves: Curves = field(default_factory=Curves)
 
     def with_(self, **changes: np.ndarray | Curves) -> Constants:
         """Return a copy with some constants changed."""
@@ -122,7 +122,7 @@ def fiber(lmt: np.ndarray, c: Constants) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def unit_forces(lmt: np.ndarray, c: Constants) -> tuple[np.ndarray, np.ndarray]:
-    """Return tendon force per unit activation and passive tendon force, shapes (T, M), with a rigid tendon."""
+    """Return tendon force per unit activation and passive tendon force, (T, M), with a rigid tendon."""
     length, v, cosine = fiber(lmt, c)
     gain = c.fmax * cosine * active(length, c.curves) * velocity(v, c.curves)
     return gain, c.fmax * cosine * passive(length, c.curves)

@@ -84,8 +84,9 @@ def draw_person(seed: int, name: str) -> Person:
     generic = generic_leg(knee_sign=sign)
     base = generic_constants(_mean_length(generic, posture))
     ratio = _mean_length(lab, posture) / _mean_length(generic, posture)
-    # Young adults are about 1.6 times stronger than the cadavers of the generic model (Rajagopal et al. 2016).
-    strong = 1.6 * (mass / anatomy.GENERIC_MASS) ** 0.67
+    # Young adults are about 1.8 times stronger than the cadavers of the generic model (Rajagopal et al.
+    # 2016).
+    strong = 1.8 * (mass / anatomy.GENERIC_MASS) ** 0.67
     lab_muscles = base.with_(lo=base.lo * ratio, ls=base.ls * ratio, fmax=base.fmax * strong)
 
     leg = lab.copy()
@@ -134,8 +135,8 @@ def draw_person(seed: int, name: str) -> Person:
     for muscle in anatomy.SILENT:
         i = anatomy.NAMES.index(muscle)
         muscles.ls[i] = mean[i] - 0.72 * lo[i] * cosine[i]
-    slow = rng.uniform(0.80, 1.0)
-    fast = slow + rng.uniform(0.40, 0.60)
+    slow = rng.uniform(0.75, 0.95)
+    fast = slow + rng.uniform(0.35, 0.50)
     speeds = (slow, fast) if rng.random() < 0.5 else (slow, 0.5 * (slow + fast), fast)
     style = np.stack([1.2 * rng.standard_normal(6), np.exp(0.04 * rng.standard_normal(6))])
     noise = {

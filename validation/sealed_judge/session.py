@@ -1,4 +1,4 @@
-"""One session of a person: recordings, drive and true moments, with and without effects; what the lab measures."""
+"""One session of a person: recordings, drive, true moments with and without effects, measurements."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .person import Person
 def adjust_contact(
     leg_map: np.ndarray, rec: gait.Recording, gap: np.ndarray, mass: float, slack: float
 ) -> None:
-    """Shift force, centre of pressure and free moment of a recording so that the joint moments change by ``gap``.
+    """Shift force, centre of pressure and free moment so that the joint moments change by ``gap``.
 
-    The shift is the smallest in units of 5 % of the vertical force (12 mm, 0.008 m times force), frame by frame;
-    moments may miss by ``slack`` Nm/kg.  In swing nothing changes.
+    The shift is the smallest in units of 5 % of the vertical force (12 mm, 0.008 m times force), frame by
+    frame; moments may miss by ``slack`` Nm/kg.  In swing nothing changes.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ def adjust_contact(
     sd = slack * mass * np.array([1, 1, 2, 1, 1, 1.0])
     s = np.einsum("tij,tkj->tik", a, a) + np.diag(sd**2)
     x = np.einsum("tji,tj->ti", a, np.linalg.solve(s, gap[:, :, None])[:, :, 0])
-    x = np.clip(x, -4, 4)
+    # A shift of more than 4 units is shortened, which leaves part of the gap.
+    x *= np.minimum(1.0, 4.0 / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-9))
     rec.cop = rec.cop + np.stack([0.012 * x[:, 3], 0 * up, 0.012 * x[:, 4]], axis=1)
     rec.force = rec.force + np.stack([0.05 * x[:, 0], 0.05 * x[:, 1], 0.03 * x[:, 2]], axis=1) * up[:, None]
     rec.free = rec.free + 0.008 * up * x[:, 5]
@@ -128,7 +129,7 @@ class Session:
         vary = gait._wander(rng, rec.phase, cycles, 0.08, len(anatomy.CHANNELS))
         start = np.clip(pattern(rec.phase) * np.exp(vary), 0.004, 1.0)
         per, _ = channel_weights(lmt, arms, p.muscles)
-        fit = DriveFit(start, per, p.muscles, goal)
+        fit = DriveFit(start, per, p.muscles, goal, np.where(rec.force[:, 1] > 0, 0.5, 2.0))
         drive = fit.solve(lambda n: forward(n, view))
         moments = forward(drive, view)
         contact = contact_map(p.leg, rec.q, rec.pelvis)
@@ -169,7 +170,7 @@ class Session:
             drive = take.drive
             if adapt and effects:
                 start, take.fit.start = take.fit.start, take.drive
-                drive = take.fit.solve(run, adapt)
+                drive = take.fit.solve(run, adapt, fresh=False)
                 take.fit.start = start
             out.append(Take(view, take.fit, drive, run(drive)))
         return out
