@@ -196,6 +196,11 @@ def make(out: Path, cases: int, seed: int, workers: int) -> None:
     """Make the bank and its manifest."""
     out.mkdir(parents=True, exist_ok=True)
     entries = plan(cases, seed)
+    record, text = out / "truth" / "plan.txt", f"seed {seed} cases {cases}\n"
+    record.parent.mkdir(exist_ok=True)
+    if record.exists() and record.read_text(encoding="utf-8") != text:
+        raise SystemExit(f"{out} holds another bank: {record.read_text(encoding='utf-8').strip()}")
+    record.write_text(text, encoding="utf-8")
     if workers > 1:
         with ProcessPoolExecutor(workers) as pool:
             for name in pool.map(make_case, [out] * cases, entries, [seed] * cases):

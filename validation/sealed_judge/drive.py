@@ -27,7 +27,7 @@ FIRST = [anatomy.NAMES.index(m[0]) for m in anatomy.CHANNELS.values()]
 #: Standard deviation (s) of the Gaussian that limits the bandwidth of every drive to about 6 Hz.
 SMOOTH = 0.040
 #: Penalty on the logarithmic correction of the drive.
-PULL = 12.0
+PULL = 3.0
 
 
 def band_limit(drive: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ def burst_prior(phase: np.ndarray) -> np.ndarray:
 
 
 def mean_drive(
-    phase: np.ndarray, period: float, per: np.ndarray, rest: np.ndarray, c: Constants, knots: int = 13
+    phase: np.ndarray, period: float, per: np.ndarray, rest: np.ndarray, c: Constants, knots: int = 16
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the periodic drive of a mean cycle as a function of phase.
 
@@ -153,6 +153,10 @@ class DriveFit:
         )
         self.scale = trust[:, None] * WEIGHT / np.maximum(0.008 * np.abs(wanted).max(axis=0), 0.15)
         self.rows = slice(0, frames, 2)
+        # Taps of the band limit, as a matrix.
+        width = int(4 * SMOOTH * RATE)
+        bell = np.exp(-0.5 * (np.arange(-width, width + 1) / (SMOOTH * RATE)) ** 2)
+        bell = sp.diags(list(bell / bell.sum()), list(range(-width, width + 1)), shape=(frames, frames))
         columns = []
         for j in range(channels):
             m = FIRST[j]
@@ -160,7 +164,7 @@ class DriveFit:
             toeplitz = sp.diags(list(taps), list(-np.arange(len(taps))), shape=(frames, frames), format="csr")
             u = toeplitz @ start[:, j]
             slope = c.shape[m] * np.exp(c.shape[m] * u) / np.expm1(c.shape[m])
-            block = (toeplitz @ sp.diags(start[:, j]) @ self.basis)[self.rows]
+            block = (toeplitz @ (bell @ (sp.diags(start[:, j]) @ self.basis)).tocsr())[self.rows]
             weights = (per[:, j] * slope[:, None] * self.scale)[self.rows]
             columns.append(sp.vstack([sp.diags(weights[:, k]) @ block for k in range(6)]).tocsc())
         splines = self.basis.shape[1]
@@ -175,7 +179,7 @@ class DriveFit:
         self.factor = cholesky_banded(band, lower=True)
 
     def solve(
-        self, forward: Callable[[np.ndarray], np.ndarray], steps: int = 5, fresh: bool = True
+        self, forward: Callable[[np.ndarray], np.ndarray], steps: int = 10, fresh: bool = True
     ) -> np.ndarray:
         """Return the drive for a forward model of the moments.
 
@@ -193,12 +197,25 @@ class DriveFit:
         ndarray
             Drive, shape (T, C).
         """
-        c = np.zeros(self.size)
         limit = band_limit if fresh else (lambda x: x)
-        drive = limit(self.start)
+
+        def drive_of(c: np.ndarray) -> np.ndarray:
+            return limit(np.minimum(self.start * np.exp(self.basis @ c), 1.0))
+
+        def gap_of(c: np.ndarray) -> np.ndarray:
+            return ((self.wanted - forward(drive_of(c))) * self.scale)[self.rows].T.ravel()
+
+        c = np.zeros(self.size)
+        gap = gap_of(c)
+        length = 1.0
         for _ in range(steps):
-            gap = ((self.wanted - forward(drive)) * self.scale)[self.rows].T.ravel()
-            gradient = self.jac.T @ gap - PULL * c.ravel()
-            c = np.clip(c + cho_solve_banded((self.factor, True), gradient).reshape(self.size), -1.2, 1.2)
-            drive = limit(np.minimum(self.start * np.exp(self.basis @ c), 1.0))
-        return drive
+            move = cho_solve_banded((self.factor, True), self.jac.T @ gap - PULL * c.ravel()).reshape(
+                self.size
+            )
+            trial = np.clip(c + length * move, -1.6, 1.6)
+            new = gap_of(trial)
+            if new @ new + PULL * np.sum(trial**2) < gap @ gap + PULL * np.sum(c**2):
+                c, gap, length = trial, new, min(1.0, 2.0 * length)
+            else:
+                length *= 0.4
+        return drive_of(c)
