@@ -1,0 +1,1 @@
+"""An independent simulator of EMG-driven walking, with known causes of model error."""

@@ -1,0 +1,185 @@
+"""Write one case as the subject folder a lab would hand over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from . import anatomy
+from .effect import Effect, Measured
+from .model_file import write_model
+from .muscle import RATE
+from .session import Session, Take
+from .signals import envelope, moment_noise, session_peak
+
+JOINT_OF = {"hip_flexion": "hip", "hip_adduction": "hip", "hip_rotation": "hip", "knee_angle": "knee",
+            "ankle_angle": "ankle", "subtalar_angle": "subtalar"}  # fmt: skip
+
+
+def write_table(
+    path: Path,
+    title: str,
+    columns: list[str],
+    time: np.ndarray,
+    values: np.ndarray,
+    degrees: bool = False,
+    sto: bool = True,
+) -> None:
+    """Write an OpenSim storage file."""
+    head = [
+        title,
+        "version=1",
+        f"nRows={len(time)}",
+        f"nColumns={len(columns) + 1}",
+        f"inDegrees={'yes' if degrees else 'no'}",
+    ]
+    if sto:
+        head.insert(1, "DataType=double")
+    text = "\n".join([*head, "endheader", "\t".join(["time", *columns])]) + "\n"
+    body = np.column_stack([time, values])
+    lines = ["\t".join([f"{row[0]:.5f}", *(f"{x:.7g}" for x in row[1:])]) for row in body]
+    path.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")
+
+
+def external_loads(side: str) -> str:
+    """Return the external-loads file of the one instrumented foot."""
+    return f"""<?xml version="1.0" encoding="UTF-8" ?>
+<OpenSimDocument Version="40000">
+\t<ExternalLoads name="externalloads">
+\t\t<objects>
+\t\t\t<ExternalForce name="foot_{side}">
+\t\t\t\t<applied_to_body>calcn_{side}</applied_to_body>
+\t\t\t\t<force_expressed_in_body>ground</force_expressed_in_body>
+\t\t\t\t<point_expressed_in_body>ground</point_expressed_in_body>
+\t\t\t\t<force_identifier>ground_force_{side}_v</force_identifier>
+\t\t\t\t<point_identifier>ground_force_{side}_p</point_identifier>
+\t\t\t\t<torque_identifier>ground_torque_{side}_</torque_identifier>
+\t\t\t</ExternalForce>
+\t\t</objects>
+\t\t<groups />
+\t\t<datafile>ground_forces.mot</datafile>
+\t</ExternalLoads>
+</OpenSimDocument>
+"""
+
+
+def _subject(session: Session, name: str) -> str:
+    """Return subject.toml."""
+    p = session.person
+    side = p.side
+    used = ", ".join(f'"{anatomy.COORDS[k]}_{side}"' for k in anatomy.USED)
+    lines = [
+        "[subject]", f'name = "{name}"', f"mass_kg = {p.mass:.1f}", f'side = "{side}"', "",
+        "[model]", 'file = "model.osim"', f"coordinates = [{used}]", "",
+        "[emg]", 'kind = "envelope"', "[emg.channels]",
+    ]  # fmt: skip
+    for channel, members in anatomy.CHANNELS.items():
+        lines.append(f"{channel} = [{', '.join(f'{chr(34)}{m}_{side}{chr(34)}' for m in members)}]")
+    for i, (take, (calibration, validation)) in enumerate(zip(session.takes, session.cycles, strict=True)):
+        events = take.view.rec.events
+        pairs = [f"[{a:.4f}, {b:.4f}]" for a, b in pairwise(events)]
+        folder = f"trials/speed{i + 1}"
+        for use, chosen in (("calibration", pairs[:calibration]), ("validation", pairs[calibration:])):
+            if not chosen:
+                continue
+            lines += [
+                "", "[[trial]]", f'name = "speed{i + 1}_{use}"', f'use = "{use}"',
+                f"speed_m_s = {take.view.rec.speed:.2f}",
+                f'angles = "{folder}/angles.mot"', f'moments = "{folder}/moments.sto"',
+                f'emg = "{folder}/emg.sto"',
+                f'ground_forces = "{folder}/ground_forces.mot"',
+                f'external_loads = "{folder}/external_loads.xml"',
+                f"cycles = [{', '.join(chosen)}]",
+            ]  # fmt: skip
+        del validation
+    return "\n".join(lines) + "\n"
+
+
+def _write_trial(
+    folder: Path, m: Measured, moments: np.ndarray, emg: np.ndarray, take: Take, side: str, full: bool
+) -> None:
+    """Write the files of one recording."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = take.view.rec.kept
+    start = kept.start + kept.start % 2
+    slow, fast = slice(start, kept.stop, 2), slice(start, kept.stop)
+    time = take.view.rec.time
+    left = side == "l"
+    pelvis = m.pelvis * (np.array([1, -1, -1, 1, 1, -1]) if left else 1.0)
+    if full:
+        names = [f"/jointset/ground_pelvis/{c}/value" for c in anatomy.PELVIS_COORDS]
+        names += [f"/jointset/{JOINT_OF[c]}_{side}/{c}_{side}/value" for c in anatomy.COORDS]
+    else:
+        names = [*anatomy.PELVIS_COORDS, *(f"{c}_{side}" for c in anatomy.COORDS)]
+    angles = np.hstack([pelvis, m.q])
+    degrees = not full
+    if degrees:
+        angles[:, [0, 1, 2, *range(6, 12)]] = np.degrees(angles[:, [0, 1, 2, *range(6, 12)]])
+    write_table(folder / "angles.mot", "Coordinates", names, time[slow], angles[slow], degrees)
+    write_table(
+        folder / "moments.sto", "Inverse Dynamics Generalized Forces",
+        [f"{c}_{side}_moment" for c in anatomy.COORDS],
+        time[slow], moments[slow],
+    )  # fmt: skip
+    write_table(folder / "emg.sto", "Electromyography", list(anatomy.CHANNEL_NAMES), time[fast], emg[fast])
+    flip = np.array([1, 1, -1]) if left else np.ones(3)
+    torque = np.zeros((len(m.free), 3))
+    torque[:, 1] = m.free * (-1 if left else 1)
+    columns = [f"ground_force_{side}_{a}{x}" for a in "vp" for x in "xyz"] + [
+        f"ground_torque_{side}_{x}" for x in "xyz"
+    ]
+    write_table(
+        folder / "ground_forces.mot", "ground_forces", columns, time[fast],
+        np.hstack([m.force * flip, m.cop * flip, torque])[fast], sto=False,
+    )  # fmt: skip
+    (folder / "external_loads.xml").write_text(external_loads(side), encoding="utf-8")
+
+
+def write_case(
+    folder: Path, name: str, session: Session, takes: list[Take], effects: Sequence[Effect], seed: int
+) -> dict:
+    """Write a case and return what the recordings contain.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the case.
+    name : str
+        Subject name; says nothing about the effects.
+    session : Session
+        Session without effects.
+    takes : list of Take
+        True states with effects.
+    effects : sequence of Effect
+        Effects at work.
+    seed : int
+        Seed of the noise.
+
+    Returns
+    -------
+    dict
+        Normalising maxima of the electrodes and similar facts.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    p = session.person
+    lab = p.lab_leg
+    for e in effects:
+        lab = e.lab_leg(lab)
+    write_model(folder / "model.osim", lab, p.lab_muscles, p.side, name)
+    (folder / "subject.toml").write_text(_subject(session, name), encoding="utf-8")
+    rng = np.random.default_rng([seed, 41])
+    noise = moment_noise(rng, p, [t.view for t in takes], session.peak)
+    peak = session_peak(session.takes)
+    emg = [envelope(t, peak, effects, rng, p.noise["emg_cv"]) for t in takes]
+    top = np.max([e[t.view.rec.kept].max(axis=0) for e, t in zip(emg, takes, strict=True)], axis=0)
+    full = bool(rng.integers(2))
+    measured = session.measure(takes, effects)
+    for i, (take, (m, moments), e) in enumerate(zip(takes, measured, emg, strict=True)):
+        _write_trial(folder / f"trials/speed{i + 1}", m, moments + noise[i], e / top, take, p.side, full)
+    return {
+        "emg_scale": dict(zip(anatomy.CHANNEL_NAMES, (peak * top).tolist(), strict=True)),
+        "rate_hz": RATE,
+    }
