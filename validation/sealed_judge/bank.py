@@ -121,8 +121,10 @@ def draw_effect(
             new = float(np.clip(size * np.clip(goal / max(value, 1e-3), 0.1, 10.0), low, high))
             # Near enough, at a limit of the published range, or out of trials.
             settled = abs(new / size - 1) < 0.12 or trial == 5
-            if settled and ((2 <= value <= 5) if weak else value > 5):
-                return effect, value
+            if settled:
+                value = detector.evaluate([effect])[0]
+                if (2 <= value <= 5) if weak else value > 5:
+                    return effect, value
             if abs(new / size - 1) < 0.02:
                 break
             size = new

@@ -31,7 +31,7 @@ def write_table(
     """Write an OpenSim storage file."""
     head = [
         title,
-        "version=1",
+        f"version={3 if title == 'Coordinates' else 1}",
         f"nRows={len(time)}",
         f"nColumns={len(columns) + 1}",
         f"inDegrees={'yes' if degrees else 'no'}",
@@ -66,7 +66,7 @@ def external_loads(side: str) -> str:
 """
 
 
-def _subject(session: Session, name: str) -> str:
+def _subject(session: Session, name: str, angles: str) -> str:
     """Return subject.toml."""
     p = session.person
     side = p.side
@@ -78,7 +78,7 @@ def _subject(session: Session, name: str) -> str:
     ]  # fmt: skip
     for channel, members in anatomy.CHANNELS.items():
         lines.append(f"{channel} = [{', '.join(f'{chr(34)}{m}_{side}{chr(34)}' for m in members)}]")
-    for i, (take, (calibration, validation)) in enumerate(zip(session.takes, session.cycles, strict=True)):
+    for i, (take, (calibration, _)) in enumerate(zip(session.takes, session.cycles, strict=True)):
         events = take.view.rec.events
         pairs = [f"[{a:.4f}, {b:.4f}]" for a, b in pairwise(events)]
         folder = f"trials/speed{i + 1}"
@@ -88,13 +88,12 @@ def _subject(session: Session, name: str) -> str:
             lines += [
                 "", "[[trial]]", f'name = "speed{i + 1}_{use}"', f'use = "{use}"',
                 f"speed_m_s = {take.view.rec.speed:.2f}",
-                f'angles = "{folder}/angles.mot"', f'moments = "{folder}/moments.sto"',
+                f'angles = "{folder}/{angles}"', f'moments = "{folder}/moments.sto"',
                 f'emg = "{folder}/emg.sto"',
                 f'ground_forces = "{folder}/ground_forces.mot"',
                 f'external_loads = "{folder}/external_loads.xml"',
                 f"cycles = [{', '.join(chosen)}]",
             ]  # fmt: skip
-        del validation
     return "\n".join(lines) + "\n"
 
 
@@ -118,7 +117,8 @@ def _write_trial(
     degrees = not full
     if degrees:
         angles[:, [0, 1, 2, *range(6, 12)]] = np.degrees(angles[:, [0, 1, 2, *range(6, 12)]])
-    write_table(folder / "angles.mot", "Coordinates", names, time[slow], angles[slow], degrees)
+    file = folder / ("angles.sto" if full else "angles.mot")
+    write_table(file, "Coordinates", names, time[slow], angles[slow], degrees)
     write_table(
         folder / "moments.sto", "Inverse Dynamics Generalized Forces",
         [f"{c}_{side}_moment" for c in anatomy.COORDS],
@@ -169,13 +169,15 @@ def write_case(
     for e in effects:
         lab = e.lab_leg(lab)
     write_model(folder / "model.osim", lab, p.lab_muscles, p.side, name)
-    (folder / "subject.toml").write_text(_subject(session, name), encoding="utf-8")
     rng = np.random.default_rng([seed, 41])
+    # Half of the labs write radians under full path names, half degrees under plain names.
+    full = bool(rng.integers(2))
+    angles = "angles.sto" if full else "angles.mot"
+    (folder / "subject.toml").write_text(_subject(session, name, angles), encoding="utf-8")
     noise = moment_noise(rng, p, [t.view for t in takes], session.peak)
     peak = session_peak(session.takes)
     emg = [envelope(t, peak, effects, rng, p.noise["emg_cv"]) for t in takes]
     top = np.max([e[t.view.rec.kept].max(axis=0) for e, t in zip(emg, takes, strict=True)], axis=0)
-    full = bool(rng.integers(2))
     measured = session.measure(takes, effects)
     for i, (take, (m, moments), e) in enumerate(zip(takes, measured, emg, strict=True)):
         _write_trial(folder / f"trials/speed{i + 1}", m, moments + noise[i], e / top, take, p.side, full)

@@ -143,13 +143,14 @@ class WrapRadius(Effect):
 
     def draw(self, rng: np.random.Generator, person: Person) -> None:
         self.name = str(rng.choice(["knee_front", "hip_front", "knee_back", "ankle_front"]))
+        if self.name == "knee_back":
+            # The origin of the gastrocnemii must stay outside the cylinder.
+            self.size = min(self.size, 0.12)
         self.extra = {"cylinder": self.name}
 
     def true_leg(self, leg: Leg) -> Leg:
         out = leg.copy()
-        # The generic origin of the gastrocnemii lies 10 % outside the back cylinder.
-        grow = min(self.size, 0.12) if self.name == "knee_back" else self.size
-        out.cylinders[self.name].radius *= 1 + grow
+        out.cylinders[self.name].radius *= 1 + self.size
         return out
 
 
