@@ -9,9 +9,10 @@ import pytest
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
-from wrapjax.diagnosis import decision, score
+from wrapjax.diagnosis import decision, pipeline, score
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.effect import Effects
 
 #: Few effects, which compile fast.
 KEPT = {"joint_damping", "emg_drift", "curve_family"}
@@ -80,7 +81,8 @@ def test_a_diagnosis_is_complete(found, several, tmp_path):
     )
     np.testing.assert_array_equal(dataset["predicted_moment"].sel(model="plain"), result.plain)
     held = result.measured - result.plain
-    seen = result.measured - found.calibration.result.modelled
+    baseline = found.independent.baseline
+    seen = result.measured - found.data.prediction(Effects(()))(baseline.variables, np.zeros(0))
     calibrated = np.array(result.uses) == "calibration"
     # Errors on held-out cycles are larger than on fitted ones.
     assert (held[calibrated] ** 2).mean() > (seen[calibrated] ** 2).mean()
@@ -106,11 +108,12 @@ def test_withholding_an_effect_afterwards_or_at_once_gives_the_same_result(found
 
 
 def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, monkeypatch, tmp_path):
-    """Joint significance and improvement are assumed here."""
+    """Joint significance, improvement and the gates are assumed here."""
     both = ("joint_damping", "emg_drift")
     monkeypatch.setattr(score, "jointly_significant_effects", lambda *_: both)
     monkeypatch.setattr(decision, "may_name_jointly", lambda *_: True)
     monkeypatch.setattr(decision, "each_effect_improves", lambda *_: True)
+    monkeypatch.setattr(pipeline, "settle", lambda *arguments: arguments[-1])
     named = found.without(*WITHOUT)
     result = named.result
     assert result.outcome == "named" and result.named == both and not result.ties
