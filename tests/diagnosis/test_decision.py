@@ -19,7 +19,7 @@ from wrapjax.diagnosis.decision import (
 )
 
 NAMES = ("one", "two", "three", "four")
-TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9)
+TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9, 1.2)
 nats = st.floats(-200.0, 1000.0)
 evidences = st.dictionaries(st.sampled_from(NAMES), nats)
 

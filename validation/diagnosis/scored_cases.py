@@ -10,7 +10,9 @@ from typing import Any
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import development_linearizations
 from wrapjax.diagnosis.decision import Probabilities
+from wrapjax.diagnosis.gates import adequacy
 from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.residual_fit import ResidualModel
 from wrapjax.diagnosis.score_test import score_each
 
 #: Correct outcome of cases without a cause in the catalogue; pairs have no single correct answer.
@@ -27,11 +29,14 @@ class ScoredCase:
         Truth of the case.
     evidence, structured
         Log Bayes factor of each effect, and evidence for a structured residual, see `probabilities`; nats.
+    left
+        Repeatable error that the plain model leaves, relative to the 95th percentile of null replicates.
     """
 
     truth: dict[str, Any]
     evidence: Mapping[str, float]
     structured: float
+    left: float = 1.0
 
     @property
     def accepted(self) -> set[str]:
@@ -66,8 +71,14 @@ def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
         (scored,) = score_each(
             residual, nulls(own.linearized, own.measured_moment_sd), own.linearized.candidates
         )
+        adequate = adequacy(ResidualModel.of(own.linearized), own.linearized, own.null_residuals)
         found.append(
-            ScoredCase(truth, {one.id: one.evidence for one in scored.scores}, scored.structured_evidence)
+            ScoredCase(
+                truth,
+                {one.id: one.evidence for one in scored.scores},
+                scored.structured_evidence,
+                adequate.left_rms / adequate.floor_rms,
+            )
         )
     return found
 

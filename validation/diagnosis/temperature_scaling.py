@@ -28,16 +28,23 @@ from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json
 
 #: Constants that are fitted here.
-_FITTED = ("temperature", "offset", "least_detection_threshold", "structured_offset", "structured_scale")
+_FITTED = (
+    "temperature",
+    "offset",
+    "least_detection_threshold",
+    "structured_offset",
+    "structured_scale",
+    "adequacy_factor",
+)
 #: Lower bound of probabilities in the objective, so that no single case dominates it.
 _FLOOR = 1e-3
 # Finer changes of a constant are not significant among a hundred cases.
 _TOLERANCES = {"xatol": 0.02, "fatol": 1e-4}
 #: Largest scale (nats) of the transition from `none` to `unknown`; larger ones carry no information.
 _LARGEST_SCALE = 25.0
-#: Allowed shares of cases without effect whose evidence exceeds the detection threshold, and whose `unknown`
-#: is more probable than `none`.
-_FALSE_POSITIVES, _UNKNOWNS = 0.025, 0.10
+#: Allowed shares of cases without effect whose evidence exceeds the detection threshold, whose `unknown` is
+#: more probable than `none`, and which leave more error than the gate for adequate models allows.
+_FALSE_POSITIVES, _UNKNOWNS, _INADEQUATE = 0.025, 0.10, 0.05
 
 
 def main() -> int:
@@ -112,6 +119,9 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
             np.ceil(10.0 * exceeded_by(lambda one: max(one.evidence.values()), _FALSE_POSITIVES)) / 10.0
         ),
         structured_offset=round(exceeded_by(lambda one: one.structured, _UNKNOWNS), 1),
+        adequacy_factor=max(
+            1.0, float(np.ceil(100.0 * exceeded_by(lambda one: one.left, _INADEQUATE)) / 100.0)
+        ),
     )
 
     def at(point: Float[np.ndarray, " constant"]) -> DecisionConstants:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision
+from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
 from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
 from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Gates, Recorded, examine
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
@@ -30,6 +30,7 @@ def settle(
     null_residuals: Float[np.ndarray, "replicate row"],
     refits: Mapping[Ids, Refit],
     decision: Decision,
+    constants: DecisionConstants,
 ) -> Decision:
     """Examine the claim of a decision, and return the decision that the gates allow.
 
@@ -41,6 +42,8 @@ def settle(
         Residuals of null replicates, N m.
     decision
         Decision by evidence.
+    constants
+        Constants of the decision.
     """
     decision = with_family(decision, scores.evidence, scores.detection_threshold)
     claimed = claimed_effects(decision, scores.evidence)
@@ -53,7 +56,13 @@ def settle(
         data.measured_moment_sd,
     )
     gates = examine(
-        linearized, scores, null_residuals, recorded, claimed, _sizes(data, scores, refits, decision, claimed)
+        linearized,
+        scores,
+        null_residuals,
+        recorded,
+        claimed,
+        _sizes(data, scores, refits, decision, claimed),
+        constants.adequacy_factor,
     )
     return through_gates(decision, gates, claimed)
 

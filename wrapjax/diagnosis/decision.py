@@ -72,6 +72,9 @@ class DecisionConstants:
         which that changes, nats.
     set_level
         Nominal probability of a credible set, so that it covers 90 %.
+    adequacy_factor
+        Factor on the repeatable error that null replicates leave, so that 95 % of people with nothing amiss
+        leave less; see `wrapjax.diagnosis.gates.Adequate`.
     """
 
     bank: str
@@ -82,6 +85,7 @@ class DecisionConstants:
     structured_offset: float
     structured_scale: float
     set_level: float
+    adequacy_factor: float
 
     @classmethod
     def shipped(cls) -> DecisionConstants:

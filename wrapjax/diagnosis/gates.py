@@ -43,7 +43,8 @@ class Adequate:
     left_rms
         Root mean square of the repeatable error with the claimed effects, N m.
     floor_rms
-        95th percentile of that of null replicates, fitted with the same effects, N m.
+        95th percentile of that of null replicates, fitted with the same effects, times a factor that was
+        found on people with nothing amiss (`DecisionConstants.adequacy_factor`), N m.
     """
 
     left_rms: float
@@ -154,6 +155,7 @@ def examine(
     recorded: Recorded,
     claimed: Sequence[str],
     sizes: Sequence[tuple[str, float, float]],
+    adequacy_factor: float,
 ) -> Gates:
     """Examine a claim.
 
@@ -170,11 +172,13 @@ def examine(
     sizes
         Name, value and limit of each effect size of the refit, in its unit; the limit is the smaller one of
         the published range and three prior standard deviations.
+    adequacy_factor
+        See `Adequate`.
     """
     model = ResidualModel.of(linearized)
     signatures = [_claimed_signatures(linearized, scores, id) for id in claimed]
     # Members of a tie replace one another: the strongest stands for all.
-    adequate = adequacy(model, linearized, null_residuals, signatures)
+    adequate = adequacy(model, linearized, null_residuals, signatures, adequacy_factor)
     if not claimed:
         return Gates(adequate)
     return Gates(
@@ -189,7 +193,8 @@ def adequacy(
     model: ResidualModel,
     linearized: LinearizedModel,
     null_residuals: Float[np.ndarray, "replicate row"],
-    signatures: Sequence[ScaledSignatures],
+    signatures: Sequence[ScaledSignatures] = (),
+    factor: float = 1.0,
 ) -> Adequate:
     """Compare the repeatable error that is left with that of null replicates, fitted in the same way.
 
@@ -201,6 +206,8 @@ def adequacy(
         Residuals of null replicates, N m.
     signatures
         Signatures of one prior standard deviation of the claimed effects, N m.
+    factor
+        See `Adequate`.
     """
     fitted = model
     for one in signatures:
@@ -209,7 +216,7 @@ def adequacy(
         [linearized.residual[None], null_residuals.reshape(-1, *linearized.residual.shape)]
     )
     own, *others = repeatable_rms(fitted.fit(residuals), linearized.speeds)
-    return Adequate(float(own), float(np.quantile(others, LEVEL)) if others else np.inf)
+    return Adequate(float(own), factor * float(np.quantile(others, LEVEL)) if others else np.inf)
 
 
 def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:

@@ -134,7 +134,7 @@ def run_diagnosis(
             verification = verification.joined(verify(data, baseline, linearized, localization, joint))
             decision = decide(data, scores, verification, constants)
     with watch.during("gates", "examining the claim"):
-        decision = settle(data, linearized, scores, null_residuals, refits | joint, decision)
+        decision = settle(data, linearized, scores, null_residuals, refits | joint, decision, constants)
     result = diagnosis_result(
         data=data,
         baseline=baseline,
