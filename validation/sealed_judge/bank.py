@@ -8,6 +8,7 @@ import os
 import shutil
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,12 +47,12 @@ def plan(cases: int, seed: int) -> list[dict]:
             counts[tier] += 1
     tiers = [t for t, n in counts.items() for _ in range(n)]
     tiers = [tiers[i] for i in rng.permutation(len(tiers))][:cases]
-    decks = {"single": [], "outside": [], "pair": []}
+    decks: dict[str, list[Any]] = {"single": [], "outside": [], "pair": []}
     sources = {"single": CATALOGUE, "outside": OUTSIDE, "pair": CATALOGUE}
     weak_deck: list[bool] = []
     out = []
     for i, tier in enumerate(tiers):
-        entry = {
+        entry: dict[str, Any] = {
             "id": f"case{i + 1:03d}",
             "person": i // CASES_PER_PERSON,
             "tier": tier,

@@ -166,8 +166,8 @@ def write_case(
     folder.mkdir(parents=True, exist_ok=True)
     p = session.person
     lab = p.lab_leg
-    for e in effects:
-        lab = e.lab_leg(lab)
+    for effect in effects:
+        lab = effect.lab_leg(lab)
     write_model(folder / "model.osim", lab, p.lab_muscles, p.side, name)
     rng = np.random.default_rng([seed, 41])
     # Half of the labs write radians under full path names, half degrees under plain names.

@@ -9,6 +9,7 @@ so that pennation changes with length (Zajac 1989).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.signal import fftconvolve
@@ -47,7 +48,7 @@ class Constants:
     shape: np.ndarray
     curves: Curves = field(default_factory=Curves)
 
-    def with_(self, **changes: np.ndarray | Curves) -> Constants:
+    def with_(self, **changes: Any) -> Constants:
         """Return a copy with some constants changed."""
         return replace(self, **changes)
 

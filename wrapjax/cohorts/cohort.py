@@ -277,7 +277,7 @@ def _process_subject(job: Job) -> dict[str, Any]:
 
 
 def _diagnosis_summary(content: dict[str, Any]) -> dict[str, Any]:
-    names = ("outcome", "reason", "named", "ties", "explainable_share", "shrinkage")
+    names = ("outcome", "reason", "named", "ties", "family", "explainable_share", "shrinkage")
     return {name: content.get(name) for name in names}
 
 

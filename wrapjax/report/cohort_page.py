@@ -331,6 +331,8 @@ def _subject_row(name: str, subject: dict[str, Any], diagnosed: bool) -> tuple[s
     if diagnosis is None:
         return (*row, DASH)
     effects = diagnosis["named"] or [effect for tie in diagnosis["ties"] for effect in tie]
+    if diagnosis["outcome"] == "family" and (family := diagnosis.get("family")):
+        effects = [family["id"]]
     outcome = readable(diagnosis["outcome"]) + (f": {', '.join(map(readable, effects))}" if effects else "")
     return (*row, markup.Link(outcome, subject["diagnosis_report"]))
 

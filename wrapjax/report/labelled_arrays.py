@@ -391,6 +391,7 @@ def diagnosis_dataset(result: DiagnosisResult) -> Dataset:
         "frame": np.arange(result.time.shape[1]),
     }
     attributes = {"outcome": result.outcome, "reason": result.reason, "named": ", ".join(result.named)}
+    attributes["family"] = result.family
     return labelled(columns, labels, cycle_columns(result.uses, result.speeds, result.time), attributes)
 
 

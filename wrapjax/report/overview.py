@@ -92,6 +92,9 @@ def _fit_figures(content: Content) -> str:
 
 def _diagnosis_figures(content: Content) -> str:
     names = content["named"] or [name for tie in content["ties"] for name in tie]
+    # Layouts of version 1 know no families.
+    if content["outcome"] == "family" and (family := content.get("family")):
+        names = [family["id"]]
     outcome = readable(content["outcome"]) + (f": {', '.join(names)}" if names else "")
     share = (content.get("explainable_share") or {}).get("estimate")
     return outcome if share is None else f"{outcome}; {100.0 * share:.0f} % of the error explainable"

@@ -9,7 +9,7 @@ import numpy as np
 from validation.blind.effects import EFFECTS
 from validation.blind.score.figures import cause_among_first, correctly_named, people
 from validation.blind.score.intervals import Figure, share
-from validation.blind.score.records import STOPPED_OUTCOMES, UNNAMED_OUTCOMES, Case
+from validation.blind.score.records import FAMILY_OUTCOME, STOPPED_OUTCOMES, UNNAMED_OUTCOMES, Case
 
 #: Bin edges of d*.
 EDGES = (0.0, 1.0, 2.0, 3.5, 5.0, 8.0, 12.0, np.inf)
@@ -29,7 +29,7 @@ def confusion(cases: Sequence[Case]) -> dict[str, dict[str, int]]:
 
 def answered_family(case: Case) -> str:
     answer = case.answer
-    if answer.outcome in (*UNNAMED_OUTCOMES, *STOPPED_OUTCOMES):
+    if answer.outcome in (*UNNAMED_OUTCOMES, *STOPPED_OUTCOMES, FAMILY_OUTCOME):
         return f"({answer.outcome})"
     named = answer.named
     if correctly_named(case):

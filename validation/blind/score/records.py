@@ -13,6 +13,8 @@ import numpy as np
 from validation.blind.case_selection import CaseSelection
 
 UNNAMED_OUTCOMES = ("none", "unknown")
+#: Outcome that names no effect, but the family of several.
+FAMILY_OUTCOME = "family"
 STOPPED_OUTCOMES = ("insufficient_data", "not_converged")
 
 
