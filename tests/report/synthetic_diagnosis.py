@@ -7,9 +7,11 @@ import numpy as np
 from wrapjax.diagnosis.advice import Advice
 from wrapjax.diagnosis.baseline import ConvergenceCheck
 from wrapjax.diagnosis.effects.effect import NotTestable
+from wrapjax.diagnosis.gates import Adequate, Gates, Plausible, Specific, Stable
 from wrapjax.diagnosis.localization import BINS, MuscleShare, repeatable_error_map, split_error
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
+from wrapjax.diagnosis.undriven_capacity import CapacityShare
 from wrapjax.diagnosis.verification import ReleasedParameter, VerifiedRefit
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
@@ -80,6 +82,15 @@ def _alternative(ids, share, missing, plain, speed=None):
     )
 
 
+#: All passed: 2.1 N m left of 2.6, all parts agree, 48 % removed against 21 % by sham effects.
+GATES = Gates(
+    Adequate(2.1, 2.6),
+    Plausible("ankle_foot_orthosis dorsiflexion_stiffness", 1.9, 4.5),
+    Stable(1.0, {"odd cycles": ORTHOSIS, "even cycles": ORTHOSIS}),
+    Specific(0.48, 0.21),
+)
+
+
 def named() -> DiagnosisResult:
     """Make a result that names the orthosis; the offset of the hip center is second."""
     speeds, measured, missing = _moments()
@@ -132,6 +143,39 @@ def named() -> DiagnosisResult:
             conflicts={"by_speed": {"emg_scale": 0.7}, "by_half": {"emg_scale": 0.4, "fiber_length": 1.2}},
         ),
         seconds={"calibrate": 41.0, "score": 2.0, "refit": 95.5},
+        credible_families=("device", "geometry", "none_of_these"),
+        gates=GATES,
+        muscle_law={"active_shift": -0.02, "second_stage": 0.4},
+        undriven_capacity={name: CapacityShare(0.3, 0.0) for name in COORDINATES},
+    )
+
+
+def family() -> DiagnosisResult:
+    """Make a result that names a family, as parts of the recording put different members first."""
+    return replace(
+        named(),
+        outcome="family",
+        reason="parts of the recording put different effects of one family first",
+        named=(),
+        family="device",
+        family_probability=0.62,
+        gates=replace(GATES, stable=Stable(0.5, {"odd cycles": ORTHOSIS, "even cycles": "device_torque"})),
+    )
+
+
+def partial() -> DiagnosisResult:
+    """Make a result without a name, as too much error is left and an effect size is at its limit."""
+    return replace(
+        named(),
+        outcome="unknown",
+        reason="with ankle_foot_orthosis a repeatable error of 3.1 N m is left",
+        named=(),
+        best_partial=(ORTHOSIS,),
+        gates=replace(
+            GATES,
+            adequate=Adequate(3.1, 2.6),
+            plausible=Plausible("ankle_foot_orthosis dorsiflexion_stiffness", 4.5, 4.5),
+        ),
     )
 
 
@@ -156,6 +200,8 @@ def unknown() -> DiagnosisResult:
         shares={},
         advice=(),
         muscle_share=None,
+        credible_families=("none_of_these",),
+        gates=Gates(Adequate(2.4, 2.6)),
     )
 
 
@@ -197,6 +243,8 @@ def insufficient_data() -> DiagnosisResult:
         global_p=np.nan,
         advice=(),
         seconds={},
+        credible_families=(),
+        gates=None,
     )
 
 
@@ -213,5 +261,5 @@ def not_converged() -> DiagnosisResult:
 
 #: Function that makes the result of each outcome.
 OUTCOME_MAKERS = {
-    make.__name__: make for make in (named, tie, unknown, none, insufficient_data, not_converged)
+    make.__name__: make for make in (named, tie, family, unknown, none, insufficient_data, not_converged)
 }

@@ -19,6 +19,7 @@ from tests.report.synthetic_diagnosis import (
     SPEEDS,
     finding,
     named,
+    partial,
 )
 from wrapjax import InputError
 from wrapjax.cli.diagnose import diagnosis_table
@@ -46,6 +47,7 @@ from wrapjax.report.diagnosis_words import diagnosis_findings, untested_findings
 KEYS = {
     *("schema", "outcome", "named", "ties", "credible_set", "effects", "where", "explainable_share"),
     *("shrinkage", "mae_Nm", "not_testable", "advice"),
+    *("best_partial", "family", "credible_families", "gates", "muscle_law", "undriven_capacity"),
 }
 INCONCLUSIVE = ("insufficient_data", "not_converged")
 
@@ -90,7 +92,7 @@ def test_folder_contains_exactly_the_documented_files(outcome, written, subject)
 def test_every_outcome_has_the_guaranteed_keys(outcome, written, subject):
     content = _content(written(outcome, subject))
     assert content.keys() >= KEYS
-    assert content["schema"] == 1 and content["outcome"] == outcome
+    assert content["schema"] == 2 and content["outcome"] == outcome
     probabilities = [effect["probability"] for effect in content["effects"]]
     assert [effect["id"] for effect in content["effects"][-2:]] == ["none", "unknown"]
     assert len({tuple(effect) for effect in content["effects"]}) == 1, "rows have the same keys"
@@ -226,7 +228,7 @@ def test_page_is_self_contained_with_valid_figures(outcome, written, subject):
     assert (
         len(images)
         == len(page.all("figcaption"))
-        == {"none": 3, "unknown": 6, "tie": 7}.get(outcome, 0 if outcome in INCONCLUSIVE else 8)
+        == {"none": 3, "unknown": 6, "tie": 7, "family": 7}.get(outcome, 0 if outcome in INCONCLUSIVE else 8)
     )
     for image in images:
         assert len(image["alt"]) > 20
@@ -235,9 +237,39 @@ def test_page_is_self_contained_with_valid_figures(outcome, written, subject):
     assert not re.search(r"\bcaus", page.text.lower())
 
 
+def test_gates_and_families_are_numbers(written, subject):
+    content = _content(written("family", subject))
+    assert content["family"] == {"id": "device", "probability": 0.62, "members": [ORTHOSIS]}
+    assert content["gates"]["adequate"] == {"passed": True, "left_rms_Nm": 2.1, "floor_rms_Nm": 2.6}
+    assert content["gates"]["plausible"]["worst"]["limit"] == 4.5
+    assert content["gates"]["stable"]["passed"] is False and content["gates"]["stable"]["agreement"] == 0.5
+    assert content["gates"]["specific"] == {"passed": True, "shrinkage": 0.48, "sham_shrinkage": 0.21}
+    failed = describe_diagnosis(subject, partial())
+    assert failed["best_partial"] == (ORTHOSIS,) and failed["family"] is None
+    assert [gate["passed"] for gate in failed["gates"].values()] == [False, False, True, True]
+    asked = _content(written("none", subject))["gates"]
+    assert asked["adequate"]["passed"] is True, "asked of the plain model"
+    assert asked["stable"] == {"passed": None, "agreement": None}
+    for outcome in INCONCLUSIVE:
+        gates = _content(written(outcome, subject))["gates"]
+        assert gates.keys() == asked.keys() and not any(gate["passed"] for gate in gates.values())
+
+
+def test_the_page_shows_the_gates(written, subject):
+    for outcome, results in (
+        ("named", ["passed"] * 4),
+        ("family", ["passed", "passed", "failed", "passed"]),
+        ("none", ["passed"]),
+        ("not_converged", []),
+    ):
+        text = (written(outcome, subject) / "report.html").read_text()
+        assert re.findall(r"<td>(passed|failed)</td>", text) == results
+
+
 def test_order_of_sections(written, subject):
     text = (written("named", subject) / "report.html").read_text()
     assert re.findall(r"<h2>(.*?)</h2>", text) == [
+        "What a name has to pass",
         "Effects that this recording cannot test",
         "Location of the error",
         "Parts of the error",
@@ -269,6 +301,7 @@ def test_findings_of_each_outcome():
     assert "any of ankle foot orthosis (0.62), hip center offset (0.20)" in said["tie"]
     assert "Adding any one of them removes 41 to 48 %" in said["tie"]
     assert "none of the 5 effects testable with these data explains" in said["unknown"]
+    assert "by an effect of one family: a device acts on the leg (probability 0.62)" in said["family"]
     assert (
         "does not exceed that expected without any effect" in said["none"]
         and "2 % [-6 to 11]" in said["none"]

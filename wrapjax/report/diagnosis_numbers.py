@@ -184,19 +184,20 @@ def _family(result: DiagnosisResult) -> dict[str, Any] | None:
     }
 
 
-def _gates(gates: Gates | None) -> dict[str, Any] | None:
-    """Describe the gates; null for those that concern a claim where none was made."""
+def _gates(gates: Gates | None) -> dict[str, dict[str, Any]]:
+    """Describe the gates; values are null for gates that were not examined, as nothing was claimed."""
+    described: dict[str, dict[str, Any]] = {
+        "adequate": {"passed": None, "left_rms_Nm": None, "floor_rms_Nm": None},
+        "plausible": {"passed": None, "worst": None},
+        "stable": {"passed": None, "agreement": None},
+        "specific": {"passed": None, "shrinkage": None, "sham_shrinkage": None},
+    }
     if gates is None:
-        return None
-    described: dict[str, Any] = {
-        "adequate": {
-            "passed": gates.adequate.passed,
-            "left_rms_Nm": gates.adequate.left_rms,
-            "floor_rms_Nm": gates.adequate.floor_rms,
-        },
-        "plausible": None,
-        "stable": None,
-        "specific": None,
+        return described
+    described["adequate"] = {
+        "passed": gates.adequate.passed,
+        "left_rms_Nm": gates.adequate.left_rms,
+        "floor_rms_Nm": gates.adequate.floor_rms,
     }
     if gates.plausible is not None:
         described["plausible"] = {"passed": gates.plausible.passed, "worst": asdict(gates.plausible)}

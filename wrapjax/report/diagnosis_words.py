@@ -200,12 +200,9 @@ def _outcome_finding(result: DiagnosisResult) -> str:
             "is, is not decided."
         )
     if result.outcome == "unknown":
-        partly = (
-            f" {_sentence(effect_names(result.best_partial) + ' explains a part')}"
-            if (result.best_partial)
-            else ""
-        )
-        return f"Not decided: none of {among} explains the error as a cause would.{partly}"
+        part = effect_names(result.best_partial)
+        partly = f" {part[:1].upper()}{part[1:]} explains a part of it." if part else ""
+        return f"Not decided: none of {among} explains the error well enough to be named.{partly}"
     if result.outcome == "none":
         return (
             "The error does not exceed that expected without any effect (probability of no effect "
