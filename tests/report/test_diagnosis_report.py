@@ -442,3 +442,10 @@ def test_a_failed_write_leaves_no_folder_and_keeps_an_existing_one(
     assert [path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*")] == (
         ["gap", "gap/old.txt"] if force else []
     )
+
+
+def test_nothing_is_said_of_the_refit_of_an_effect_that_is_not_testable():
+    hidden = NotTestable(ORTHOSIS, "one of expected size would show by 0.9 standard deviations only")
+    result = replace(partial(), not_testable=(hidden,))
+    assert any("removes" in sentence for sentence in diagnosis_findings(partial()))
+    assert not any("removes" in sentence or "decreases" in sentence for sentence in diagnosis_findings(result))
