@@ -448,4 +448,6 @@ def test_nothing_is_said_of_the_refit_of_an_effect_that_is_not_testable():
     hidden = NotTestable(ORTHOSIS, "one of expected size would show by 0.9 standard deviations only")
     result = replace(partial(), not_testable=(hidden,))
     assert any("removes" in sentence for sentence in diagnosis_findings(partial()))
-    assert not any("removes" in sentence or "decreases" in sentence for sentence in diagnosis_findings(result))
+    assert not any(
+        "removes" in sentence or "decreases" in sentence for sentence in diagnosis_findings(result)
+    )
