@@ -10,6 +10,7 @@ from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
 from wrapjax.diagnosis import decision, pipeline, score
+from wrapjax.diagnosis.claim import settle
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
@@ -125,6 +126,7 @@ def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, mo
     assert json.loads((tmp_path / "gap" / "gap.json").read_text())["named"] == list(both)
     assert "joint damping with emg drift" in (tmp_path / "gap" / "report.html").read_text()
     monkeypatch.setattr(decision, "each_effect_improves", lambda *_: False)
+    monkeypatch.setattr(pipeline, "settle", settle)
     assert found.without(*WITHOUT).result.named == found.result.named
 
 
