@@ -153,7 +153,7 @@ def test_scale_and_delay_act_on_excitation(parameters, recording, states):
 
 def test_every_parameter_has_a_unit_and_a_meaning():
     singles = {field.name for field in dataclasses.fields(ModelParameters)}
-    singles -= {"path_changes", "synergy_weights"}
+    singles -= {"path_changes", "synergy_weights", "law"}
     assert set(QUANTITIES) == singles
     assert all(quantity.unit and quantity.meaning for quantity in QUANTITIES.values())
 

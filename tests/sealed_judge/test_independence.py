@@ -10,7 +10,7 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "sealed_judge"
 FILES = sorted(FOLDER.glob("*.py"))
 ALLOWED = {
-    "__future__", "argparse", "ast", "collections", "concurrent", "copy", "dataclasses", "hashlib",
+    "__future__", "argparse", "ast", "collections", "concurrent", "copy", "dataclasses", "hashlib", "typing",
     "itertools", "json",
     "numpy", "os", "pathlib", "scipy", "shutil", "sys", "xml",
 }  # fmt: skip
