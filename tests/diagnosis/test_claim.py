@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from wrapjax.diagnosis.claim import claimed_effects, through_gates, with_family
+from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
 from wrapjax.diagnosis.decision import Decision, Probabilities, credible_families
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.family import FAMILIES
@@ -25,7 +25,7 @@ def disagreeing(*others):
 
 
 def test_a_claim_that_passes_all_gates_stays():
-    decision = through_gates(NAMED, GOOD, ["cop_offset"])
+    decision = apply_gates(NAMED, GOOD, ["cop_offset"])
     assert decision == replace(NAMED, gates=GOOD)
     assert GOOD.failed == ()
 
@@ -41,26 +41,26 @@ def test_a_claim_that_passes_all_gates_stays():
     ids=["adequate", "plausible", "specific", "stable"],
 )
 def test_a_failed_gate_leaves_no_name(gates):
-    decision = through_gates(NAMED, gates, ["cop_offset"])
+    decision = apply_gates(NAMED, gates, ["cop_offset"])
     assert decision.outcome == "unknown" and not decision.accepted
     assert decision.best_partial == ("cop_offset",)
     assert "cop_offset" in decision.reason or "parts of the recording" in decision.reason
 
 
 def test_parts_that_disagree_within_a_family_leave_the_family():
-    decision = through_gates(NAMED, disagreeing("force_latency"), ["cop_offset"])
+    decision = apply_gates(NAMED, disagreeing("force_latency"), ["cop_offset"])
     assert (decision.outcome, decision.family, decision.named) == ("family", "measured_force", ())
 
 
 def test_few_parts_that_disagree_leave_a_tie():
-    decision = through_gates(NAMED, disagreeing("joint_damping"), ["cop_offset"])
+    decision = apply_gates(NAMED, disagreeing("joint_damping"), ["cop_offset"])
     assert decision.outcome == "tie" and decision.tie == ("cop_offset", "joint_damping")
 
 
 def test_nothing_amiss_is_said_only_of_an_adequate_model():
     none = Decision("none", "no effect has more evidence than null replicates show")
-    assert through_gates(none, Gates(Adequate(1.0, 2.0)), []).outcome == "none"
-    assert through_gates(none, Gates(Adequate(3.0, 2.0)), []).outcome == "unknown"
+    assert apply_gates(none, Gates(Adequate(1.0, 2.0)), []).outcome == "none"
+    assert apply_gates(none, Gates(Adequate(3.0, 2.0)), []).outcome == "unknown"
 
 
 def test_a_family_is_claimed_where_its_members_share_the_probability():
@@ -69,7 +69,7 @@ def test_a_family_is_claimed_where_its_members_share_the_probability():
     evidence = {"cop_offset": 9.0, "force_latency": 8.7, "joint_damping": 6.0}
     decision = with_family(undecided, evidence, 5.0)
     assert (decision.outcome, decision.family) == ("family", "measured_force")
-    assert claimed_effects(decision, evidence) == ("cop_offset",)
+    assert claimed_effects(decision, evidence) == (("cop_offset",), ("cop_offset", "force_latency"))
     assert with_family(undecided, evidence, 10.0).outcome == "none"
     reasoned = replace(undecided, outcome="unknown")
     assert with_family(reasoned, evidence, 5.0) == reasoned

@@ -10,7 +10,7 @@ from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
 from wrapjax.diagnosis import decision, pipeline, score
-from wrapjax.diagnosis.claim import settle
+from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
@@ -114,7 +114,7 @@ def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, mo
     monkeypatch.setattr(score, "jointly_significant_effects", lambda *_: both)
     monkeypatch.setattr(decision, "may_name_jointly", lambda *_: True)
     monkeypatch.setattr(decision, "each_effect_improves", lambda *_: True)
-    monkeypatch.setattr(pipeline, "settle", lambda *arguments: arguments[-2])
+    monkeypatch.setattr(pipeline, "examine_claim", lambda *arguments: arguments[-2])
     named = found.without(*WITHOUT)
     result = named.result
     assert result.outcome == "named" and result.named == both and not result.ties
@@ -126,7 +126,7 @@ def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, mo
     assert json.loads((tmp_path / "gap" / "gap.json").read_text())["named"] == list(both)
     assert "joint damping with emg drift" in (tmp_path / "gap" / "report.html").read_text()
     monkeypatch.setattr(decision, "each_effect_improves", lambda *_: False)
-    monkeypatch.setattr(pipeline, "settle", settle)
+    monkeypatch.setattr(pipeline, "examine_claim", examine_claim)
     assert found.without(*WITHOUT).result.named == found.result.named
 
 

@@ -8,8 +8,10 @@ import pytest
 from tests.diagnosis.noise import noise_of_width
 from wrapjax.diagnosis.error_sources import MuscleErrors
 from wrapjax.diagnosis.gates import (
+    Claim,
     Recorded,
     adequacy,
+    examine,
     plausibility,
     recording_parts,
     specificity,
@@ -17,6 +19,7 @@ from wrapjax.diagnosis.gates import (
 )
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.diagnosis.residual_fit import ResidualModel, UnseenCycles, repeatable_rms
+from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.sham_effects import scaled_like, sham_effects
 
 CYCLES, COORDINATES, PHASES = 8, 2, 25
@@ -80,10 +83,25 @@ def test_adequate_unless_more_repeats_than_in_replicates(generator):
 
     def adequate(signal):
         linearized = model_with(generator, signal)
-        return adequacy(ResidualModel.of(linearized), linearized, replicates, [3.0 * WAVE[None]])
+        return adequacy(ResidualModel.of(linearized), linearized, replicates, 3.0 * WAVE[None])
 
     assert adequate(5.0 * WAVE).passed
     assert not adequate(5.0 * WAVE + 3.0 * STRANGE).passed
+
+
+def test_the_strongest_of_a_tie_is_fitted_and_all_of_a_joint_claim(generator):
+    signal = 5.0 * WAVE + 5.0 * OTHER
+    linearized = model_with(generator, signal)
+    replicates = noise(generator, 40).reshape(40, -1)
+    scores = score(linearized, MOMENT_SD, replicates[:3], 5.0)
+
+    def examined(together):
+        claim = Claim(together, ("cop_offset", "joint_damping"))
+        return examine(linearized, scores, replicates, recorded(), claim, 1.0)
+
+    assert not examined(("cop_offset",)).adequate.passed
+    assert examined(("cop_offset", "joint_damping")).adequate.passed
+    assert examined(()).stable is None
 
 
 def test_plausible_within_the_limits_only():
@@ -95,18 +113,16 @@ def test_plausible_within_the_limits_only():
 
 def test_stable_where_all_parts_agree(generator):
     right = stability(model_with(generator, 6.0 * WAVE + 2.0 * OTHER), MOMENT_SD, ["cop_offset"])
-    # Without the first coordinate the other effect leads.
-    assert right.first["without coordinate 1"] == "joint_damping"
-    assert right.agreement == pytest.approx(1.0 - 1.0 / len(right.first))
-    assert right.leaders[0] == "cop_offset"
+    # Without the first coordinate the effect cannot show: no witness against it.
+    assert "without coordinate 1" not in right.first and "without coordinate 2" in right.first
+    assert right.agreement == 1.0 and right.passed and right.leaders == ("cop_offset",)
     first_speed = np.where(SPEEDS == 0, 1.0, 0.0)[:, None, None]
-    mixed = stability(
-        model_with(generator, 6.0 * WAVE * first_speed + 6.0 * OTHER * (1.0 - first_speed)),
-        MOMENT_SD,
-        ["cop_offset"],
-    )
+    signal = 6.0 * WAVE * first_speed + 6.0 * OTHER * (1.0 - first_speed)
+    linearized = model_with(generator, signal)
+    mixed = stability(linearized, MOMENT_SD, ["cop_offset"])
     assert mixed.first["speed 1"] == "cop_offset" and mixed.first["speed 2"] == "joint_damping"
     assert not mixed.passed
+    assert stability(linearized, MOMENT_SD, ["cop_offset", "joint_damping"]).passed
 
 
 def test_parts_of_a_short_recording_leave_out_one_cycle_each(generator):

@@ -89,17 +89,18 @@ def test_curves_at_the_bounds_are_those_of_a_muscle(place, end):
     assert np.isfinite(neural).all() and neural.max() < 0.65 and neural.min() > -0.02
 
 
-def test_a_second_stage_delays_and_slow_deactivation_prolongs():
-    def moments(**values):
-        neural = np.asarray(
-            personal_neural_activation(excitation(), jnp.asarray(0.03), STEP, 4.0, law_with(**values))
-        )[0]
-        frames = np.arange(len(neural))
-        return float((neural * frames).sum() / neural.sum()), int((neural > 0.5 * neural.max()).sum())
+def test_slow_deactivation_prolongs_and_a_second_stage_delays_the_onset():
+    # A step of excitation, and its end.
+    steps = jnp.zeros((2, 120)).at[:, 20:60].set(0.6)
 
-    center, duration = moments()
-    assert moments(deactivation_ratio=0.8)[1] > duration
-    assert moments(deactivation_ratio=0.8)[0] > center
+    def response(**values):
+        law = law_with(**values)
+        return np.asarray(personal_neural_activation(steps, jnp.asarray(0.03), STEP, 4.0, law))[0]
+
+    plain, slow, staged = response(), response(deactivation_ratio=0.8), response(second_stage=1.0)
+    assert (slow[62:80] > plain[62:80]).all()
+    assert staged[20] < 0.5 * plain[20], "two stages rise from rest with a slope of zero"
+    np.testing.assert_allclose(staged[58], plain[58], rtol=0.05)
 
 
 def test_shape_keeps_rest_and_full_activation():

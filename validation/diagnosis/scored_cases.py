@@ -71,7 +71,10 @@ def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
         (scored,) = score_each(
             residual, nulls(own.linearized, own.measured_moment_sd), own.linearized.candidates
         )
-        adequate = adequacy(ResidualModel.of(own.linearized), own.linearized, own.null_residuals)
+        linearized = own.linearized
+        adequate = adequacy(
+            ResidualModel.of(linearized), linearized, own.null_residuals, linearized.nuisances[:0]
+        )
         found.append(
             ScoredCase(
                 truth,

@@ -56,6 +56,7 @@ def main() -> int:
         print(error, file=sys.stderr)
         return 2
     print(f"right cause {ranking(scored)}")
+    print(_describe_nothing_amiss(scored))
     bank = hashlib.sha256((options.bank / "manifest.json").read_bytes()).hexdigest()
     fitted = replace(fit_constants(scored, start), sha256=bank)
     for name, constants in (("given", start), ("fitted", fitted)):
@@ -64,6 +65,18 @@ def main() -> int:
     if options.out:
         write_json(options.out, asdict(fitted))
     return 0
+
+
+def _describe_nothing_amiss(cases: Sequence[ScoredCase]) -> str:
+    """Describe the strongest evidence in cases without effect, and the repeatable error that is left."""
+    nothing = [one for one in cases if one.truth["tier"] == "none"]
+    evidence = [max(one.evidence.values()) for one in nothing]
+    left = [one.left for one in nothing]
+    return (
+        f"{len(nothing)} with nothing amiss: strongest evidence {min(evidence):.1f} to {max(evidence):.1f} "
+        f"nats, median {np.median(evidence):.1f}; repeatable error left {min(left):.2f} to {max(left):.2f} "
+        "times the 95th percentile of null replicates"
+    )
 
 
 def _describe(cases: Sequence[ScoredCase], constants: DecisionConstants) -> str:

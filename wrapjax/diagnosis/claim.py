@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
 from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
-from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Gates, Recorded, examine
+from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Claim, Gates, Recorded, examine
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.refit import Ids, Refit
@@ -23,7 +23,7 @@ from wrapjax.diagnosis.score import Scores
 MOST_IN_TIE = 3
 
 
-def settle(
+def examine_claim(
     data: DiagnosisInput,
     linearized: LinearizedModel,
     scores: Scores,
@@ -46,7 +46,8 @@ def settle(
         Constants of the decision.
     """
     decision = with_family(decision, scores.evidence, scores.detection_threshold)
-    claimed = claimed_effects(decision, scores.evidence)
+    together, any_of = claimed_effects(decision, scores.evidence)
+    claim = Claim(together, any_of, _sizes(data, scores, refits, together))
     frames = phase_frames(data.measured.shape[-1])
     context = data.calibration_context
     recorded = Recorded(
@@ -55,16 +56,8 @@ def settle(
         data.plan.blocks,
         data.measured_moment_sd,
     )
-    gates = examine(
-        linearized,
-        scores,
-        null_residuals,
-        recorded,
-        claimed,
-        _sizes(data, scores, refits, decision, claimed),
-        constants.adequacy_factor,
-    )
-    return through_gates(decision, gates, claimed)
+    gates = examine(linearized, scores, null_residuals, recorded, claim, constants.adequacy_factor)
+    return apply_gates(decision, gates, decision.accepted or together)
 
 
 def with_family(decision: Decision, evidence: Mapping[str, float], detection_threshold: float) -> Decision:
@@ -91,16 +84,23 @@ def with_family(decision: Decision, evidence: Mapping[str, float], detection_thr
     return replace(decision, outcome="family", reason=reason, family=family)
 
 
-def claimed_effects(decision: Decision, evidence: Mapping[str, float]) -> tuple[str, ...]:
-    """List the effects whose claim is examined: those named, those of a tie, or the leader of a family."""
-    if decision.accepted:
-        return decision.accepted
-    if decision.family:
-        return (next(id for id in evidence if family_of(id) == decision.family),)
-    return ()
+def claimed_effects(
+    decision: Decision, evidence: Mapping[str, float]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """List the effects of a claim that are fitted together, and those of which one has to come first.
+
+    See `gates.Claim`; both are empty where nothing is claimed.
+    """
+    if decision.named:
+        return decision.named, decision.named
+    members = decision.tie or tuple(
+        id for id in evidence if decision.family and family_of(id) == decision.family
+    )
+    strongest = max(members, key=lambda id: evidence[id], default=None)
+    return (() if strongest is None else (strongest,)), members
 
 
-def through_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Decision:
+def apply_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Decision:
     """Return what the gates leave of a decision.
 
     Parameters
@@ -167,23 +167,22 @@ def _sizes(
     data: DiagnosisInput,
     scores: Scores,
     refits: Mapping[Ids, Refit],
-    decision: Decision,
-    claimed: Sequence[str],
-) -> list[tuple[str, float, float]]:
-    """List name, value and limit of the effect sizes of a claim; of a tie, those of its strongest effect."""
-    examined = claimed if len(decision.named) > 1 else claimed[:1]
-    together = refits.get(tuple(examined))
-    sizes, place = [], 0
-    for id in examined:
+    together: Ids,
+) -> tuple[tuple[str, float, float], ...]:
+    """List name, value and limit of the sizes of effects that are fitted together; see `gates.Claim`."""
+    refit = refits.get(together)
+    sizes: list[tuple[str, float, float]] = []
+    place = 0
+    for id in together:
         score = scores.by_id[id]
         part = list(score.part)
         values = score.effect_sizes[part]
-        if together is not None:
-            values = together.fit.effect_sizes[place : place + len(part)]
+        if refit is not None:
+            values = refit.fit.effect_sizes[place : place + len(part)]
             place += len(part)
         parameters = [data.calibration_effects[id].parameters[number] for number in part]
         sizes += [
             (f"{id} {one.name}", float(value), float(min(one.limit, MOST_DEVIATIONS * one.prior_sd)))
             for one, value in zip(parameters, values, strict=True)
         ]
-    return sizes
+    return tuple(sizes)

@@ -22,7 +22,7 @@ from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.refit import Ids
 from wrapjax.diagnosis.score import Scores
-from wrapjax.diagnosis.score_test import PRIOR_FACTORS
+from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.diagnosis.verification import Verification
 
 #: Squared distance, in squared standard deviations, below which two effects cannot be told apart.
@@ -31,8 +31,8 @@ TIE_DISTANCE = 9.0
 TIE_EVIDENCE = 5.0
 #: Smallest probability of an effect that is named, or of all members of a tie together.
 MIN_PROBABILITY = 0.5
-#: Detectability below which a recording cannot show an effect, and below which it could miss it.
-MIN_DETECTABILITY, RELIABLE_DETECTABILITY = 2.0, 5.0
+#: Detectability below which a recording could miss an effect.
+RELIABLE_DETECTABILITY = 5.0
 
 #: How a diagnosis can end.
 #:
@@ -227,11 +227,7 @@ def _negative_controls(data: DiagnosisInput) -> tuple[str, ...]:
 
 def _undetectable(scores: Scores) -> tuple[str, ...]:
     """List effects that the recording could not show even at the largest size that is tried."""
-    return tuple(
-        id
-        for id, score in scores.by_id.items()
-        if max(PRIOR_FACTORS) * score.detectability < MIN_DETECTABILITY
-    )
+    return tuple(id for id, score in scores.by_id.items() if not score.detectable)
 
 
 def probabilities(
@@ -416,10 +412,10 @@ def describe_effect(evidence: float, detectability: float, detection_threshold: 
     """Describe the decision on one effect in words."""
     if named:
         return "explains the error best"
+    if evidence > detection_threshold:
+        return "would explain error, but is not named"
     if detectability < MIN_DETECTABILITY:
         return "not testable with these data"
-    if evidence > detection_threshold:
-        return "would explain error, but others do better"
     if detectability < RELIABLE_DETECTABILITY:
         return "not seen; a weak one could be missed"
     return "not seen; one of expected size would be"

@@ -19,7 +19,7 @@ from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.diagnosis.null_covariance import nulls
 from wrapjax.diagnosis.residual_fit import ResidualModel, ScaledSignatures, UnseenCycles, repeatable_rms
 from wrapjax.diagnosis.score import Scores
-from wrapjax.diagnosis.score_test import project, score_projected
+from wrapjax.diagnosis.score_test import Score, project, score_projected
 from wrapjax.diagnosis.sham_effects import scaled_like, sham_effects
 
 #: Quantile of null replicates, and of sham effects, beyond which a claim fails.
@@ -139,6 +139,27 @@ class Gates:
 
 
 @dataclass(frozen=True)
+class Claim:
+    """Claim that is examined.
+
+    Parameters
+    ----------
+    together
+        Identifiers of the effects that are fitted together: all that are named; of a tie or a family, the
+        strongest, since its members replace one another. Empty where nothing is claimed.
+    any_of
+        Effects of which one has to come first in parts of the recording: those named, or all members.
+    sizes
+        Name, value and limit of each effect size of ``together``, in its unit; the limit is the smaller one
+        of the published range and three prior standard deviations.
+    """
+
+    together: tuple[str, ...] = ()
+    any_of: tuple[str, ...] = ()
+    sizes: tuple[tuple[str, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class Recorded:
     """Angles (rad), velocities (rad/s) and moments of the recording, and blocks of cycles to leave out."""
 
@@ -153,8 +174,7 @@ def examine(
     scores: Scores,
     null_residuals: Float[np.ndarray, "replicate row"],
     recorded: Recorded,
-    claimed: Sequence[str],
-    sizes: Sequence[tuple[str, float, float]],
+    claim: Claim,
     adequacy_factor: float,
 ) -> Gates:
     """Examine a claim.
@@ -167,25 +187,22 @@ def examine(
         Residuals of null replicates, N m.
     recorded
         Angles, velocities and blocks of the cycles.
-    claimed
-        Identifiers of the effects that would be named or in the tie; empty where none would.
-    sizes
-        Name, value and limit of each effect size of the refit, in its unit; the limit is the smaller one of
-        the published range and three prior standard deviations.
+    claim
+        What would be claimed.
     adequacy_factor
         See `Adequate`.
     """
     model = ResidualModel.of(linearized)
-    signatures = [_claimed_signatures(linearized, scores, id) for id in claimed]
-    # Members of a tie replace one another: the strongest stands for all.
+    none = np.zeros((0, *linearized.residual.shape))
+    signatures = np.concatenate([none, *(_signatures(linearized, scores, id) for id in claim.together)])
     adequate = adequacy(model, linearized, null_residuals, signatures, adequacy_factor)
-    if not claimed:
+    if not claim.together:
         return Gates(adequate)
     return Gates(
         adequate,
-        plausibility(sizes),
-        stability(linearized, recorded.measured_moment_sd, claimed),
-        specificity(model, linearized, recorded, signatures[0]),
+        plausibility(claim.sizes),
+        stability(linearized, recorded.measured_moment_sd, claim.any_of),
+        specificity(model, linearized, recorded, signatures),
     )
 
 
@@ -193,7 +210,7 @@ def adequacy(
     model: ResidualModel,
     linearized: LinearizedModel,
     null_residuals: Float[np.ndarray, "replicate row"],
-    signatures: Sequence[ScaledSignatures] = (),
+    signatures: ScaledSignatures,
     factor: float = 1.0,
 ) -> Adequate:
     """Compare the repeatable error that is left with that of null replicates, fitted in the same way.
@@ -209,13 +226,10 @@ def adequacy(
     factor
         See `Adequate`.
     """
-    fitted = model
-    for one in signatures:
-        fitted = fitted.adding(one)
     residuals = np.concatenate(
         [linearized.residual[None], null_residuals.reshape(-1, *linearized.residual.shape)]
     )
-    own, *others = repeatable_rms(fitted.fit(residuals), linearized.speeds)
+    own, *others = repeatable_rms(model.adding(signatures).fit(residuals), linearized.speeds)
     return Adequate(float(own), factor * float(np.quantile(others, LEVEL)) if others else np.inf)
 
 
@@ -233,12 +247,13 @@ def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:
 
 
 def stability(
-    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"], claimed: Sequence[str]
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"], any_of: Sequence[str]
 ) -> Stable:
     """Score all effects again on parts of the recording.
 
     Parts are odd and even cycles of each speed (all but one cycle, one after the other, where there are fewer
-    than six), each speed, and all coordinates but one.
+    than six), each speed, and all coordinates but one. A part that could not show any of the claimed effects
+    is no witness, and is left out.
 
     Parameters
     ----------
@@ -246,14 +261,16 @@ def stability(
         Linearised model.
     measured_moment_sd
         Standard deviation of the measured moment of each coordinate, N m.
-    claimed
-        Identifiers of the claimed effects.
+    any_of
+        Identifiers of the effects of which one has to come first.
     """
     first = {}
     for name, (cycles, coordinates) in recording_parts(linearized).items():
         part = linearized.restricted(cycles, coordinates)
-        first[name] = strongest_effect(part, measured_moment_sd[coordinates])
-    agreement = float(np.mean([id in claimed for id in first.values()])) if first else 1.0
+        scores = score_part(part, measured_moment_sd[coordinates])
+        if any(score.detectable for score in scores if score.id in any_of):
+            first[name] = max(scores, key=lambda one: one.evidence).id
+    agreement = float(np.mean([id in any_of for id in first.values()])) if first else 0.0
     return Stable(agreement, first)
 
 
@@ -281,10 +298,10 @@ def recording_parts(
     return parts
 
 
-def strongest_effect(
+def score_part(
     linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"]
-) -> str:
-    """Score all effects against the plausible nulls, and return the identifier of the strongest."""
+) -> tuple[Score, ...]:
+    """Score all effects against the plausible nulls."""
     residual = linearized.residual.reshape(1, -1)
     weights = [project(residual, null, ()).weight[0] for null in nulls(linearized, measured_moment_sd)]
     projections = [
@@ -293,7 +310,7 @@ def strongest_effect(
         if weight > max(weights) - _NEGLIGIBLE
     ]
     (test,) = score_projected(projections, linearized.candidates)
-    return max(test.scores, key=lambda one: one.evidence).id
+    return test.scores
 
 
 def specificity(
@@ -326,7 +343,7 @@ def specificity(
     )
 
 
-def _claimed_signatures(linearized: LinearizedModel, scores: Scores, id: str) -> ScaledSignatures:
+def _signatures(linearized: LinearizedModel, scores: Scores, id: str) -> ScaledSignatures:
     """Return the signatures of the most plausible variant and part, of one prior standard deviation."""
     candidate: Candidate = next(one for one in linearized.candidates if one.id == id)
     score = scores.by_id[id]

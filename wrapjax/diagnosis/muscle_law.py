@@ -36,15 +36,11 @@ class MuscleLawFit:
         Objective whose variables include the parameters of the law.
     held, variables
         Objective with the law held, and its variables where the fit ended.
-    rms_given, rms
-        Root mean square of the moment error with the given law, and with the person's, N m.
     """
 
     free: Objective
     held: Objective
     variables: Float[np.ndarray, " variable"]
-    rms_given: float
-    rms: float
 
     @property
     def law(self) -> dict[str, float]:
@@ -89,12 +85,4 @@ def fit_muscle_law(
     fit = fit_jointly(joint_problem(free, Effects(()), initial, np.zeros(0), 0.0), initial, cache=cache)
     found = free.parameters(jnp.asarray(fit.calibrated))
     held = replace(problem, variables=free_variables(found, replace(prior, law=None), muscles))
-    return MuscleLawFit(
-        free, held, np.asarray(held.start(found)), _moment_rms(free, start), _moment_rms(free, found)
-    )
-
-
-def _moment_rms(problem: Objective, parameters: ModelParameters) -> float:
-    """Compute the root mean square of the moment error, N m."""
-    rows = np.asarray(problem.terms(parameters)["joint_moment"])
-    return float(np.sqrt(np.sum(rows**2)) * float(np.mean(problem.moment_error)))
+    return MuscleLawFit(free, held, np.asarray(held.start(found)))

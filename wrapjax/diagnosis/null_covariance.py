@@ -10,6 +10,7 @@ Rows are ordered ``cycle coordinate phase``, the last running fastest. All matri
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -90,7 +91,8 @@ def input_covariance(errors: InputErrors) -> Matrix:
 
 def parameter_covariance(signatures: Signatures, prior_sd: Float[np.ndarray, " parameter"]) -> Matrix:
     """Compute the covariance by parameters with these prior standard deviations, the same in all cycles."""
-    columns = (signatures * prior_sd[:, None, None, None]).reshape(len(prior_sd), -1)
+    rows = math.prod(signatures.shape[1:])
+    columns = (signatures * prior_sd[:, None, None, None]).reshape(len(prior_sd), rows)
     return columns.T @ columns
 
 

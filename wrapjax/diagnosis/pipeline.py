@@ -1,7 +1,7 @@
 """Steps of a diagnosis, from its input to its result, each from the results of the earlier ones.
 
 ``fit_baseline`` -> ``linearize`` -> ``localize`` -> ``score`` -> ``refit`` -> ``verify`` -> ``decide`` ->
-``settle``
+``examine_claim``
 
 Refits and their verification come in two rounds: single effects first, then, where the decision on these
 allows it, the subsets of effects that are jointly significant.
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.diagnosis.baseline import BaselineFit, fit_baseline
-from wrapjax.diagnosis.claim import settle
+from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.linearization import linearize
@@ -134,7 +134,9 @@ def run_diagnosis(
             verification = verification.joined(verify(data, baseline, linearized, localization, joint))
             decision = decide(data, scores, verification, constants)
     with watch.during("gates", "examining the claim"):
-        decision = settle(data, linearized, scores, null_residuals, refits | joint, decision, constants)
+        decision = examine_claim(
+            data, linearized, scores, null_residuals, refits | joint, decision, constants
+        )
     result = diagnosis_result(
         data=data,
         baseline=baseline,

@@ -59,7 +59,8 @@ class ResidualModel:
         self, values: Float[np.ndarray, "any cycle coordinate phase"]
     ) -> Float[np.ndarray, "cycle own any"]:
         """Multiply by the inverse of the root of the covariance of each cycle."""
-        rows = np.moveaxis(values.reshape(len(values), self.shape[0], -1), 0, 2)
+        cycles, coordinates, phases = self.shape
+        rows = np.moveaxis(values.reshape(len(values), cycles, coordinates * phases), 0, 2)
         return np.stack(
             [
                 scipy.linalg.solve_triangular(root, own, lower=True, check_finite=False)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.advice import Advice, advise
 from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
-from wrapjax.diagnosis.decision import MIN_DETECTABILITY, Decision, describe_effect
+from wrapjax.diagnosis.decision import Decision, describe_effect
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.families import family_probabilities
 from wrapjax.diagnosis.gates import Gates
@@ -23,7 +23,7 @@ from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, Musc
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.refit import Ids, Refit
 from wrapjax.diagnosis.score import Scores
-from wrapjax.diagnosis.score_test import Score
+from wrapjax.diagnosis.score_test import MIN_DETECTABILITY, Score
 from wrapjax.diagnosis.undriven_capacity import CapacityShare, undriven_capacity
 from wrapjax.diagnosis.verification import Verification, VerifiedRefit, shapley_values
 
@@ -119,7 +119,7 @@ class DiagnosisResult:
     family, family_probability, credible_families, best_partial, gates
         See `decision.Decision`; the probability is that of the named family.
     muscle_law
-        Muscle law of the person, and evidence for published laws.
+        Parameters of the muscle law of the person, by name.
     undriven_capacity
         Share of the moment capacity of muscles without EMG, by coordinate.
     """
@@ -270,7 +270,10 @@ def diagnosis_result(
             id, f"one of expected size would show by {one.detectability:.1f} standard deviations only"
         )
         for id, one in scores.by_id.items()
-        if one.detectability < MIN_DETECTABILITY and id not in decision.accepted
+        # A larger effect than expected can show where one of expected size could not.
+        if one.detectability < MIN_DETECTABILITY
+        and one.evidence <= scores.detection_threshold
+        and id not in decision.accepted
     )
     shown = _shown_refits(decision, verification, tuple(refits))
     result = result_without_diagnosis(

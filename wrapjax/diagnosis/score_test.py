@@ -24,6 +24,8 @@ from wrapjax.diagnosis.null_covariance import Null
 #: Factors on the prior standard deviation that are tried, as an effect can be smaller or larger than
 #: expected: all its parameters share one factor, within their limits.
 PRIOR_FACTORS = (0.1, 0.3, 1.0, 3.0)
+#: Detectability below which a recording cannot show an effect.
+MIN_DETECTABILITY = 2.0
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,11 @@ class Score:
     effect_sizes: Float[np.ndarray, " parameter"]
     sd: Float[np.ndarray, " parameter"]
     detectability: float
+
+    @property
+    def detectable(self) -> bool:
+        """Whether the recording could show the effect at the largest size that is tried."""
+        return max(PRIOR_FACTORS) * self.detectability >= MIN_DETECTABILITY
 
 
 @dataclass(frozen=True)

@@ -9,20 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.periodic import periodic_splines
-from wrapjax.model.alteration import fiber_parameters
-from wrapjax.muscle.hill import rigid_tendon_fiber
-from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
+from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES, active_moments
 
-#: Number of periodic splines of an unrecorded activation.
-SPLINES = 10
 #: Standard deviation of an unrecorded activation where no muscle of a direction has EMG: peaks in walking are
 #: 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
 ACTIVATION_SD = 0.2
@@ -36,11 +30,6 @@ class CapacityShare:
 
     positive: float
     negative: float
-
-    @property
-    def largest(self) -> float:
-        """Larger one of both directions."""
-        return max(self.positive, self.negative)
 
 
 def undriven_capacity(context: Context) -> Mapping[str, CapacityShare]:
@@ -107,7 +96,8 @@ def undriven_signatures(
     weight = np.max(counts * beyond[None], axis=(1, 2))
     groups = [np.array([others.names.index(name) for name in members]) for _, members in others.groups]
     sizes = np.array([weight[rows].max() for rows in groups])
-    per_unit = np.asarray(_active_moments(others))[..., frames]
+    full = active_moments(others, jnp.ones(others.path.length.shape))
+    per_unit = np.asarray(full)[..., frames]
     splines = periodic_splines(context.phase[frames], SPLINES)
     signatures = [
         ACTIVATION_SD * size * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
@@ -115,20 +105,3 @@ def undriven_signatures(
         if size > 0.0
     ]
     return np.concatenate([empty, *signatures])
-
-
-@eqx.filter_jit
-def _active_moments(muscles: UndrivenMuscles) -> Float[Array, "muscle trial coordinate frame"]:
-    """Compute the moments of the muscles at full activation, without passive force, N m."""
-
-    def one_muscle(path, parameters):
-        fiber = rigid_tendon_fiber(
-            muscles.curves,
-            jnp.ones_like(path.length),
-            path.length,
-            path.velocity,
-            **fiber_parameters(parameters),
-        )
-        return path.moment_arm * fiber.active_force[:, None, :]
-
-    return jax.vmap(one_muscle)(muscles.path, muscles.parameters)

@@ -171,7 +171,7 @@ def _verdict_section(subject: Subject, result: DiagnosisResult) -> str:
 
 
 def _gates_section(result: DiagnosisResult) -> str:
-    """Write the gates that were examined, and the muscle law that the plain model has."""
+    """Write the report section on the gates; empty where none was examined."""
     rows = gate_rows(result)
     if not rows:
         return ""

@@ -51,10 +51,10 @@ def _select_muscles(others: UndrivenMuscles | None, names: tuple[str, ...]) -> U
     )
 
 
-def _active_moment(
+def active_moments(
     muscles: UndrivenMuscles, activation: Float[Array, "muscle trial frame"]
-) -> Float[Array, "trial coordinate frame"]:
-    """Compute the moments (N m) of active muscle forces, with rigid tendons."""
+) -> Float[Array, "muscle trial coordinate frame"]:
+    """Compute the moments (N m) of the active force of each muscle, with rigid tendons."""
 
     def one_muscle(path, parameters, activation):
         fiber = rigid_tendon_fiber(
@@ -62,7 +62,7 @@ def _active_moment(
         )
         return path.moment_arm * fiber.active_force[:, None, :]
 
-    return jax.vmap(one_muscle)(muscles.path, muscles.parameters, activation).sum(axis=0)
+    return jax.vmap(one_muscle)(muscles.path, muscles.parameters, activation)
 
 
 # ---- Activation of muscles without EMG
@@ -96,7 +96,7 @@ def _add_driven_muscles(
 ) -> Alteration:
     activation = basis @ effect_sizes
     each = jnp.broadcast_to(activation, muscles.path.length.shape)
-    return Alteration(moment=_active_moment(muscles, each))
+    return Alteration(moment=active_moments(muscles, each).sum(axis=0))
 
 
 def _peak_activation(splines: Float[Array, "frame spline"], effect_sizes: EffectSizes) -> Float[Array, "1"]:
@@ -174,7 +174,7 @@ def _spasticity_unrecorded(context: Context) -> tuple[Variant, ...]:
 def _add_reflex_moments(
     muscles: UndrivenMuscles, reflex: Float[Array, "muscle trial frame"], effect_sizes: EffectSizes
 ) -> Alteration:
-    return Alteration(moment=_active_moment(muscles, effect_sizes[0] * reflex))
+    return Alteration(moment=active_moments(muscles, effect_sizes[0] * reflex).sum(axis=0))
 
 
 # The variants are the groups of muscles and the thresholds.
