@@ -11,12 +11,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from validation.blind.anatomy import CHANNELS
-from validation.blind.effects import EFFECTS
 from validation.blind.gait import LEAD
 from validation.blind.geometry import ground_moments
 from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person
-from validation.blind.world import World, joint_moments, record
+from validation.blind.world import World, joint_moments
 from validation.blind.worlds import BackgroundSettings
 
 #: Mechanisms outside the catalogue that act at the same time in unmodelled moments, with their amounts.
@@ -29,17 +28,15 @@ _MECHANISMS = tuple(
         ("catch_like_force", 0.4),
     )
 )
-_LATE_FORCES = EFFECTS["force_latency"]
 _PHASES, _HARMONICS = 100, 5
 
 
 @dataclass(frozen=True)
 class Background:
-    """Additions to the recorded moments (N m), envelopes and ground forces, on the fine time base."""
+    """Additions to the recorded moments (N m) and envelopes, on the fine time base."""
 
     moments: np.ndarray
     emg: np.ndarray
-    ground: np.ndarray
 
 
 def background_of(who: Person, seed: tuple[int, ...]) -> Background | None:
@@ -49,21 +46,15 @@ def background_of(who: Person, seed: tuple[int, ...]) -> Background | None:
     if settings == BackgroundSettings() and world.settings.geometry.centers == 0.0:
         return None
     moments, emg = np.zeros_like(world.inverse), np.zeros_like(world.drive)
-    ground = np.zeros_like(world.walk.ground)
     if world.settings.geometry.centers > 0.0:
         # Inverse dynamics uses the nominal joint centers.
         moments += ground_moments(who.nominal, world.walk) - world.inverse
-    if settings.force_delay > 0.0:
-        late = record(_LATE_FORCES.apply(world, settings.force_delay, ()))
-        timely = record(world)
-        moments += late.moments - timely.moments
-        ground += late.ground - timely.ground
     if settings.emg_baseline is not None:
         channel, recording, amount = settings.emg_baseline
         emg[recording, list(CHANNELS).index(channel)] += amount
     if settings.unmodelled is not None:
         moments += _unmodelled_moments(world, settings.unmodelled, np.random.default_rng(seed))
-    return Background(moments, emg, ground)
+    return Background(moments, emg)
 
 
 def with_background(world: World, background: Background | None) -> World:
@@ -74,7 +65,6 @@ def with_background(world: World, background: Background | None) -> World:
         world,
         recorded_moments=(*world.recorded_moments, background.moments),
         recorded_emg=(*world.recorded_emg, lambda now, emg: emg + background.emg),
-        recorded_ground=(*world.recorded_ground, lambda now, ground: ground + background.ground),
     )
 
 

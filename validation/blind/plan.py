@@ -124,7 +124,7 @@ def banks_of(name: str, cases: int | None = None, world: str | None = None) -> t
 def _world_bank(settings: WorldSettings, number: int, cases: int) -> Bank:
     tenth = max(1, round(0.1 * cases))
     none = round(0.35 * cases)
-    people = min(2 * (cases // 2), max(6, 2 * round(0.15 * cases)))
+    people = min(2 * (cases // 2), max(4, 2 * round(0.15 * cases)))
     first = 100 * number
     single = cases - none - 2 * tenth
     return Bank(WORLD_BANK, settings.seed, people, single, none, tenth, tenth, settings.name, first)

@@ -93,8 +93,6 @@ class BackgroundSettings:
 
     #: Constant added to an envelope in one recording: channel, number of the recording, of full scale.
     emg_baseline: tuple[str, int, float] | None = None
-    #: Delay of the ground forces, s.
-    force_delay: float = 0.0
     #: Range of the root mean square of the unmodelled moment at each joint, N m.
     unmodelled: tuple[float, float] | None = None
 
@@ -182,10 +180,10 @@ WORLDS: dict[str, WorldSettings] = {
             "faulty_laboratory",
             "polynomial",
             70_606,
-            "noisy EMG; a raised soleus in the second recording and ground forces late by 5 ms in everybody",
+            "noisy EMG and moments; a raised soleus envelope in the second recording of everybody",
             EmgSettings(levels=(0.10, 0.20, 0.32), time=0.045, baseline=0.02, cutoff=4.0),
             moments=MomentSettings(1.5, 0.040),
-            background=BackgroundSettings(("Soleus", 1, 0.06), 0.005),
+            background=BackgroundSettings(("Soleus", 1, 0.06)),
         ),
         WorldSettings(
             "wrong_geometry",
