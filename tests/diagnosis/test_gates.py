@@ -12,6 +12,7 @@ from wrapjax.diagnosis.gates import (
     Recorded,
     adequacy,
     examine,
+    part_scores,
     plausibility,
     recording_parts,
     specificity,
@@ -111,18 +112,25 @@ def test_plausible_within_the_limits_only():
     assert plausibility([]).passed
 
 
+def stable(linearized, any_of, threshold=3.0):
+    return stability(part_scores(linearized, MOMENT_SD), any_of, threshold)
+
+
 def test_stable_where_all_parts_agree(generator):
-    right = stability(model_with(generator, 6.0 * WAVE + 2.0 * OTHER), MOMENT_SD, ["cop_offset"])
+    right = stable(model_with(generator, 6.0 * WAVE + 2.0 * OTHER), ["cop_offset"])
     # Without the first coordinate the effect cannot show: no witness against it.
     assert "without coordinate 1" not in right.first and "without coordinate 2" in right.first
     assert right.agreement == 1.0 and right.passed and right.leaders == ("cop_offset",)
     first_speed = np.where(SPEEDS == 0, 1.0, 0.0)[:, None, None]
-    signal = 6.0 * WAVE * first_speed + 6.0 * OTHER * (1.0 - first_speed)
+    signal = 5.0 * WAVE * first_speed + 9.0 * OTHER * (1.0 - first_speed)
     linearized = model_with(generator, signal)
-    mixed = stability(linearized, MOMENT_SD, ["cop_offset"])
+    mixed = stable(linearized, ["cop_offset"])
     assert mixed.first["speed 1"] == "cop_offset" and mixed.first["speed 2"] == "joint_damping"
     assert not mixed.passed
-    assert stability(linearized, MOMENT_SD, ["cop_offset", "joint_damping"]).passed
+    assert stable(linearized, ["cop_offset", "joint_damping"]).passed
+    # What no part shows beyond the threshold contradicts nothing, and confirms nothing.
+    silent = stable(model_with(generator, 0.0 * WAVE), ["cop_offset"], 1e3)
+    assert set(silent.first.values()) <= {"cop_offset"}
 
 
 def test_parts_of_a_short_recording_leave_out_one_cycle_each(generator):

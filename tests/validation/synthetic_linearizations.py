@@ -4,6 +4,7 @@ import numpy as np
 
 from validation.diagnosis.linearizations import LinearizedCase
 from wrapjax.diagnosis.error_sources import MuscleErrors
+from wrapjax.diagnosis.gates import Recorded
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 
 CYCLES, COORDINATES, PHASES = 4, 2, 25
@@ -32,4 +33,6 @@ def lines(signal, signatures, *, calibrated=None):
         muscle_errors=MuscleErrors(np.zeros((1, CYCLES, PHASES, 3)), np.zeros((1, *SHAPE))),
         speeds=np.zeros(CYCLES, dtype=int),
     )
-    return LinearizedCase(linearized, np.full(COORDINATES, 1e-3), generator.normal(size=(3, rows.size)))
+    still = np.zeros(SHAPE)
+    recorded = Recorded(still, still, (np.array([0, 1]), np.array([2, 3])), np.full(COORDINATES, 1e-3))
+    return LinearizedCase(linearized, recorded, generator.normal(size=(3, rows.size)))

@@ -8,6 +8,7 @@ import pytest
 from tests.validation.synthetic_linearizations import SHAPE, lines
 from validation.diagnosis.linearizations import LinearizedCase, development_linearizations, load, save
 from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors
+from wrapjax.diagnosis.gates import Recorded
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.errors import InputError
 
@@ -31,10 +32,15 @@ def test_linearized_case_is_read_as_written(tmp_path):
         speeds=np.array([0, 0, 1, 1]),
     )
     replicates = draw(size=(3, 40))
-    save(LinearizedCase(linearized, np.ones(2), replicates), tmp_path / "case.npz")
+    recorded = Recorded(draw(size=rows), draw(size=rows), (np.array([0]), np.array([1, 2, 3])), np.ones(2))
+    save(LinearizedCase(linearized, recorded, replicates), tmp_path / "case.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["case.npz"]
     loaded = load(tmp_path / "case.npz").linearized
     np.testing.assert_allclose(load(tmp_path / "case.npz").null_residuals, replicates, rtol=1e-6)
+    again = load(tmp_path / "case.npz").recorded
+    np.testing.assert_allclose(again.angles, recorded.angles, rtol=1e-6)
+    np.testing.assert_allclose(again.velocities, recorded.velocities, rtol=1e-6)
+    np.testing.assert_array_equal(np.concatenate(again.blocks), np.arange(4))
     for name in (
         "residual",
         "fitted_residual",

@@ -82,7 +82,7 @@ def add_signals(lines: LinearizedCase, library: Library, sizes: Sequence[float])
     """Add the signal of every tested effect in each size, and score all effects."""
     linearized = lines.linearized
     own = linearized.residual.reshape(1, -1)
-    every = list(nulls(linearized, lines.measured_moment_sd))
+    every = list(nulls(linearized, lines.recorded.measured_moment_sd))
     best = max(every, key=lambda null: project(own, null, ()).weight[0])
     factor = scipy.linalg.cholesky(best.covariance, lower=True)
     known = {one.id: one for one in linearized.candidates}

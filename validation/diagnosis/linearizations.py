@@ -23,6 +23,7 @@ from validation.blind.case_selection import add_selection_arguments, selection_o
 from validation.diagnosis.bank_cases import cases_of, development_truth
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.error_sources import InputErrors, MuscleErrors
+from wrapjax.diagnosis.gates import Recorded
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_atomically
@@ -45,10 +46,10 @@ REPLICATES = 20
 
 @dataclass(frozen=True)
 class LinearizedCase:
-    """Linearized model of a case, standard deviations of its moments (N m), and null replicates (N m)."""
+    """Linearized model of a case, what the gates need of its recording, and null replicates (N m)."""
 
     linearized: LinearizedModel
-    measured_moment_sd: Float[np.ndarray, " coordinate"]
+    recorded: Recorded
     null_residuals: Float[np.ndarray, "replicate row"]
 
 
@@ -86,6 +87,7 @@ def main() -> int:
 def linearize_case(job: Job) -> str:
     """Calibrate and linearize a case, and write the result."""
     import wrapjax
+    from wrapjax.diagnosis.claim import recorded_of
     from wrapjax.diagnosis.diagnosis import diagnosis_input
     from wrapjax.diagnosis.linearization import linearize
     from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
@@ -106,7 +108,7 @@ def linearize_case(job: Job) -> str:
         linearized.noise,
     )
     replicates = null_replicate_residuals(model, REPLICATES)
-    save(LinearizedCase(linearized, case.measured_moment_sd, replicates), job.file)
+    save(LinearizedCase(linearized, recorded_of(case), replicates), job.file)
     clear_caches_near_map_limit()
     return f"{len(linearized.candidates)} effects"
 
@@ -116,11 +118,15 @@ def save(lines: LinearizedCase, file: Path) -> None:
     linearized = lines.linearized
     arrays: dict[str, Any] = {name: getattr(linearized, attribute) for name, attribute in _ARRAYS.items()}
     arrays |= {
-        "sizes": lines.measured_moment_sd,
+        "sizes": lines.recorded.measured_moment_sd,
+        "angles": lines.recorded.angles,
+        "velocities": lines.recorded.velocities,
         "replicates": lines.null_residuals,
         "states": linearized.muscle_errors.states,
         "arms": linearized.muscle_errors.arms,
     }
+    for place, block in enumerate(lines.recorded.blocks):
+        arrays[f"block_{place}"] = block
     for place, errors in enumerate(linearized.input_errors):
         arrays |= {f"input_{place}": errors.signatures, f"width_{place}": np.array(errors.width)}
     descriptions = []
@@ -155,6 +161,7 @@ def load(file: Path) -> LinearizedCase:
         for place, entry in enumerate(json.loads(str(arrays["candidates"])))
     )
     inputs = sum(name.startswith("input_") for name in arrays)
+    blocks = tuple(arrays[f"block_{place}"] for place in range(sum("block_" in name for name in arrays)))
     plain: dict[str, Any] = {attribute: arrays[name] for name, attribute in _ARRAYS.items()}
     linearized = LinearizedModel(
         **plain,
@@ -164,7 +171,8 @@ def load(file: Path) -> LinearizedCase:
         ),
         muscle_errors=MuscleErrors(arrays["states"], arrays["arms"]),
     )
-    return LinearizedCase(linearized, arrays["sizes"], arrays["replicates"])
+    recorded = Recorded(arrays["angles"], arrays["velocities"], blocks, arrays["sizes"])
+    return LinearizedCase(linearized, recorded, arrays["replicates"])
 
 
 def development_linearizations(bank: Path, lines: Path) -> Iterator[tuple[dict[str, Any], LinearizedCase]]:

@@ -60,7 +60,8 @@ def together(lines: LinearizedCase, constants: DecisionConstants) -> tuple[str, 
     linearized = lines.linearized
     residual = lines.linearized.residual.reshape(1, -1)
     projections = [
-        project(residual, null, linearized.candidates) for null in nulls(linearized, lines.measured_moment_sd)
+        project(residual, null, linearized.candidates)
+        for null in nulls(linearized, lines.recorded.measured_moment_sd)
     ]
     (scored,) = score_projected(projections, linearized.candidates)
     scores = {one.id: one for one in sorted(scored.scores, key=lambda one: -one.evidence)}

@@ -69,7 +69,7 @@ def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
     for truth, own in development_linearizations(bank, lines):
         residual = own.linearized.residual.reshape(1, -1)
         (scored,) = score_each(
-            residual, nulls(own.linearized, own.measured_moment_sd), own.linearized.candidates
+            residual, nulls(own.linearized, own.recorded.measured_moment_sd), own.linearized.candidates
         )
         linearized = own.linearized
         adequate = adequacy(

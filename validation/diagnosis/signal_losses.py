@@ -97,7 +97,9 @@ def signal_loss(
     """Compute the sizes of a signal under the null hypothesis, in the signatures and in the residual."""
     linearized = lines.linearized
     own = linearized.residual.reshape(1, -1)
-    null = max(nulls(linearized, lines.measured_moment_sd), key=lambda one: project(own, one, ()).weight[0])
+    null = max(
+        nulls(linearized, lines.recorded.measured_moment_sd), key=lambda one: project(own, one, ()).weight[0]
+    )
     factor = scipy.linalg.cholesky(null.covariance, lower=True)
     left, residual = standardize(np.stack([in_residual_order(signal, linearized), own[0]]), factor).T
     seen = float(np.linalg.norm(left))

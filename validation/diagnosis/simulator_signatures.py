@@ -57,7 +57,7 @@ def score_both(
     linearized = lines.linearized
     candidates = (*linearized.candidates, *simulator_candidates(linearized, library))
     (scored,) = score_each(
-        linearized.residual.reshape(1, -1), nulls(linearized, lines.measured_moment_sd), candidates
+        linearized.residual.reshape(1, -1), nulls(linearized, lines.recorded.measured_moment_sd), candidates
     )
     # Both have the same ids, so they are distinguished by their order.
     evidence = [(one.id, one.evidence) for one in scored.scores]

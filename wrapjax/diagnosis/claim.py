@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
 from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
-from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Claim, Gates, Recorded, examine
+from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Claim, Gates, Recorded, effect_signatures, examine
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
-from wrapjax.diagnosis.linearization import LinearizedModel
+from wrapjax.diagnosis.linearization import LinearizedModel, parameter_prior
 from wrapjax.diagnosis.refit import Ids, Refit
 from wrapjax.diagnosis.score import Scores
 
@@ -47,17 +47,25 @@ def examine_claim(
     """
     decision = with_family(decision, scores.evidence, scores.detection_threshold)
     together, any_of = claimed_effects(decision, scores.evidence)
-    claim = Claim(together, any_of, _sizes(data, scores, refits, together))
-    frames = phase_frames(data.measured.shape[-1])
-    context = data.calibration_context
-    recorded = Recorded(
-        context.angles[..., frames],
-        context.velocities[..., frames],
+    claim = Claim(
+        together,
+        any_of,
+        _sizes(data, scores, refits, together),
+        _residual_about_refit(data, linearized, scores, refits[together]) if together in refits else None,
+    )
+    gates = examine(linearized, scores, null_residuals, recorded_of(data), claim, constants.adequacy_factor)
+    return apply_gates(decision, gates, decision.accepted or together)
+
+
+def recorded_of(data: DiagnosisInput) -> Recorded:
+    """Select what the gates need of the recording."""
+    frames, context = phase_frames(data.measured.shape[-1]), data.calibration_context
+    return Recorded(
+        np.asarray(context.angles)[..., frames],
+        np.asarray(context.velocities)[..., frames],
         data.plan.blocks,
         data.measured_moment_sd,
     )
-    gates = examine(linearized, scores, null_residuals, recorded, claim, constants.adequacy_factor)
-    return apply_gates(decision, gates, decision.accepted or together)
 
 
 def with_family(decision: Decision, evidence: Mapping[str, float], detection_threshold: float) -> Decision:
@@ -160,6 +168,21 @@ def _unknown(decision: Decision, claimed: Sequence[str], reason: str) -> Decisio
         tie=(),
         family="",
         best_partial=tuple(claimed),
+    )
+
+
+def _residual_about_refit(
+    data: DiagnosisInput, linearized: LinearizedModel, scores: Scores, refit: Refit
+) -> Float[np.ndarray, "cycle coordinate phase"]:
+    """Compute the residual at the prior mean and without the effects, linearised about a refit, N m."""
+    frames = phase_frames(data.measured.shape[-1])
+    variables = data.law.with_free_law(refit.fit.calibrated)
+    _, from_prior_mean = parameter_prior(data.law.free, variables)
+    signatures = np.concatenate([effect_signatures(linearized, scores.by_id[id]) for id in refit.ids])
+    return (
+        refit.residual[..., frames]
+        + np.tensordot(from_prior_mean, linearized.slopes, axes=1)
+        + np.tensordot(refit.fit.effect_sizes, signatures, axes=1)
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -28,6 +28,9 @@ LEVEL = 0.95
 AGREEMENT = 0.8
 #: Largest effect size in prior standard deviations, and share of the limit at which a size counts as at it.
 MOST_DEVIATIONS, AT_LIMIT = 3.0, 0.99
+#: Evidence (nats) by which another effect has to lead a part of a recording to contradict a claim; strong
+#: evidence by Kass & Raftery 1995 (doi:10.1080/01621459.1995.10476572).
+CONTRADICTION = 3.0
 # Cycles below which one at a time is left out; cycles of a part of the recording that can be scored.
 _FEW_CYCLES, _FEWEST = 6, 3
 # Nulls less plausible than the most plausible one by this many nats are omitted in parts of the recording.
@@ -78,14 +81,15 @@ class Plausible:
 
 @dataclass(frozen=True)
 class Stable:
-    """Whether parts of the recording put the same effect first.
+    """Whether parts of the recording put the same effect first, alone or in a tie.
 
     Parameters
     ----------
     agreement
-        Share of the parts whose strongest effect is one of the claimed ones.
+        Share of the parts that do not contradict the claim.
     first
-        Strongest effect of each part, by the name of the part.
+        Strongest claimed effect of each part that agrees, and strongest effect of each part that contradicts
+        the claim, by the name of the part.
     """
 
     agreement: float
@@ -152,11 +156,15 @@ class Claim:
     sizes
         Name, value and limit of each effect size of ``together``, in its unit; the limit is the smaller one
         of the published range and three prior standard deviations.
+    residual
+        Residual at the prior mean of all parameters and without the effects, linearised about the fit of
+        ``together``, N m; None to linearise about the baseline fit. An effect that is large is not linear.
     """
 
     together: tuple[str, ...] = ()
     any_of: tuple[str, ...] = ()
     sizes: tuple[tuple[str, float, float], ...] = ()
+    residual: Float[np.ndarray, "cycle coordinate phase"] | None = None
 
 
 @dataclass(frozen=True)
@@ -165,7 +173,7 @@ class Recorded:
 
     angles: Float[np.ndarray, "cycle coordinate phase"]
     velocities: Float[np.ndarray, "cycle coordinate phase"]
-    blocks: Sequence[Int[np.ndarray, " left_out"]]
+    blocks: Sequence[Int[np.ndarray, " _"]]
     measured_moment_sd: Float[np.ndarray, " coordinate"]
 
 
@@ -194,14 +202,19 @@ def examine(
     """
     model = ResidualModel.of(linearized)
     none = np.zeros((0, *linearized.residual.shape))
-    signatures = np.concatenate([none, *(_signatures(linearized, scores, id) for id in claim.together)])
-    adequate = adequacy(model, linearized, null_residuals, signatures, adequacy_factor)
+    signatures = np.concatenate(
+        [none, *(_scaled_signatures(linearized, scores.by_id[id]) for id in claim.together)]
+    )
+    about_fit = linearized if claim.residual is None else replace(linearized, residual=claim.residual)
+    adequate = adequacy(model, about_fit, null_residuals, signatures, adequacy_factor)
     if not claim.together:
         return Gates(adequate)
     return Gates(
         adequate,
         plausibility(claim.sizes),
-        stability(linearized, recorded.measured_moment_sd, claim.any_of),
+        stability(
+            part_scores(linearized, recorded.measured_moment_sd), claim.any_of, scores.detection_threshold
+        ),
         specificity(model, linearized, recorded, signatures),
     )
 
@@ -246,14 +259,13 @@ def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:
     return Plausible(*max(sizes, key=lambda one: abs(one[1]) / one[2]))
 
 
-def stability(
-    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"], any_of: Sequence[str]
-) -> Stable:
-    """Score all effects again on parts of the recording.
+def part_scores(
+    linearized: LinearizedModel, measured_moment_sd: Float[np.ndarray, " coordinate"]
+) -> dict[str, tuple[Score, ...]]:
+    """Score all effects again on parts of the recording, by the name of the part.
 
     Parts are odd and even cycles of each speed (all but one cycle, one after the other, where there are fewer
-    than six), each speed, and all coordinates but one. A part that could not show any of the claimed effects
-    is no witness, and is left out.
+    than six), each speed, and all coordinates but one.
 
     Parameters
     ----------
@@ -261,15 +273,42 @@ def stability(
         Linearised model.
     measured_moment_sd
         Standard deviation of the measured moment of each coordinate, N m.
+    """
+    return {
+        name: score_part(linearized.restricted(cycles, coordinates), measured_moment_sd[coordinates])
+        for name, (cycles, coordinates) in recording_parts(linearized).items()
+    }
+
+
+def stability(
+    parts: Mapping[str, Sequence[Score]], any_of: Sequence[str], detection_threshold: float
+) -> Stable:
+    """Compare the strongest effects of parts of a recording with a claim.
+
+    A part agrees where a claimed effect has the strongest
+    evidence, or less by no more than `CONTRADICTION`. It contradicts the claim where another effect leads by
+    more and exceeds the detection threshold. Parts that could not show any of the claimed effects, and those
+    that show no effect, say nothing and are left out.
+
+    Parameters
+    ----------
+    parts
+        Scores of all effects on each part.
     any_of
         Identifiers of the effects of which one has to come first.
+    detection_threshold
+        Evidence that few null replicates exceed, nats.
     """
     first = {}
-    for name, (cycles, coordinates) in recording_parts(linearized).items():
-        part = linearized.restricted(cycles, coordinates)
-        scores = score_part(part, measured_moment_sd[coordinates])
-        if any(score.detectable for score in scores if score.id in any_of):
-            first[name] = max(scores, key=lambda one: one.evidence).id
+    for name, scores in parts.items():
+        claimed = [score for score in scores if score.id in any_of]
+        if not any(score.detectable for score in claimed):
+            continue
+        leader, best = (max(some, key=lambda one: one.evidence) for some in (scores, claimed))
+        if leader.evidence - best.evidence <= CONTRADICTION:
+            first[name] = best.id
+        elif leader.evidence > detection_threshold:
+            first[name] = leader.id
     agreement = float(np.mean([id in any_of for id in first.values()])) if first else 0.0
     return Stable(agreement, first)
 
@@ -277,7 +316,7 @@ def stability(
 def recording_parts(
     linearized: LinearizedModel,
 ) -> dict[str, tuple[Int[np.ndarray, " cycle"], Int[np.ndarray, " coordinate"]]]:
-    """List the cycles and coordinates of each part of a recording that `stability` scores, by its name."""
+    """List the cycles and coordinates of each part of a recording, by its name; see `part_scores`."""
     cycles, coordinates, _ = linearized.residual.shape
     all_cycles, all_coordinates = np.arange(cycles), np.arange(coordinates)
     speeds = linearized.speeds
@@ -343,11 +382,20 @@ def specificity(
     )
 
 
-def _signatures(linearized: LinearizedModel, scores: Scores, id: str) -> ScaledSignatures:
-    """Return the signatures of the most plausible variant and part, of one prior standard deviation."""
-    candidate: Candidate = next(one for one in linearized.candidates if one.id == id)
-    score = scores.by_id[id]
+def effect_signatures(
+    linearized: LinearizedModel, score: Score
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Return the signatures of the most plausible variant and part of an effect, N m per unit."""
+    candidate = _candidate(linearized, score.id)
     part = np.array(score.part)
-    sd = candidate.scaled_prior_sd(max(score.prior_factor, 1.0))[part]
-    shape = linearized.residual.shape
-    return (candidate.variants[score.variant][part] * sd[:, None]).reshape(len(part), *shape)
+    return candidate.variants[score.variant][part].reshape(len(part), *linearized.residual.shape)
+
+
+def _scaled_signatures(linearized: LinearizedModel, score: Score) -> ScaledSignatures:
+    """Return the same of one prior standard deviation, N m."""
+    sd = _candidate(linearized, score.id).scaled_prior_sd(max(score.prior_factor, 1.0))[list(score.part)]
+    return effect_signatures(linearized, score) * sd[:, None, None, None]
+
+
+def _candidate(linearized: LinearizedModel, id: str) -> Candidate:
+    return next(one for one in linearized.candidates if one.id == id)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.baseline import BaselineFit
@@ -41,11 +42,14 @@ class Refit:
         Fit to all calibration cycles.
     cross_fit
         Fits to all and parts of the cycles.
+    residual
+        Measured less predicted moments of the calibration cycles by the fit to all of them, N m.
     """
 
     ids: Ids
     fit: JointFit
     cross_fit: CrossFit
+    residual: Float[np.ndarray, "cycle coordinate frame"]
 
 
 def effects_to_refit(scores: Scores) -> tuple[Ids, ...]:
@@ -90,6 +94,10 @@ def _refit(data: DiagnosisInput, baseline: BaselineFit, scores: Scores, ids: Ids
     problem = joint_problem(data.problem, calibration, first.calibrated, first.effect_sizes, weight)
     fit = fit_jointly(problem, first.variables, cache=data.cache)
     prediction = data.prediction(all_cycles)
+    predicted = prediction(fit.calibrated, fit.effect_sizes)
     return Refit(
-        ids, fit, cross_fit(fit.problem, fit.variables, data.plan, data.speeds, prediction, data.cache)
+        ids,
+        fit,
+        cross_fit(fit.problem, fit.variables, data.plan, data.speeds, prediction, data.cache),
+        (data.measured - predicted)[data.plan.calibration],
     )

@@ -99,7 +99,7 @@ class UnseenCycles:
 
     columns: Float[np.ndarray, "cycle own parameter"]
     residual: Float[np.ndarray, "cycle own"]
-    blocks: Sequence[Int[np.ndarray, " left_out"]]
+    blocks: Sequence[Int[np.ndarray, " _"]]
 
     def errors(self, further: Sequence[Float[np.ndarray, "cycle own _"]]) -> Float[np.ndarray, " set"]:
         """Compute the mean squared error of unseen cycles, in noise variances, with sets of further columns.
