@@ -204,16 +204,11 @@ def test_unmodelled_moments_are_large_and_equal_in_all_cycles(people):
         assert len(curves) > 1 and np.ptp(curves, axis=0).max() < 1.0
 
 
-def test_faulty_laboratory_has_a_raised_channel_and_late_forces(people):
+def test_faulty_laboratory_has_a_raised_channel(people):
     who = people("faulty_laboratory")
-    background = background_of(who, (1, 2))
-    raised = background.emg[1, list(CHANNELS).index("Soleus")]
-    assert np.all(raised == 0.06) and background.emg.sum() == pytest.approx(raised.sum())
-    ground = who.world.walk.ground
-    late = (ground + background.ground)[:, 1]
-    shifts = range(6)
-    errors = [np.abs(late[:, 10:] - ground[:, 1, 10 - k : ground.shape[-1] - k]).mean() for k in shifts]
-    assert int(np.argmin(errors)) in (2, 3)  # of 2 ms
+    emg = background_of(who, (1, 2)).emg
+    raised = emg[1, list(CHANNELS).index("Soleus")]
+    assert np.all(raised == 0.06) and emg.sum() == pytest.approx(raised.sum())
 
 
 def test_stiff_knee_bends_less_than_others(people):

@@ -7,13 +7,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from validation.diagnosis.bank_cases import CLEAR
-from validation.diagnosis.linearizations import development_linearizations
-from wrapjax.diagnosis.decision import Probabilities
-from wrapjax.diagnosis.gates import adequacy
-from wrapjax.diagnosis.null_covariance import nulls
+from validation.diagnosis.linearizations import LinearizedCase, development_linearizations
+from wrapjax.diagnosis.decision import Probabilities, tied_effects
+from wrapjax.diagnosis.gates import (
+    MOST_DEVIATIONS,
+    Gates,
+    adequacy,
+    part_scores,
+    plausibility,
+    scaled_signatures,
+    specificity,
+    stability,
+)
 from wrapjax.diagnosis.residual_fit import ResidualModel
-from wrapjax.diagnosis.score_test import score_each
+from wrapjax.diagnosis.score import score
+from wrapjax.diagnosis.score_test import Score
 
 #: Correct outcome of cases without a cause in the catalogue; pairs have no single correct answer.
 _OUTCOMES = {"none": "none", "outside": "unknown"}
@@ -31,12 +42,15 @@ class ScoredCase:
         Log Bayes factor of each effect, and evidence for a structured residual, see `probabilities`; nats.
     left
         Repeatable error that the plain model leaves, relative to the 95th percentile of null replicates.
+    claim
+        What the gates need for a claim of the strongest effect; None if it was not computed.
     """
 
     truth: dict[str, Any]
     evidence: Mapping[str, float]
     structured: float
     left: float = 1.0
+    claim: StrongestEffect | None = None
 
     @property
     def accepted(self) -> set[str]:
@@ -49,41 +63,93 @@ class ScoredCase:
         return bool(self.truth["tier"] == "single" and self.truth["d_star"] > CLEAR)
 
     @property
+    def background(self) -> bool:
+        """Whether the laboratory or the model has a detectable defect beside the cause."""
+        return float((self.truth.get("background") or {}).get("d_star", 0.0)) > CLEAR
+
+    @property
+    def nothing_amiss(self) -> bool:
+        """Whether it has neither a cause nor a detectable background."""
+        return bool(self.truth["tier"] == "none" and not self.background)
+
+    @property
     def ranked(self) -> list[str]:
         """Effects by decreasing evidence."""
         return sorted(self.evidence, key=lambda id: -self.evidence[id])
 
     def correct_probability(self, stated: Probabilities) -> float | None:
-        """Return the probability of the correct answers; None for a pair."""
+        """Return the probability of the correct answers; None where no single answer is correct."""
         tier = self.truth["tier"]
-        if tier == "pair":
+        if tier == "pair" or (tier == "none" and self.background):
             return None
         if tier in _OUTCOMES:
             return float(getattr(stated, _OUTCOMES[tier]))
         return sum(share for id, share in stated.effects.items() if id in self.accepted)
 
 
+@dataclass(frozen=True)
+class StrongestEffect:
+    """Gates of the strongest effect of a case, and what a decision needs beside its evidence.
+
+    The gates are those of linearised fits: no refit is made.
+
+    Parameters
+    ----------
+    tie
+        The effect and those that cannot be told from it.
+    undetectable
+        Effects that the recording could not show.
+    null_threshold
+        Evidence that few null replicates exceed, nats.
+    gates
+        Gates for a claim of this effect alone; the factor of the gate for adequate models is one.
+    parts
+        Scores of all effects on each part of the recording.
+    """
+
+    tie: tuple[str, ...]
+    undetectable: tuple[str, ...]
+    null_threshold: float
+    gates: Gates
+    parts: Mapping[str, Sequence[Score]]
+
+
 def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
     """Score all linearized cases; raises the errors of `development_linearizations`."""
-    found = []
-    for truth, own in development_linearizations(bank, lines):
-        residual = own.linearized.residual.reshape(1, -1)
-        (scored,) = score_each(
-            residual, nulls(own.linearized, own.recorded.measured_moment_sd), own.linearized.candidates
-        )
-        linearized = own.linearized
-        adequate = adequacy(
-            ResidualModel.of(linearized), linearized, own.null_residuals, linearized.nuisances[:0]
-        )
-        found.append(
-            ScoredCase(
-                truth,
-                {one.id: one.evidence for one in scored.scores},
-                scored.structured_evidence,
-                adequate.left_rms / adequate.floor_rms,
-            )
-        )
-    return found
+    return [score_case(truth, own) for truth, own in development_linearizations(bank, lines)]
+
+
+def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
+    """Score a linearized case, and examine the claim of its strongest effect."""
+    linearized = own.linearized
+    scores = score(linearized, own.recorded.measured_moment_sd, own.null_residuals, 0.0)
+    model = ResidualModel.of(linearized)
+    plain = adequacy(model, linearized, own.null_residuals, linearized.nuisances[:0])
+    strongest = next(iter(scores.by_id.values()))
+    signatures = scaled_signatures(linearized, strongest)
+    parts = part_scores(linearized, own.recorded.measured_moment_sd)
+    tie = tied_effects(strongest.id, scores.compared, scores.distinguishability, scores.evidence)
+    candidate = next(one for one in linearized.candidates if one.id == strongest.id)
+    limit = np.minimum(candidate.limit, MOST_DEVIATIONS * candidate.prior_sd)
+    sizes = [
+        (strongest.id, float(strongest.effect_sizes[place]), float(limit[place])) for place in strongest.part
+    ]
+    gates = Gates(
+        adequacy(model, linearized, own.null_residuals, signatures),
+        plausibility(sizes),
+        stability(parts, tie, scores.detection_threshold),
+        specificity(model, linearized, own.recorded, signatures),
+    )
+    claim = StrongestEffect(
+        tie,
+        tuple(id for id, one in scores.by_id.items() if not one.detectable),
+        scores.detection_threshold,
+        gates,
+        parts,
+    )
+    return ScoredCase(
+        truth, scores.evidence, scores.structured_evidence, plain.left_rms / plain.floor_rms, claim
+    )
 
 
 def ranking(cases: Sequence[ScoredCase]) -> str:

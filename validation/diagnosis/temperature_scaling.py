@@ -40,8 +40,8 @@ _FITTED = (
 _FLOOR = 1e-3
 # Finer changes of a constant are not significant among a hundred cases.
 _TOLERANCES = {"xatol": 0.02, "fatol": 1e-4}
-#: Largest scale (nats) of the transition from `none` to `unknown`; larger ones carry no information.
-_LARGEST_SCALE = 25.0
+#: Smallest and largest scale (nats) of the transition from `none` to `unknown`: a step, and no information.
+_SMALLEST_SCALE, _LARGEST_SCALE = 0.1, 25.0
 #: Allowed shares of cases without effect whose evidence exceeds the detection threshold, whose `unknown` is
 #: more probable than `none`, and which leave more error than the gate for adequate models allows.
 _FALSE_POSITIVES, _UNKNOWNS, _INADEQUATE = 0.025, 0.10, 0.05
@@ -69,7 +69,7 @@ def main() -> int:
 
 def _describe_nothing_amiss(cases: Sequence[ScoredCase]) -> str:
     """Describe the strongest evidence in cases without effect, and the repeatable error that is left."""
-    nothing = [one for one in cases if one.truth["tier"] == "none"]
+    nothing = [one for one in cases if one.nothing_amiss]
     evidence = [max(one.evidence.values()) for one in nothing]
     left = [one.left for one in nothing]
     return (
@@ -84,7 +84,7 @@ def _describe(cases: Sequence[ScoredCase], constants: DecisionConstants) -> str:
     clear = [one for one in cases if one.clear]
     right = [one for one in clear if one.ranked[0] in one.accepted]
     over = sum(max(one.evidence.values()) > constants.least_detection_threshold for one in right)
-    none = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
+    none = [max(one.evidence.values()) for one in cases if one.nothing_amiss]
     alarms = sum(most > constants.least_detection_threshold for most in none)
     return (
         f"{over} of {len(right)} correct and {alarms} of {len(none)} without effect over the threshold; "
@@ -118,7 +118,7 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
     constants
         Initial values, and values of the other constants.
     """
-    nothing = [one for one in cases if one.truth["tier"] == "none"]
+    nothing = [one for one in cases if one.nothing_amiss]
     worlds = {one.truth.get("world", "") for one in nothing}
 
     def exceeded_by(of: Callable[[ScoredCase], float], share: float) -> float:
@@ -143,7 +143,7 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
             constants,
             temperature=float(temperature),
             offset=float(point[1]),
-            structured_scale=float(min(scale, _LARGEST_SCALE)),
+            structured_scale=float(np.clip(scale, _SMALLEST_SCALE, _LARGEST_SCALE)),
         )
 
     # Not from the largest scale, where the objective is flat.

@@ -203,7 +203,7 @@ def examine(
     model = ResidualModel.of(linearized)
     none = np.zeros((0, *linearized.residual.shape))
     signatures = np.concatenate(
-        [none, *(_scaled_signatures(linearized, scores.by_id[id]) for id in claim.together)]
+        [none, *(scaled_signatures(linearized, scores.by_id[id]) for id in claim.together)]
     )
     about_fit = linearized if claim.residual is None else replace(linearized, residual=claim.residual)
     adequate = adequacy(model, about_fit, null_residuals, signatures, adequacy_factor)
@@ -391,8 +391,8 @@ def effect_signatures(
     return candidate.variants[score.variant][part].reshape(len(part), *linearized.residual.shape)
 
 
-def _scaled_signatures(linearized: LinearizedModel, score: Score) -> ScaledSignatures:
-    """Return the same of one prior standard deviation, N m."""
+def scaled_signatures(linearized: LinearizedModel, score: Score) -> ScaledSignatures:
+    """Return the signatures of one prior standard deviation, N m; see `effect_signatures`."""
     sd = _candidate(linearized, score.id).scaled_prior_sd(max(score.prior_factor, 1.0))[list(score.part)]
     return effect_signatures(linearized, score) * sd[:, None, None, None]
 

@@ -1,0 +1,158 @@
+"""Decisions on the cases of each development world, with constants that were fitted on the other worlds.
+
+``python -m validation.diagnosis.left_out_worlds --bank BANK --lines LINES`` reads the linearized models of
+the bank `worlds` (see `validation.diagnosis.linearizations`), fits the constants of the decision on all
+worlds but one, decides on the cases of that one, and prints ranks, names and families by world and over all.
+Decisions are those of a diagnosis up to its refits: effects that do not improve held-out cycles are not
+removed, several effects are not named together, and the gates are those of linearised fits.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from validation.diagnosis.linearizations import linearizations_parser
+from validation.diagnosis.scored_cases import ScoredCase, score_cases
+from validation.diagnosis.temperature_scaling import fit_constants
+from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
+from wrapjax.diagnosis.decision import Decision, DecisionConstants, decide_on_single_effect, probabilities
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.families import family_of
+from wrapjax.diagnosis.gates import Adequate, Gates, stability
+from wrapjax.errors import InputError
+
+#: World in which names are not scored: its model errors are larger than any effect.
+GROSS_MISFIT = "gross_misfit"
+_CONTROLS = tuple(id for id, one in CATALOGUE.items() if one.negative_control)
+
+
+@dataclass(frozen=True)
+class DecidedCase:
+    """Scored case, and the decision on it by constants from other worlds."""
+
+    case: ScoredCase
+    decision: Decision
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects that are named or tied."""
+        return self.decision.accepted
+
+    @property
+    def right(self) -> bool:
+        """Whether an effect that is correct is named, or in the tie."""
+        return bool(set(self.named) & self.case.accepted)
+
+    @property
+    def right_family(self) -> bool:
+        """Whether the family of the cause is named."""
+        causes = {family_of(cause["id"]) for cause in self.case.truth["causes"] if cause["id"] in CATALOGUE}
+        return self.decision.family in causes
+
+
+def main() -> int:
+    options = linearizations_parser("left_out_worlds", __doc__).parse_args()
+    try:
+        cases = score_cases(options.bank, options.lines)
+        decided = decide_by_world(cases, DecisionConstants.shipped())
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(table(decided))
+    return 0
+
+
+def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> dict[str, list[DecidedCase]]:
+    """Decide on the cases of each world by constants that were fitted on the others.
+
+    Parameters
+    ----------
+    cases
+        Scored cases of at least two worlds.
+    start
+        Initial values of the constants.
+
+    Raises
+    ------
+    InputError
+        If no other world has a case with nothing amiss.
+    """
+    decided: dict[str, list[DecidedCase]] = {}
+    for world in dict.fromkeys(one.truth["world"] for one in cases):
+        others = [one for one in cases if one.truth["world"] not in (world, GROSS_MISFIT)]
+        constants = fit_constants(others, start)
+        decided[world] = [
+            DecidedCase(one, decision_on(one, constants)) for one in cases if one.truth["world"] == world
+        ]
+    return decided
+
+
+def decision_on(case: ScoredCase, constants: DecisionConstants) -> Decision:
+    """Decide on a case from its linearised model; see the module for what this leaves out."""
+    assert case.claim is not None
+    threshold = max(constants.least_detection_threshold, case.claim.null_threshold)
+    stated = probabilities(case.evidence, case.structured, constants)
+    decision = decide_on_single_effect(
+        stated, case.evidence, case.claim.tie, threshold, _CONTROLS, case.claim.undetectable
+    )
+    decision = with_family(replace(decision, probabilities=stated), case.evidence, threshold)
+    together, any_of = claimed_effects(decision, case.evidence)
+    found = case.claim.gates
+    if not together:
+        plain = Adequate(case.left, constants.adequacy_factor)
+        return apply_gates(decision, Gates(plain), ())
+    factor = constants.adequacy_factor
+    gates = replace(
+        found,
+        adequate=replace(found.adequate, floor_rms=factor * found.adequate.floor_rms),
+        stable=stability(case.claim.parts, any_of, threshold),
+    )
+    return apply_gates(decision, gates, decision.accepted or together)
+
+
+def table(decided: dict[str, list[DecidedCase]]) -> str:
+    """Describe ranks, names and families by world and over all worlds but the one with gross misfit."""
+    pooled = [one for world, cases in decided.items() if world != GROSS_MISFIT for one in cases]
+    rows = {**decided, f"all but {GROSS_MISFIT}": pooled}
+    lines = [
+        "| world | first, d* 2 to 5 | first, d* above 5 | first three | named right, of named | named or "
+        "family right | named, nothing amiss | named, background | named, outside | family named wrongly |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [f"| {world} | {' | '.join(_row(cases))} |" for world, cases in rows.items()]
+    return "\n".join(lines)
+
+
+def _row(cases: Sequence[DecidedCase]) -> list[str]:
+    clear = [one for one in cases if one.case.clear]
+    single = [one for one in cases if one.case.truth["tier"] == "single"]
+    strong = [one for one in clear if one.case.truth["d_star"] > 5.0]
+    weak = [one for one in clear if one not in strong]
+    quiet = [one for one in cases if one.case.nothing_amiss]
+    background = [one for one in cases if one.case.truth["tier"] == "none" and not one.case.nothing_amiss]
+    outside = [one for one in cases if one.case.truth["tier"] == "outside"]
+    family = [one for one in single if one.decision.family]
+
+    def share(some: Sequence[DecidedCase], holds: Callable[[DecidedCase], bool]) -> str:
+        return f"{sum(map(holds, some))} of {len(some)}"
+
+    def first(count: int) -> Callable[[DecidedCase], bool]:
+        return lambda one: bool(set(one.case.ranked[:count]) & one.case.accepted)
+
+    return [
+        share(weak, first(1)),
+        share(strong, first(1)),
+        share(clear, first(3)),
+        share([one for one in single if one.named], lambda one: one.right),
+        share(clear, lambda one: one.right or one.right_family),
+        share(quiet, lambda one: bool(one.named or one.decision.family)),
+        share(background, lambda one: bool(one.named or one.decision.family)),
+        share(outside, lambda one: bool(one.named)),
+        share(family, lambda one: not one.right_family),
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
