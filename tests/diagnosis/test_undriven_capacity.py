@@ -15,6 +15,7 @@ from wrapjax.diagnosis.undriven_capacity import (
     CapacityShare,
     undriven_capacity,
     undriven_signatures,
+    unrecorded_moment_signatures,
 )
 from wrapjax.geometry.paths import PathState, fixed_path
 from wrapjax.model.forward import joint_moments
@@ -45,9 +46,9 @@ def test_the_share_is_that_of_force_times_arm(leg):
     arms = np.maximum(np.asarray(context.paths.moment_arm)[:, :, 0], 0.0).mean(axis=(1, 2))
     driven = float(arms @ np.asarray(context.parameters.max_isometric_force))
     assert found["hip_flexion_l"].positive == pytest.approx(flexors / (flexors + driven))
-    assert found["hip_flexion_l"].negative == 0.0 and found["knee_angle_l"] == CapacityShare(0.0, 0.0)
+    assert found["hip_flexion_l"].negative == 0.0 and found["knee_angle_l"] == CapacityShare(0.0, 0.0, 0.0)
     nobody = undriven_capacity(replace(context, undriven_muscles=None))
-    assert set(nobody.values()) == {CapacityShare(0.0, 0.0)}
+    assert set(nobody.values()) == {CapacityShare(0.0, 0.0, 0.0)}
 
 
 def test_a_direction_that_is_mostly_recorded_adds_nothing_to_the_null(leg):
@@ -64,6 +65,25 @@ def test_a_direction_without_emg_is_uncertain(leg):
     ratio = np.abs(strong[:, :, 0]).max() / np.abs(weak[:, :, 0]).max()
     assert ratio > 10.0
     np.testing.assert_array_equal(strong[:, :, 1:], 0.0)
+
+
+def test_the_moment_of_a_coordinate_without_emg_is_uncertain_as_a_whole(leg):
+    _, context = leg
+    measured = np.random.default_rng(1).normal(size=(4, 3, 20))
+    speeds = np.array([0, 0, 1, 1])
+    few = unrecorded_moment_signatures(with_strength(context, 0.05), measured, speeds)
+    assert few.shape == (0, 4, 3, 20)
+    strong = with_strength(context, 1e3)
+    shares = undriven_capacity(strong)
+    places = [place for place, share in enumerate(shares.values()) if not share.recorded]
+    assert places == [0], "the muscles without EMG act at the hip"
+    found = unrecorded_moment_signatures(strong, measured, speeds)
+    covariance = np.einsum("pcqf,pdqg->qcfdg", found, found)
+    np.testing.assert_array_equal(covariance[1:], 0.0)
+    variance = np.einsum("cfcf->cf", covariance[0])
+    np.testing.assert_allclose(variance, np.mean(measured[:, 0] ** 2), rtol=0.02)
+    np.testing.assert_allclose(covariance[0, 0, :, 1], covariance[0, 0, :, 0], rtol=1e-12)
+    np.testing.assert_array_equal(covariance[0, 0, :, 2], 0.0)
 
 
 def test_errors_of_moment_arms_are_those_of_changed_paths(leg):

@@ -146,7 +146,7 @@ def named() -> DiagnosisResult:
         credible_families=("device", "geometry", "none_of_these"),
         gates=GATES,
         muscle_law={"active_shift": -0.02, "second_stage": 0.4},
-        undriven_capacity={name: CapacityShare(0.3, 0.0) for name in COORDINATES},
+        undriven_capacity={name: CapacityShare(0.3, 0.0, 0.2) for name in COORDINATES},
     )
 
 

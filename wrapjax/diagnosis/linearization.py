@@ -37,7 +37,7 @@ from wrapjax.diagnosis.error_sources import (
 )
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
 from wrapjax.diagnosis.prediction import finite_difference_signatures
-from wrapjax.diagnosis.undriven_capacity import undriven_signatures
+from wrapjax.diagnosis.undriven_capacity import undriven_signatures, unrecorded_moment_signatures
 from wrapjax.model.forward import Recording, joint_moments, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.excitation import EmgSpline
@@ -245,6 +245,7 @@ def linearized_model(
     nuisances = [
         moment_arm_errors(curves, parameters, averaged, context, frames),
         undriven_signatures(context, frames),
+        unrecorded_moment_signatures(context, measured[..., frames], speeds),
     ]
     for effect in effects:
         candidate = _candidate(effect, problem, parameters, averaged, frames)

@@ -1,7 +1,8 @@
 """Share of each joint's moment capacity that muscles without EMG have, and their moments in null hypotheses.
 
 Where most of the muscles that flex a joint have no electrode, the moment error at that joint says little
-about any other cause. The excitation of such muscles is therefore uncertain in every null hypothesis.
+about any other cause. The excitation of such muscles is therefore uncertain in every null hypothesis. Where
+most of all muscles of a coordinate have none, its whole moment is.
 """
 
 from __future__ import annotations
@@ -16,20 +17,37 @@ from jaxtyping import Array, Float, Int
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.periodic import periodic_splines
 from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES, active_moments
+from wrapjax.diagnosis.error_sources import periodic_kernel
 
 #: Standard deviation of an unrecorded activation where no muscle of a direction has EMG: peaks in walking are
 #: 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
 ACTIVATION_SD = 0.2
-#: Share of the capacity without EMG up to which a direction is taken as recorded.
+#: Share of the capacity without EMG up to which a direction, or a coordinate, is taken as recorded.
 RECORDED_SHARE = 0.5
+#: Correlation width of the moment of an unrecorded coordinate, in gait cycles.
+MOMENT_WIDTH = 0.05
 
 
 @dataclass(frozen=True)
 class CapacityShare:
-    """Share of the moment capacity of muscles without EMG in either direction of a coordinate, 0 to 1."""
+    """Share of the moment capacity of muscles without EMG, 0 to 1.
+
+    Parameters
+    ----------
+    positive, negative
+        Share in either direction of a coordinate.
+    both
+        Share of the sum of both directions.
+    """
 
     positive: float
     negative: float
+    both: float
+
+    @property
+    def recorded(self) -> bool:
+        """Whether muscles with EMG have most of the capacity."""
+        return self.both <= RECORDED_SHARE
 
 
 def undriven_capacity(context: Context) -> Mapping[str, CapacityShare]:
@@ -46,12 +64,13 @@ def undriven_capacity(context: Context) -> Mapping[str, CapacityShare]:
     driven = _capacity(context.paths.moment_arm, context.parameters.max_isometric_force)
     others = context.undriven_muscles
     if others is None:
-        return {name: CapacityShare(0.0, 0.0) for name in context.coordinates}
+        return {name: CapacityShare(0.0, 0.0, 0.0) for name in context.coordinates}
     undriven = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
-    total = np.maximum(driven.sum(axis=0) + undriven.sum(axis=0), 1e-12)
-    share = undriven.sum(axis=0) / total
+    without = undriven.sum(axis=0)
+    total = np.maximum(driven.sum(axis=0) + without, 1e-12)
+    share, both = without / total, without.sum(axis=0) / total.sum(axis=0)
     return {
-        name: CapacityShare(float(share[0, place]), float(share[1, place]))
+        name: CapacityShare(float(share[0, place]), float(share[1, place]), float(both[place]))
         for place, name in enumerate(context.coordinates)
     }
 
@@ -105,3 +124,39 @@ def undriven_signatures(
         if size > 0.0
     ]
     return np.concatenate([empty, *signatures])
+
+
+def unrecorded_moment_signatures(
+    context: Context,
+    measured: Float[np.ndarray, "cycle coordinate phase"],
+    speeds: Int[np.ndarray, " cycle"],
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute smooth moments of one standard deviation at coordinates whose muscles mostly have no EMG, N m.
+
+    The moment at such a coordinate cannot be predicted, whatever the cause. It is as uncertain as it is
+    large, independently at each speed, so that its error is no evidence for any effect.
+
+    Parameters
+    ----------
+    context
+        Context of the cycles.
+    measured
+        Measured moments, N m.
+    speeds
+        Speed number of each cycle, counted from 0.
+    """
+    phases = measured.shape[-1]
+    kernel = periodic_kernel(phases, MOMENT_WIDTH)
+    values, vectors = np.linalg.eigh(kernel)
+    kept = values > 1e-3 * values[-1]
+    shapes = np.sqrt(values[kept])[:, None] * vectors.T[kept]
+    signatures = [np.zeros((0, *measured.shape))]
+    for place, share in enumerate(undriven_capacity(context).values()):
+        if share.recorded:
+            continue
+        size = np.sqrt(np.mean(measured[:, place] ** 2))
+        for speed in np.unique(speeds):
+            own = np.zeros((len(shapes), *measured.shape))
+            own[:, speeds == speed, place] = size * shapes[:, None]
+            signatures.append(own)
+    return np.concatenate(signatures)
