@@ -223,7 +223,14 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     if problem.variables.modes:
         problem = _with_held_paths(problem, result)
     cache = SolveCache(cache_folder("diagnoses"))
-    law = fit_muscle_law(problem, result.parameters, result.freedom.with_held_paths(), result.muscles, cache)
+    law = fit_muscle_law(
+        problem,
+        result.parameters,
+        result.freedom.with_held_paths(),
+        result.muscles,
+        cache,
+        result.curves,
+    )
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
     order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))

@@ -36,11 +36,14 @@ class MuscleLawFit:
         Objective whose variables include the parameters of the law.
     held, variables
         Objective with the law held, and its variables where the fit ended.
+    curves
+        Name of the Hill curves that the family changes.
     """
 
     free: Objective
     held: Objective
     variables: Float[np.ndarray, " variable"]
+    curves: str = "paper"
 
     @property
     def law(self) -> dict[str, float]:
@@ -60,6 +63,7 @@ def fit_muscle_law(
     freedom: Freedom,
     muscles: Sequence[str],
     cache: SolveCache | None = None,
+    curves: str = "paper",
 ) -> MuscleLawFit:
     """Calibrate the muscle law together with the freed parameters of the muscles.
 
@@ -77,6 +81,8 @@ def fit_muscle_law(
         Names of the muscles.
     cache
         Earlier fits.
+    curves
+        Name of the Hill curves of the objective.
     """
     start = replace(parameters, law=jnp.asarray(given_law(len(muscles))))
     prior = with_published_priors(freedom)
@@ -85,4 +91,4 @@ def fit_muscle_law(
     fit = fit_jointly(joint_problem(free, Effects(()), initial, np.zeros(0), 0.0), initial, cache=cache)
     found = free.parameters(jnp.asarray(fit.calibrated))
     held = replace(problem, variables=free_variables(found, replace(prior, law=None), muscles))
-    return MuscleLawFit(free, held, np.asarray(held.start(found)))
+    return MuscleLawFit(free, held, np.asarray(held.start(found)), curves)

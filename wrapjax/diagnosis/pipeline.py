@@ -19,6 +19,7 @@ from wrapjax.diagnosis.baseline import BaselineFit, fit_baseline
 from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
 from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.law_evidence import law_evidence
 from wrapjax.diagnosis.linearization import linearize
 from wrapjax.diagnosis.localization import localize
 from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
@@ -119,6 +120,7 @@ def run_diagnosis(
         scores = score(
             linearized, data.measured_moment_sd, null_residuals, constants.least_detection_threshold
         )
+        laws = law_evidence(data.law, baseline.variables, linearized, scores.null.covariance)
     singles = effects_to_refit(scores)
     names = ", ".join(id for ids in singles for id in ids) or "no effect"
     with watch.during("refits", f"fitting {names} with all calibrated parameters"):
@@ -146,6 +148,7 @@ def run_diagnosis(
         refits=refits,
         verification=verification,
         decision=decision,
+        law_evidence=laws,
         seconds=watch.seconds,
     )
     return result, CatalogueIndependent(baseline, null_residuals)

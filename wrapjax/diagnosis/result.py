@@ -118,8 +118,8 @@ class DiagnosisResult:
         Linearised model that was scored; None without a diagnosis.
     family, family_probability, credible_families, best_partial, gates
         See `decision.Decision`; the probability is that of the named family.
-    muscle_law
-        Parameters of the muscle law of the person, by name.
+    muscle_law, law_evidence
+        Parameters of the muscle law of the person, by name; and evidence for published laws against it, nats.
     undriven_capacity
         Share of the moment capacity of muscles without EMG, by coordinate.
     """
@@ -162,6 +162,7 @@ class DiagnosisResult:
     best_partial: tuple[str, ...] = ()
     gates: Gates | None = None
     muscle_law: dict[str, float] = field(default_factory=dict)
+    law_evidence: dict[str, float] = field(default_factory=dict)
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
 
 
@@ -244,6 +245,7 @@ def diagnosis_result(
     refits: Mapping[Ids, Refit],
     verification: Verification,
     decision: Decision,
+    law_evidence: dict[str, float],
     seconds: dict[str, float],
 ) -> DiagnosisResult:
     """Assemble the result of a diagnosis from the results of all steps.
@@ -256,6 +258,8 @@ def diagnosis_result(
         Refits of single effects; their effect sizes are reported.
     verification, decision
         Verified refits, and the decision.
+    law_evidence
+        Evidence for published muscle laws, nats.
     seconds
         Time of each step, s.
     """
@@ -281,6 +285,7 @@ def diagnosis_result(
     )
     return replace(
         result,
+        law_evidence=law_evidence,
         named=decision.named,
         ties=(decision.tie,) if decision.tie else (),
         credible_set=decision.credible_set,

@@ -58,6 +58,8 @@ class Scores:
     compared, distinguishability
         Strongest effects, and the squared distance of each (row) from the span of each other (column); see
         `score_test.distinguishability`.
+    null
+        Most plausible null hypothesis without any effect.
     """
 
     by_id: dict[str, Score]
@@ -67,6 +69,7 @@ class Scores:
     jointly_significant: tuple[str, ...]
     compared: tuple[str, ...]
     distinguishability: Float[np.ndarray, "effect effect"]
+    null: Null
 
     @property
     def evidence(self) -> dict[str, float]:
@@ -113,6 +116,7 @@ def score(
     by_id = {one.id: one for one in sorted(test.scores, key=lambda one: -one.evidence)}
     of_subject = [replace(one, weight=one.weight[:1], slope=one.slope[:1]) for one in projections]
     compared = tuple(by_id)[:COMPARED]
+    null = most_plausible_null(linearized, measured_moment_sd, test)
     return Scores(
         by_id=by_id,
         structured_evidence=test.structured_evidence,
@@ -120,26 +124,22 @@ def score(
         detection_threshold=threshold,
         jointly_significant=jointly_significant_effects(of_subject, candidates, by_id, threshold),
         compared=compared,
-        distinguishability=_distances(linearized, measured_moment_sd, test, [by_id[id] for id in compared]),
+        distinguishability=_distances(linearized, null, [by_id[id] for id in compared]),
+        null=null,
     )
 
 
 def _distances(
-    linearized: LinearizedModel,
-    measured_moment_sd: Float[np.ndarray, " coordinate"],
-    test: ScoreTest,
-    scores: Sequence[Score],
+    linearized: LinearizedModel, null: Null, scores: Sequence[Score]
 ) -> Float[np.ndarray, "effect effect"]:
-    """Compute the distinguishability of effects under the most plausible null."""
+    """Compute the distinguishability of effects under a null."""
     if not scores:
         return np.zeros((0, 0))
     candidates = {candidate.id: candidate for candidate in linearized.candidates}
     variants = [candidates[one.id].variants[one.variant] for one in scores]
     signatures = [variant[list(one.part)] for one, variant in zip(scores, variants, strict=True)]
     signals = [one.effect_sizes @ variant for one, variant in zip(scores, variants, strict=True)]
-    return distinguishability(
-        signals, signatures, most_plausible_null(linearized, measured_moment_sd, test).covariance
-    )
+    return distinguishability(signals, signatures, null.covariance)
 
 
 def most_plausible_null(

@@ -19,8 +19,8 @@ from wrapjax.diagnosis.effects.periodic import periodic_splines
 from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES, active_moments
 from wrapjax.diagnosis.error_sources import periodic_kernel
 
-#: Standard deviation of an unrecorded activation where no muscle of a direction has EMG: peaks in walking are
-#: 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
+#: Standard deviation of an unrecorded activation where most muscles of a direction have no EMG: peaks in walking
+#: are 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
 ACTIVATION_SD = 0.2
 #: Share of the capacity without EMG up to which a direction, or a coordinate, is taken as recorded.
 RECORDED_SHARE = 0.5
@@ -108,20 +108,19 @@ def undriven_signatures(
     by_direction = np.array(
         [[shares[name].positive, shares[name].negative] for name in context.coordinates]
     ).T
-    beyond = np.maximum(by_direction - RECORDED_SHARE, 0.0) / (1.0 - RECORDED_SHARE)
+    unrecorded = by_direction > RECORDED_SHARE
     acts = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
     # A muscle counts for a direction where it has at least a tenth of the largest capacity without EMG.
     counts = acts > 0.1 * acts.max(axis=0, keepdims=True)
-    weight = np.max(counts * beyond[None], axis=(1, 2))
+    uncertain = np.any(counts & unrecorded[None], axis=(1, 2))
     groups = [np.array([others.names.index(name) for name in members]) for _, members in others.groups]
-    sizes = np.array([weight[rows].max() for rows in groups])
     full = active_moments(others, jnp.ones(others.path.length.shape))
     per_unit = np.asarray(full)[..., frames]
     splines = periodic_splines(context.phase[frames], SPLINES)
     signatures = [
-        ACTIVATION_SD * size * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
-        for rows, size in zip(groups, sizes, strict=True)
-        if size > 0.0
+        ACTIVATION_SD * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
+        for rows in groups
+        if uncertain[rows].any()
     ]
     return np.concatenate([empty, *signatures])
 
