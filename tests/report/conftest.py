@@ -179,6 +179,7 @@ def result() -> CalibrationResult:
         cost_by_term={"joint_moment": 7.0, "passive_force": 1.5, "prior": 0.5},
         curves="paper",
         tendon="rigid",
+        muscle_law="nmsm",
         solver=AugmentedLagrangian(),
         outcomes=(Outcome(None, np.array([0.05, 0.05, 0.5, 0.05]), _solution()),),
         chosen=0,

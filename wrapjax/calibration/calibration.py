@@ -41,6 +41,7 @@ from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import with_path_modes
+from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_model import MuscleConstants, write_personalised_model
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry
@@ -142,6 +143,7 @@ def calibrate(
     callback: IterationCallback | None = None,
     curves: str = "paper",
     tendon: str = "rigid",
+    muscle_law: str = GIVEN_LAW,
     surfaces: str = SURFACES[0],
     undriven: str = STRATEGIES[0],
     synergies: int = DEFAULT_SYNERGIES,
@@ -185,6 +187,9 @@ def calibrate(
     tendon
         ``rigid`` (as published), or ``compliant``: in equilibrium with the fibers in every frame, with a
         strain of 4 % at maximum isometric force. A compliant tendon takes several times as long.
+    muscle_law
+        Published muscle law, by its nearest point in the family of `wrapjax.muscle.personal_law`: ``nmsm``,
+        that of the Hill curves as they are; ``de_groote``; ``thelen``; ``ceinms``.
     surfaces
         Wraps that PGA frees: ``touched``, those that some muscle touches in a recorded frame, or ``all``.
         Moments do not depend on a wrap that no muscle touches, so that it keeps its nominal parameters.
@@ -220,10 +225,19 @@ def calibrate(
     """
     solver = solver or AugmentedLagrangian()
     legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
-    options = MuscleOptions(curves, tendon)
+    options = MuscleOptions(curves, tendon, muscle_law)
     fingerprint = calibration_fingerprint(legs, solver, options, starts, seed)
     by_leg = [
-        build_stages(leg.subject, method, leg.fit, leg.freedom, curves=curves, tendon=tendon) for leg in legs
+        build_stages(
+            leg.subject,
+            method,
+            leg.fit,
+            leg.freedom,
+            curves=curves,
+            tendon=tendon,
+            muscle_law=muscle_law,
+        )
+        for leg in legs
     ]
     problems: tuple[AbstractCalibration, ...] = by_leg[0]
     if len(legs) == 2:
@@ -331,6 +345,7 @@ def _result(
         chosen=chosen,
         curves=options.curves,
         tendon=options.tendon,
+        muscle_law=options.law,
         solver=solver,
         n_residuals=problem.measured.size,
         compile_seconds=compile_seconds,

@@ -53,8 +53,8 @@ class CalibrationResult:
         Cost of each term at the solution.
     curves
         Name of the Hill curves.
-    tendon
-        Kind of tendon.
+    tendon, muscle_law
+        Kind of tendon, and name of the muscle law.
     outcomes
         Result of each start.
     chosen
@@ -90,6 +90,7 @@ class CalibrationResult:
     cost_by_term: dict[str, float]
     curves: str
     tendon: str
+    muscle_law: str
     solver: AugmentedLagrangian
     outcomes: tuple[Outcome, ...]
     chosen: int

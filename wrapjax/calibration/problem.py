@@ -20,9 +20,10 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import Freedom
-from wrapjax.model.parameters import ModelParameters, with_path_modes
+from wrapjax.model.parameters import ModelParameters, with_muscle_law, with_path_modes
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.curves import HILL_CURVES
+from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.path_sources.exact import SURFACES, ExactGeometry, exact_geometry
 from wrapjax.path_sources.model_inputs import group_indices, model_parameters, recording
 from wrapjax.path_sources.path_fitting import fit as fit_paths
@@ -44,6 +45,7 @@ def build_objective(
     *,
     curves: str = "paper",
     tendon: str = "rigid",
+    muscle_law: str = GIVEN_LAW,
 ) -> Objective:
     """Build the objective that `calibrate` minimises for one leg.
 
@@ -62,6 +64,8 @@ def build_objective(
         Hill curves: ``paper`` or ``opensim``.
     tendon
         Kind of tendon: ``rigid`` or ``compliant``.
+    muscle_law
+        Name of a published muscle law; see `wrapjax.muscle.published_laws`.
 
     Returns
     -------
@@ -74,7 +78,7 @@ def build_objective(
     InputError
         If no trial is marked ``calibration``, or the method has nothing to free.
     ValueError
-        If the method or the kind of tendon is unknown.
+        If the method, the kind of tendon or the muscle law is unknown.
 
     Examples
     --------
@@ -82,7 +86,9 @@ def build_objective(
     >>> variables = problem.start(problem.initial)  # doctest: +SKIP
     >>> problem.linearize(variables).gradient  # doctest: +SKIP
     """
-    return build_stages(subject, method, fit, freedom, curves=curves, tendon=tendon)[-1]
+    return build_stages(subject, method, fit, freedom, curves=curves, tendon=tendon, muscle_law=muscle_law)[
+        -1
+    ]
 
 
 def build_stages(
@@ -93,6 +99,7 @@ def build_stages(
     *,
     curves: str = "paper",
     tendon: str = "rigid",
+    muscle_law: str = GIVEN_LAW,
 ) -> tuple[Objective, ...]:
     """Build the objectives that `calibrate` minimises one after the other; the last is `build_objective`'s.
 
@@ -111,7 +118,7 @@ def build_stages(
     paths = fitted.paths(subject, trials, freedom)
     nominal = PathState(paths.nominal.length, paths.nominal.velocity, paths.nominal.moment_arm)
     inputs = recording(subject, trials, fixed_path(nominal))
-    base = model_parameters(subject)
+    base = with_muscle_law(model_parameters(subject), muscle_law, curves)
     names = subject.muscles.names
     alterations = tendon_alterations(tendon, len(names))
     reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
@@ -320,10 +327,11 @@ def build_leg_setups(
 
 @dataclass(frozen=True)
 class MuscleOptions:
-    """Muscle model of a calibration: names of the Hill curves and of the kind of tendon."""
+    """Muscle model of a calibration: names of the Hill curves, the kind of tendon and the muscle law."""
 
     curves: str = "paper"
     tendon: str = "rigid"
+    law: str = GIVEN_LAW
 
 
 def calibration_fingerprint(

@@ -196,6 +196,13 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="tendons: rigid, of constant length (default); compliant, elastic, takes several times as long",
     )
     calibrate.add_argument(
+        "--muscle-law",
+        choices=["nmsm", "de_groote", "thelen", "ceinms"],
+        default="nmsm",
+        help="published muscle law: nmsm, that of the Hill curves as they are (default); de_groote; thelen; "
+        "ceinms, an exponential relation of force to EMG. A diagnosis fits the person's own law",
+    )
+    calibrate.add_argument(
         "--starts",
         type=positive_integer,
         default=4,
@@ -279,6 +286,7 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
         curves=options.curves,
         tendon=options.tendon,
+        muscle_law=options.muscle_law,
         surfaces=options.surfaces,
         undriven=options.undriven,
         synergies=options.synergies,

@@ -19,8 +19,9 @@ from wrapjax.diagnosis.effects.periodic import periodic_splines
 from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES, active_moments
 from wrapjax.diagnosis.error_sources import periodic_kernel
 
-#: Standard deviation of an unrecorded activation where most muscles of a direction have no EMG: peaks in walking
-#: are 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022, doi:10.3389/fbioe.2022.962959).
+#: Standard deviation of an unrecorded activation where most muscles of a direction have no EMG: peaks in
+#: walking are 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022,
+#: doi:10.3389/fbioe.2022.962959).
 ACTIVATION_SD = 0.2
 #: Share of the capacity without EMG up to which a direction, or a coordinate, is taken as recorded.
 RECORDED_SHARE = 0.5

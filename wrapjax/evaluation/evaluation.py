@@ -71,6 +71,7 @@ class Evaluation:
             "method": self.run.method,
             "curves": self.run.curves,
             "tendon": self.run.tendon,
+            "muscle_law": self.run.muscle_law,
             "notes": "\n".join(self.notes),
         }
         from wrapjax.report.labelled_arrays import evaluation_dataset

@@ -19,7 +19,8 @@ from wrapjax.geometry.wrapping import WRAP_PARAMETERS
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.storage import Storage, read_storage
 from wrapjax.model.freedom import synergy_labels
-from wrapjax.model.parameters import QUANTITIES, ModelParameters
+from wrapjax.model.parameters import QUANTITIES, ModelParameters, with_muscle_law
+from wrapjax.muscle.published_laws import GIVEN_LAW
 from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.synergies import Synergies, SynergyBasis
 
@@ -45,6 +46,8 @@ class Run:
         Hill curves.
     tendon
         Kind of tendon, ``rigid`` or ``compliant``.
+    muscle_law
+        Name of the muscle law; see `wrapjax.muscle.published_laws`.
     subject_folder
         Subject folder at the time of the calibration, relative to the run's folder.
     converged
@@ -74,6 +77,7 @@ class Run:
     method: str
     curves: str
     tendon: str
+    muscle_law: str
     subject_folder: Path
     converged: bool
     muscles: tuple[str, ...]
@@ -104,11 +108,12 @@ class Run:
         """
         rows = np.array([self.muscles.index(name) for name in muscles])
         leaves = {name: jnp.asarray(values[rows]) for name, values in self.values.items()}
-        return ModelParameters(
+        parameters = ModelParameters(
             **leaves,
             path_changes=jnp.zeros((len(muscles), path_modes)),
             synergy_weights=self._synergy_weights(muscles),
         )
+        return with_muscle_law(parameters, self.muscle_law, self.curves)
 
     def _synergy_weights(self, muscles: tuple[str, ...]) -> Float[Array, "muscle command"] | None:
         if self.synergies is None:
@@ -164,6 +169,7 @@ def load_run(folder: str | Path) -> Run:
             method=str(summary["method"]),
             curves=str(settings["curves"]),
             tendon=str(settings.get("tendon", "rigid")),
+            muscle_law=str(settings.get("muscle_law", GIVEN_LAW)),
             subject_folder=Path(settings["subject"]["folder"]),
             converged=bool(summary["converged"]),
             muscles=muscles,

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from wrapjax.muscle.published_laws import GIVEN_LAW, PUBLISHED_LAWS, nearest_law
 
 
 class ModelParameters(eqx.Module):
@@ -112,3 +114,28 @@ def with_path_modes(parameters: ModelParameters, count: int) -> ModelParameters:
     missing = max(count - changes.shape[-1], 0)
     padded = jnp.pad(changes, [(0, 0)] * (changes.ndim - 1) + [(0, missing)])
     return eqx.tree_at(lambda tree: tree.path_changes, parameters, padded)
+
+
+def with_muscle_law(parameters: ModelParameters, law: str, curves: str) -> ModelParameters:
+    """Set the muscle law of all muscles to a published one.
+
+    Parameters
+    ----------
+    parameters
+        Parameters with the given law.
+    law
+        Name of the law; see `wrapjax.muscle.published_laws`.
+    curves
+        Name of the Hill curves.
+
+    Raises
+    ------
+    ValueError
+        If the law is unknown.
+    """
+    if law not in PUBLISHED_LAWS:
+        raise ValueError(f"unknown muscle law '{law}': expected one of {', '.join(PUBLISHED_LAWS)}")
+    if law == GIVEN_LAW:
+        return parameters
+    muscles = len(parameters.emg_scale)
+    return replace(parameters, law=jnp.asarray(np.tile(nearest_law(law, curves), (muscles, 1))))

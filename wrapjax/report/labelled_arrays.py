@@ -179,6 +179,7 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
         "method": result.method,
         "curves": result.curves,
         "tendon": result.tendon,
+        "muscle_law": result.muscle_law,
         "status": result.solution.status.value,
     }
     return labelled(columns, labels, cycle_columns(result.uses, result.speeds, result.time), attributes)

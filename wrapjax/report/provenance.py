@@ -58,6 +58,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
         "method": result.method,
         "curves": result.curves,
         "tendon": result.tendon,
+        "muscle_law": result.muscle_law,
         "solver": _options(result.solver),
         "starts": [outcome.seed for outcome in result.outcomes],
         "coordinates": result.coordinates,
