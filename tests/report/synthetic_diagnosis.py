@@ -13,6 +13,7 @@ from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
 from wrapjax.diagnosis.undriven_capacity import CapacityShare
 from wrapjax.diagnosis.verification import ReleasedParameter, VerifiedRefit
+from wrapjax.muscle.personal_law import LAW_NAMES
 
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 SPEEDS = (0.5, 0.8)
@@ -145,7 +146,8 @@ def named() -> DiagnosisResult:
         seconds={"calibrate": 41.0, "score": 2.0, "refit": 95.5},
         credible_families=("device", "geometry", "none_of_these"),
         gates=GATES,
-        muscle_law={"active_shift": -0.02, "second_stage": 0.4},
+        muscle_law=dict.fromkeys(LAW_NAMES, 0.125),
+        law_evidence={"nmsm": -12.0, "thelen": 3.25},
         undriven_capacity={name: CapacityShare(0.3, 0.0, 0.2) for name in COORDINATES},
     )
 

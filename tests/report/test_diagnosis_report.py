@@ -279,6 +279,7 @@ def test_order_of_sections(written, subject):
         "Calibrated parameters that compensated for the missing effect",
         "Which effects can be distinguished",
         "Muscle forces that would remove the error",
+        "Muscle law of the person",
         "Convergence and detection threshold",
         "Notes",
     ]
@@ -451,3 +452,15 @@ def test_nothing_is_said_of_the_refit_of_an_effect_that_is_not_testable():
     assert not any(
         "removes" in sentence or "decreases" in sentence for sentence in diagnosis_findings(result)
     )
+
+
+def test_the_report_shows_the_muscle_law_and_the_evidence_for_published_ones(subject, written):
+    folder = written("named", subject)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    section = page[page.index("Muscle law of the person") :]
+    # The best first.
+    assert section.index("3.2") < section.index("-12.0")
+    assert "active_width_short" in section and "10.1115/1.1531112" in section
+    law = json.loads((folder / "gap.json").read_text(encoding="utf-8"))["muscle_law"]
+    assert law["evidence_nats"] == {"nmsm": -12.0, "thelen": 3.25}
+    assert law["parameters"]["second_stage"] == 0.125

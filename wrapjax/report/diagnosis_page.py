@@ -10,6 +10,8 @@ from wrapjax.diagnosis.baseline import ConvergenceCheck
 from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.storage import write_storage
+from wrapjax.muscle.personal_law import LAW_PARAMETERS
+from wrapjax.muscle.published_laws import PUBLISHED_LAWS
 from wrapjax.report import markup
 from wrapjax.report.diagnosis_effects import evidence_section, signature_section, ties_section
 from wrapjax.report.diagnosis_location import location_section, muscles_section, parts_section
@@ -150,6 +152,7 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") 
             released_section(result),
             ties_section(result),
             muscles_section(result),
+            _muscle_law_section(result),
             convergence_section(result),
             _notes_section(subject, result),
         ],
@@ -195,6 +198,39 @@ def _untested_section(result: DiagnosisResult) -> str:
             ("effect", "id", "reason"),
             [(readable(effect.id), effect.id, effect.reason) for effect in result.not_testable],
             caption="Effects of the catalogue that these data cannot show.",
+        ),
+    )
+
+
+def _muscle_law_section(result: DiagnosisResult) -> str:
+    """Write the report section on the person's muscle law; empty without a diagnosis."""
+    if not result.law_evidence:
+        return ""
+    rows = [
+        (name, PUBLISHED_LAWS[name].meaning, f"{evidence:.1f}", PUBLISHED_LAWS[name].source)
+        for name, evidence in sorted(result.law_evidence.items(), key=lambda entry: -entry[1])
+    ]
+    parameters = [
+        (one.name, one.meaning, f"{result.muscle_law[one.name]:.2f}", f"{one.prior_sd:g}")
+        for one in LAW_PARAMETERS
+    ]
+    return markup.section(
+        "Muscle law of the person",
+        markup.paragraph(
+            "The curves and activation dynamics of all muscles were fitted to this person within a "
+            "continuous family of laws. Evidence for a published law is positive where the recording speaks for it "
+            "against the whole family. Values far below zero are approximate, as the model is linearised "
+            "about the law that was found."
+        ),
+        markup.table(
+            ("law", "meaning", "evidence, nats", "source"),
+            rows,
+            caption="Evidence for published muscle laws against the family.",
+        ),
+        markup.table(
+            ("parameter", "meaning", "value", "prior standard deviation"),
+            parameters,
+            caption="Parameters of the law that was found; all are zero for the law of the NMSM Pipeline.",
         ),
     )
 
