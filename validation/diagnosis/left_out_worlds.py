@@ -13,18 +13,27 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from validation.diagnosis.linearizations import linearizations_parser
-from validation.diagnosis.scored_cases import ScoredCase, score_cases
+from validation.diagnosis.scored_cases import GROSS_MISFIT, OUTCOMES, ScoredCase, score_cases
 from validation.diagnosis.temperature_scaling import fit_constants
 from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
-from wrapjax.diagnosis.decision import Decision, DecisionConstants, decide_on_single_effect, probabilities
+from wrapjax.diagnosis.decision import (
+    Decision,
+    DecisionConstants,
+    Probabilities,
+    credible_set,
+    decide_on_single_effect,
+    probabilities,
+)
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.families import family_of
 from wrapjax.diagnosis.gates import Adequate, Gates, stability
 from wrapjax.errors import InputError
 
-#: World in which names are not scored: its model errors are larger than any effect.
-GROSS_MISFIT = "gross_misfit"
+#: Number of bins of the calibration error.
+BINS = 5
 _CONTROLS = tuple(id for id, one in CATALOGUE.items() if one.negative_control)
 
 
@@ -34,6 +43,34 @@ class DecidedCase:
 
     case: ScoredCase
     decision: Decision
+    set_level: float = 1.0
+
+    @property
+    def probabilities(self) -> Probabilities:
+        """Probabilities of the decision."""
+        assert self.decision.probabilities is not None
+        return self.decision.probabilities
+
+    @property
+    def covered(self) -> bool | None:
+        """Whether the credible set has the correct answer; None where no single answer is correct."""
+        level = self.case.set_level(self.probabilities)
+        return None if level is None else level < self.set_level
+
+    @property
+    def set_size(self) -> int:
+        """Number of members of the credible set."""
+        tie = () if self.case.claim is None else self.case.claim.tie
+        return len(credible_set(self.probabilities, tie, self.set_level))
+
+    @property
+    def most_probable(self) -> tuple[str, float, bool]:
+        """Most probable answer, its probability, and whether it is correct."""
+        stated = self.probabilities
+        answers = {**stated.effects, "none": stated.none, "unknown": stated.unknown}
+        first = max(answers, key=lambda id: answers[id])
+        correct = OUTCOMES.get(self.case.truth["tier"])
+        return first, answers[first], first in self.case.accepted if correct is None else first == correct
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -81,10 +118,12 @@ def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> di
     """
     decided: dict[str, list[DecidedCase]] = {}
     for world in dict.fromkeys(one.truth["world"] for one in cases):
-        others = [one for one in cases if one.truth["world"] not in (world, GROSS_MISFIT)]
+        others = [one for one in cases if one.truth["world"] != world]
         constants = fit_constants(others, start)
         decided[world] = [
-            DecidedCase(one, decision_on(one, constants)) for one in cases if one.truth["world"] == world
+            DecidedCase(one, decision_on(one, constants), constants.set_level)
+            for one in cases
+            if one.truth["world"] == world
         ]
     return decided
 
@@ -118,8 +157,9 @@ def table(decided: dict[str, list[DecidedCase]]) -> str:
     rows = {**decided, f"all but {GROSS_MISFIT}": pooled}
     lines = [
         "| world | first, d* 2 to 5 | first, d* above 5 | first three | named right, of named | named or "
-        "family right | named, nothing amiss | named, background | named, outside | family named wrongly |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "family right | named, nothing amiss | named, background | named, outside | family named wrongly | "
+        "90 % sets cover | mean size | calibration error |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [f"| {world} | {' | '.join(_row(cases))} |" for world, cases in rows.items()]
     return "\n".join(lines)
@@ -134,6 +174,8 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
     background = [one for one in cases if one.case.truth["tier"] == "none" and not one.case.nothing_amiss]
     outside = [one for one in cases if one.case.truth["tier"] == "outside"]
     family = [one for one in single if one.decision.family]
+
+    answered = [one for one in cases if one.covered is not None]
 
     def share(some: Sequence[DecidedCase], holds: Callable[[DecidedCase], bool]) -> str:
         return f"{sum(map(holds, some))} of {len(some)}"
@@ -151,7 +193,19 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
         share(background, lambda one: bool(one.named or one.decision.family)),
         share(outside, lambda one: bool(one.named)),
         share(family, lambda one: not one.right_family),
+        share(answered, lambda one: bool(one.covered)),
+        f"{np.mean([one.set_size for one in answered]):.1f}" if answered else "-",
+        f"{_calibration_error(answered):.2f}" if answered else "-",
     ]
+
+
+def _calibration_error(cases: Sequence[DecidedCase]) -> float:
+    """Compute the expected calibration error of the most probable answers, in bins of equal width."""
+    stated = np.array([one.most_probable[1] for one in cases])
+    right = np.array([one.most_probable[2] for one in cases], dtype=float)
+    bins = np.minimum((stated * BINS).astype(int), BINS - 1)
+    gaps = [np.sum(bins == place) * abs(np.mean((stated - right)[bins == place])) for place in set(bins)]
+    return float(sum(gaps) / len(cases))
 
 
 if __name__ == "__main__":

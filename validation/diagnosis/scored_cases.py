@@ -11,7 +11,7 @@ import numpy as np
 
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import LinearizedCase, development_linearizations
-from wrapjax.diagnosis.decision import Probabilities, tied_effects
+from wrapjax.diagnosis.decision import Probabilities, set_levels, tied_effects
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
     Gates,
@@ -26,8 +26,11 @@ from wrapjax.diagnosis.residual_fit import ResidualModel
 from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.score_test import Score
 
+#: World in which names are not scored, and which no constant is fitted to: its model errors are larger than
+#: any effect.
+GROSS_MISFIT = "gross_misfit"
 #: Correct outcome of cases without a cause in the catalogue; pairs have no single correct answer.
-_OUTCOMES = {"none": "none", "outside": "unknown"}
+OUTCOMES = {"none": "none", "outside": "unknown"}
 
 
 @dataclass(frozen=True)
@@ -77,13 +80,21 @@ class ScoredCase:
         """Effects by decreasing evidence."""
         return sorted(self.evidence, key=lambda id: -self.evidence[id])
 
+    def set_level(self, stated: Probabilities) -> float | None:
+        """Return the level above which a credible set covers the case; None as in `correct_probability`."""
+        if self.correct_probability(stated) is None:
+            return None
+        correct = self.accepted if self.truth["tier"] == "single" else {"none_of_these"}
+        levels = set_levels(stated, () if self.claim is None else self.claim.tie)
+        return min((level for ids, level in levels.items() if correct & set(ids)), default=1.0)
+
     def correct_probability(self, stated: Probabilities) -> float | None:
         """Return the probability of the correct answers; None where no single answer is correct."""
         tier = self.truth["tier"]
         if tier == "pair" or (tier == "none" and self.background):
             return None
-        if tier in _OUTCOMES:
-            return float(getattr(stated, _OUTCOMES[tier]))
+        if tier in OUTCOMES:
+            return float(getattr(stated, OUTCOMES[tier]))
         return sum(share for id, share in stated.effects.items() if id in self.accepted)
 
 

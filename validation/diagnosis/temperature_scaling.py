@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
@@ -21,7 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from validation.diagnosis.linearizations import linearizations_parser
-from validation.diagnosis.scored_cases import ScoredCase, ranking, score_cases
+from validation.diagnosis.scored_cases import GROSS_MISFIT, ScoredCase, ranking, score_cases
 from wrapjax.diagnosis.decision import DecisionConstants, probabilities
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_json
@@ -35,6 +36,7 @@ _FITTED = (
     "structured_offset",
     "structured_scale",
     "adequacy_factor",
+    "set_level",
 )
 #: Lower bound of probabilities in the objective, so that no single case dominates it.
 _FLOOR = 1e-3
@@ -45,6 +47,8 @@ _SMALLEST_SCALE, _LARGEST_SCALE = 0.1, 25.0
 #: Allowed shares of cases without effect whose evidence exceeds the detection threshold, whose `unknown` is
 #: more probable than `none`, and which leave more error than the gate for adequate models allows.
 _FALSE_POSITIVES, _UNKNOWNS, _INADEQUATE = 0.025, 0.10, 0.05
+#: Share of cases that credible sets should cover.
+_COVERAGE = 0.9
 
 
 def main() -> int:
@@ -114,10 +118,11 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
     Parameters
     ----------
     cases
-        Scored cases; pairs are ignored, and some cases must be without effect.
+        Scored cases; pairs and cases with gross misfit are ignored, and some cases must be without effect.
     constants
         Initial values, and values of the other constants.
     """
+    cases = [one for one in cases if one.truth.get("world") != GROSS_MISFIT]
     nothing = [one for one in cases if one.nothing_amiss]
     worlds = {one.truth.get("world", "") for one in nothing}
 
@@ -155,12 +160,27 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
         options=_TOLERANCES,
     )
     best = at(solution.x)
-    return replace(
+    best = replace(
         best,
         temperature=round(best.temperature, 2),
         offset=round(best.offset, 2),
         structured_scale=round(best.structured_scale, 1),
     )
+    return replace(best, set_level=covering_level(cases, best))
+
+
+def covering_level(cases: Sequence[ScoredCase], constants: DecisionConstants) -> float:
+    """Compute the level of credible sets that cover a new case with 90 % probability (split conformal).
+
+    See Vovk et al. 2005 (doi:10.1007/b106715); cases are taken as exchangeable.
+    """
+    stated = [(one, probabilities(one.evidence, one.structured, constants)) for one in cases]
+    levels = sorted(level for one, own in stated if (level := one.set_level(own)) is not None)
+    place = math.ceil(_COVERAGE * (len(levels) + 1)) - 1
+    if place >= len(levels):
+        return 1.0
+    # Sets contain what lies below the level, so it is rounded up.
+    return min(1.0, math.floor(100.0 * levels[place] + 1.0) / 100.0)
 
 
 def _parser() -> argparse.ArgumentParser:

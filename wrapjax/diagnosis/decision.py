@@ -289,18 +289,25 @@ def credible_set(probability: Probabilities, tie: Sequence[str], level: float) -
 
     A tie is added as a whole. No effect and an unknown cause are one member, ``none_of_these``.
     """
+    reached = set_levels(probability, tie)
+    return tuple(id for ids, before in reached.items() if before < level for id in ids)
+
+
+def set_levels(probability: Probabilities, tie: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Compute the level above which a credible set contains each of its possible members.
+
+    The most probable first; see `credible_set`.
+    """
     none_of_these = probability.none + probability.unknown
     classes = [(tuple(tie), sum(probability.effects[id] for id in tie))] if tie else []
     classes += [((id,), share) for id, share in probability.effects.items() if id not in tie]
     classes.append((("none_of_these",), none_of_these))
-    members: list[str] = []
+    levels: dict[tuple[str, ...], float] = {}
     total = 0.0
     for ids, share in sorted(classes, key=lambda one: -one[1]):
-        if total >= level:
-            break
-        members += ids
+        levels[ids] = total
         total += share
-    return tuple(members)
+    return levels
 
 
 def credible_families(probability: Probabilities, level: float) -> tuple[str, ...]:
