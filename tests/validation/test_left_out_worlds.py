@@ -63,8 +63,8 @@ def test_a_strong_cause_is_named_and_the_table_counts_it(cases):
     decided = decide_by_world(cases, DecisionConstants.shipped())
     assert all(one.right for world in decided.values() for one in world if one.case.clear)
     (row,) = [line for line in table(decided).splitlines() if line.startswith("| two")]
-    assert row.split("|")[3:7] == [" 2 of 2 ", " 2 of 2 ", " 2 of 2 ", " 2 of 2 "]
-    assert "| 0 of 1 | 0 of 0 | 0 of 0 | 0 of 0 |" in row
+    assert row.split("|")[3:8] == [" 2 of 2 ", " 2 of 2 ", " 2 of 2 ", " 0 of 0 ", " 2 of 2 "]
+    assert "| 0 of 1 | 0 of 0 | 0 of 0 | 0 of 0 | 3 of 3 |" in row
 
 
 def test_a_claim_that_fails_a_gate_is_not_named(cases):

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from validation.blind.score.figures import calibration_error
 from validation.diagnosis.linearizations import linearizations_parser
 from validation.diagnosis.scored_cases import GROSS_MISFIT, OUTCOMES, ScoredCase, score_cases
 from validation.diagnosis.temperature_scaling import fit_constants
@@ -32,8 +33,6 @@ from wrapjax.diagnosis.families import family_of
 from wrapjax.diagnosis.gates import Adequate, Gates, stability
 from wrapjax.errors import InputError
 
-#: Number of bins of the calibration error.
-BINS = 5
 _CONTROLS = tuple(id for id, one in CATALOGUE.items() if one.negative_control)
 
 
@@ -155,12 +154,12 @@ def table(decided: dict[str, list[DecidedCase]]) -> str:
     """Describe ranks, names and families by world and over all worlds but the one with gross misfit."""
     pooled = [one for world, cases in decided.items() if world != GROSS_MISFIT for one in cases]
     rows = {**decided, f"all but {GROSS_MISFIT}": pooled}
-    lines = [
-        "| world | first, d* 2 to 5 | first, d* above 5 | first three | named right, of named | named or "
-        "family right | named, nothing amiss | named, background | named, outside | family named wrongly | "
-        "90 % sets cover | mean size | calibration error |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
+    columns = (
+        *("world", "first, d* 2 to 5", "first, d* above 5", "first three", "named right, of named"),
+        *("in the tie, of ties", "named, tie or family right", "named, nothing amiss", "named, background"),
+        *("named, outside", "family named wrongly", "90 % sets cover", "mean size", "calibration error"),
+    )
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     lines += [f"| {world} | {' | '.join(_row(cases))} |" for world, cases in rows.items()]
     return "\n".join(lines)
 
@@ -187,7 +186,8 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
         share(weak, first(1)),
         share(strong, first(1)),
         share(clear, first(3)),
-        share([one for one in single if one.named], lambda one: one.right),
+        share([one for one in single if one.decision.named], lambda one: one.right),
+        share([one for one in single if one.decision.tie], lambda one: one.right),
         share(clear, lambda one: one.right or one.right_family),
         share(quiet, lambda one: bool(one.named or one.decision.family)),
         share(background, lambda one: bool(one.named or one.decision.family)),
@@ -195,17 +195,10 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
         share(family, lambda one: not one.right_family),
         share(answered, lambda one: bool(one.covered)),
         f"{np.mean([one.set_size for one in answered]):.1f}" if answered else "-",
-        f"{_calibration_error(answered):.2f}" if answered else "-",
+        f"{calibration_error(np.array([one.most_probable[1:] for one in answered], float)):.2f}"
+        if answered
+        else "-",
     ]
-
-
-def _calibration_error(cases: Sequence[DecidedCase]) -> float:
-    """Compute the expected calibration error of the most probable answers, in bins of equal width."""
-    stated = np.array([one.most_probable[1] for one in cases])
-    right = np.array([one.most_probable[2] for one in cases], dtype=float)
-    bins = np.minimum((stated * BINS).astype(int), BINS - 1)
-    gaps = [np.sum(bins == place) * abs(np.mean((stated - right)[bins == place])) for place in set(bins)]
-    return float(sum(gaps) / len(cases))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 
 from validation.blind.score.intervals import Figure, Target, share, statistic, verdict
 from validation.blind.score.moments import map_pairs, oracle_shrinkage, r_squared, shrinkage_estimate
-from validation.blind.score.records import Case
+from validation.blind.score.records import FAMILY_OUTCOME, Case
 
 # Tables are easier to read in one line.
 # ruff: noqa: E501
@@ -49,6 +49,13 @@ def exact_cause_first(case: Case) -> bool:
 def correctly_named(case: Case) -> bool:
     """Check whether all named effects are the cause or tied with it."""
     return case.answer.names and bool(case.answer.named) and case.answer.named <= case.truth.accepted
+
+
+def cause_or_family_named(case: Case) -> bool:
+    """Check whether the cause is named, or else its family."""
+    family = (case.answer.raw.get("family") or {}).get("id")
+    of_family = case.answer.outcome == FAMILY_OUTCOME and family == case.truth.family
+    return correctly_named(case) or of_family
 
 
 def exactly_named(case: Case) -> bool:
@@ -96,6 +103,13 @@ def auroc(values: np.ndarray) -> float:
 
 def all_rows(bank: Path, cases: Sequence[Case]) -> list[Row]:
     """Compute all rows of the table in their order."""
+    single = [c for c in cases if c.truth.tier == "single"]
+    clear = [c for c in single if c.truth.d_star > CLEAR]
+    return [*naming_rows(cases), *_shrinkage(bank, single), _parameters(clear), _map(clear)]
+
+
+def naming_rows(cases: Sequence[Case]) -> list[Row]:
+    """Compute the rows on ranks, names, families, credible sets and probabilities."""
     by_tier = {
         tier: [c for c in cases if c.truth.tier == tier] for tier in ("single", "none", "outside", "pair")
     }
@@ -106,33 +120,30 @@ def all_rows(bank: Path, cases: Sequence[Case]) -> list[Row]:
     held = [c for c in single if c.withheld is not None]
     three = lambda c: cause_among_first(c, 3)  # noqa: E731
     names = lambda c: c.answer.names  # noqa: E731
-    rows = [
-        _share("first_clear", "right cause first, d* over 2", clear, cause_among_first, Target(least=0.70)),
-        _share("first_plain", "right cause first, d* over 5", plain, cause_among_first, Target(least=0.92)),
+    return [
+        _share("first_clear", "right cause first, d* over 2", clear, cause_among_first, Target(least=0.68)),
+        _share("first_plain", "right cause first, d* over 5", plain, cause_among_first, Target(least=0.88)),
         _share("first_all", "right cause first, all", single, cause_among_first),
         _share("first_strict", "the very cause first, ties not counted, d* over 2", clear, exact_cause_first),
         _share("three_clear", "right cause among three, d* over 2", clear, three, Target(least=0.85)),
-        _share("three_plain", "right cause among three, d* over 5", plain, three, Target(least=0.97)),
+        _share("three_plain", "right cause among three, d* over 5", plain, three, Target(least=0.95)),
         _share("three_all", "right cause among three, all", single, three),
-        _share("coverage", "a cause is named, d* over 2", clear, names, Target(least=0.60)),
-        _share("precision", "a named cause is right, all", named, correctly_named, Target(least=0.90)),
+        _share("coverage", "a cause is named, d* over 2", clear, names, Target(least=0.45)),
+        _share("right_or_family", "cause or family named and right, d* over 2", clear, cause_or_family_named, Target(least=0.65)),
+        _share("precision", "a named cause is right, all", named, correctly_named, Target(least=0.92)),
         _share("precision_strict", "a named cause is the very cause, d* over 2", [c for c in clear if c.answer.names], exactly_named),
         _share("false_alarms", "a cause is named where there is none", by_tier["none"], names, Target(most=0.05)),
         _share("false_unknown", "'unknown' where there is none", by_tier["none"], lambda c: c.answer.outcome == "unknown", Target(most=0.15)),
-        _share("wrong_outside", "a cause is named for a mechanism outside", by_tier["outside"], names, Target(most=0.10)),
-        _share("withheld", "no wrong name with the cause withheld", held, lambda c: not wrongly_named_when_withheld(c), Target(least=0.85)),
+        _share("wrong_outside", "a cause is named for a mechanism outside", by_tier["outside"], names, Target(most=0.08)),
+        _share("withheld", "no wrong name with the cause withheld", held, lambda c: not wrongly_named_when_withheld(c), Target(least=0.98)),
         _share("set_coverage", "credible set holds the cause, all", single, _set_holds, Target(least=0.90)),
-        _value("set_size", "ids in the credible set, mean, d* over 2", clear, lambda c: [len(c.answer.raw.get("credible_set") or [])], np.mean, Target(most=2.0)),
+        _value("set_size", "ids in the credible set, mean, d* over 2", clear, lambda c: [len(c.answer.raw.get("credible_set") or [])], np.mean, Target(most=6.0)),
         _calibration([*single, *by_tier["none"], *by_tier["outside"]]),
-        *_shrinkage(bank, single),
-        _parameters(clear),
-        _map(clear),
         _unknowns(by_tier),
         _share("pair_one", "pairs: a member first", by_tier["pair"], lambda c: bool(set(c.answer.ranking[:1]) & set(c.truth.causes))),
-        _share("pair_both", "pairs: both among three", by_tier["pair"], lambda c: set(c.truth.causes) <= set(c.answer.ranking[:3]), Target(least=0.70)),
+        _share("pair_both", "pairs: both among three", by_tier["pair"], lambda c: set(c.truth.causes) <= set(c.answer.ranking[:3]), Target(least=0.50)),
         _share("stopped", "no diagnosis (not converged, too few data)", list(cases), lambda c: c.answer.outcome in ("not_converged", "insufficient_data")),
     ]  # fmt: skip
-    return rows
 
 
 def people(cases: Sequence[Case]) -> np.ndarray:
@@ -158,7 +169,7 @@ def _set_holds(case: Case) -> bool:
 def _calibration(cases: Sequence[Case]) -> Row:
     values = np.array([[c.answer.top[1], top_is_right(c)] for c in cases], float).reshape(-1, 2)
     figure = statistic(values, people(cases), calibration_error)
-    return Row("calibration", "calibration error of the likeliest, less chance", figure, Target(most=0.03))
+    return Row("calibration", "calibration error of the likeliest, less chance", figure, Target(most=0.05))
 
 
 def _shrinkage(bank: Path, cases: Sequence[Case]) -> list[Row]:
