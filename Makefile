@@ -10,7 +10,7 @@ PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-lo
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all lint bench bench-gate blind blind-quick setup clean
+.PHONY: demo test test-all lint bench bench-gate blind blind-quick validation validation-quick setup clean
 .DEFAULT_GOAL := test
 
 setup: $(VENV)/.ready
@@ -64,6 +64,18 @@ blind blind-quick: setup
 		$(foreach name,$(ANSWERERS),--answers $(name)=$(word 1,$(BANK))/answers/$(name)) \
 		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld
 	$(RUN)/python -m validation.blind publish --score $(word 1,$(BANK))/score.json --out $(word 1,$(BANK))/published
+
+# Cases of eight simulated worlds: constants fitted on seven of them, decisions on the one left out. The bank and the
+# linearised models go on where they were stopped; the quick one takes about an hour. Folder, and how many cases:
+validation: WORLDS = out/validation 320
+validation-quick: WORLDS = out/validation-quick 64
+
+validation validation-quick: setup
+	$(RUN)/python -m validation.blind make --out $(word 1,$(WORLDS)) --bank worlds --cases $(word 2,$(WORLDS)) \
+		--workers $(JOBS)
+	$(RUN)/python -m validation.diagnosis.linearizations --bank $(word 1,$(WORLDS)) --out $(word 1,$(WORLDS))/lines \
+		--workers $(JOBS)
+	$(RUN)/python -m validation.diagnosis.left_out_worlds --bank $(word 1,$(WORLDS)) --lines $(word 1,$(WORLDS))/lines
 
 clean:
 	rm -rf $(VENV) out .pytest_cache .ruff_cache .mypy_cache
