@@ -12,6 +12,7 @@ from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES
 from wrapjax.diagnosis.error_sources import moment_arm_errors
 from wrapjax.diagnosis.priors import MOMENT_ARM_SD
 from wrapjax.diagnosis.undriven_capacity import (
+    UNRECORDED_SHARE,
     CapacityShare,
     undriven_capacity,
     undriven_signatures,
@@ -59,7 +60,9 @@ def test_a_direction_that_is_mostly_recorded_adds_nothing_to_the_null(leg):
 
 def test_a_direction_without_emg_is_uncertain(leg):
     _, context = leg
-    weak, strong = (undriven_signatures(with_strength(context, factor), FRAMES) for factor in (2.0, 20.0))
+    others = [with_strength(context, factor) for factor in (20.0, 200.0)]
+    assert min(undriven_capacity(one)["hip_flexion_l"].positive for one in others) > UNRECORDED_SHARE
+    weak, strong = (undriven_signatures(one, FRAMES) for one in others)
     assert weak.shape == strong.shape == (SPLINES, 4, 3, 20), "both muscles share one excitation"
     np.testing.assert_allclose(strong, 10.0 * weak, rtol=1e-6)
     np.testing.assert_array_equal(strong[:, :, 1:], 0.0)

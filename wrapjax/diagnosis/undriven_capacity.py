@@ -25,6 +25,8 @@ from wrapjax.diagnosis.error_sources import periodic_kernel
 ACTIVATION_SD = 0.2
 #: Share of the capacity without EMG up to which a direction, or a coordinate, is taken as recorded.
 RECORDED_SHARE = 0.5
+#: Share of a direction's capacity without EMG from which the activation is uncertain in full.
+UNRECORDED_SHARE = 0.6
 #: Correlation width of the moment of an unrecorded coordinate, in gait cycles.
 MOMENT_WIDTH = 0.05
 
@@ -109,19 +111,19 @@ def undriven_signatures(
     by_direction = np.array(
         [[shares[name].positive, shares[name].negative] for name in context.coordinates]
     ).T
-    unrecorded = by_direction > RECORDED_SHARE
+    unrecorded = np.clip((by_direction - RECORDED_SHARE) / (UNRECORDED_SHARE - RECORDED_SHARE), 0.0, 1.0)
     acts = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
     # A muscle counts for a direction where it has at least a tenth of the largest capacity without EMG.
     counts = acts > 0.1 * acts.max(axis=0, keepdims=True)
-    uncertain = np.any(counts & unrecorded[None], axis=(1, 2))
+    weight = np.max(counts * unrecorded[None], axis=(1, 2))
     groups = [np.array([others.names.index(name) for name in members]) for _, members in others.groups]
     full = active_moments(others, jnp.ones(others.path.length.shape))
     per_unit = np.asarray(full)[..., frames]
     splines = periodic_splines(context.phase[frames], SPLINES)
     signatures = [
-        ACTIVATION_SD * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
+        ACTIVATION_SD * weight[rows].max() * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
         for rows in groups
-        if uncertain[rows].any()
+        if weight[rows].max() > 0.0
     ]
     return np.concatenate([empty, *signatures])
 
