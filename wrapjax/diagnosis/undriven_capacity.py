@@ -69,11 +69,11 @@ def undriven_capacity(context: Context) -> Mapping[str, CapacityShare]:
     if others is None:
         return {name: CapacityShare(0.0, 0.0, 0.0) for name in context.coordinates}
     undriven = _capacity(others.path.moment_arm, others.parameters.max_isometric_force)
-    without = undriven.sum(axis=0)
-    total = np.maximum(driven.sum(axis=0) + without, 1e-12)
-    share, both = without / total, without.sum(axis=0) / total.sum(axis=0)
+    of_undriven = undriven.sum(axis=0)
+    total = np.maximum(driven.sum(axis=0) + of_undriven, 1e-12)
+    share, share_of_both = of_undriven / total, of_undriven.sum(axis=0) / total.sum(axis=0)
     return {
-        name: CapacityShare(float(share[0, place]), float(share[1, place]), float(both[place]))
+        name: CapacityShare(float(share[0, place]), float(share[1, place]), float(share_of_both[place]))
         for place, name in enumerate(context.coordinates)
     }
 
@@ -84,8 +84,8 @@ def _capacity(
 ) -> Float[np.ndarray, "muscle direction coordinate"]:
     """Compute the moment capacity of each muscle in the positive and the negative direction, N m."""
     arms = np.asarray(arms)
-    both = np.stack([np.maximum(arms, 0.0), np.maximum(-arms, 0.0)], axis=1).mean(axis=(2, 4))
-    return both * np.asarray(force)[:, None, None]
+    mean_arms = np.stack([np.maximum(arms, 0.0), np.maximum(-arms, 0.0)], axis=1).mean(axis=(2, 4))
+    return mean_arms * np.asarray(force)[:, None, None]
 
 
 def undriven_signatures(

@@ -162,7 +162,10 @@ def _shrinkage_at_other_speed(
 def _released_parameters(
     data: DiagnosisInput, baseline: BaselineFit, linearized: LinearizedModel, fit: CrossFit
 ) -> tuple[ReleasedParameter, ...]:
-    """Compare calibrated parameters without and with the effects."""
+    """Compare calibrated parameters without and with the effects, which release them from compensating.
+
+    The linearised model gives their prior standard deviations.
+    """
     problem, before = data.problem, baseline.variables
     at_bound = (before <= np.asarray(problem.lower)) | (before >= np.asarray(problem.upper))
     rows = zip(

@@ -206,6 +206,7 @@ class TwoLevelPaths(AbstractPath):
         """Compute all paths at given changes of wrap parameters."""
         coefficients = self.inner(changes[self.moving])
         infeasibility = None if self.limits is None else self.limits.excess(changes, self.wraps)
+        # It depends on the wrap parameters themselves, and is no sum over polynomial coefficients.
         moved = jax.tree.map(
             lambda nominal, by: nominal.at[self.moving].add(jnp.einsum("mt,mt...->m...", coefficients, by)),
             replace(self.nominal, infeasibility=None),

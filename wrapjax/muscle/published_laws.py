@@ -72,7 +72,10 @@ def _thelen_velocity(velocity: Float[Array | np.ndarray, "*shape"]) -> Float[Arr
 def _exponential_passive(
     growth: float, strain: float
 ) -> Callable[[Float[Array | np.ndarray, "*shape"]], Float[Array, "*shape"]]:
-    """Return a passive force factor that grows exponentially to 1 at this strain (Thelen 2003, eq. 3)."""
+    """Return a passive force factor that grows exponentially to 1 at this strain (Thelen 2003, eq. 3).
+
+    Its argument is the normalised fiber length.
+    """
     return lambda length: jnp.expm1(growth * jnp.maximum(length - 1.0, 0.0) / strain) / np.expm1(growth)
 
 

@@ -290,6 +290,7 @@ def calibrated_polynomials(
             "mtk,mk->mt", subject_path_modes(subject, surrogate), changes
         )
     elif freedom.wraps is not None and wraps is not None:
+        # The inner level: coefficients follow from the changes of wrap parameters.
         moving = np.flatnonzero((freedom.wraps.places >= 0).any(axis=1))
         inner = wraps.inner_of([own.muscles[row] for row in moving], freedom.wraps.places.shape[1])
         coefficients = coefficients.at[moving].add(inner(changes[moving]))

@@ -78,23 +78,25 @@ class ProximityPaths(AbstractPath):
             self.exact.linearized(changes),
         )
 
-        def by_paths(state: PathState, exact: PathState) -> tuple[PathState, PathState]:
-            def total(state: PathState, exact: PathState) -> Float[Array, ""]:
+        def weighted_gradient(state: PathState, exact: PathState) -> tuple[PathState, PathState]:
+            def weighted(state: PathState, exact: PathState) -> Float[Array, ""]:
                 proximity = self._with_proximity(state, exact).proximity
                 assert proximity is not None and weights.proximity is not None, "these paths have a proximity"
                 return jnp.vdot(weights.proximity, proximity)
 
-            return jax.grad(total, argnums=(0, 1))(state, exact)
+            return jax.grad(weighted, argnums=(0, 1))(state, exact)
 
-        def along(*slope: PathState) -> tuple[PathState, PathState]:
-            return jax.jvp(by_paths, (state, exact), slope)[1]
+        def hessian_along(*slope: PathState) -> tuple[PathState, PathState]:
+            return jax.jvp(weighted_gradient, (state, exact), slope)[1]
 
-        second = jax.vmap(along, in_axes=1, out_axes=1)(slopes, exact_slopes)
+        hessian_slopes = jax.vmap(hessian_along, in_axes=1, out_axes=1)(slopes, exact_slopes)
         products = jax.tree.map(
-            lambda one, other: jnp.einsum("mi...,mj...->mij", one, other), second, (slopes, exact_slopes)
+            lambda one, other: jnp.einsum("mi...,mj...->mij", one, other),
+            hessian_slopes,
+            (slopes, exact_slopes),
         )
         of_proximity = jax.tree.reduce(jnp.add, products)
-        by_state, by_exact = by_paths(state, exact)
+        by_state, by_exact = weighted_gradient(state, exact)
         of_state = jax.tree.map(jnp.add, replace(weights, proximity=None), by_state)
         of_paths = self.paths.curvature(changes, of_state, (state, slopes))
         return of_proximity + of_paths + self.exact.curvature(changes, by_exact, (exact, exact_slopes))

@@ -123,12 +123,13 @@ def look_at(move: MovedPath, tilt: float) -> Camera:
     before, after = max(move.touched, key=_most_moved)
     target = np.concatenate([_near(before, move.before), _near(after, move.after)]).mean(axis=0)
     axis = before.axes[:, 2]
-    to_ground_frame = target - before.center
-    to_ground_frame = to_ground_frame - (to_ground_frame @ axis) * axis
-    distance = np.linalg.norm(to_ground_frame)
+    # From the axis of the cylinder to the muscle.
+    outward = target - before.center
+    outward = outward - (outward @ axis) * axis
+    distance = np.linalg.norm(outward)
     # A path through the axis lies on neither side, so any side can be used.
-    to_ground_frame = to_ground_frame / distance if distance > 1e-6 else before.axes[:, 0]
-    toward = np.cos(tilt) * axis + np.sin(tilt) * to_ground_frame
+    outward = outward / distance if distance > 1e-6 else before.axes[:, 0]
+    toward = np.cos(tilt) * axis + np.sin(tilt) * outward
     # The vertical is upward in the picture, unless the line of sight is nearly vertical.
     up = np.array([0.0, 1.0, 0.0]) if abs(toward[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     right = np.cross(up, toward)
