@@ -54,6 +54,7 @@ def test_an_unanswered_case_is_refused(bank):
     (bank / "answers" / "case003" / "gap.json").unlink()
     with pytest.raises(InputError, match="1 cases are not answered, case003 first"):
         judged_cases(bank, bank / "answers")
+    assert [case.truth.id for case in judged_cases(bank, bank / "answers", 2)] == ["case001", "case002"]
 
 
 def test_a_folder_without_truth_is_refused(tmp_path):

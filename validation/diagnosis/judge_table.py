@@ -22,7 +22,7 @@ from wrapjax.errors import InputError, Problem
 def main() -> int:
     options = _parser().parse_args()
     try:
-        cases = judged_cases(options.bank, options.answers)
+        cases = judged_cases(options.bank, options.answers, options.first)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -32,15 +32,15 @@ def main() -> int:
     return 0
 
 
-def judged_cases(bank: Path, answers: Path) -> list[Case]:
-    """Read truth and answer of every case.
+def judged_cases(bank: Path, answers: Path, first: int | None = None) -> list[Case]:
+    """Read truth and answer of every case, or of the first by id; the truth of others is not opened.
 
     Raises
     ------
     InputError
         If the bank has no truth, or a case has no answer.
     """
-    truths = sorted((bank / "truth").glob("*.json"))
+    truths = sorted((bank / "truth").glob("*.json"))[:first]
     if not truths:
         raise InputError(Problem(str(bank), "no bank: make it with python -m validation.sealed_judge make"))
     missing = [file.stem for file in truths if not (answers / file.stem / "gap.json").is_file()]
@@ -88,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.diagnosis.judge_table", description=__doc__)
     parser.add_argument("--bank", type=Path, required=True)
     parser.add_argument("--answers", type=Path, required=True)
+    parser.add_argument(
+        "--first", type=int, metavar="N", help="only the first N cases by id; their order is random"
+    )
     parser.add_argument("--each", action="store_true", help="also print a line for each case")
     return parser
 
