@@ -28,7 +28,8 @@ def law_evidence(
 
     It is the ratio of the posterior density of the family's parameters to their prior density, at the point
     of the published law (Dickey 1971, doi:10.1214/aoms/1177693507), with all other parameters free. The model
-    is linearised about the law that was found, so that values for laws far from it are approximate.
+    is linearised about the law that was found, so that values for laws far from it are approximate. No effect
+    of the catalogue is assumed: one that is present is partly absorbed by the law, and distorts its evidence.
 
     Parameters
     ----------
