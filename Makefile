@@ -65,7 +65,7 @@ blind blind-quick: setup
 		--withheld wrapjax=$(word 1,$(BANK))/answers/withheld
 	$(RUN)/python -m validation.blind publish --score $(word 1,$(BANK))/score.json --out $(word 1,$(BANK))/published
 
-# Cases of eight simulated worlds: constants fitted on seven of them, decisions on the one left out. The bank and the
+# Cases of eight simulated worlds: decisions on each with constants that were fitted on the others. The bank and the
 # linearised models go on where they were stopped; the quick one takes about an hour. Folder, and how many cases:
 validation: WORLDS = out/validation 320
 validation-quick: WORLDS = out/validation-quick 64

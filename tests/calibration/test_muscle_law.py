@@ -7,9 +7,10 @@ import pytest
 
 from tests.path_sources.round_trip import assert_reproduces_itself
 from wrapjax.calibration.calibration import calibrate
+from wrapjax.cli.command_line import main
 from wrapjax.evaluation.evaluation import evaluate
 from wrapjax.evaluation.stored_run import load_run
-from wrapjax.muscle.published_laws import nearest_law
+from wrapjax.muscle.published_laws import PUBLISHED_LAWS, nearest_law
 from wrapjax.path_sources.exact import exact_geometry
 
 
@@ -51,3 +52,14 @@ def test_moments_differ_from_those_of_another_law(thelen, run, person):
 def test_an_unknown_law_is_refused(person):
     with pytest.raises(ValueError, match="unknown muscle law 'millard': expected one of nmsm, "):
         calibrate(person, "NGA", exact_geometry(person), muscle_law="millard", starts=1)
+
+
+def test_the_command_offers_the_published_laws(capsys):
+    """They are written out there, so that help needs no JAX."""
+    with pytest.raises(SystemExit) as stopped:
+        main(["calibrate", "subject", "--out", "run", "--muscle-law", "millard"])
+    assert stopped.value.code == 2
+    message = capsys.readouterr().err
+    offered = message[message.index("choose from") :]
+    assert [law for law in PUBLISHED_LAWS if law not in offered] == []
+    assert offered.count(",") == len(PUBLISHED_LAWS) - 1

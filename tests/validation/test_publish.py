@@ -65,10 +65,10 @@ def test_perfect_answerer_meets_targets_and_guessing_fails(scored, published, tm
 def test_shares_are_in_percent_with_bounds(published):
     table = cells(published)
     first = table["right cause first, d* over 2"]
-    assert (first["target"], first["cases"]) == ("at least 68 %", "72")
+    assert (first["target"], first["cases"]) == ("at least 70 %", "72")
     assert first["perfect"] == "100 % [96, 100]"
     size = table["ids in the credible set, mean, d* over 2"]
-    assert (size["target"], size["perfect"]) == ("at most 6", "1.00 [1.00, 1.00]")
+    assert (size["target"], size["perfect"]) == ("at most 2", "1.00 [1.00, 1.00]")
     assert table["map of the explainable gap against truth, R2, d* over 2"]["perfect"] == "-"
 
 

@@ -14,9 +14,27 @@ from pathlib import Path
 from typing import Any
 
 from validation.blind.score.figures import Row, naming_rows
+from validation.blind.score.intervals import Target
 from validation.blind.score.records import Case, Truth, read_answer
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.errors import InputError, Problem
+
+#: Targets of a diagnosis from walking alone, in a simulator that nothing was fitted on.
+TARGETS = {
+    "first_clear": Target(least=0.68),
+    "first_plain": Target(least=0.88),
+    "three_clear": Target(least=0.85),
+    "three_plain": Target(least=0.95),
+    "coverage": Target(least=0.45),
+    "right_or_family": Target(least=0.65),
+    "precision": Target(least=0.92),
+    "false_alarms": Target(most=0.05),
+    "wrong_outside": Target(most=0.08),
+    "set_coverage": Target(least=0.90),
+    "set_size": Target(most=6.0),
+    "calibration": Target(most=0.05),
+    "pair_both": Target(least=0.50),
+}
 
 
 def main() -> int:
@@ -26,7 +44,7 @@ def main() -> int:
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(naming_rows(cases)))
+    print(table(naming_rows(cases, TARGETS)))
     if options.each:
         print("\n".join(map(describe, cases)))
     return 0

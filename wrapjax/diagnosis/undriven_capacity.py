@@ -136,7 +136,7 @@ def unrecorded_moment_signatures(
     """Compute smooth moments of one standard deviation at coordinates whose muscles mostly have no EMG, N m.
 
     The moment at such a coordinate cannot be predicted, whatever the cause. It is as uncertain as it is
-    large, independently at each speed, so that its error is no evidence for any effect.
+    large, independently at each speed, so that its error is hardly evidence for any effect.
 
     Parameters
     ----------
