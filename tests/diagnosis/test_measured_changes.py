@@ -122,6 +122,38 @@ def test_a_displaced_hip_center_changes_the_lever_of_the_force_through_it(found,
         assert np.abs(moment[1]).max() == 0.0
 
 
+def test_the_usual_spread_of_the_knee_center_is_the_lever_of_the_force_through_the_knee(found, leg):
+    time, (hip, _), _, _ = leg
+
+    def center(at):
+        hip, knee = synthetic.angles(at)
+        thigh, shank = (np.stack([np.sin(angle), -np.cos(angle)]) for angle in (hip, hip + knee))
+        return LENGTH * thigh + TO_CENTER * shank
+
+    step = 1e-4
+    through = MASS * (center(time - step) - 2.0 * center(time) + center(time + step)) / step**2
+    through += np.array([0.0, MASS * GRAVITY])[:, None, None] - force(time)[:2]
+    # Ahead and up in the thigh, which carries the knee.
+    for name, (x, y) in {
+        "knee_anterior_m": (np.cos(hip), np.sin(hip)),
+        "knee_superior_m": (-np.sin(hip), np.cos(hip)),
+    }.items():
+        moment = change(found, "skeletal_variation", **{name: 0.005})
+        close(moment[1], -0.005 * (x * through[1] - y * through[0]))
+        assert np.abs(moment[0]).max() == 0.0
+
+
+def test_the_usual_spread_of_the_skeleton_has_the_shapes_of_the_effects_that_may_be_named(found):
+    """Markers hold the foot; the sizes are standard deviations of the spread, not those of the effects."""
+    for part, id, variant, name in (
+        ("hip_lateral_m", "hip_center_offset", FOOT_HELD, "lateral_m"),
+        ("knee_axis_about_y_rad", "joint_axis_rotation", FOOT_HELD, "knee_rad"),
+        ("inertia_fraction_shank", "segment_inertia", "", "inertia_fraction_shank"),
+    ):
+        spread = change(found, "skeletal_variation", **{part: 0.1})
+        np.testing.assert_array_equal(spread, change(found, id, variant, **{name: 0.1}))
+
+
 def test_a_turned_knee_axis_contains_moments_across_the_hinge(found, leg):
     """The leg moves in a plane: across the hinge there is only the moment of the ground reaction force."""
     time, (hip, _), _, _ = leg

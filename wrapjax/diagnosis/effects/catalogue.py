@@ -47,6 +47,7 @@ from wrapjax.diagnosis.effects.scaled_model import (
     SEGMENT_INERTIA,
     WOBBLING_MASS,
 )
+from wrapjax.diagnosis.effects.skeletal_variation import SKELETAL_VARIATION
 from wrapjax.diagnosis.effects.tendon import FORCE_SHARING, TENDON_COMPLIANCE
 from wrapjax.diagnosis.effects.unrecorded_excitation import (
     MISSING_DRIVE,
@@ -98,6 +99,7 @@ DEFINITIONS: tuple[EffectDefinition, ...] = (
     WOBBLING_MASS,
     DEVICE_TORQUE,
     KNEE_LAXITY,
+    SKELETAL_VARIATION,
 )
 #: The same by identifier, in the same order.
 CATALOGUE: dict[str, EffectDefinition] = {definition.id: definition for definition in DEFINITIONS}

@@ -61,6 +61,27 @@ def _paths_by_joints(
 # ---- Hip center
 
 
+def moments_by_joint_center(gait: RecordedGait, stem: str) -> MomentDerivatives:
+    """Compute a joint's moment about a center too far forward, up or outward in the body that carries it, N.
+
+    Markers hold the foot, so that only this joint's moment changes.
+
+    Parameters
+    ----------
+    gait
+        Recorded gait.
+    stem
+        Start of the names of the joint's coordinates.
+    """
+    force, held = gait.transmitted_wrenches()[:, 3:], gait.no_change(3)
+    for row in gait.rows_of(stem):
+        axes = gait.mechanics.rotation[_carrier(gait, row)]
+        for number, sign in enumerate((1.0, 1.0, gait.outward)):
+            lever = np.cross(sign * axes[:, number], force[row], axis=0)
+            held[number, row] = -(gait.mechanics.screw[row, :3] * lever).sum(axis=0)
+    return held
+
+
 def _moments_by_hip_center(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     """Compute the hip's moment about a center too far forward, up or outward in the pelvis.
 
@@ -68,17 +89,11 @@ def _moments_by_hip_center(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     displaced with its hip, and the ground reaction force acts elsewhere on the whole leg.
     """
     outward = np.diag([1.0, 1.0, gait.outward])
-    axes = np.einsum("ijp,nj->nip", gait.mechanics.rotation[gait.pelvis], outward)
-    force, rows = gait.transmitted_wrenches()[:, 3:], gait.rows_of("hip_")
-    held, displaced = gait.no_change(3), gait.no_change(3)
-    for number, direction in enumerate(axes):
-        for row in rows:
-            lever = np.cross(direction, force[row], axis=0)
-            held[number, row] = -(gait.mechanics.screw[row, :3] * lever).sum(axis=0)
-        if rows:
-            name = gait.mechanics.coordinates[rows[0]]
-            displaced[number] = gait.derivative_by_joint(name, outward[number], np.zeros(3))
-    return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
+    rows, displaced = gait.rows_of("hip_"), gait.no_change(3)
+    for number in range(3) if rows else ():
+        name = gait.mechanics.coordinates[rows[0]]
+        displaced[number] = gait.derivative_by_joint(name, outward[number], np.zeros(3))
+    return {FOOT_HELD: moments_by_joint_center(gait, "hip_"), FOOT_DISPLACED: displaced}
 
 
 def _paths_by_hip_center(recorded: RecordedPaths) -> Mapping[str, PathState]:
@@ -136,7 +151,7 @@ HIP_CENTER_OFFSET = EffectDefinition(
 
 #: For each parameter of `JOINT_AXIS_ROTATION`: start of the coordinate's name, and the axis of the body that
 #: carries the joint (forward, up, to the right) about which the joint's axis is rotated.
-_AXIS_ROTATIONS = (
+AXIS_ROTATIONS = (
     ("knee_angle", 1),
     ("knee_angle", 0),
     ("ankle_angle", 1),
@@ -146,25 +161,40 @@ _AXIS_ROTATIONS = (
 )
 
 
-def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+def moments_by_joint_axes(gait: RecordedGait) -> MomentDerivatives:
     """Compute the joint's moment about an axis that is rotated by either of the two angles that place it.
 
     One rotation is that of toes that turn out. The other is about the direction across: forward for knee and
     ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward.
-    Where markers do not hold the foot, a bent joint also displaces it.
+    Markers hold the foot, so that only this joint's moment changes. One parameter for each entry of
+    `AXIS_ROTATIONS`, N m / rad.
+
+    Parameters
+    ----------
+    gait
+        Recorded gait.
     """
     mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
-    held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
-    for number, (stem, column) in enumerate(_AXIS_ROTATIONS):
+    held = gait.no_change(len(AXIS_ROTATIONS))
+    for number, (stem, column) in enumerate(AXIS_ROTATIONS):
         sign = _rotation_sign(column, gait.outward)
         for row in gait.rows_of(stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
             about = sign * mechanics.rotation[_carrier(gait, row), :, column]
             rotated = np.cross(about, mechanics.screw[row, :3], axis=0)
             held[number, row] = (rotated * moment).sum(axis=0)
-            name = mechanics.coordinates[row]
-            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[column])
-    return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
+    return held
+
+
+def _moments_by_rotated_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the moments about rotated axes. Where angles are kept, a bent joint displaces the foot, too."""
+    displaced = gait.no_change(len(AXIS_ROTATIONS))
+    for number, (stem, column) in enumerate(AXIS_ROTATIONS):
+        turn = _rotation_sign(column, gait.outward) * np.eye(3)[column]
+        for row in gait.rows_of(stem):
+            name = gait.mechanics.coordinates[row]
+            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), turn)
+    return {FOOT_HELD: moments_by_joint_axes(gait), FOOT_DISPLACED: displaced}
 
 
 def _rotation_sign(column: int, outward: float) -> float:
@@ -198,7 +228,7 @@ def _paths_by_joint_axes(recorded: RecordedPaths) -> Mapping[str, PathState]:
         recorded,
         [
             (with_rotated_joint_axes, stem, axis, _rotation_sign(axis, outward))
-            for stem, axis in _AXIS_ROTATIONS
+            for stem, axis in AXIS_ROTATIONS
         ],
     )
 
@@ -220,7 +250,7 @@ JOINT_AXIS_ROTATION = EffectDefinition(
         _axis_parameter("subtalar_rad", "subtalar axis turned outward in the horizontal plane"),
         _axis_parameter("subtalar_pitch_rad", "subtalar axis with its front end too high"),
     ),
-    moment_derivatives=_moments_by_joint_axes,
+    moment_derivatives=_moments_by_rotated_axes,
     path_derivatives=_paths_by_joint_axes,
     experiment=STAR_ARC_MOVEMENTS,
 )
@@ -231,17 +261,23 @@ JOINT_AXIS_ROTATION = EffectDefinition(
 _SEGMENTS = ("thigh", "shank", "foot")
 
 
-def _moments_by_inertia(gait: RecordedGait) -> dict[str, MomentDerivatives]:
-    """Compute the moments of a segment's mass, and of its inertia about the center of mass.
+def moments_by_inertia(gait: RecordedGait) -> MomentDerivatives:
+    """Compute the moments of a segment's mass, and of its inertia about the center of mass, N m.
 
     A positive effect size is a person whose segment has more than the model's: the measured moments lack it.
+    Mass and inertia of thigh, shank and foot, one after the other, as fractions of the model's.
+
+    Parameters
+    ----------
+    gait
+        Recorded gait.
     """
     derivatives = [
         gait.mechanics.moments(np.einsum("kb,bwp->kwp", gait.mechanics.moves[:, segment], wrench[segment]))
         for segment in _bodies_of_segments(gait)
         for wrench in (gait.mechanics.mass_wrench, gait.mechanics.inertia_wrench)
     ]
-    return {"": -np.stack(derivatives)}
+    return -np.stack(derivatives)
 
 
 def _bodies_of_segments(gait: RecordedGait) -> tuple[list[int], list[int], list[int]]:
@@ -279,7 +315,7 @@ SEGMENT_INERTIA = EffectDefinition(
         for segment in _SEGMENTS
         for quantity in ("mass", "inertia")
     ),
-    moment_derivatives=_moments_by_inertia,
+    moment_derivatives=lambda gait: {"": moments_by_inertia(gait)},
     experiment=KNOWN_MASS_AT_SHANK,
 )
 
