@@ -28,6 +28,7 @@ from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_atomically
 from wrapjax.io.json_and_arrays import load_arrays
+from wrapjax.muscle.published_laws import GIVEN_LAW
 
 #: Attributes of `LinearizedModel` by their names in files.
 _ARRAYS = {
@@ -55,11 +56,12 @@ class LinearizedCase:
 
 @dataclass(frozen=True)
 class Job:
-    """Case to linearize, file to write, and number of calibration starts."""
+    """Case to linearize, file to write, number of calibration starts, and muscle law."""
 
     case: Path
     file: Path
     starts: int
+    muscle_law: str = GIVEN_LAW
 
 
 def main() -> int:
@@ -96,7 +98,11 @@ def linearize_case(job: Job) -> str:
     set_up_jax()
     subject = wrapjax.load_subject(job.case)
     calibration = wrapjax.calibrate(
-        subject, "NGA", wrapjax.fit(subject, "engine", processes=1), starts=job.starts
+        subject,
+        "NGA",
+        wrapjax.fit(subject, "engine", processes=1),
+        starts=job.starts,
+        muscle_law=job.muscle_law,
     )
     case = diagnosis_input(calibration)
     linearized = linearize(case, case.variables)
