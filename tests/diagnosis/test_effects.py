@@ -200,7 +200,7 @@ def test_the_catalogue_is_complete():
     for clause in meanings:
         assert len(clause.split()) > 3 and not clause.endswith("."), clause
     nuisances = {entry.id for entry in CATALOGUE.values() if entry.nuisance}
-    assert nuisances == {"curve_family", "emg_smoothing", "activation_family", "skeletal_variation"}
+    assert nuisances == {"curve_family", "emg_smoothing", "activation_family", "joint_center_spread"}
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.id)

@@ -153,6 +153,36 @@ def test_nuisances_are_part_of_the_null_and_never_candidates(setting):
     assert len(linearized.nuisances)
 
 
+def test_the_usual_spread_of_an_effect_is_part_of_the_null_and_reduces_its_evidence(setting):
+    """An effect is named only where it is larger than in people without it."""
+    problem, recording, measured, *_ = setting
+    _, context = small_recording_and_context()
+    damping = CATALOGUE["joint_damping"].build(context)
+    prior_sd = np.array([entry.prior_sd for entry in damping.parameters])
+    usual = dataclasses.replace(
+        damping,
+        parameters=tuple(dataclasses.replace(one, usual_sd=2.0 * one.prior_sd) for one in damping.parameters),
+    )
+
+    def linearized_with(effect):
+        return linearized_model(problem, problem.variables.start(), recording, measured, context, (effect,))
+
+    without, linearized = linearized_with(damping), linearized_with(usual)
+    added = linearized.nuisances[len(without.nuisances) :]
+    (candidate,) = linearized.candidates
+    expected = 2.0 * prior_sd[:, None] * candidate.variants[0]
+    np.testing.assert_allclose(added.reshape(len(expected), -1), expected, rtol=1e-6)
+
+    def evidence(model):
+        (test,) = score_each(
+            model.residual.reshape(1, -1), nulls(model, measured.std(axis=(0, 2))), model.candidates
+        )
+        return test.scores[0].evidence
+
+    assert evidence(linearized) < 0.5 * evidence(without)
+    assert all(entry.usual_sd == 0.0 for id in EFFECTS for entry in CATALOGUE[id].build(context).parameters)
+
+
 def test_candidates_have_the_limits_of_their_effects(setting):
     *_, linearized, _ = setting
     _, context = small_recording_and_context()

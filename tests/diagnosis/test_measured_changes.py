@@ -138,20 +138,9 @@ def test_the_usual_spread_of_the_knee_center_is_the_lever_of_the_force_through_t
         "knee_anterior_m": (np.cos(hip), np.sin(hip)),
         "knee_superior_m": (-np.sin(hip), np.cos(hip)),
     }.items():
-        moment = change(found, "skeletal_variation", **{name: 0.005})
+        moment = change(found, "joint_center_spread", **{name: 0.005})
         close(moment[1], -0.005 * (x * through[1] - y * through[0]))
         assert np.abs(moment[0]).max() == 0.0
-
-
-def test_the_usual_spread_of_the_skeleton_has_the_shapes_of_the_effects_that_may_be_named(found):
-    """Markers hold the foot; the sizes are standard deviations of the spread, not those of the effects."""
-    for part, id, variant, name in (
-        ("hip_lateral_m", "hip_center_offset", FOOT_HELD, "lateral_m"),
-        ("knee_axis_about_y_rad", "joint_axis_rotation", FOOT_HELD, "knee_rad"),
-        ("inertia_fraction_shank", "segment_inertia", "", "inertia_fraction_shank"),
-    ):
-        spread = change(found, "skeletal_variation", **{part: 0.1})
-        np.testing.assert_array_equal(spread, change(found, id, variant, **{name: 0.1}))
 
 
 def test_a_turned_knee_axis_contains_moments_across_the_hinge(found, leg):

@@ -256,6 +256,7 @@ def linearized_model(
             ]
         else:
             candidates.append(candidate)
+            nuisances.append(_usual_spread(effect, candidate, fitted.shape))
     return LinearizedModel(
         residual=fitted + np.tensordot(from_prior_mean, slopes, axes=1),
         fitted_residual=fitted,
@@ -326,6 +327,16 @@ def moment_slopes(
     )
     jacobian = jax.jit(Objective.moment_jacobian)(moments_only, variables)
     return np.asarray(jacobian).T.reshape(-1, *shape)[..., frames]
+
+
+def _usual_spread(
+    effect: Effect, candidate: Candidate, shape: tuple[int, ...]
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute the signatures of one standard deviation between people without the effect, N m."""
+    usual_sd = np.array([entry.usual_sd for entry in effect.parameters])
+    usual = np.flatnonzero(usual_sd)
+    signatures = [usual_sd[usual, None] * variant[usual] for variant in candidate.variants]
+    return np.concatenate(signatures).reshape(-1, *shape)
 
 
 def _candidate(

@@ -12,7 +12,7 @@ EFFECTS: dict[str, Effect] = {
 NOT_SIMULATED = {
     "curve_family": "nuisance: all cases have other muscle curves; never a correct answer",
     "activation_family": "nuisance: all cases have other activation dynamics; never a correct answer",
-    "skeletal_variation": "nuisance: people's skeletons differ from the scaled model; never a correct answer",
+    "joint_center_spread": "nuisance: joint centers of all people differ; never a correct answer",
     "emg_smoothing": "nuisance: the envelopes of every case are filtered; never a correct answer",
     "short_range_stiffness": "negative control: no effect in steady walking",
     "handrail_force": "negative control: the folder has no data of a handrail",

@@ -43,11 +43,11 @@ from wrapjax.diagnosis.effects.measured_motion import EVENT_JITTER, FOOT_DEFORMA
 from wrapjax.diagnosis.effects.scaled_model import (
     HIP_CENTER_OFFSET,
     JOINT_AXIS_ROTATION,
+    JOINT_CENTER_SPREAD,
     KNEE_LAXITY,
     SEGMENT_INERTIA,
     WOBBLING_MASS,
 )
-from wrapjax.diagnosis.effects.skeletal_variation import SKELETAL_VARIATION
 from wrapjax.diagnosis.effects.tendon import FORCE_SHARING, TENDON_COMPLIANCE
 from wrapjax.diagnosis.effects.unrecorded_excitation import (
     MISSING_DRIVE,
@@ -99,7 +99,7 @@ DEFINITIONS: tuple[EffectDefinition, ...] = (
     WOBBLING_MASS,
     DEVICE_TORQUE,
     KNEE_LAXITY,
-    SKELETAL_VARIATION,
+    JOINT_CENTER_SPREAD,
 )
 #: The same by identifier, in the same order.
 CATALOGUE: dict[str, EffectDefinition] = {definition.id: definition for definition in DEFINITIONS}

@@ -71,6 +71,7 @@ class RepeatedParameter:
     source: str
     limit: float | None = None
     part: str = ""
+    usual_sd: float = 0.0
     prior: str = ""
 
     def of(self, context: Context) -> tuple[EffectParameter, ...]:

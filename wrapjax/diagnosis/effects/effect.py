@@ -45,6 +45,9 @@ class EffectParameter:
         Channel, muscle or joint to which the parameter belongs. The score tests the parameters of each part
         alone as well as all parts together, since an effect is often present in one part only. Empty where
         all parameters belong together.
+    usual_sd
+        Standard deviation between people without the effect, in `unit`. Every null hypothesis allows for it,
+        so that the effect is named only where it is larger.
 
     Raises
     ------
@@ -60,6 +63,7 @@ class EffectParameter:
     source: str
     limit: float = np.inf
     part: str = ""
+    usual_sd: float = 0.0
 
     def __post_init__(self):
         if self.sign not in (0, 1):

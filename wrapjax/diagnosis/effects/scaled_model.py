@@ -61,7 +61,7 @@ def _paths_by_joints(
 # ---- Hip center
 
 
-def moments_by_joint_center(gait: RecordedGait, stem: str) -> MomentDerivatives:
+def _moments_by_joint_center(gait: RecordedGait, stem: str) -> MomentDerivatives:
     """Compute a joint's moment about a center too far forward, up or outward in the body that carries it, N.
 
     Markers hold the foot, so that only this joint's moment changes.
@@ -93,7 +93,7 @@ def _moments_by_hip_center(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     for number in range(3) if rows else ():
         name = gait.mechanics.coordinates[rows[0]]
         displaced[number] = gait.derivative_by_joint(name, outward[number], np.zeros(3))
-    return {FOOT_HELD: moments_by_joint_center(gait, "hip_"), FOOT_DISPLACED: displaced}
+    return {FOOT_HELD: _moments_by_joint_center(gait, "hip_"), FOOT_DISPLACED: displaced}
 
 
 def _paths_by_hip_center(recorded: RecordedPaths) -> Mapping[str, PathState]:
@@ -103,7 +103,12 @@ def _paths_by_hip_center(recorded: RecordedPaths) -> Mapping[str, PathState]:
     )
 
 
-_HIP_SOURCE = "Stagni et al. 2000, doi:10.1016/S0021-9290(00)00093-2"
+_HIP_SOURCE = (
+    "Stagni et al. 2000, doi:10.1016/S0021-9290(00)00093-2; usual: 12 mm between regression and computed "
+    "tomography, Mantovani et al. 2016, Gait & Posture 44:48-54"
+)
+#: Standard deviation of the hip's center about that of the scaled model along each axis, m.
+_USUAL_HIP = 0.007
 
 HIP_CENTER_OFFSET = EffectDefinition(
     id="hip_center_offset",
@@ -119,6 +124,7 @@ HIP_CENTER_OFFSET = EffectDefinition(
             source=_HIP_SOURCE,
             limit=0.06,
             part="anterior",
+            usual_sd=_USUAL_HIP,
         ),
         EffectParameter(
             name="superior_m",
@@ -129,6 +135,7 @@ HIP_CENTER_OFFSET = EffectDefinition(
             source=_HIP_SOURCE,
             limit=0.06,
             part="superior",
+            usual_sd=_USUAL_HIP,
         ),
         EffectParameter(
             name="lateral_m",
@@ -139,6 +146,7 @@ HIP_CENTER_OFFSET = EffectDefinition(
             source=_HIP_SOURCE,
             limit=0.06,
             part="lateral",
+            usual_sd=_USUAL_HIP,
         ),
     ),
     moment_derivatives=_moments_by_hip_center,
@@ -147,11 +155,45 @@ HIP_CENTER_OFFSET = EffectDefinition(
 )
 
 
+# ---- Knee and ankle centers
+
+_LANDMARKS = "landmarks between examiners: Della Croce et al. 2005, doi:10.1016/j.gaitpost.2004.05.003"
+#: Start of the coordinate's name, and standard deviation of the center about the scaled model's, m.
+_DISTAL_CENTERS = (("knee_angle", 0.005), ("ankle_angle", 0.003))
+
+
+def _moments_by_distal_centers(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    return {"": np.concatenate([_moments_by_joint_center(gait, stem) for stem, _ in _DISTAL_CENTERS])}
+
+
+# No effect of the catalogue moves these joints. The paths of their muscles are uncertain in every null
+# hypothesis by themselves.
+JOINT_CENTER_SPREAD = EffectDefinition(
+    id="joint_center_spread",
+    meaning="centers of knee and ankle lie as far from the model's as is usual",
+    family="geometry",
+    parameters=tuple(
+        EffectParameter(
+            name=f"{stem.split('_')[0]}_{direction}_m",
+            unit="m",
+            prior_sd=sd,
+            sign=0,
+            meaning=f"{stem.split('_')[0]} center placed too far {words}",
+            source=_LANDMARKS,
+        )
+        for stem, sd in _DISTAL_CENTERS
+        for direction, words in (("anterior", "forward"), ("superior", "up"), ("lateral", "outward"))
+    ),
+    moment_derivatives=_moments_by_distal_centers,
+    nuisance=True,
+)
+
+
 # ---- Joint axes
 
 #: For each parameter of `JOINT_AXIS_ROTATION`: start of the coordinate's name, and the axis of the body that
 #: carries the joint (forward, up, to the right) about which the joint's axis is rotated.
-AXIS_ROTATIONS = (
+_AXIS_ROTATIONS = (
     ("knee_angle", 1),
     ("knee_angle", 0),
     ("ankle_angle", 1),
@@ -161,40 +203,25 @@ AXIS_ROTATIONS = (
 )
 
 
-def moments_by_joint_axes(gait: RecordedGait) -> MomentDerivatives:
+def _moments_by_joint_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
     """Compute the joint's moment about an axis that is rotated by either of the two angles that place it.
 
     One rotation is that of toes that turn out. The other is about the direction across: forward for knee and
     ankle, whose axes run from side to side, and outward for the subtalar joint, whose axis runs forward.
-    Markers hold the foot, so that only this joint's moment changes. One parameter for each entry of
-    `AXIS_ROTATIONS`, N m / rad.
-
-    Parameters
-    ----------
-    gait
-        Recorded gait.
+    Where markers do not hold the foot, a bent joint also displaces it.
     """
     mechanics, wrench = gait.mechanics, gait.transmitted_wrenches()
-    held = gait.no_change(len(AXIS_ROTATIONS))
-    for number, (stem, column) in enumerate(AXIS_ROTATIONS):
+    held, displaced = gait.no_change(len(_AXIS_ROTATIONS)), gait.no_change(len(_AXIS_ROTATIONS))
+    for number, (stem, column) in enumerate(_AXIS_ROTATIONS):
         sign = _rotation_sign(column, gait.outward)
         for row in gait.rows_of(stem):
             moment = wrench[row, :3] - np.cross(mechanics.joint_center[row], wrench[row, 3:], axis=0)
             about = sign * mechanics.rotation[_carrier(gait, row), :, column]
             rotated = np.cross(about, mechanics.screw[row, :3], axis=0)
             held[number, row] = (rotated * moment).sum(axis=0)
-    return held
-
-
-def _moments_by_rotated_axes(gait: RecordedGait) -> dict[str, MomentDerivatives]:
-    """Compute the moments about rotated axes. Where angles are kept, a bent joint displaces the foot, too."""
-    displaced = gait.no_change(len(AXIS_ROTATIONS))
-    for number, (stem, column) in enumerate(AXIS_ROTATIONS):
-        turn = _rotation_sign(column, gait.outward) * np.eye(3)[column]
-        for row in gait.rows_of(stem):
-            name = gait.mechanics.coordinates[row]
-            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), turn)
-    return {FOOT_HELD: moments_by_joint_axes(gait), FOOT_DISPLACED: displaced}
+            name = mechanics.coordinates[row]
+            displaced[number] += gait.derivative_by_joint(name, np.zeros(3), sign * np.eye(3)[column])
+    return {FOOT_HELD: held, FOOT_DISPLACED: displaced}
 
 
 def _rotation_sign(column: int, outward: float) -> float:
@@ -228,14 +255,23 @@ def _paths_by_joint_axes(recorded: RecordedPaths) -> Mapping[str, PathState]:
         recorded,
         [
             (with_rotated_joint_axes, stem, axis, _rotation_sign(axis, outward))
-            for stem, axis in AXIS_ROTATIONS
+            for stem, axis in _AXIS_ROTATIONS
         ],
     )
 
 
-def _axis_parameter(name: str, meaning: str) -> EffectParameter:
+_AXIS_SOURCE = (
+    "5 to 15 degrees; usual: knee, landmarks between examiners, Della Croce et al. 2005, "
+    "doi:10.1016/j.gaitpost.2004.05.003; ankle and subtalar joint, spread between cadavers, Isman and Inman "
+    "1969, Bull. Prosthet. Res. 10-11:97-129"
+)
+
+
+def _axis_parameter(name: str, usual_sd: float, meaning: str) -> EffectParameter:
     part = name.split("_")[0]
-    return EffectParameter(name, "rad", 0.12, 0, meaning, "5 to 15 degrees", limit=0.5, part=part)
+    return EffectParameter(
+        name, "rad", 0.12, 0, meaning, _AXIS_SOURCE, limit=0.5, part=part, usual_sd=usual_sd
+    )
 
 
 JOINT_AXIS_ROTATION = EffectDefinition(
@@ -243,14 +279,14 @@ JOINT_AXIS_ROTATION = EffectDefinition(
     meaning="axes of knee, ankle or foot point elsewhere than in the model",
     family="geometry",
     parameters=(
-        _axis_parameter("knee_rad", "knee axis turned outward in the horizontal plane"),
-        _axis_parameter("knee_tilt_rad", "knee axis with its outer end too high"),
-        _axis_parameter("ankle_rad", "ankle axis turned outward in the horizontal plane"),
-        _axis_parameter("ankle_tilt_rad", "ankle axis with its outer end too high"),
-        _axis_parameter("subtalar_rad", "subtalar axis turned outward in the horizontal plane"),
-        _axis_parameter("subtalar_pitch_rad", "subtalar axis with its front end too high"),
+        _axis_parameter("knee_rad", 0.07, "knee axis turned outward in the horizontal plane"),
+        _axis_parameter("knee_tilt_rad", 0.035, "knee axis with its outer end too high"),
+        _axis_parameter("ankle_rad", 0.10, "ankle axis turned outward in the horizontal plane"),
+        _axis_parameter("ankle_tilt_rad", 0.07, "ankle axis with its outer end too high"),
+        _axis_parameter("subtalar_rad", 0.15, "subtalar axis turned outward in the horizontal plane"),
+        _axis_parameter("subtalar_pitch_rad", 0.12, "subtalar axis with its front end too high"),
     ),
-    moment_derivatives=_moments_by_rotated_axes,
+    moment_derivatives=_moments_by_joint_axes,
     path_derivatives=_paths_by_joint_axes,
     experiment=STAR_ARC_MOVEMENTS,
 )
@@ -261,23 +297,17 @@ JOINT_AXIS_ROTATION = EffectDefinition(
 _SEGMENTS = ("thigh", "shank", "foot")
 
 
-def moments_by_inertia(gait: RecordedGait) -> MomentDerivatives:
-    """Compute the moments of a segment's mass, and of its inertia about the center of mass, N m.
+def _moments_by_inertia(gait: RecordedGait) -> dict[str, MomentDerivatives]:
+    """Compute the moments of a segment's mass, and of its inertia about the center of mass.
 
     A positive effect size is a person whose segment has more than the model's: the measured moments lack it.
-    Mass and inertia of thigh, shank and foot, one after the other, as fractions of the model's.
-
-    Parameters
-    ----------
-    gait
-        Recorded gait.
     """
     derivatives = [
         gait.mechanics.moments(np.einsum("kb,bwp->kwp", gait.mechanics.moves[:, segment], wrench[segment]))
         for segment in _bodies_of_segments(gait)
         for wrench in (gait.mechanics.mass_wrench, gait.mechanics.inertia_wrench)
     ]
-    return -np.stack(derivatives)
+    return {"": -np.stack(derivatives)}
 
 
 def _bodies_of_segments(gait: RecordedGait) -> tuple[list[int], list[int], list[int]]:
@@ -308,14 +338,16 @@ SEGMENT_INERTIA = EffectDefinition(
             prior_sd=0.15,
             sign=0,
             meaning=f"{quantity} of the {segment} that the model lacks, as a fraction of the model's",
-            source="10 to 20 % of anthropometric tables",
+            source="10 to 20 % of anthropometric tables; usual: differences between tables, Rao et al. 2006, "
+            "doi:10.1016/j.jbiomech.2005.04.014",
             limit=0.6,
             part=quantity,
+            usual_sd=0.1,
         )
         for segment in _SEGMENTS
         for quantity in ("mass", "inertia")
     ),
-    moment_derivatives=lambda gait: {"": moments_by_inertia(gait)},
+    moment_derivatives=_moments_by_inertia,
     experiment=KNOWN_MASS_AT_SHANK,
 )
 

@@ -32,7 +32,7 @@ def effect_tables() -> str:
         (_effect_row(definition) for definition in DEFINITIONS),
     )
     parameters = _markdown_table(
-        ("effect", "parameters", "unit", "prior SD", "limits", "source of the prior"),
+        ("effect", "parameters", "unit", "prior SD", "usual SD", "limits", "source of the prior"),
         (row for definition in DEFINITIONS for row in _parameter_rows(definition)),
     )
     return f"{families}\n\n{effects}\n\n{parameters}"
@@ -67,7 +67,8 @@ def _numbers(entry: EffectParameter | RepeatedParameter) -> tuple[str, ...]:
     prior = entry.prior if isinstance(entry, RepeatedParameter) else ""
     if not prior:
         prior = f"{entry.prior_sd:g}"
-    return entry.unit or _DIFFERS, prior, _limits(entry.limit, entry.sign), entry.source
+    usual = f"{entry.usual_sd:g}" if entry.usual_sd else ""
+    return entry.unit or _DIFFERS, prior, usual, _limits(entry.limit, entry.sign), entry.source
 
 
 def _limits(limit: float | None, sign: int) -> str:
