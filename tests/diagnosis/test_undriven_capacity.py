@@ -76,7 +76,7 @@ def test_the_moment_of_a_coordinate_without_emg_is_uncertain_as_a_whole(leg):
     assert few.shape == (0, 4, 3, 20)
     strong = with_strength(context, 1e3)
     shares = undriven_capacity(strong)
-    places = [place for place, share in enumerate(shares.values()) if not share.recorded]
+    places = [place for place, share in enumerate(shares.values()) if not share.has_emg_for_most]
     assert places == [0], "the muscles without EMG act at the hip"
     found = unrecorded_moment_signatures(strong, measured, speeds)
     covariance = np.einsum("pcqf,pdqg->qcfdg", found, found)

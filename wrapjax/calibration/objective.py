@@ -165,7 +165,7 @@ class Objective(AbstractCalibration):
             multipliers.append(pull_back(penalty_rows)[0])
             cost += jnp.sum(penalty_rows**2)
             local_gradient += jnp.einsum("mk,mpk->mp", multipliers[-1], slope)
-            gram = penalty.gram(value, slope)
+            gram = penalty.gram_matrix(value, slope)
             own_gram += gram.own
             for members, block in gram.groups:
                 groups[members] = groups[members] + block if members in groups else block

@@ -49,7 +49,9 @@ class AbstractPenalty(eqx.Module):
         """Compute the residuals from the reduced quantity of all muscles."""
 
     @abstractmethod
-    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+    def gram_matrix(
+        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
+    ) -> Gram:
         """Compute ``J'J`` of the residuals from the reduced quantity and its derivatives."""
 
     def values(self, parameters: ModelParameters, states: MuscleState) -> Float[Array, "muscle value"]:
@@ -70,7 +72,9 @@ class MusclePenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of values."""
         return (values - self.center) / (self.allowable_error * np.sqrt(values.size))
 
-    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+    def gram_matrix(
+        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
+    ) -> Gram:
         """Compute one block per muscle."""
         weight = 1.0 / (self.allowable_error**2 * values.size)
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
@@ -89,7 +93,9 @@ class SubsetPenalty(AbstractPenalty):
         """Divide by the allowable error and the root of the number of penalised values."""
         return self._weight(values) * values
 
-    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+    def gram_matrix(
+        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
+    ) -> Gram:
         """Compute one block per muscle."""
         weight = self._weight(values)[:, :, None] ** 2
         return Gram(weight * jnp.einsum("mpk,mqk->mpq", slopes, slopes))
@@ -124,7 +130,9 @@ class GroupPenalty(AbstractPenalty):
             rows = rows.at[members].set(change[members] - change[members].mean(axis=0, keepdims=True))
         return rows * self._weight(values)
 
-    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+    def gram_matrix(
+        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
+    ) -> Gram:
         """Compute one block per group; the muscles of a group are coupled."""
         local = slopes.shape[1]
         blocks = []
@@ -166,7 +174,9 @@ class Limit(AbstractPenalty):
         """Compute the weighted excess over the shifted bound; zero below it."""
         return jnp.sqrt(self.weight) * jnp.maximum(self.excess(values) + self.shift, 0.0)
 
-    def gram(self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]) -> Gram:
+    def gram_matrix(
+        self, values: Float[Array, "muscle value"], slopes: Float[Array, "muscle local value"]
+    ) -> Gram:
         """Compute one block per muscle from the values above the shifted bound."""
         above = self.weight * self.factor**2 * (self.excess(values) + self.shift > 0.0)
         return Gram(jnp.einsum("mpk,mqk,mk->mpq", slopes, slopes, above))

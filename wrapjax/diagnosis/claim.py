@@ -124,15 +124,17 @@ def apply_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Dec
     if not claimed:
         if decision.outcome == "none" and not gates.adequate.passed:
             return replace(
-                decision, outcome="unknown", reason="more error repeats than null replicates leave"
+                decision,
+                outcome="unknown",
+                reason="the model leaves more repeatable error than null replicates have",
             )
         return decision
     failed = gates.failed
     names = ", ".join(claimed)
     if "adequate" in failed:
         reason = (
-            f"with {names} a repeatable error of {gates.adequate.left_rms:.1f} N m is left, "
-            f"more than the {gates.adequate.floor_rms:.1f} N m of models with nothing else amiss"
+            f"with {names} in the model, a repeatable error of {gates.adequate.left_rms:.1f} N m is left; "
+            f"up to {gates.adequate.floor_rms:.1f} N m is usual where nothing else is amiss"
         )
         return _unknown(decision, claimed, reason)
     if gates.plausible is not None and "plausible" in failed:

@@ -48,7 +48,7 @@ class CapacityShare:
     both: float
 
     @property
-    def recorded(self) -> bool:
+    def has_emg_for_most(self) -> bool:
         """Whether muscles with EMG have most of the capacity."""
         return self.both <= RECORDED_SHARE
 
@@ -154,7 +154,7 @@ def unrecorded_moment_signatures(
     shapes = np.sqrt(values[kept])[:, None] * vectors.T[kept]
     signatures = [np.zeros((0, *measured.shape))]
     for place, share in enumerate(undriven_capacity(context).values()):
-        if share.recorded:
+        if share.has_emg_for_most:
             continue
         size = np.sqrt(np.mean(measured[:, place] ** 2))
         for speed in np.unique(speeds):

@@ -182,12 +182,12 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     # The prior is on the norm of the vector of mode coefficients, not on each of them.
     mode_sd = np.inf if paths is None else paths.prior_sd * np.sqrt(count / paths.free.sum())
 
-    def local_values(name: str, mode_value: float) -> Float[np.ndarray, "muscle local"]:
+    def per_muscle_values(name: str, mode_value: float) -> Float[np.ndarray, "muscle local"]:
         single = [getattr(parameter, name) for parameter in freed]
         # Values of synergy weights and of the law, set below, and of held modes are placeholders.
         return np.stack([*single, *[np.full(count, mode_value)] * (weights + laws + modes)], axis=-1)
 
-    scale = local_values("scale", 1.0)
+    scale = per_muscle_values("scale", 1.0)
     free = np.ones(scale.shape, dtype=bool)
     first_law = len(freed) + weights
     first_mode = first_law + laws
@@ -200,11 +200,11 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     names += [f"path_changes_{mode:03d}" for mode in range(modes)]
     labels = [f"{muscles[muscle]}.{names[place]}" for muscle, place in np.argwhere(free)]
     bounds = {
-        name: (local_values(name, sign * np.inf) / scale)[free]
+        name: (per_muscle_values(name, sign * np.inf) / scale)[free]
         for name, sign in (("lower", -1), ("upper", 1))
     }
-    prior_mean = (local_values("prior_mean", 0.0) / scale)[free]
-    prior_precision = (scale / local_values("prior_sd", mode_sd))[free]
+    prior_mean = (per_muscle_values("prior_mean", 0.0) / scale)[free]
+    prior_precision = (scale / per_muscle_values("prior_sd", mode_sd))[free]
     total = offset + laws + (0 if synergies is None else len(synergies.names) * weights)
     if wraps is not None:
         total += wraps.lower.size

@@ -106,7 +106,7 @@ _SIDE, _DIRECTION = 0.02, 0.05
 
 
 class PersonalCurves(AbstractCurves):
-    """Force curves of the family; see `LAW_PARAMETERS`."""
+    """Muscle force curves of one person, by the parameters `LAW_PARAMETERS` of a continuous family."""
 
     given: AbstractCurves
     law: Float[Array, "*shape law_parameter"]

@@ -90,7 +90,7 @@ def envelope_faults(
     for row, name in enumerate(channels):
         fault = (
             _constant(envelopes[row], "")
-            or _not_envelope(envelopes[row])
+            or _fault_unless_envelope(envelopes[row])
             or _duplicate(row, correlation, channels)
         )
         if fault:
@@ -111,7 +111,7 @@ def _constant(signal: Float[np.ndarray, " sample"], unit: str = " V") -> Fault:
     return None
 
 
-def _not_envelope(signal: Float[np.ndarray, " sample"]) -> Fault:
+def _fault_unless_envelope(signal: Float[np.ndarray, " sample"]) -> Fault:
     low, peak = float(signal.min()), float(signal.max())
     # The undershoot of filters is small; raw EMG is symmetric about zero.
     if low < -0.5 * peak:

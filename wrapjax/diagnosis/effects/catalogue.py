@@ -145,6 +145,6 @@ def effect_meanings() -> dict[str, str]:
     return {definition.id: definition.meaning for definition in DEFINITIONS}
 
 
-def effects_in(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:
-    """Select the entries that are testable."""
+def testable_effects(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:
+    """Select the effects of a catalogue that the subject's recording can show."""
     return tuple(entry for entry in entries if isinstance(entry, Effect))

@@ -43,7 +43,7 @@ class _ModifiedCurves(AbstractCurves):
         return self.plain.passive_force(length)
 
 
-class ScaledWidths(_ModifiedCurves):
+class ForceLengthCurvesOfOtherWidth(_ModifiedCurves):
     """Curves with other widths of active and passive force over length."""
 
     #: Logarithms of the factors on the width of active force and on the strain of passive force.
@@ -109,7 +109,7 @@ class ChangedCurves(MuscleAlteration):
     def inputs(self, inputs: MuscleInputs) -> MuscleInputs:
         """See `MuscleAlteration`."""
         shifted = ShiftedPassiveForce(inputs.curves, self.passive_shift)
-        curves = ScaledWidths(shifted, self.active_width, self.passive_strain)
+        curves = ForceLengthCurvesOfOtherWidth(shifted, self.active_width, self.passive_strain)
         return replace(inputs, curves=ScaledForceVelocity(curves, self.curvature, self.plateau))
 
 

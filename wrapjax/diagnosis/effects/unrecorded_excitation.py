@@ -69,7 +69,10 @@ def active_moments(
 
 
 def drive_over_cycle(effect_sizes: Float[Array, " parameter"], frames: int) -> Float[Array, " frame"]:
-    """Compute the activation over the gait cycle for sizes of `MISSING_DRIVE`, at the mean walking speed."""
+    """Compute the activation of muscles without EMG over the gait cycle, from the sizes of `MISSING_DRIVE`.
+
+    The activation is that at the mean walking speed.
+    """
     return jnp.asarray(periodic_splines(np.linspace(0.0, 1.0, frames), SPLINES)) @ effect_sizes
 
 
