@@ -357,8 +357,8 @@ SEGMENT_INERTIA = EffectDefinition(
 #: Share of the gait cycle in which soft tissue comes to rest after impact.
 _IMPACT = 0.1
 _WOBBLING_SOURCE = (
-    "0 to 10 % of the cycle; usual: about 4 N m at the peak (no published size), as filters that differ between "
-    "forces and motion leave at impact, Bisseling and Hof 2006, PMID 16209869; Edwards et al. 2011, "
+    "0 to 10 % of the cycle; usual: about 4 N m at the peak (no published size), as filters that differ "
+    "between forces and motion leave at impact, Bisseling and Hof 2006, PMID 16209869; Edwards et al. 2011, "
     "doi:10.1016/j.gaitpost.2011.06.006"
 )
 #: Standard deviation of the impulse of such artifacts in everybody, N m s.
