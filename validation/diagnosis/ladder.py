@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -86,9 +87,11 @@ def main() -> int:
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    columns = ("given of the truth", "first", "first, d* above 5", "first three")
-    columns += ("strongest evidence with nothing amiss, median and largest (nats)",)
-    columns += ("first, signatures of the simulator",)
+    columns = (
+        *("given of the truth", "first", "first, d* above 5", "first three"),
+        "strongest evidence with nothing amiss, median and largest (nats)",
+        "first, signatures of the simulator",
+    )
     print(f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *rows, sep="\n")
     return 0
 
@@ -140,7 +143,7 @@ def _first(cases: Sequence[ScoredCase], count: int = 1) -> str:
     return f"{sum(bool(set(one.ranked[:count]) & one.accepted) for one in cases)} of {len(cases)}"
 
 
-def _record(step: Step, bank: Bank, order: int, truth: dict, folder: Path) -> None:
+def _record(step: Step, bank: Bank, order: int, truth: dict[str, Any], folder: Path) -> None:
     """Write a case again, with the same causes and effect sizes."""
     index = next(one for one in bank.persons if f"{bank.name}_{one:02d}" == truth["person"])
     who = person_of(bank, index)

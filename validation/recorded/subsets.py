@@ -113,7 +113,8 @@ def _has_speed(trial: Mapping[str, Any], speed: str) -> bool:
 
 def _every_second_cycle(trials: Sequence[str], rest: int) -> list[str]:
     """Keep every second calibration cycle of each speed, and all others."""
-    kept, seen = [], {}
+    kept: list[str] = []
+    seen: dict[float | None, int] = {}
     for text in trials:
         (trial,) = tomllib.loads(text)["trial"]
         if trial["use"] != "calibration":
@@ -122,8 +123,9 @@ def _every_second_cycle(trials: Sequence[str], rest: int) -> list[str]:
             pairs = ", ".join(f"[{start}, {end}]" for start, end in trial["cycles"][rest::2])
             kept.append(re.sub(r"(?ms)^cycles\s*=\s*\[\[.*?\]\]", f"cycles = [{pairs}]", text))
         else:
-            number = seen[trial.get("speed_m_s")] = seen.get(trial.get("speed_m_s"), -1) + 1
-            kept += [text] if number % 2 == rest else []
+            speed = trial.get("speed_m_s")
+            seen[speed] = seen.get(speed, -1) + 1
+            kept += [text] if seen[speed] % 2 == rest else []
     return kept
 
 
