@@ -10,7 +10,7 @@ import pytest
 from jax.tree_util import Partial
 
 from tests.diagnosis.subject import CURVES, small_recording_and_context
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, testable_effects
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable, Variant
 from wrapjax.diagnosis.effects.family import FAMILIES
 from wrapjax.diagnosis.effects.measured_motion import neighboring_coordinates
@@ -21,7 +21,7 @@ from wrapjax.model.forward import Recording, joint_moments
 
 RECORDING, CONTEXT = small_recording_and_context()
 ENTRIES = {entry.id: entry for entry in catalogue(CONTEXT)}
-EFFECTS = testable_effects(tuple(ENTRIES.values()))
+EFFECTS = available_effects(tuple(ENTRIES.values()))
 ROUNDS = max(len(effect.variants) for effect in EFFECTS)
 UNITS = {"1", "s", "m", "rad", "N m", "N m/deg", "N m/rad", "N m s/rad", "N m s"}
 

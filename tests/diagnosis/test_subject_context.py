@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.subject.synthetic import COORDINATES, write_wrapped_subject
 from tests.subject.synthetic_forces import with_forces
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE, catalogue, testable_effects
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effects, NotTestable
 from wrapjax.diagnosis.effects.scaled_model import FOOT_HELD, JOINT_AXIS_ROTATION
 from wrapjax.diagnosis.prediction import predicted_moments
@@ -194,7 +194,7 @@ def test_derivatives_of_paths_by_the_knee_axis(tmp_path):
 
 def test_measured_changes_of_selected_cycles(with_ground):
     context = with_ground
-    effects = testable_effects(catalogue(context))
+    effects = available_effects(catalogue(context))
     sizes = {effect.id: effect.parameters for effect in effects}
     assert set(context.measured_changes) <= set(sizes) and "crossed_plates" in sizes
     assert "loading" in context.measured_changes["soft_tissue_artifact"]

@@ -4,8 +4,8 @@ import tomllib
 
 import pytest
 
+from validation.recorded import subsets
 from validation.recorded.subsets import contradictions, parts_of, table, write_parts
-from wrapjax.errors import InputError
 
 SETTINGS = """[subject]
 name = "someone"
@@ -75,8 +75,14 @@ def test_parts_are_written_as_copies_of_the_subject_folder(tmp_path):
     written = write_parts(person, tmp_path / "out")
     assert [part.name for part in written][:2] == ["someone.all", "someone.odd_cycles"]
     assert all((part / "model.osim").read_text() == "model" for part in written)
-    with pytest.raises(InputError, match="there is no such file"):
-        write_parts(tmp_path / "nobody", tmp_path / "out")
+
+
+def test_a_folder_that_is_no_subject_is_refused(tmp_path, monkeypatch, capsys):
+    nobody = tmp_path / "nobody"
+    monkeypatch.setattr("sys.argv", ["subsets", "--subjects", str(nobody), "--out", str(tmp_path / "out")])
+    assert subsets.main() == 2
+    assert "nobody" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def gap(outcome, named=(), ties=(), family=""):

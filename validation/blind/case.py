@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.anatomy import COORDINATES
+from validation.blind.anatomy import COORDINATES, Leg
 from validation.blind.background import Background, with_background
 from validation.blind.effects import EFFECTS
 from validation.blind.effects.effect import Effect
@@ -21,7 +21,7 @@ from validation.blind.oracle import Oracle, cycles, difference, flat, signal
 from validation.blind.outside_catalogue import OUTSIDE
 from validation.blind.person import Person
 from validation.blind.plan import Bank, PlannedCase, stratum_of
-from validation.blind.world import World, joint_moments, record
+from validation.blind.world import Recording, World, joint_moments, record
 
 ALL = {**EFFECTS, **OUTSIDE}
 
@@ -59,7 +59,7 @@ def make_case(
     rng = np.random.default_rng((bank.seed, 3, planned.order))
     found = _detectability_and_ties(who.world, world, planned, library, oracle)
     world = with_background(world, background)
-    clean, noise, emg = _record_with_noise(world, planned.level, rng)
+    clean, noise, emg = record_with_noise(world, planned.level, rng)
     truth: dict[str, Any] = {
         "schema": 1,
         "id": planned.id,
@@ -157,7 +157,10 @@ def _described(world: World, background: Background, library: Library, oracle: O
     }
 
 
-def _record_with_noise(world: World, level: float, rng: np.random.Generator):
+def record_with_noise(
+    world: World, level: float, rng: np.random.Generator
+) -> tuple[Recording, np.ndarray, np.ndarray]:
+    """Record a world; return the recording without noise, the noise of moments, and the noisy envelopes."""
     clean, settings = record(world), world.settings
     noise = moment_noise(world.walk, world.leg.mass, rng, settings.moments)
     return clean, noise, noisy_envelopes(clean.emg, level, rng, settings.emg)
@@ -192,13 +195,12 @@ def _six_digits(value: float) -> float:
     return float(f"{float(value):.6g}")
 
 
-def _write(folder: Path, name: str, who: Person, recorded, truth, clean: np.ndarray) -> None:
-    cases, answers, work = folder / "cases", folder / "truth", folder / "work" / name
-    shutil.rmtree(work, ignore_errors=True)
+def write_recorded(folder: Path, who: Person, leg: Leg, recorded: dict[str, np.ndarray]) -> None:
+    """Write a new subject folder with a person's recording and this leg as its model file."""
     settings = who.world.settings
     write_folder(
-        work / name,
-        who.nominal,
+        folder,
+        leg,
         who.paretic,
         who.world.walk.speeds,
         cycles(who.world),
@@ -206,6 +208,12 @@ def _write(folder: Path, name: str, who: Person, recorded, truth, clean: np.ndar
         settings.gait.calibration,
         settings.emg.unrecorded,
     )
+
+
+def _write(folder: Path, name: str, who: Person, recorded, truth, clean: np.ndarray) -> None:
+    cases, answers, work = folder / "cases", folder / "truth", folder / "work" / name
+    shutil.rmtree(work, ignore_errors=True)
+    write_recorded(work / name, who, who.nominal, recorded)
     answers.mkdir(parents=True, exist_ok=True)
     cases.mkdir(parents=True, exist_ok=True)
     np.save(work / "clean.npy", np.round(clean[..., ::FILE_STEP], 3).astype(np.float32))

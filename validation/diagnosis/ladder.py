@@ -22,15 +22,11 @@ import numpy as np
 from benchmarks.machine import pin_threads
 from validation.blind.anatomy import Leg
 from validation.blind.background import background_of, with_background
-from validation.blind.case import ALL
-from validation.blind.folder import write_folder
+from validation.blind.case import ALL, record_with_noise, write_recorded
 from validation.blind.library import library_of
 from validation.blind.make import person_of, variants_of
-from validation.blind.noise import moment_noise, noisy_envelopes
-from validation.blind.oracle import cycles
 from validation.blind.person import Person
-from validation.blind.plan import Bank, banks_of, plan_cases, settings_of
-from validation.blind.world import record
+from validation.blind.plan import Bank, PlannedCase, banks_of, plan_cases, settings_of
 from validation.diagnosis.bank_cases import development_truth
 from validation.diagnosis.linearizations import Job, linearize_case, load
 from validation.diagnosis.scored_cases import ScoredCase
@@ -83,7 +79,10 @@ def main() -> int:
     pin_threads()
     try:
         bank = _bank_of(options.bank, options.cases)
-        rows = [_row(step, options.bank, bank, options.out.resolve(), options.workers) for step in STEPS]
+        failures = [_linearize(step, options.bank, bank, options.out, options.workers) for step in STEPS]
+        if any(failures):
+            return 1
+        rows = [_row(step, options.bank, bank, options.out) for step in STEPS]
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -104,25 +103,36 @@ def _bank_of(folder: Path, cases: int) -> Bank:
     return bank
 
 
-def _row(step: Step, folder: Path, bank: Bank, out: Path, workers: int) -> str:
-    """Record, linearize and score all single causes and people with nothing amiss; return a row."""
-    truths = {}
+def _cases_of(bank: Bank) -> list[PlannedCase]:
+    """Select single causes and people with nothing amiss."""
+    planned = plan_cases(bank, variants_of(settings_of(bank, bank.first_person)))
+    return [case for case in planned if case.tier in ("single", "none")]
+
+
+def _linearize(step: Step, folder: Path, bank: Bank, out: Path, workers: int) -> int:
+    """Record and linearize the cases that are not yet linearized; return how many failed."""
     jobs = {}
-    for planned in plan_cases(bank, variants_of(settings_of(bank, bank.first_person))):
-        if planned.tier not in ("single", "none"):
-            continue
-        truths[planned.id] = development_truth(folder, planned.id)
-        case, file = out / step.name / "cases" / planned.id, out / step.name / f"{planned.id}.npz"
+    for planned in _cases_of(bank):
+        truth = development_truth(folder, planned.id)
+        case, file = (out / step.name / name for name in (f"cases/{planned.id}", f"{planned.id}.npz"))
         if not case.exists():
-            _record(step, bank, planned.order, truths[planned.id], case)
+            _record(step, bank, planned.order, truth, case)
         if not file.exists():
-            jobs[planned.id] = Job(case, file, starts=2, muscle_law=WORLD if step.law else GIVEN_LAW)
+            law = WORLD if step.law else GIVEN_LAW
+            jobs[planned.id] = Job(case.resolve(), file.resolve(), starts=2, muscle_law=law)
+    failed = 0
     for number, one in enumerate(run_jobs(linearize_case, jobs, workers=workers) if jobs else (), 1):
+        failed += bool(one.failure)
         print(f"{step.name} {number}/{len(jobs)} {one.name}: {one.failure or one.value}", file=sys.stderr)
+    return failed
+
+
+def _row(step: Step, folder: Path, bank: Bank, out: Path) -> str:
+    """Score all linearized cases; return a row of the table."""
+    truths = [development_truth(folder, planned.id) for planned in _cases_of(bank)]
     scored = [
-        score_both(truth, load(out / step.name / f"{id}.npz"), library_of(folder, truth["person"]))
-        for id, truth in truths.items()
-        if (out / step.name / f"{id}.npz").exists()
+        score_both(truth, load(out / step.name / f"{truth['id']}.npz"), library_of(folder, truth["person"]))
+        for truth in truths
     ]
     ours, theirs = ([pair[place] for pair in scored] for place in (0, 1))
     nothing = [max(one.evidence.values()) for one in ours if one.nothing_amiss]
@@ -152,25 +162,12 @@ def _record(step: Step, bank: Bank, order: int, truth: dict[str, Any], folder: P
         world = ALL[cause["id"]].apply(world, cause["amount"], tuple(cause["variant"]))
     world = with_background(world, background_of(who, (bank.seed, 4, index)))
     rng = np.random.default_rng((bank.seed, 3, order))
-    clean, settings = record(world), world.settings
-    # Drawn in the same order as for the bank, so that the noise of the moments is the same.
-    noise = moment_noise(world.walk, world.leg.mass, rng, settings.moments)
-    emg = np.maximum(clean.emg, 0.0)
-    if not step.emg:
-        emg = noisy_envelopes(clean.emg, truth["emg_noise"], rng, settings.emg)
+    clean, noise, noisy = record_with_noise(world, truth["emg_noise"], rng)
+    emg = clean.emg if step.emg else noisy
     recorded = {"moments": clean.moments + noise, "emg": emg, "pose": clean.pose, "ground": clean.ground}
     work = folder.with_name(f"partial_{folder.name}") / folder.name
     shutil.rmtree(work.parent, ignore_errors=True)
-    write_folder(
-        work,
-        _own_paths(who) if step.paths else who.nominal,
-        who.paretic,
-        who.world.walk.speeds,
-        cycles(who.world),
-        recorded,
-        settings.gait.calibration,
-        settings.emg.unrecorded,
-    )
+    write_recorded(work, who, _own_paths(who) if step.paths else who.nominal, recorded)
     folder.parent.mkdir(parents=True, exist_ok=True)
     work.rename(folder)
     work.parent.rmdir()

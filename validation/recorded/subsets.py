@@ -24,7 +24,7 @@ from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import Job, answer
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.families import family_of
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError
 from wrapjax.io.toml import toml_list
 
 #: Folders of $WRAPJAX_DATA that are diagnosed by default.
@@ -37,8 +37,13 @@ def main() -> int:
     options = _parser().parse_args()
     # JAX reads the thread counts once, when it is imported.
     pin_threads()
+    # Import JAX after the arguments are checked.
+    from wrapjax.subject.subject import load_subject
+
     out = options.out.resolve()
     try:
+        for person in options.subjects:
+            load_subject(person)
         folders = [part for person in options.subjects for part in write_parts(person, out / "subjects")]
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
@@ -64,20 +69,12 @@ def write_parts(person: Path, folder: Path) -> list[Path]:
     Parameters
     ----------
     person
-        Subject folder.
+        Valid subject folder.
     folder
         Where the copies are written, named after person and part.
-
-    Raises
-    ------
-    InputError
-        If the subject folder has no ``subject.toml``.
     """
-    file = person / "subject.toml"
-    if not file.exists():
-        raise InputError(Problem(str(file), "there is no such file"))
     written = []
-    for name, text in parts_of(file.read_text(encoding="utf-8")).items():
+    for name, text in parts_of((person / "subject.toml").read_text(encoding="utf-8")).items():
         part = folder / f"{person.name}.{name}"
         if not (part / "subject.toml").exists() or (part / "subject.toml").read_text("utf-8") != text:
             shutil.rmtree(part, ignore_errors=True)

@@ -15,7 +15,7 @@ from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMoments, cross_validation_plan
-from wrapjax.diagnosis.effects.catalogue import catalogue, testable_effects
+from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.muscle_law import MuscleLawFit
 from wrapjax.diagnosis.prediction import predicted_moments
@@ -101,7 +101,7 @@ class DiagnosisInput:
         """Testable effects on the calibration cycles, by id."""
         return {
             effect.id: effect
-            for effect in testable_effects(catalogue(self.calibration_context, self.withheld))
+            for effect in available_effects(catalogue(self.calibration_context, self.withheld))
         }
 
     @cached_property
@@ -112,7 +112,7 @@ class DiagnosisInput:
     @property
     def effects(self) -> dict[str, Effect]:
         """Testable effects on all cycles, by id."""
-        return {effect.id: effect for effect in testable_effects(self.entries)}
+        return {effect.id: effect for effect in available_effects(self.entries)}
 
     @property
     def measured_moment_sd(self) -> Float[np.ndarray, " coordinate"]:

@@ -45,9 +45,8 @@ from wrapjax.diagnosis.effects.scaled_model import (
     JOINT_AXIS_ROTATION,
     JOINT_CENTER_SPREAD,
     KNEE_LAXITY,
-    SEGMENT_INERTIA,
-    WOBBLING_MASS,
 )
+from wrapjax.diagnosis.effects.segment_masses import SEGMENT_INERTIA, WOBBLING_MASS
 from wrapjax.diagnosis.effects.tendon import FORCE_SHARING, TENDON_COMPLIANCE
 from wrapjax.diagnosis.effects.unrecorded_excitation import (
     MISSING_DRIVE,
@@ -145,6 +144,6 @@ def effect_meanings() -> dict[str, str]:
     return {definition.id: definition.meaning for definition in DEFINITIONS}
 
 
-def testable_effects(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:
+def available_effects(entries: Sequence[Effect | NotTestable]) -> tuple[Effect, ...]:
     """Select the effects of a catalogue that the subject's recording can show."""
     return tuple(entry for entry in entries if isinstance(entry, Effect))
