@@ -16,7 +16,9 @@ from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 
 #: Few effects, which compile fast.
-KEPT = {"joint_damping", "emg_drift", "curve_family"}
+SCORED = {"joint_damping", "emg_drift"}
+#: The leg has no ground reaction forces, which the last two need; curves and joint centers are nuisances.
+KEPT = SCORED | {"curve_family", "cop_offset", "joint_center_spread"}
 WITHOUT = sorted(set(CATALOGUE) - KEPT)
 
 
@@ -30,6 +32,10 @@ def test_too_few_cycles_end_the_diagnosis(gap):
     assert gap.outcome == "insufficient_data" and not gap.named and not gap.effects
     assert "fewest" in gap.reason
     assert np.isfinite(gap.plain).all() and gap.unknown_probability == 1.0
+
+
+def test_nuisances_are_not_listed_among_what_is_not_testable(gap):
+    assert {entry.id for entry in gap.not_testable} == {"cop_offset"}
 
 
 def test_unknown_effects_are_refused_before_any_work(person, paths):
@@ -69,17 +75,14 @@ def found(several, paths):
 def test_a_diagnosis_is_complete(found, several, tmp_path):
     result = found.result
     assert result.outcome in ("named", "tie", "none", "unknown")
-    assert {effect.id for effect in result.effects} == KEPT - {"curve_family"}
+    assert {effect.id for effect in result.effects} == SCORED
     total = sum(effect.probability for effect in result.effects)
     assert total + result.none_probability + result.unknown_probability == pytest.approx(1.0)
     by_evidence = sorted(result.effects, key=lambda effect: -effect.evidence)
     assert list(result.effects) == by_evidence, "effects are ranked by the evidence of the score test only"
     assert result.convergence_check.holds and result.convergence_check.conflicts["by_half"]
     dataset = found.dataset
-    assert (
-        set(dataset["effect"].values) == KEPT - {"curve_family"}
-        and dataset.attrs["outcome"] == result.outcome
-    )
+    assert set(dataset["effect"].values) == SCORED and dataset.attrs["outcome"] == result.outcome
     np.testing.assert_array_equal(dataset["predicted_moment"].sel(model="plain"), result.plain)
     held = result.measured - result.plain
     baseline = found.independent.baseline

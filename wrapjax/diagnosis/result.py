@@ -201,7 +201,10 @@ def result_without_diagnosis(
         effects=(),
         none_probability=0.0,
         unknown_probability=1.0,
-        not_testable=tuple(entry for entry in data.entries if isinstance(entry, NotTestable)),
+        # Nuisance effects are never named, so that it does not matter to a reader that one is missing.
+        not_testable=tuple(
+            entry for entry in data.entries if isinstance(entry, NotTestable) and not entry.nuisance
+        ),
         withheld=data.withheld,
         coordinates=data.context.coordinates,
         trials=data.context.trials,
