@@ -13,6 +13,7 @@ from jaxtyping import Float
 from wrapjax.diagnosis.advice import Advice, advise
 from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
 from wrapjax.diagnosis.decision import Decision, describe_effect
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.families import family_probabilities
 from wrapjax.diagnosis.gates import Gates
@@ -203,7 +204,9 @@ def result_without_diagnosis(
         unknown_probability=1.0,
         # Nuisance effects are never named, so that it does not matter to a reader that one is missing.
         not_testable=tuple(
-            entry for entry in data.entries if isinstance(entry, NotTestable) and not entry.nuisance
+            entry
+            for entry in data.entries
+            if isinstance(entry, NotTestable) and not CATALOGUE[entry.id].nuisance
         ),
         withheld=data.withheld,
         coordinates=data.context.coordinates,

@@ -150,10 +150,10 @@ class EffectDefinition:
         """Build the effect for a subject, or give the reason why its recording cannot show it."""
         for requirement in self.requirements:
             if reason := requirement.unmet(context):
-                return NotTestable(self.id, reason, self.nuisance)
+                return NotTestable(self.id, reason)
         variants = self._measured_variants(context) if self.variants is None else self.variants(context)
         if not variants:
-            return NotTestable(self.id, context.no_measured_changes, self.nuisance)
+            return NotTestable(self.id, context.no_measured_changes)
         reported = {} if self.to_reported is None else {"to_reported": self.to_reported(context)}
         return Effect(
             id=self.id,

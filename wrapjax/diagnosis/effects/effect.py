@@ -199,13 +199,10 @@ class NotTestable:
         Identifier of the effect.
     reason
         Clause that says what is missing.
-    nuisance
-        See `Effect`.
     """
 
     id: str
     reason: str
-    nuisance: bool = False
 
 
 def split_effect_sizes(
