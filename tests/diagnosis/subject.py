@@ -137,6 +137,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         muscle_channels=MUSCLE_CHANNELS,
         coordinates=COORDINATES,
         trials=TRIALS,
+        recordings=tuple(name.split("/")[0] for name in TRIALS),
         angles=angles,
         velocities=velocities,
         step=step,
@@ -145,6 +146,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         padding=PADDING,
         parameters=parameters,
         paths=paths,
+        envelopes=splines.coefficients,
         paretic=True,
         undriven_muscles=UndrivenMuscles(
             names=OTHERS,

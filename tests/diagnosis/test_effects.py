@@ -192,7 +192,7 @@ def test_selected_cycles_are_predicted_as_among_all():
 
 
 def test_the_catalogue_is_complete():
-    assert list(ENTRIES) == list(CATALOGUE) and len(CATALOGUE) == 42
+    assert list(ENTRIES) == list(CATALOGUE) and len(CATALOGUE) == 44
     controls = {id for id, entry in ENTRIES.items() if isinstance(entry, Effect) and entry.negative_control}
     assert controls == {"short_range_stiffness", "spasticity_recorded"}
     meanings = [entry.meaning for entry in CATALOGUE.values()]
@@ -314,6 +314,8 @@ def test_short_range_stiffness_changes_nothing_in_gait(slopes):
         ({"speeds": np.full(4, np.nan)}, "speed_dependent_delay", "not given"),
         ({"speeds": np.full(4, 0.8)}, "speed_dependent_delay", "one speed"),
         ({"order": np.zeros(4)}, "emg_drift", "one cycle"),
+        ({"recordings": ("a",) * 4, "speeds": np.ones(4)}, "emg_channel_loss", "one condition"),
+        ({"muscle_channels": (0,) * 6}, "emg_channel_swap", "one channel"),
         ({"paths_by_angle": None}, "soft_tissue_artifact", "joint angles"),
         ({"wraps": None}, "wrap_surface", "cylinders"),
         ({"attachments": None}, "muscle_attachment", "ends"),

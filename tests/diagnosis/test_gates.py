@@ -12,6 +12,7 @@ from wrapjax.diagnosis.gates import (
     Recorded,
     adequacy,
     examine,
+    moment_accuracy,
     part_scores,
     plausibility,
     recording_parts,
@@ -90,6 +91,22 @@ def test_adequate_unless_more_repeats_than_in_replicates(generator):
     assert not adequate(5.0 * WAVE + 3.0 * STRANGE).passed
 
 
+def test_an_error_below_the_accuracy_of_the_moments_is_adequate(generator):
+    """Recordings with little noise have replicates that leave next to nothing."""
+    replicates = noise(generator, 40).reshape(40, -1)
+    linearized = model_with(generator, 3.0 * STRANGE)
+
+    def adequate(accuracy):
+        model = ResidualModel.of(linearized)
+        return adequacy(model, linearized, replicates, linearized.nuisances[:0], accuracy=accuracy)
+
+    plain = adequate(0.0)
+    assert not plain.passed and adequate(1.01 * plain.left_rms).passed
+    assert not adequate(0.99 * plain.left_rms).passed
+    assert adequate(0.1 * plain.floor_rms) == plain
+    assert moment_accuracy(np.array([30.0, 40.0])) == pytest.approx(0.04 * np.sqrt(1250.0))
+
+
 def test_the_strongest_of_a_tie_is_fitted_and_all_of_a_joint_claim(generator):
     signal = 5.0 * WAVE + 5.0 * OTHER
     linearized = model_with(generator, signal)
@@ -152,6 +169,14 @@ def test_specific_where_the_error_has_the_shape_of_the_effect(generator):
     right = specific(5.0 * WAVE, WAVE)
     assert right.passed and right.shrinkage > 0.5
     assert not specific(5.0 * WAVE, OTHER).passed
+
+
+def test_effects_of_single_cycles_are_not_held_to_unseen_cycles(generator):
+    linearized = model_with(generator, 5.0 * WAVE)
+    model = ResidualModel.of(linearized)
+    each = np.eye(CYCLES)[:, :, None, None] * WAVE[None]
+    assert specificity(model, linearized, recorded(), each) is None
+    assert specificity(model, linearized, recorded(), each[:2] + each[2:4]) is not None
 
 
 def test_a_restricted_model_is_that_of_the_chosen_rows(generator):

@@ -138,13 +138,16 @@ def decision_on(case: ScoredCase, constants: DecisionConstants) -> Decision:
     decision = with_family(replace(decision, probabilities=stated), case.evidence, threshold)
     together, any_of = claimed_effects(decision, case.evidence)
     found = case.claim.gates
+
+    def allowed(gate: Adequate) -> Adequate:
+        floor = max(constants.adequacy_factor * gate.floor_rms, case.accuracy)
+        return replace(gate, floor_rms=floor)
+
     if not together:
-        plain = Adequate(case.left, constants.adequacy_factor)
-        return apply_gates(decision, Gates(plain), ())
-    factor = constants.adequacy_factor
+        return apply_gates(decision, Gates(allowed(case.plain)), ())
     gates = replace(
         found,
-        adequate=replace(found.adequate, floor_rms=factor * found.adequate.floor_rms),
+        adequate=allowed(found.adequate),
         stable=stability(case.claim.parts, any_of, threshold),
     )
     return apply_gates(decision, gates, decision.accepted or together)

@@ -14,8 +14,10 @@ from validation.diagnosis.linearizations import LinearizedCase, development_line
 from wrapjax.diagnosis.decision import Probabilities, set_levels, tied_effects
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
+    Adequate,
     Gates,
     adequacy,
+    moment_accuracy,
     part_scores,
     plausibility,
     scaled_signatures,
@@ -31,6 +33,7 @@ from wrapjax.diagnosis.score_test import Score
 GROSS_MISFIT = "gross_misfit"
 #: Correct outcome of cases without a cause in the catalogue; pairs have no single correct answer.
 OUTCOMES = {"none": "none", "outside": "unknown"}
+_ADEQUATE = Adequate(1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class ScoredCase:
         Truth of the case.
     evidence, structured
         Log Bayes factor of each effect, and evidence for a structured residual, see `probabilities`; nats.
-    left
-        Repeatable error that the plain model leaves, relative to the 95th percentile of null replicates.
+    plain, accuracy
+        Gate for an adequate plain model, with a factor of one; and the accuracy of the moments, N m.
     claim
         What the gates need for a claim of the strongest effect; None if it was not computed.
     """
@@ -52,8 +55,14 @@ class ScoredCase:
     truth: dict[str, Any]
     evidence: Mapping[str, float]
     structured: float
-    left: float = 1.0
+    plain: Adequate = _ADEQUATE
+    accuracy: float = 0.0
     claim: StrongestEffect | None = None
+
+    @property
+    def left(self) -> float:
+        """Repeatable error that the plain model leaves, relative to what the gate allows."""
+        return self.plain.left_rms / max(self.plain.floor_rms, self.accuracy)
 
     @property
     def accepted(self) -> set[str]:
@@ -159,7 +168,12 @@ def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
         parts,
     )
     return ScoredCase(
-        truth, scores.evidence, scores.structured_evidence, plain.left_rms / plain.floor_rms, claim
+        truth,
+        scores.evidence,
+        scores.structured_evidence,
+        plain,
+        moment_accuracy(own.recorded.measured_moment_sd),
+        claim,
     )
 
 

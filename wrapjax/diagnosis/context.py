@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.parameters import ModelParameters
@@ -20,6 +20,10 @@ from wrapjax.subject.muscle_groups import standard_name
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
 #: Function from effect sizes to what the effect adds to the prediction of the measured moments, N m.
 MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coordinate frame"]]
+
+
+#: Fewest cycles of a condition, see `Context.conditions`.
+_FEWEST_CYCLES = 2
 
 
 class PathChanges(eqx.Module):
@@ -73,8 +77,8 @@ class Context:
         Names of the EMG channels, and number of the channel that drives each muscle.
     coordinates
         Coordinates whose moments are matched.
-    trials
-        Names of the cycles.
+    trials, recordings
+        Names of the cycles, and of the recording of each cycle.
     angles, velocities
         Angles and angular velocities of these coordinates, rad and rad/s.
     step
@@ -89,6 +93,8 @@ class Context:
         Parameters of the plain model, from which effects take thresholds and normalisation.
     paths
         Paths of the plain model.
+    envelopes
+        Coefficients of the envelope of each muscle, see `EmgSpline`.
     paretic
         Whether the leg is paretic; None if unknown.
     undriven_muscles
@@ -119,6 +125,7 @@ class Context:
     muscle_channels: tuple[int, ...]
     coordinates: tuple[str, ...]
     trials: tuple[str, ...]
+    recordings: tuple[str, ...]
     angles: Kinematics
     velocities: Kinematics
     step: Float[np.ndarray, " trial"]
@@ -127,6 +134,7 @@ class Context:
     padding: int
     parameters: ModelParameters
     paths: PathState
+    envelopes: Float[Array, "muscle trial 4 interval"]
     paretic: bool | None = None
     undriven_muscles: UndrivenMuscles | None = None
     no_undriven_muscles: str = "every muscle of this leg has an EMG channel"
@@ -154,6 +162,25 @@ class Context:
         """Phase of each frame: 0 at the start of a cycle, 1 at its end."""
         return np.linspace(0.0, 1.0, self.angles.shape[-1])
 
+    @property
+    def conditions(self) -> dict[str, Bool[np.ndarray, " trial"]]:
+        """Cycles of each recording, and of each walking speed of several recordings, by a label.
+
+        The labels are those of all cycles (`reference`). A single cycle is no condition: an error in it
+        cannot be told from noise. Empty where all cycles were recorded under one condition.
+        """
+        every = self.reference
+        groups = {f"in {name} only": np.array(every.recordings) == name for name in every.recordings}
+        for speed in every.speeds:
+            groups.setdefault(f"at {speed:.2f} m/s only", every.speeds == speed)
+        masks: dict[str, Bool[np.ndarray, " trial"]] = {}
+        for label, cycles in groups.items():
+            known = any(np.array_equal(cycles, other) for other in masks.values())
+            if not known and _FEWEST_CYCLES <= cycles.sum() < len(cycles):
+                masks[label] = cycles
+        own = [every.trials.index(name) for name in self.trials]
+        return {label: cycles[own] for label, cycles in masks.items()}
+
     def muscle_rows(self, names: Sequence[str]) -> list[int]:
         """Find the rows of muscles by their names without side (`standard_name`), of those that there are."""
         return [row for row, muscle in enumerate(self.muscles) if standard_name(muscle) in names]
@@ -172,12 +199,14 @@ class Context:
         return replace(
             self,
             trials=tuple(self.trials[number] for number in chosen),
+            recordings=tuple(self.recordings[number] for number in chosen),
             angles=self.angles[chosen],
             velocities=self.velocities[chosen],
             step=self.step[chosen],
             speeds=self.speeds[chosen],
             order=self.order[chosen],
             paths=_select_paths(self.paths, keep),
+            envelopes=self.envelopes[:, keep],
             undriven_muscles=undriven,
             paths_by_angle=None
             if self.paths_by_angle is None

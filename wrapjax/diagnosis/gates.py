@@ -28,6 +28,10 @@ LEVEL = 0.95
 AGREEMENT = 0.8
 #: Largest effect size in prior standard deviations, and share of the limit at which a size counts as at it.
 MOST_DEVIATIONS, AT_LIMIT = 3.0, 0.99
+#: Accuracy of joint moments by inverse dynamics, relative to the standard deviation of the measured moments.
+#: A smaller error says nothing of the model: errors of inverse dynamics in gait are larger than this (review:
+#: Camomilla et al. 2017, doi:10.1186/s12938-017-0396-x).
+MOMENT_ACCURACY = 0.04
 #: Evidence (nats) by which another effect has to lead a part of a recording to contradict a claim; strong
 #: evidence by Kass & Raftery 1995 (doi:10.1080/01621459.1995.10476572).
 CONTRADICTION = 3.0
@@ -47,7 +51,8 @@ class Adequate:
         Root mean square of the repeatable error with the claimed effects, N m.
     floor_rms
         95th percentile of that of null replicates, fitted with the same effects, times a factor that was
-        found on people with nothing amiss (`DecisionConstants.adequacy_factor`), N m.
+        found on people with nothing amiss (`DecisionConstants.adequacy_factor`), N m; not less than the
+        accuracy of the measured moments (`moment_accuracy`).
     """
 
     left_rms: float
@@ -109,6 +114,8 @@ class Stable:
 @dataclass(frozen=True)
 class Specific:
     """Whether the effect shrinks the error on unseen cycles more than sham effects do.
+
+    Effects of single cycles cannot be predicted in unseen cycles, and are not held to this gate.
 
     Parameters
     ----------
@@ -206,7 +213,8 @@ def examine(
         [none, *(scaled_signatures(linearized, scores.by_id[id]) for id in claim.together)]
     )
     about_fit = linearized if claim.residual is None else replace(linearized, residual=claim.residual)
-    adequate = adequacy(model, about_fit, null_residuals, signatures, adequacy_factor)
+    accuracy = moment_accuracy(recorded.measured_moment_sd)
+    adequate = adequacy(model, about_fit, null_residuals, signatures, adequacy_factor, accuracy)
     if not claim.together:
         return Gates(adequate)
     return Gates(
@@ -225,6 +233,7 @@ def adequacy(
     null_residuals: Float[np.ndarray, "replicate row"],
     signatures: ScaledSignatures,
     factor: float = 1.0,
+    accuracy: float = 0.0,
 ) -> Adequate:
     """Compare the repeatable error that is left with that of null replicates, fitted in the same way.
 
@@ -236,14 +245,21 @@ def adequacy(
         Residuals of null replicates, N m.
     signatures
         Signatures of one prior standard deviation of the claimed effects, N m.
-    factor
+    factor, accuracy
         See `Adequate`.
     """
     residuals = np.concatenate(
         [linearized.residual[None], null_residuals.reshape(-1, *linearized.residual.shape)]
     )
     own, *others = repeatable_rms(model.adding(signatures).fit(residuals), linearized.speeds)
-    return Adequate(float(own), factor * float(np.quantile(others, LEVEL)) if others else np.inf)
+    if not others:
+        return Adequate(float(own), np.inf)
+    return Adequate(float(own), max(factor * float(np.quantile(others, LEVEL)), accuracy))
+
+
+def moment_accuracy(measured_moment_sd: Float[np.ndarray, " coordinate"]) -> float:
+    """Compute the accuracy of the measured moments as a root mean square over coordinates, N m."""
+    return MOMENT_ACCURACY * float(np.sqrt(np.mean(np.square(measured_moment_sd))))
 
 
 def plausibility(sizes: Sequence[tuple[str, float, float]]) -> Plausible:
@@ -357,8 +373,10 @@ def specificity(
     linearized: LinearizedModel,
     recorded: Recorded,
     signatures: ScaledSignatures,
-) -> Specific:
+) -> Specific | None:
     """Compare the shrinkage of the error on unseen cycles by an effect with that by sham effects.
+
+    None for an effect each of whose parameters concerns a single cycle.
 
     Parameters
     ----------
@@ -369,6 +387,8 @@ def specificity(
     signatures
         Signatures of one prior standard deviation of the effect, N m.
     """
+    if (np.count_nonzero(signatures.any(axis=(2, 3)), axis=1) < 2).all():
+        return None
     drawn = sham_effects(len(signatures), recorded.angles, recorded.velocities, linearized.muscle_errors.arms)
     shams = [model.whitened(scaled_like(one, signatures, model)) for one in drawn]
     cycles = UnseenCycles(model.columns, model.whitened(linearized.residual[None])[..., 0], recorded.blocks)

@@ -17,6 +17,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.special import logsumexp
 
 from wrapjax.diagnosis.error_sources import (
     InputErrors,
@@ -71,6 +72,21 @@ def nulls(
         # Exponential priors: larger errors are less plausible.
         log_prior = -force / EXPECTED_FORCE_ERROR - error / EXPECTED_REPEATABLE_ERROR
         yield Null(fixed + force**2 * by_force + error**2 * repeatable, log_prior)
+
+
+def structured_evidence(null_weights: Float[np.ndarray, " null"]) -> float:
+    """Compute the log posterior odds of a large repeatable error of unknown cause against smaller ones, nats.
+
+    Only an error that matters beside the effects speaks for an unknown cause. In recordings with little noise
+    the evidence for a small one is strong as well.
+
+    Parameters
+    ----------
+    null_weights
+        Log posterior probability of each of the `nulls`, up to a constant.
+    """
+    by_error = logsumexp(null_weights.reshape(len(FORCE_ERRORS), len(REPEATABLE_ERRORS)), axis=0)
+    return float(by_error[-1] - logsumexp(by_error[:-1]))
 
 
 def fixed_covariance(linearized: LinearizedModel) -> Matrix:

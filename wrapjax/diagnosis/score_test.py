@@ -126,11 +126,6 @@ class ScoreTest:
     scores: tuple[Score, ...]
     null_weights: Float[np.ndarray, " null"]
 
-    @property
-    def structured_evidence(self) -> float:
-        """Log Bayes factor of all nulls against the first, with the smallest unexplained errors, nats."""
-        return float(logsumexp(self.null_weights) - self.null_weights[0])
-
 
 def score_each(
     residuals: Float[np.ndarray, "sample row"], nulls: Iterable[Null], candidates: Sequence[Candidate]

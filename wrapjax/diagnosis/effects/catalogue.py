@@ -17,6 +17,7 @@ from wrapjax.diagnosis.effects.emg import (
     POSTURE_DEPENDENT_GAIN,
     SPEED_DEPENDENT_DELAY,
 )
+from wrapjax.diagnosis.effects.emg_channels import EMG_CHANNEL_LOSS, EMG_CHANNEL_SWAP
 from wrapjax.diagnosis.effects.fiber import (
     ACTIVATION_DEPENDENT_FIBER_LENGTH,
     FORCE_ENHANCEMENT,
@@ -71,6 +72,8 @@ DEFINITIONS: tuple[EffectDefinition, ...] = (
     ANKLE_FOOT_ORTHOSIS,
     MISSING_DRIVE,
     SPEED_DEPENDENT_DELAY,
+    EMG_CHANNEL_SWAP,
+    EMG_CHANNEL_LOSS,
     EMG_DRIFT,
     EMG_SMOOTHING,
     EMG_CROSSTALK,

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.diagnosis.context import Context, MeasuredChange
 from wrapjax.diagnosis.effects.effect import (
@@ -111,6 +111,9 @@ class EffectDefinition:
         reason for which an effect is not testable.
     experiment
         Experiment that shows by itself whether the effect is present; None if there is none.
+    in_one_condition
+        Whether an effect that changes nothing but the measured moments may also be present in one recording
+        or at one walking speed only (`Context.conditions`): each of these is a further variant.
     negative_control, nuisance, reported
         See `Effect`.
     to_reported
@@ -133,6 +136,7 @@ class EffectDefinition:
     variants: Callable[[Context], tuple[Variant, ...]] | None = None
     requirements: tuple[Requirement, ...] = ()
     experiment: Experiment | None = None
+    in_one_condition: bool = False
     negative_control: bool = False
     nuisance: bool = False
     reported: tuple[tuple[str, str], ...] = ()
@@ -176,10 +180,22 @@ class EffectDefinition:
 
     def _measured_variants(self, context: Context) -> tuple[Variant, ...]:
         paths = context.path_changes.get(self.id, {})
-        return tuple(
-            Variant(Partial(_change_measurement, change, paths.get(label)), label)
-            for label, change in context.measured_changes.get(self.id, {}).items()
-        )
+        conditions = context.conditions if self.in_one_condition else {}
+        variants = []
+        for label, change in context.measured_changes.get(self.id, {}).items():
+            variants.append(Variant(Partial(_change_measurement, change, paths.get(label)), label))
+            for condition, cycles in conditions.items():
+                in_cycles = Partial(_change_cycles, change, jnp.asarray(cycles))
+                variants.append(
+                    Variant(Partial(_change_measurement, in_cycles, None), f"{label} {condition}".strip())
+                )
+        return tuple(variants)
+
+
+def _change_cycles(
+    change: MeasuredChange, cycles: Bool[Array, " trial"], effect_sizes: EffectSizes
+) -> Float[Array, "trial coordinate frame"]:
+    return change(effect_sizes) * cycles[:, None, None]
 
 
 def _change_measurement(

@@ -37,48 +37,59 @@ _SHARE_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _AVERAGING_WIDTH) *
 _CONSTANT = 3
 
 
-def _driving_channels(context: Context) -> tuple[str, ...]:
+def driving_channels(context: Context) -> tuple[str, ...]:
     """Select the channels that drive a muscle, in their order."""
     return tuple(name for number, name in enumerate(context.channels) if number in context.muscle_channels)
 
 
-def _channel_of_muscle(context: Context) -> Int[Array, " muscle"]:
-    """Find the place among `_driving_channels` of the channel that drives each muscle."""
+def channel_of_muscle(context: Context) -> Int[Array, " muscle"]:
+    """Find the place among `driving_channels` of the channel that drives each muscle."""
     used = sorted(set(context.muscle_channels))
     return jnp.asarray([used.index(channel) for channel in context.muscle_channels])
 
 
 def _each_channel(context: Context) -> Iterable[dict[str, str]]:
-    return [{"channel": channel} for channel in _driving_channels(context)]
+    return [{"channel": channel} for channel in driving_channels(context)]
 
 
 # ---- Drift
 
 
 def _emg_drift(context: Context) -> tuple[Variant, ...]:
-    middle = jnp.asarray(context.reference.order.mean())
-    return (Variant(Partial(_undo_drift, _channel_of_muscle(context), jnp.asarray(context.order), middle)),)
+    conditions = context.reference.conditions
+    courses = {
+        "": (context.order, context.reference.order),
+        **{label: (cycles, conditions[label]) for label, cycles in context.conditions.items()},
+    }
+    channel_of = channel_of_muscle(context)
+    return tuple(
+        Variant(
+            Partial(_undo_drift, channel_of, jnp.asarray(course, float), jnp.asarray(every.mean())), label
+        )
+        for label, (course, every) in courses.items()
+    )
 
 
 def _undo_drift(
     channel_of: Int[Array, " muscle"],
-    order: Float[Array, " trial"],
-    middle: Float[Array, ""],
+    course: Float[Array, " trial"],
+    mean: Float[Array, ""],
     effect_sizes: EffectSizes,
 ) -> Alteration:
-    """Divide by the recorded gain of each cycle relative to that in the middle of the session."""
+    """Divide by the recorded gain of each cycle relative to that at the mean of the course."""
     change = effect_sizes[channel_of][:, None]
-    return Alteration(emg=Partial(_multiply_emg, (1.0 + change * middle) / (1.0 + change * order[None])))
+    return Alteration(emg=Partial(_multiply_emg, (1.0 + change * mean) / (1.0 + change * course[None])))
 
 
 def _multiply_emg(gain: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
     return replace(emg, coefficients=emg.coefficients * gain[:, :, None, None])
 
 
-# The mean gain over the cycles is unchanged: calibration determines that one.
+# The mean gain over the cycles is unchanged: calibration determines that one. The gain drifts from the first
+# cycle to the last, or differs in one recording or at one speed.
 EMG_DRIFT = EffectDefinition(
     id="emg_drift",
-    meaning="a channel's gain changes from the first cycle to the last",
+    meaning="a channel's gain changes during the session",
     family="emg",
     requirements=(
         Requirement(
@@ -97,7 +108,7 @@ EMG_DRIFT = EffectDefinition(
             unit="1",
             prior_sd=0.30,
             sign=0,
-            meaning="change of the recorded gain of {channel} from the first cycle to the last",
+            meaning="change of the recorded gain of {channel}, from first to last cycle or in one condition",
             source="30 % a session",
             limit=0.9,
             part="{channel}",
@@ -112,19 +123,25 @@ EMG_DRIFT = EffectDefinition(
 
 
 def _emg_offset(context: Context) -> tuple[Variant, ...]:
-    return (Variant(Partial(_remove_offset, _channel_of_muscle(context))),)
+    everywhere = np.ones(len(context.trials), dtype=bool)
+    return tuple(
+        Variant(Partial(_remove_offset, channel_of_muscle(context), jnp.asarray(cycles, float)), label)
+        for label, cycles in {"": everywhere, **context.conditions}.items()
+    )
 
 
-def _remove_offset(channel_of: Int[Array, " muscle"], effect_sizes: EffectSizes) -> Alteration:
-    return Alteration(emg=Partial(_subtract_from_emg, effect_sizes[channel_of]))
+def _remove_offset(
+    channel_of: Int[Array, " muscle"], cycles: Float[Array, " trial"], effect_sizes: EffectSizes
+) -> Alteration:
+    return Alteration(emg=Partial(_subtract_from_emg, effect_sizes[channel_of][:, None] * cycles[None]))
 
 
-def _subtract_from_emg(offset: Float[Array, " muscle"], emg: EmgSpline) -> EmgSpline:
-    coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, None, None])
+def _subtract_from_emg(offset: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
+    coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, :, None])
     return replace(emg, coefficients=coefficients)
 
 
-# Noise and resting level, which normalisation scales with the signal.
+# Noise and resting level, which normalisation scales with the signal; in all recordings or in one.
 EMG_OFFSET = EffectDefinition(
     id="emg_offset",
     meaning="envelopes do not come down to zero at rest",
@@ -190,7 +207,7 @@ EMG_SMOOTHING = EffectDefinition(
 def _neighboring_channels(context: Context) -> list[tuple[str, str]]:
     """Pairs of channels over neighboring muscles: the one that records, the one that it records too."""
     regions = {
-        channel: region_of(context.muscles[first]) for channel, first in _first_muscles(context).items()
+        channel: region_of(context.muscles[first]) for channel, first in first_muscles(context).items()
     }
     return [
         (into, source)
@@ -200,18 +217,18 @@ def _neighboring_channels(context: Context) -> list[tuple[str, str]]:
     ]
 
 
-def _first_muscles(context: Context) -> dict[str, int]:
+def first_muscles(context: Context) -> dict[str, int]:
     """Find the first muscle that each channel drives."""
-    channel_of = _channel_of_muscle(context).tolist()
-    return {channel: channel_of.index(number) for number, channel in enumerate(_driving_channels(context))}
+    channel_of = channel_of_muscle(context).tolist()
+    return {channel: channel_of.index(number) for number, channel in enumerate(driving_channels(context))}
 
 
 def _emg_crosstalk(context: Context) -> tuple[Variant, ...]:
-    channels, first_muscle = _driving_channels(context), _first_muscles(context)
+    channels, first_muscle = driving_channels(context), first_muscles(context)
     pairs = _neighboring_channels(context)
     into = jnp.asarray([channels.index(into) for into, _ in pairs])
     source = jnp.asarray([first_muscle[source] for _, source in pairs])
-    return (Variant(Partial(_remove_crosstalk, _channel_of_muscle(context), into, source)),)
+    return (Variant(Partial(_remove_crosstalk, channel_of_muscle(context), into, source)),)
 
 
 def _remove_crosstalk(
@@ -280,7 +297,7 @@ class ExcitationGain(MuscleAlteration):
 
 
 def _posture_dependent_gain(context: Context) -> tuple[Variant, ...]:
-    channel_of = _channel_of_muscle(context)
+    channel_of = channel_of_muscle(context)
     arms = np.abs(np.asarray(context.reference.paths.moment_arm)).mean(axis=(1, 3))
     joint = np.array(
         [arms[np.asarray(channel_of) == channel_of[row]].sum(axis=0).argmax() for row in range(len(arms))]

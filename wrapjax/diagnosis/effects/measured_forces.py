@@ -54,6 +54,7 @@ COP_OFFSET = EffectDefinition(
         ),
     ),
     moment_derivatives=_moments_by_cop_offset,
+    in_one_condition=True,
     experiment=ROD_ON_PLATE,
 )
 
@@ -83,6 +84,7 @@ FORCE_LATENCY = EffectDefinition(
         ),
     ),
     moment_derivatives=_moments_by_latency,
+    in_one_condition=True,
     experiment=SYNC_PULSE,
 )
 

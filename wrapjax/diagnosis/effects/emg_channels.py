@@ -1,0 +1,158 @@
+"""Effects of EMG channels that were exchanged, or lost in one recording."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import replace
+
+import jax.numpy as jnp
+from jax.tree_util import Partial
+from jaxtyping import Array, Float, Int
+
+from wrapjax.diagnosis.context import Context
+from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
+from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
+from wrapjax.diagnosis.effects.emg import channel_of_muscle, driving_channels, first_muscles
+from wrapjax.diagnosis.effects.experiments import REPEATED_FIRST_TRIAL, SINGLE_MUSCLE_CONTRACTIONS
+from wrapjax.model.alteration import Alteration
+from wrapjax.muscle.excitation import EmgSpline
+
+#: Effect size of an exchanged or lost channel is one; smaller ones let the fit move towards it.
+_PRIOR_SD, _LIMIT = 0.5, 1.25
+
+# ---- Exchanged channels
+
+
+def _pairs(context: Context) -> list[tuple[str, str]]:
+    return list(itertools.combinations(driving_channels(context), 2))
+
+
+def _emg_channel_swap(context: Context) -> tuple[Variant, ...]:
+    channels, first_muscle = driving_channels(context), first_muscles(context)
+    pairs = _pairs(context)
+    numbers = jnp.asarray([[channels.index(name) for name in pair] for pair in pairs])
+    sources = jnp.asarray([[first_muscle[name] for name in pair] for pair in pairs])
+    return (Variant(Partial(_exchange, channel_of_muscle(context), numbers, sources)),)
+
+
+def _exchange(
+    channel_of: Int[Array, " muscle"],
+    pairs: Int[Array, "pair 2"],
+    sources: Int[Array, "pair 2"],
+    effect_sizes: EffectSizes,
+) -> Alteration:
+    """Give the channels of each pair the other's envelope; a pair's first muscles represent its channels."""
+    count = channel_of.size
+    taken = jnp.zeros((count, count))
+    lost = jnp.zeros(count)
+    for own, other in ((0, 1), (1, 0)):
+        taken = taken.at[pairs[:, own], sources[:, other]].add(effect_sizes)
+        lost = lost.at[pairs[:, own]].add(effect_sizes)
+    return Alteration(emg=Partial(_mix_channels, lost[channel_of], taken[channel_of]))
+
+
+def _mix_channels(
+    lost: Float[Array, " muscle"], taken: Float[Array, "muscle muscle"], emg: EmgSpline
+) -> EmgSpline:
+    others = jnp.einsum("mn,ntpi->mtpi", taken, emg.coefficients)
+    return replace(emg, coefficients=emg.coefficients * (1.0 - lost)[:, None, None, None] + others)
+
+
+EMG_CHANNEL_SWAP = EffectDefinition(
+    id="emg_channel_swap",
+    meaning="two EMG channels were exchanged",
+    family="emg",
+    requirements=(
+        Requirement(
+            "two channels that drive muscles",
+            lambda context: "" if _pairs(context) else "one channel alone cannot be exchanged",
+        ),
+    ),
+    parameters=(
+        RepeatedParameter(
+            repetitions=lambda context: [
+                {"first": first, "second": second} for first, second in _pairs(context)
+            ],
+            name="{first}_with_{second}",
+            unit="1",
+            prior_sd=_PRIOR_SD,
+            sign=1,
+            meaning="share of {first} and {second} that each has of the other; 1 where they are exchanged",
+            source="1 for channels that are exchanged",
+            limit=_LIMIT,
+            part="{first}_with_{second}",
+        ),
+    ),
+    variants=_emg_channel_swap,
+    experiment=SINGLE_MUSCLE_CONTRACTIONS,
+)
+
+
+# ---- Channels lost in one recording
+
+
+def _one_condition(context: Context) -> str:
+    if context.reference.conditions:
+        return ""
+    return "all cycles were recorded under one condition, or each recording has one cycle only"
+
+
+def _emg_channel_loss(context: Context) -> tuple[Variant, ...]:
+    every = context.reference
+    return tuple(
+        Variant(
+            Partial(
+                _restore,
+                channel_of_muscle(context),
+                jnp.asarray(cycles, float),
+                every.envelopes[:, ~every.conditions[label]].mean(axis=1),
+            ),
+            label,
+        )
+        for label, cycles in context.conditions.items()
+    )
+
+
+def _restore(
+    channel_of: Int[Array, " muscle"],
+    cycles: Float[Array, " trial"],
+    envelope: Float[Array, "muscle 4 interval"],
+    effect_sizes: EffectSizes,
+) -> Alteration:
+    share = effect_sizes[channel_of][:, None] * cycles[None]
+    return Alteration(emg=Partial(_replace_share, share[..., None, None], envelope[:, None]))
+
+
+def _replace_share(
+    share: Float[Array, "muscle trial 1 1"], envelope: Float[Array, "muscle 1 4 interval"], emg: EmgSpline
+) -> EmgSpline:
+    return replace(emg, coefficients=emg.coefficients + share * (envelope - emg.coefficients))
+
+
+def _each_channel(context: Context) -> Iterable[dict[str, str]]:
+    return [{"channel": channel} for channel in driving_channels(context)]
+
+
+# The envelope that was lost is estimated by the mean of the other cycles at the same phase.
+EMG_CHANNEL_LOSS = EffectDefinition(
+    id="emg_channel_loss",
+    meaning="a channel did not record its muscle in one recording or at one speed",
+    family="emg",
+    requirements=(Requirement("two recordings or walking speeds of several cycles each", _one_condition),),
+    parameters=(
+        RepeatedParameter(
+            repetitions=_each_channel,
+            name="lost_{channel}",
+            unit="1",
+            prior_sd=_PRIOR_SD,
+            sign=1,
+            meaning="share of {channel} that was not recorded; 1 where the electrode had come off",
+            source="1 for an electrode that has come off",
+            limit=_LIMIT,
+            part="{channel}",
+        ),
+    ),
+    variants=_emg_channel_loss,
+    experiment=REPEATED_FIRST_TRIAL,
+)
