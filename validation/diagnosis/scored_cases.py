@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,8 @@ class ScoredCase:
         Gate for an adequate plain model, with a factor of one; and the accuracy of the moments, N m.
     claim
         What the gates need for a claim of the strongest effect; None if it was not computed.
+    detectability
+        d' of each effect of its prior size, see `Score`.
     """
 
     truth: dict[str, Any]
@@ -58,6 +60,7 @@ class ScoredCase:
     plain: Adequate = _ADEQUATE
     accuracy: float = 0.0
     claim: StrongestEffect | None = None
+    detectability: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def left(self) -> float:
@@ -174,6 +177,7 @@ def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
         plain,
         moment_accuracy(own.recorded.measured_moment_sd),
         claim,
+        {id: one.detectability for id, one in scores.by_id.items()},
     )
 
 

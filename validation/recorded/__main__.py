@@ -1,35 +1,84 @@
-"""Diagnosis of known errors added to recorded walking: ``python -m validation.recorded --out DIR``.
+"""Scores of recorded walking and running with known errors: ``python -m validation.recorded --out DIR``.
 
-The recording is ``$WRAPJAX_DATA/s1_left`` (or ``--subject``). Injections (delay, drift, crosstalk, a spring,
-each at half, once and twice the prior standard deviation) are scored in linearized models and compared with
-the original recording: the increase of each effect's evidence, and whether that of the injected effect
-increases most. Their calibrations start from the model's initial values and from the result of the original
-recording. Knock-outs (a hidden electrode, a wrong mass, other filters) are diagnosed completely. One JSON
-file for each variant is stored in DIR, so that an interrupted run can be continued; the table and
-`summary.json` include all stored variants.
+The true cause in a recording of a person is unknown, but an added error is known. Every recording is scored
+untouched and with each error that is possible in it (`manipulations_of`), in linearised models. The tables
+show by how much the evidence of the added effect rises over the untouched recording, which effect's rises
+most, and what the decision and the gates of linearised fits leave of it. Linearised models are stored in DIR,
+so that an interrupted run can be continued.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import os
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import calibration_fingerprint
-from validation.recorded.injected_errors import Variant, injections, knock_outs, write_variant
+from validation.diagnosis.left_out_worlds import decision_on
+from validation.diagnosis.linearizations import Job, linearize_case, load
+from validation.diagnosis.scored_cases import score_case
+from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
+from wrapjax.cohorts.scheduling import run_jobs
+from wrapjax.diagnosis.decision import DecisionConstants
+from wrapjax.diagnosis.families import family_of
 from wrapjax.errors import InputError, Problem
 
-ORIGINAL = Variant("untouched", "as it was recorded", list, None)
-#: Magnitude for the target, and target share of cases in which the injected effect increases most.
-LARGEST, TARGET = "2", 0.8
+#: Folders of $WRAPJAX_DATA that are used by default.
+PEOPLE = ("s1_left", "healthy_treadmill", "healthy_running")
+UNTOUCHED = Manipulation("untouched", "as it was recorded", list, None)
+#: Target share of manipulations whose effect or family rises most, and largest share that is named wrongly.
+TARGET, WRONG = 0.80, 0.03
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Row:
+    """Result of one manipulation.
+
+    Parameters
+    ----------
+    person, says, effect
+        Name of the person's folder, description of the change, and the effect that should be found.
+    detectability
+        d' of the effect at its prior size in the untouched recording; None where it is not testable.
+    rise
+        Increase of the evidence of each effect over the untouched recording, nats, the largest first.
+    outcome, accepted, family
+        What the decision says: its outcome, named or tied effects, and the family; all by linearised fits.
+    """
+
+    person: str
+    says: str
+    effect: str
+    detectability: float | None
+    rise: Mapping[str, float]
+    outcome: str
+    accepted: tuple[str, ...]
+    family: str
+
+    @property
+    def first(self) -> str:
+        """Effect whose evidence rises most."""
+        return next(iter(self.rise))
+
+    @property
+    def right(self) -> bool:
+        """Whether the effect that rises most is the added one, or of its family."""
+        return family_of(self.first) == family_of(self.effect)
+
+    @property
+    def named_wrongly(self) -> bool:
+        """Whether something is named or tied that neither is the added effect nor has its family."""
+        claimed = {*map(family_of, self.accepted), *([self.family] if self.family else [])}
+        return bool(claimed) and family_of(self.effect) not in claimed
 
 
 def main() -> int:
@@ -37,162 +86,157 @@ def main() -> int:
     # JAX reads the thread counts once, when it is imported.
     pin_threads()
     try:
-        _run(options)
-    except InputError as error:
+        jobs: dict[str, tuple[Manipulation, Job]] = {}
+        for person in options.subjects:
+            jobs |= _jobs(person, options)
+        failed = _linearize(jobs, options.workers)
+        rows = [row for person in options.subjects for row in _rows(person, jobs)]
+    except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    return 0
+    print(table(rows), end="")
+    return 1 if failed else 0
 
 
-def _run(options: argparse.Namespace) -> None:
+def _jobs(person: Path, options: argparse.Namespace) -> dict[str, tuple[Manipulation, Job]]:
+    """Write the folders of a person that are requested, by the name of person and manipulation."""
     from wrapjax.subject.subject import load_subject
 
-    injected, knocked = injections(load_subject(options.subject).side), knock_outs()
-    selected = _select(options.only, [*injected, *knocked])
-    # Import JAX after the arguments are checked.
-    from validation.recorded.variant_results import diagnosed, scored
-    from wrapjax.io.files import write_json
-    from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
-
-    set_up_jax()
-    source, starts = options.subject, options.starts
-    options.out.mkdir(parents=True, exist_ok=True)
-    before = _cached(ORIGINAL, options, partial(scored, starts=starts, beside=()))
-    for variant in selected:
-        if variant in injected:
-            compute = partial(scored, starts=starts, beside=before["variables"])
-        else:
-            compute = partial(diagnosed, starts=starts, whole=source, hidden=variant.hidden)
-        _cached(variant, options, compute)
-        clear_caches_near_map_limit()
-    found = ((one.name, _read_stored(one, options)) for one in [*injected, *knocked])
-    # Results of another version of the package are not comparable.
-    code = before["question"]["code"]
-    kept = {name: one for name, one in found if one is not None and one["question"]["code"] == code}
-    summary = summarize(before, [*injected, *knocked], kept)
-    write_json(options.out / "summary.json", summary)
-    print(as_text(summary), end="")
+    load_subject(person)
+    possible = {one.name: one for one in manipulations_of(person, options.magnitudes)}
+    if unknown := [name for name in options.only or () if name not in possible]:
+        hint = f"there are {', '.join(possible)}"
+        raise InputError(Problem("--only", f"{person.name} has no manipulation '{unknown[0]}'", hint=hint))
+    jobs = {}
+    for one in (UNTOUCHED, *(possible[name] for name in options.only or possible)):
+        name = f"{person.name}.{one.name}"
+        folder = (options.out / "subjects" / name).resolve()
+        write_manipulation(person, folder, one)
+        file = (options.out / "linearized" / f"{name}.npz").resolve()
+        jobs[name] = (one, Job(folder, file, options.starts))
+    return jobs
 
 
-def _select(names: Sequence[str] | None, variants: Sequence[Variant]) -> list[Variant]:
-    known = {one.name: one for one in variants}
-    if unknown := [name for name in names or () if name not in known]:
-        hint = f"there are {', '.join(known)}"
-        raise InputError(Problem("--only", f"there is no variant '{unknown[0]}'", hint=hint))
-    return [known[name] for name in names or known]
-
-
-def _cached(
-    variant: Variant, options: argparse.Namespace, compute: Callable[[Path], dict[str, Any]]
-) -> dict[str, Any]:
-    """Compute the result of a variant, or read it if its inputs are unchanged."""
+def _linearize(jobs: Mapping[str, tuple[Manipulation, Job]], workers: int) -> int:
+    """Linearise what is not yet linearised with this code and these files; return how many failed."""
     from wrapjax.io.files import write_json
 
-    began = time.perf_counter()
-    folder = options.out / "subjects" / variant.name
-    write_variant(options.subject, folder, variant)
-    question = {**calibration_fingerprint(folder), "starts": options.starts}
-    kept = _read_stored(variant, options)
-    if kept is None or kept["question"] != question:
-        kept = {"question": question, **compute(folder)}
-        write_json(options.out / f"{variant.name}.json", kept)
-    seconds = time.perf_counter() - began
-    print(f"{variant.name}: {variant.says} ({seconds:.0f} s)", file=sys.stderr, flush=True)
-    return kept
+    open_jobs, questions = {}, {}
+    for name, (_, job) in jobs.items():
+        questions[name] = {**calibration_fingerprint(job.case), "starts": job.starts}
+        beside = job.file.with_suffix(".json")
+        known = json.loads(beside.read_text(encoding="utf-8")) if beside.exists() else None
+        if known != questions[name] or not job.file.exists():
+            job.file.unlink(missing_ok=True)
+            job.file.parent.mkdir(parents=True, exist_ok=True)
+            open_jobs[name] = job
+    failed = 0
+    for number, one in enumerate(
+        run_jobs(linearize_case, open_jobs, workers=workers) if open_jobs else (), 1
+    ):
+        failed += bool(one.failure)
+        if not one.failure:
+            write_json(jobs[one.name][1].file.with_suffix(".json"), questions[one.name])
+        text = one.failure or one.value
+        print(f"{number}/{len(open_jobs)} {one.name}: {text}", file=sys.stderr, flush=True)
+    return failed
 
 
-def _read_stored(variant: Variant, options: argparse.Namespace) -> dict[str, Any] | None:
-    file = options.out / f"{variant.name}.json"
-    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
-
-
-def summarize(
-    before: Mapping[str, Any], variants: Sequence[Variant], kept: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Summarize all stored variants, and how often the evidence of the injected effect increased most."""
+def _rows(person: Path, jobs: Mapping[str, tuple[Manipulation, Job]]) -> list[Row]:
+    """Score the untouched recording of a person and all others."""
+    constants = DecisionConstants.shipped()
+    before: Mapping[str, float] = {}
+    detectable: Mapping[str, float] = {}
     rows = []
-    for variant in variants:
-        found = kept.get(variant.name)
-        if found is None:
+    for name, (manipulation, job) in jobs.items():
+        if name.split(".")[0] != person.name or not job.file.exists():
             continue
-        row: dict[str, Any] = {"name": variant.name, "says": variant.says, "effect": variant.effect}
-        if "evidence" in found:
-            rise = {
-                id: value - before["evidence"][id]
-                for id, value in found["evidence"].items()
-                if id in before["evidence"]
-            }
-            order = sorted(rise, key=lambda id: -rise[id])
-            row |= {
-                "rise": {id: rise[id] for id in order},
-                "first": order[0],
-                "place": order.index(variant.effect) + 1 if variant.effect in rise else None,
-            }
-        else:
-            accepted = {*found["named"], *(id for tie in found["ties"] for id in tie)}
-            row |= {key: found[key] for key in ("outcome", "named", "ties", "drive")}
-            row["found"] = None if variant.effect is None else variant.effect in accepted
-        rows.append(row)
-    largest = [row["place"] for row in rows if "place" in row and row["name"].endswith(f"_{LARGEST}")]
-    share = sum(place == 1 for place in largest) / len(largest) if largest else None
-    return {"schema": 1, "rows": rows, "rose_most_at_twice": share, "of": len(largest), "target": TARGET}
+        truth = {"tier": "none", "causes": [], "ties": [], "d_star": 0.0, "world": person.name}
+        case = score_case(truth, load(job.file))
+        decision = decision_on(case, constants)
+        if manipulation is UNTOUCHED:
+            before, detectable = case.evidence, case.detectability
+            print(f"{person.name}, untouched: {decision.outcome} {', '.join(decision.accepted)}".rstrip())
+            continue
+        assert manipulation.effect is not None
+        rise = {id: value - before[id] for id, value in case.evidence.items() if id in before}
+        rows.append(
+            Row(
+                person=person.name,
+                says=manipulation.says,
+                effect=manipulation.effect,
+                detectability=detectable.get(manipulation.effect),
+                rise={id: rise[id] for id in sorted(rise, key=lambda id: -rise[id])},
+                outcome=decision.outcome,
+                accepted=decision.accepted,
+                family=decision.family,
+            )
+        )
+    return rows
 
 
-def as_text(summary: Mapping[str, Any]) -> str:
-    """Format Markdown tables of injections and knock-outs."""
-    rows = summary["rows"]
+def table(rows: Sequence[Row]) -> str:
+    """Format Markdown tables of all manipulations, and the counts by person and over all."""
     lines = [
-        "| injected error | increase of its evidence (nats) | its rank | largest increase |",
-        "|---|---|---|---|",
+        "| recording | added error | its effect: d' at prior size, rise (nats), rank | largest rise | said |",
+        "|---|---|---|---|---|",
     ]
-    for row in (row for row in rows if "rise" in row):
-        own = row["rise"].get(row["effect"])
-        rise = "not tested" if own is None else f"{own:+.1f}"
-        first = f"`{row['first']}` {row['rise'][row['first']]:+.1f}"
-        lines.append(f"| {row['says']} | {rise} | {row['place'] or '-'} | {first} |")
-    if summary["of"]:
-        share = f"{100 * summary['rose_most_at_twice']:.0f} % of {summary['of']}"
-        said = f"At twice the prior standard deviation the injected effect increased most in {share}"
-        lines += ["", f"{said} (target: {100 * summary['target']:.0f} %)."]
-    drive = "excitation of its muscle group: correlation with EMG, with delay"
-    lines += ["", f"| knocked out | outcome | {drive} |", "|---|---|---|"]
-    for row in (row for row in rows if "outcome" in row):
-        said = f"{row['outcome']} {', '.join(row['named'] or itertools.chain(*row['ties']))}".strip()
-        lines.append(f"| {row['says']} | {said} | {_drive_text(row['drive'])} |")
+    for row in rows:
+        if row.effect in row.rise:
+            rank = list(row.rise).index(row.effect) + 1
+            own = f"`{row.effect}`: {row.detectability or 0.0:.1f}, {row.rise[row.effect]:+.1f}, {rank}"
+        else:
+            own = f"`{row.effect}`: not testable"
+        said = f"{row.outcome} {', '.join([*row.accepted, *([row.family] if row.family else [])])}".strip()
+        first = f"`{row.first}` {row.rise[row.first]:+.1f}"
+        lines.append(f"| {row.person} | {row.says} | {own} | {first} | {said} |")
+    if rows:
+        lines += ["", *_counts(rows)]
     return "\n".join(lines) + "\n"
 
 
-def _drive_text(drive: Mapping[str, Any] | None) -> str:
-    if drive is None:
-        return "-"
-    places = [number for number, one in enumerate(drive["groups"], 1) if one["own"]]
-    if not places:
-        return "no group of the catalogue"
-    own = drive["groups"][places[0] - 1]
-    rank = f"{own['group']}, rank {places[0]} of {len(drive['groups'])} groups"
-    if own["correlation"] is None:
-        return f"no excitation ({rank})"
-    return f"{own['correlation']:.2f}, {own['correlation_delayed']:.2f} ({rank})"
+def _counts(rows: Sequence[Row]) -> list[str]:
+    people = list(dict.fromkeys(row.person for row in rows))
+    by_person = [[row.right for row in rows if row.person == name] for name in people]
+    share = np.mean([row.right for row in rows])
+    # People are the independent units, and not the manipulations of one person.
+    drawn = np.random.default_rng(0).integers(len(people), size=(_RESAMPLES, len(people)))
+    shares = [np.mean(np.concatenate([by_person[place] for place in draw])) for draw in drawn]
+    low, high = np.quantile(shares, [0.025, 0.975])
+    each = ", ".join(f"{name} {sum(own)} of {len(own)}" for name, own in zip(people, by_person, strict=True))
+    constant, times = Counter(family_of(row.effect) for row in rows).most_common(1)[0]
+    wrong = sum(row.named_wrongly for row in rows)
+    return [
+        f"The added effect or its family rises most in {share:.0%} of {len(rows)} "
+        f"({low:.0%} to {high:.0%} by resampling people; target {TARGET:.0%}): {each}.",
+        f"The best constant answer, `{constant}`, would be right in {times / len(rows):.0%}.",
+        f"Named wrongly: {wrong} of {len(rows)} (target at most {WRONG:.0%}).",
+    ]
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m validation.recorded", description=__doc__)
     data = os.environ.get("WRAPJAX_DATA")
     parser.add_argument(
-        "--subject",
+        "--subjects",
         type=Path,
-        default=Path(data) / "s1_left" if data else None,
+        nargs="+",
+        metavar="FOLDER",
+        default=[Path(data) / name for name in PEOPLE] if data else None,
         required=data is None,
-        help="subject folder with separate files for every cycle (default: $WRAPJAX_DATA/s1_left)",
+        help=f"subject folders (default: {', '.join(PEOPLE)} of $WRAPJAX_DATA)",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="variants to run (default: all)")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="manipulations to run (default: all)")
     parser.add_argument(
-        "--starts",
-        type=int,
-        default=4,
-        help="starts of each calibration (default: 4; a diagnosis requires two that agree)",
+        "--magnitudes",
+        type=float,
+        nargs="+",
+        default=[2.0],
+        help="sizes of the added errors in prior standard deviations (default: 2)",
     )
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--starts", type=int, default=2, help="starts of each calibration (default: 2)")
     return parser
 
 

@@ -120,7 +120,8 @@ class Specific:
     Parameters
     ----------
     shrinkage
-        Share of the explainable error on unseen cycles that the claimed effects remove, by linearised fits.
+        Share of the mean square error on unseen cycles that the claimed effects remove, by linearised fits.
+        The error is relative to its standard deviation, and contains the noise of those cycles.
     sham_shrinkage
         95th percentile of the same of sham effects.
     """
@@ -394,11 +395,9 @@ def specificity(
     cycles = UnseenCycles(model.columns, model.whitened(linearized.residual[None])[..., 0], recorded.blocks)
     nothing = np.zeros((*shams[0].shape[:2], 0))
     before, after, *of_shams = cycles.errors([nothing, model.whitened(signatures), *shams])
-    # Noise alone leaves an error of one.
-    explainable = max(before - 1.0, 1e-3 * before)
     return Specific(
-        float((before - after) / explainable),
-        float(np.quantile((before - np.array(of_shams)) / explainable, LEVEL)),
+        float((before - after) / before),
+        float(np.quantile((before - np.array(of_shams)) / before, LEVEL)),
     )
 
 

@@ -1,8 +1,17 @@
-"""Evidence in the linearized model, or complete diagnosis, of a recording with an added error."""
+"""Diagnoses of recorded walking with a hidden electrode, a wrong mass or other filters.
+
+``python -m validation.recorded.knock_outs --out DIR`` diagnoses ``$WRAPJAX_DATA/s1_left`` (or ``--subject``)
+completely, once for each change. For a hidden electrode it compares the estimated excitation of its muscles
+with the EMG that was recorded. Answers are stored in DIR, so that an interrupted run can be continued.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+import itertools
+import os
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,47 +21,51 @@ import numpy as np
 from jaxtyping import Float
 
 import wrapjax
+from benchmarks.machine import pin_threads
+from validation.diagnosis.case_answers import calibration_fingerprint
+from validation.recorded.manipulations import Manipulation, knock_outs, write_manipulation
 from wrapjax.calibration.calibration import Calibration, cached_calibration
-from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
-from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.diagnosis import diagnose_calibrated
 from wrapjax.diagnosis.effects.unrecorded_excitation import drive_over_cycle
-from wrapjax.diagnosis.joint_fit import fit_jointly, joint_problem
-from wrapjax.diagnosis.linearization import LinearizedModel, linearize
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import nulls
 from wrapjax.diagnosis.score_test import Score, score_each
+from wrapjax.errors import InputError
+from wrapjax.io.files import write_json
+from wrapjax.io.json_and_arrays import load_json
+from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 from wrapjax.subject.subject import Subject
 
 #: Phases of a cycle at which excitation is compared with EMG, and the largest delay in phases.
 PHASES, LARGEST_DELAY = 101, 10
 
 
-def scored(folder: Path, starts: int, beside: Sequence[float]) -> dict[str, Any]:
-    """Score every effect of a recording, without refits.
+def main() -> int:
+    options = _parser().parse_args()
+    # JAX reads the thread counts once, when it is imported.
+    pin_threads()
+    set_up_jax()
+    try:
+        rows = [_row(one, options.subject, options.out, options.starts) for one in knock_outs()]
+    except (InputError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(table(rows), end="")
+    return 0
 
-    Parameters
-    ----------
-    folder
-        Subject folder.
-    starts
-        Starts of its calibration.
-    beside
-        Variables of another calibration of the same person, used as an additional starting point.
 
-    Returns
-    -------
-    dict
-        Log Bayes factor (nats) of each effect, the cost, and the calibrated variables.
-    """
-    case = diagnosis_input(_calibrated(wrapjax.load_subject(folder), starts))
-    problem = joint_problem(case.problem, Effects(()), case.variables, np.zeros(0), 0.0)
-    begun = [case.variables, *([np.array(beside)] if len(beside) else [])]
-    fitted = min((fit_jointly(problem, start) for start in begun), key=lambda one: one.cost)
-    linearized = linearize(case, fitted.calibrated)
-    return {
-        "evidence": {one.id: one.evidence for one in _scores(linearized, case.measured_moment_sd)},
-        "cost": float(fitted.cost),
-        "variables": fitted.calibrated.tolist(),
-    }
+def _row(change: Manipulation, source: Path, out: Path, starts: int) -> dict[str, Any]:
+    """Diagnose a change, or read the answer if its inputs are unchanged."""
+    folder, file = out / "subjects" / change.name, out / f"{change.name}.json"
+    write_manipulation(source, folder, change)
+    question = {**calibration_fingerprint(folder), "starts": starts}
+    kept = load_json(file) if file.exists() else None
+    if kept is None or kept["question"] != question:
+        kept = {"question": question, **diagnosed(folder, starts, source, change.hidden)}
+        write_json(file, kept)
+    clear_caches_near_map_limit()
+    print(change.says, file=sys.stderr, flush=True)
+    return {"says": change.says, **kept}
 
 
 def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, Any]:
@@ -61,14 +74,13 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
     Parameters
     ----------
     folder, starts
-        As in `scored`.
+        Subject folder, and starts of its calibration.
     whole
         Subject folder with all electrodes.
     hidden
         Removed channel; empty for none.
     """
-    subject = wrapjax.load_subject(folder)
-    done = diagnose_calibrated(_calibrated(subject, starts))
+    done = diagnose_calibrated(_calibrated(wrapjax.load_subject(folder), starts))
     found = done.result
     out: dict[str, Any] = {
         "outcome": found.outcome,
@@ -84,6 +96,29 @@ def diagnosed(folder: Path, starts: int, whole: Path, hidden: str) -> dict[str, 
             found.linearized, measured_moment_sd, others.groups, wrapjax.load_subject(whole), hidden
         )
     return out
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Format a Markdown table of all changes."""
+    drive = "excitation of its muscle group: correlation with EMG, with delay"
+    lines = [f"| knocked out | outcome | {drive} |", "|---|---|---|"]
+    for row in rows:
+        said = f"{row['outcome']} {', '.join(row['named'] or itertools.chain(*row['ties']))}".strip()
+        lines.append(f"| {row['says']} | {said} | {_drive_text(row['drive'])} |")
+    return "\n".join(lines) + "\n"
+
+
+def _drive_text(drive: Mapping[str, Any] | None) -> str:
+    if drive is None:
+        return "-"
+    places = [number for number, one in enumerate(drive["groups"], 1) if one["own"]]
+    if not places:
+        return "no group of the catalogue"
+    own = drive["groups"][places[0] - 1]
+    rank = f"{own['group']}, rank {places[0]} of {len(drive['groups'])} groups"
+    if own["correlation"] is None:
+        return f"no excitation ({rank})"
+    return f"{own['correlation']:.2f}, {own['correlation_delayed']:.2f} ({rank})"
 
 
 def _calibrated(subject: Subject, starts: int) -> Calibration:
@@ -157,3 +192,22 @@ def correlations(
         float(np.corrcoef(drive[:-1], np.roll(emg[:-1], later))[0, 1]) for later in range(LARGEST_DELAY + 1)
     ]
     return {"correlation": found[0], "correlation_delayed": max(found)}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m validation.recorded.knock_outs", description=__doc__)
+    data = os.environ.get("WRAPJAX_DATA")
+    parser.add_argument(
+        "--subject",
+        type=Path,
+        default=Path(data) / "s1_left" if data else None,
+        required=data is None,
+        help="subject folder with the channels TibPost and GlutMed (default: $WRAPJAX_DATA/s1_left)",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR")
+    parser.add_argument("--starts", type=int, default=4, help="starts of each calibration (default: 4)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
