@@ -138,6 +138,7 @@ def small_recording_and_context() -> tuple[Recording, Context]:
         coordinates=COORDINATES,
         trials=TRIALS,
         recordings=tuple(name.split("/")[0] for name in TRIALS),
+        uses=("calibration",) * len(TRIALS),
         angles=angles,
         velocities=velocities,
         step=step,

@@ -33,6 +33,8 @@ def test_conditions_are_recordings_and_speeds_of_several_cycles():
     assert list(one.conditions) == ["in slow only", "at 0.80 m/s only"]
     mixed = dataclasses.replace(CONTEXT, recordings=("a", "b", "a", "b"))
     assert list(mixed.conditions) == ["in a only", "in b only", "at 0.50 m/s only", "at 0.80 m/s only"]
+    held_out = dataclasses.replace(CONTEXT, uses=("calibration",) * 3 + ("validation",))
+    assert list(held_out.conditions) == ["in slow only"]
     same = dataclasses.replace(CONTEXT, recordings=("a",) * 4, speeds=np.full(4, np.nan))
     assert same.conditions == {}
 

@@ -22,7 +22,7 @@ Kinematics = Float[np.ndarray, "trial coordinate frame"]
 MeasuredChange = Callable[[Float[Array, " parameter"]], Float[Array, "trial coordinate frame"]]
 
 
-#: Fewest cycles of a condition, see `Context.conditions`.
+#: Fewest calibration cycles of a condition, see `Context.conditions`.
 _FEWEST_CYCLES = 2
 
 
@@ -77,8 +77,8 @@ class Context:
         Names of the EMG channels, and number of the channel that drives each muscle.
     coordinates
         Coordinates whose moments are matched.
-    trials, recordings
-        Names of the cycles, and of the recording of each cycle.
+    trials, recordings, uses
+        Names of the cycles, and recording and use (``calibration`` or ``validation``) of each cycle.
     angles, velocities
         Angles and angular velocities of these coordinates, rad and rad/s.
     step
@@ -126,6 +126,7 @@ class Context:
     coordinates: tuple[str, ...]
     trials: tuple[str, ...]
     recordings: tuple[str, ...]
+    uses: tuple[str, ...]
     angles: Kinematics
     velocities: Kinematics
     step: Float[np.ndarray, " trial"]
@@ -166,17 +167,20 @@ class Context:
     def conditions(self) -> dict[str, Bool[np.ndarray, " trial"]]:
         """Cycles of each recording, and of each walking speed of several recordings, by a label.
 
-        The labels are those of all cycles (`reference`). A single cycle is no condition: an error in it
-        cannot be told from noise. Empty where all cycles were recorded under one condition.
+        The labels are those of all cycles (`reference`). A condition has several calibration cycles, as an
+        error in a single one cannot be told from noise. Empty where these were all recorded under one
+        condition.
         """
         every = self.reference
+        calibrating = np.array([use == "calibration" for use in every.uses])
         groups = {f"in {name} only": np.array(every.recordings) == name for name in every.recordings}
         for speed in every.speeds:
             groups.setdefault(f"at {speed:.2f} m/s only", every.speeds == speed)
         masks: dict[str, Bool[np.ndarray, " trial"]] = {}
         for label, cycles in groups.items():
+            count = int(cycles[calibrating].sum())
             known = any(np.array_equal(cycles, other) for other in masks.values())
-            if not known and _FEWEST_CYCLES <= cycles.sum() < len(cycles):
+            if not known and _FEWEST_CYCLES <= count < calibrating.sum():
                 masks[label] = cycles
         own = [every.trials.index(name) for name in self.trials]
         return {label: cycles[own] for label, cycles in masks.items()}
@@ -200,6 +204,7 @@ class Context:
             self,
             trials=tuple(self.trials[number] for number in chosen),
             recordings=tuple(self.recordings[number] for number in chosen),
+            uses=tuple(self.uses[number] for number in chosen),
             angles=self.angles[chosen],
             velocities=self.velocities[chosen],
             step=self.step[chosen],

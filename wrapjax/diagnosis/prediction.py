@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.diagnosis.effects.effect import AlterationFunction, Effects
 from wrapjax.model.alteration import Alteration
-from wrapjax.model.forward import Recording, apply_recording_alterations, joint_moments
+from wrapjax.model.forward import Recording, apply_recording_alterations, joint_moments, muscle_states
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.curves import AbstractCurves
 
@@ -90,12 +91,72 @@ def finite_difference_signatures(
         Effects whose signatures are computed.
     """
     sizes, two_sided = effects.prior_sd, np.array([entry.sign == 0 for entry in effects.parameters])
-    first, last = (np.diag(sign * sizes) for sign in (np.where(two_sided, -1.0, 0.0), np.ones(len(sizes))))
-    low, high = (
-        np.stack([predicted_moments(curves, parameters, recording, effects, row) for row in rows])
-        for rows in (first, last)
-    )
+    high = _changes(curves, parameters, recording, effects, sizes)
+    low = np.zeros_like(high)
+    if two_sided.any():
+        low[two_sided] = _changes(curves, parameters, recording, effects, np.where(two_sided, -sizes, 0.0))[
+            two_sided
+        ]
     return (high - low) / (sizes * np.where(two_sided, 2.0, 1.0))[:, None, None, None]
+
+
+def _changes(
+    curves: AbstractCurves,
+    parameters: ModelParameters,
+    recording: Recording,
+    effects: Effects,
+    sizes: Float[np.ndarray, " parameter"],
+) -> Float[np.ndarray, "parameter trial coordinate frame"]:
+    """Compute the change of the moments by each effect size alone, N m.
+
+    Most parameters change few muscles, and a muscle's moment depends on its own inputs only. Parameters that
+    change different muscles are therefore evaluated together, and parameters that change none, not at all.
+    """
+
+    def inputs_at(number: int | None) -> Inputs:
+        vector = np.zeros(effects.count)
+        if number is not None:
+            vector[number] = sizes[number]
+        split = effects.split(jnp.asarray(vector))
+        return altered_inputs(recording, parameters, effects.alteration_functions, split)
+
+    plain = inputs_at(None)
+    plain_moments, plain_sum = _muscle_moments(curves, parameters, plain)
+    evaluated: list[int] = np.flatnonzero(sizes).tolist()
+    changed = {number: np.asarray(_changed_muscles(plain, inputs_at(number))) for number in evaluated}
+    result = np.zeros((effects.count, *plain_sum.shape))
+    for group in _groups_of_different_muscles(changed):
+        together = plain
+        for number in group:
+            own = inputs_at(number)
+            result[number] = _added_moment(own) - _added_moment(plain)
+            together = _with_muscles_of(together, own, changed[number])
+        if changed[group[0]].any():
+            difference = np.asarray(_muscle_moments(curves, parameters, together)[0] - plain_moments)
+            for number in group:
+                result[number] += difference[changed[number]].sum(axis=0)
+    return result
+
+
+def _groups_of_different_muscles(
+    changed: Mapping[int, Bool[np.ndarray, " muscle"]],
+) -> list[list[int]]:
+    """Group parameters, by their numbers, that change different muscles; those that change none are alone."""
+    groups: list[list[int]] = []
+    taken: list[Bool[np.ndarray, " muscle"]] = []
+    for number, muscles in changed.items():
+        place = next(
+            (place for place, other in enumerate(taken) if muscles.any() and not (other & muscles).any()),
+            None,
+        )
+        if place is None:
+            groups.append([number])
+            # Nothing joins a parameter that changes no muscle.
+            taken.append(muscles.copy() if muscles.any() else ~muscles)
+        else:
+            groups[place].append(number)
+            taken[place] |= muscles
+    return groups
 
 
 # Programs that take long to compile receive EMG, paths and moments as changed by the effects, and not the
@@ -122,6 +183,52 @@ def altered_inputs(
         alteration(sizes) for alteration, sizes in zip(alteration_functions, effect_sizes, strict=True)
     )
     return apply_recording_alterations(recording, parameters, alterations)
+
+
+@eqx.filter_jit
+def _muscle_moments(
+    curves: AbstractCurves, parameters: ModelParameters, inputs: Inputs
+) -> tuple[Float[Array, "muscle trial coordinate frame"], Float[Array, "trial coordinate frame"]]:
+    """Compute the moment of each muscle, and their sum."""
+    moments = muscle_states(curves, parameters, *inputs).moment
+    return moments, moments.sum(axis=0)
+
+
+def _added_moment(inputs: Inputs) -> Float[Array, "trial coordinate frame"]:
+    """Return the moment that is added to that of the muscles, N m."""
+    moment = inputs[1][0].moment
+    assert moment is not None, "altered inputs have one"
+    return moment
+
+
+def _by_muscle(inputs: Inputs) -> Any:
+    """Return what the moments of single muscles depend on: the leading axis of all arrays is ``muscle``."""
+    recording, (_, *alterations) = inputs
+    return recording, alterations
+
+
+@eqx.filter_jit
+def _changed_muscles(plain: Inputs, changed: Inputs) -> Bool[Array, " muscle"]:
+    """Find the muscles whose inputs differ."""
+    first, second = (jax.tree.leaves(eqx.filter(_by_muscle(one), eqx.is_array)) for one in (plain, changed))
+    differs = [
+        jnp.any((one != other).reshape(len(one), -1), axis=1)
+        for one, other in zip(first, second, strict=True)
+    ]
+    return jnp.stack(differs).any(axis=0)
+
+
+@eqx.filter_jit
+def _with_muscles_of(inputs: Inputs, others: Inputs, muscles: Bool[Array | np.ndarray, " muscle"]) -> Inputs:
+    """Take the inputs of some muscles from others."""
+
+    def chosen(one: Array, other: Array) -> Array:
+        return jnp.where(jnp.reshape(muscles, (-1, *(1,) * (one.ndim - 1))), other, one)
+
+    own, rest = eqx.partition(_by_muscle(inputs), eqx.is_array)
+    mixed = jax.tree.map(chosen, own, eqx.filter(_by_muscle(others), eqx.is_array))
+    recording, alterations = eqx.combine(mixed, rest)
+    return recording, (inputs[1][0], *alterations)
 
 
 @eqx.filter_jit

@@ -154,6 +154,7 @@ def build_context(calibration: Calibration) -> tuple[Recording, Context]:
         coordinates=trials.moment_coordinates,
         trials=trials.names,
         recordings=trials.recordings,
+        uses=trials.uses,
         angles=trials.angles[:, columns],
         velocities=trials.angular_velocities[:, columns],
         step=np.diff(trials.time[:, [0, -1]])[:, 0] / (trials.time.shape[1] - 1),
