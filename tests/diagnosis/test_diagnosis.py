@@ -9,7 +9,7 @@ import pytest
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
-from wrapjax.diagnosis import decision, pipeline, score
+from wrapjax.diagnosis import decision, diagnosis, pipeline, score
 from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
@@ -143,6 +143,36 @@ def test_a_fit_that_has_not_converged_ends_the_diagnosis(found):
     stopped = diagnose_calibrated(apart, without=WITHOUT, null_replicates=1).result
     assert stopped.outcome == "not_converged" and "apart" in stopped.reason
     assert not stopped.effects and stopped.budget is not None
+
+
+def test_more_starts_are_made_until_the_two_best_agree(found, paths, monkeypatch):
+    calibration = found.calibration
+    asked = []
+
+    def calibrated(*_, starts, **__):
+        asked.append(starts)
+        best = calibration.result.outcomes[0]
+        factors = (1.0, *([1.5] * (starts - 1))) if starts < 8 else (1.0,) * starts
+        outcomes = tuple(
+            dataclasses.replace(
+                best, solution=dataclasses.replace(best.solution, cost=factor * best.solution.cost)
+            )
+            for factor in factors
+        )
+        result = dataclasses.replace(calibration.result, outcomes=outcomes, chosen=0)
+        return dataclasses.replace(calibration, result=result)
+
+    monkeypatch.setattr(diagnosis, "cached_calibration", calibrated)
+    monkeypatch.setattr(
+        diagnosis, "diagnose_calibrated", lambda one, **_: dataclasses.replace(found, calibration=one)
+    )
+    lines = []
+    chosen = diagnose(calibration.subject, "NGA", paths, starts=2, log=lines.append)
+    assert asked == [2, 4, 8] and len(chosen.calibration.result.outcomes) == 8
+    assert lines == [f"the two best starts differ: calibrating from {count}" for count in (4, 8)]
+    asked.clear()
+    diagnose(calibration.subject, "NGA", paths, starts=1)
+    assert asked == [1]
 
 
 @pytest.mark.slow

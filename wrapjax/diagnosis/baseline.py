@@ -201,6 +201,11 @@ def check_convergence(
     )
 
 
+def starts_agree(outcomes: Sequence[Outcome]) -> bool:
+    """Return whether the two lowest costs of several starts agree."""
+    return _costs_and_spread(outcomes)[1] <= MAX_SPREAD
+
+
 def unchecked_convergence(outcomes: Sequence[Outcome], reason: str) -> ConvergenceCheck:
     """Report the costs of the starts of a fit whose convergence was not checked further."""
     return ConvergenceCheck((reason,), *_costs_and_spread(outcomes), np.nan)

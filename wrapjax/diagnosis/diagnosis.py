@@ -17,6 +17,7 @@ from wrapjax.calibration.path_penalties import PATH_PENALTIES
 from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
+from wrapjax.diagnosis.baseline import starts_agree
 from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
 from wrapjax.diagnosis.input import DiagnosisInput
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 #: Number of null replicates from which the detection threshold is computed.
 NULL_REPLICATES = 60
+#: Largest number of starts of the calibration where fewer do not agree.
+MOST_STARTS = 16
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,8 @@ def diagnose(
     without
         Identifiers of effects to leave out of the catalogue.
     starts, seed, callback
-        See `calibrate`. The calibration is cached, and not repeated.
+        See `calibrate`. Where the two best starts do not agree, twice as many are made, up to `MOST_STARTS`.
+        The calibration is cached, and not repeated.
     null_replicates
         Number of null replicates from which the detection threshold is computed.
     constants
@@ -156,9 +160,14 @@ def diagnose(
     refuse_unknown(without)
     began = time.perf_counter()
     one_leg = replace(subject, other_leg=None)
-    calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
-    if calibration.status is Status.interrupted:
-        raise KeyboardInterrupt
+    while True:
+        calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
+        if calibration.status is Status.interrupted:
+            raise KeyboardInterrupt
+        if not 1 < starts < MOST_STARTS or starts_agree(calibration.result.outcomes):
+            break
+        starts = min(2 * starts, MOST_STARTS)
+        log(f"the two best starts differ: calibrating from {starts}")
     calibrated = time.perf_counter() - began
     return diagnose_calibrated(
         calibration,
