@@ -19,7 +19,7 @@ from wrapjax.diagnosis.decision import (
 )
 
 NAMES = ("one", "two", "three", "four")
-TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9, 1.2)
+TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9, 0.9, 1.2)
 nats = st.floats(-200.0, 1000.0)
 evidences = st.dictionaries(st.sampled_from(NAMES), nats)
 
@@ -172,7 +172,7 @@ def test_shipped_constants_are_usable():
     constants = DecisionConstants.shipped()
     assert constants.temperature >= 1.0, "evidence is scaled down, never up"
     assert constants.structured_scale > 0.0
-    assert 0.5 < constants.set_level < 1.0
+    assert 0.5 < constants.set_level < 1.0 and 0.5 < constants.family_level < 1.0
     assert constants.least_detection_threshold > 0.0
     silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, constants)
     assert silent.none > 0.5, "without evidence, no effect is the most probable"

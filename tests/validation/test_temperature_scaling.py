@@ -19,7 +19,8 @@ from validation.diagnosis.temperature_scaling import (
 )
 from wrapjax.diagnosis.decision import DecisionConstants, probabilities
 
-EFFECTS = tuple(f"effect_{number}" for number in range(6))
+#: Of six families.
+EFFECTS = ("tendon_compliance", "slow_fibers", "joint_damping", "emg_drift", "cop_offset", "missing_drive")
 
 
 @pytest.fixture(scope="module")
@@ -100,18 +101,44 @@ def test_credible_sets_cover_cases_that_the_level_was_not_fitted_on(cases):
         if (level := one.set_level(probabilities(one.evidence, one.structured, constants))) is not None
     ]
     assert 0.8 <= np.mean(covered) < 1.0
+    families = [
+        level < constants.family_level
+        for one in others
+        if (level := one.family_level(probabilities(one.evidence, one.structured, constants))) is not None
+    ]
+    assert 0.8 <= np.mean(families) < 1.0
 
 
-def test_a_level_without_enough_cases_is_one(cases):
-    assert covering_level(cases[:5], DecisionConstants.shipped()) == 1.0
+def test_sets_of_families_are_for_the_cause_or_its_family():
+    evidence = dict.fromkeys(EFFECTS, -5.0) | {"emg_drift": 6.0, "emg_offset": 5.9, "cop_offset": 5.0}
+    constants = replace(DecisionConstants.shipped(), temperature=1.0, offset=0.0)
+    own = probabilities(evidence, -50.0, constants)
+
+    def level(tier, *causes):
+        truth = {"tier": tier, "causes": [{"id": id} for id in causes], "ties": []}
+        return ScoredCase(truth, evidence, -50.0).family_level(own)
+
+    assert level("single", "emg_offset") == 0.0
+    assert level("single", "cop_offset") == pytest.approx(
+        own.effects["emg_drift"] + own.effects["emg_offset"]
+    )
+    assert level("none") == pytest.approx(1.0, abs=0.01) and level("pair", "emg_drift", "cop_offset") is None
+    assert level("single", "a_mechanism_without_name") is None
+
+
+def test_a_level_without_enough_cases_is_one():
+    assert covering_level([0.1, None, 0.2, 0.3]) == 1.0
+    assert covering_level([0.1] * 20 + [0.9]) == pytest.approx(0.11)
 
 
 def test_tied_effects_are_correct():
-    truth = {"tier": "single", "causes": [{"id": "effect_0"}], "ties": ["effect_1"]}
-    evidence = {"effect_0": 3.0, "effect_1": 3.0, "effect_2": -10.0}
+    truth = {"tier": "single", "causes": [{"id": "tendon_compliance"}], "ties": ["slow_fibers"]}
+    evidence = {"tendon_compliance": 3.0, "slow_fibers": 3.0, "joint_damping": -10.0}
     one = ScoredCase(truth, evidence, -50.0)
     own = probabilities(evidence, -50.0, DecisionConstants.shipped())
-    assert one.correct_probability(own) == pytest.approx(own.effects["effect_0"] + own.effects["effect_1"])
+    assert one.correct_probability(own) == pytest.approx(
+        own.effects["tendon_compliance"] + own.effects["slow_fibers"]
+    )
     assert ScoredCase({**truth, "tier": "pair"}, evidence, 0.0).correct_probability(own) is None
 
 
@@ -124,16 +151,16 @@ def test_ranks_are_counted_by_noise():
             "d_star": d_star,
             "emg_noise": noise,
         }
-        evidence = {**dict.fromkeys(EFFECTS, 0.0), "effect_3": -1.0, first: 2.0}
+        evidence = {**dict.fromkeys(EFFECTS, 0.0), "emg_drift": -1.0, first: 2.0}
         return ScoredCase(truth, evidence, 0.0)
 
     cases = [
-        case(0.05, "effect_1", "effect_1"),
-        case(0.05, "effect_1", "effect_2"),
-        case(0.2, "effect_1", "effect_3"),
+        case(0.05, "slow_fibers", "slow_fibers"),
+        case(0.05, "slow_fibers", "joint_damping"),
+        case(0.2, "slow_fibers", "emg_drift"),
     ]
     # Not identifiable: not counted.
-    cases.append(case(0.2, "effect_1", "effect_1", d_star=1.0))
+    cases.append(case(0.2, "slow_fibers", "slow_fibers", d_star=1.0))
     assert ranking(cases) == "first 1 of 3 (EMG noise: 1 of 2 at 5%, 0 of 1 at 20%), among three 2"
 
 

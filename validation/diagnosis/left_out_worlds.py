@@ -24,6 +24,7 @@ from wrapjax.diagnosis.decision import (
     Decision,
     DecisionConstants,
     Probabilities,
+    credible_families,
     credible_set,
     decide_on_single_effect,
     probabilities,
@@ -43,6 +44,7 @@ class DecidedCase:
     case: ScoredCase
     decision: Decision
     set_level: float = 1.0
+    family_level: float = 1.0
 
     @property
     def probabilities(self) -> Probabilities:
@@ -55,6 +57,17 @@ class DecidedCase:
         """Whether the credible set has the correct answer; None where no single answer is correct."""
         level = self.case.set_level(self.probabilities)
         return None if level is None else level < self.set_level
+
+    @property
+    def families_covered(self) -> bool | None:
+        """Whether the credible set of families has the correct one; None where no single one is correct."""
+        level = self.case.family_level(self.probabilities)
+        return None if level is None else level < self.family_level
+
+    @property
+    def families(self) -> int:
+        """Number of members of the credible set of families."""
+        return len(credible_families(self.probabilities, self.family_level))
 
     @property
     def set_size(self) -> int:
@@ -120,7 +133,7 @@ def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> di
         others = [one for one in cases if one.truth["world"] != world]
         constants = fit_constants(others, start)
         decided[world] = [
-            DecidedCase(one, decision_on(one, constants), constants.set_level)
+            DecidedCase(one, decision_on(one, constants), constants.set_level, constants.family_level)
             for one in cases
             if one.truth["world"] == world
         ]
@@ -160,7 +173,8 @@ def table(decided: dict[str, list[DecidedCase]]) -> str:
     columns = (
         *("world", "first, d* 2 to 5", "first, d* above 5", "first three", "named right, of named"),
         *("in the tie, of ties", "named, tie or family right", "named, nothing amiss", "named, background"),
-        *("named, outside", "family named wrongly", "90 % sets cover", "mean size", "calibration error"),
+        *("named, outside", "family named wrongly", "90 % sets cover", "mean size"),
+        *("90 % sets of families cover", "mean size", "calibration error"),
     )
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     lines += [f"| {world} | {' | '.join(_row(cases))} |" for world, cases in rows.items()]
@@ -178,6 +192,7 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
     family = [one for one in single if one.decision.family]
 
     answered = [one for one in cases if one.covered is not None]
+    by_family = [one for one in cases if one.families_covered is not None]
 
     def share(some: Sequence[DecidedCase], holds: Callable[[DecidedCase], bool]) -> str:
         return f"{sum(map(holds, some))} of {len(some)}"
@@ -198,6 +213,8 @@ def _row(cases: Sequence[DecidedCase]) -> list[str]:
         share(family, lambda one: not one.right_family),
         share(answered, lambda one: bool(one.covered)),
         f"{np.mean([one.set_size for one in answered]):.1f}" if answered else "-",
+        share(by_family, lambda one: bool(one.families_covered)),
+        f"{np.mean([one.families for one in by_family]):.1f}" if by_family else "-",
         f"{calibration_error(np.array([one.most_probable[1:] for one in answered], float)):.2f}"
         if answered
         else "-",

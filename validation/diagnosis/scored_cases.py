@@ -11,7 +11,9 @@ import numpy as np
 
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import LinearizedCase, development_linearizations
-from wrapjax.diagnosis.decision import Probabilities, set_levels, tied_effects
+from wrapjax.diagnosis.decision import Probabilities, family_levels, set_levels, tied_effects
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.families import family_of
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
     Adequate,
@@ -99,6 +101,20 @@ class ScoredCase:
         correct = self.accepted if self.truth["tier"] == "single" else {"none_of_these"}
         levels = set_levels(stated, () if self.claim is None else self.claim.tie)
         return min((level for ids, level in levels.items() if correct & set(ids)), default=1.0)
+
+    def family_level(self, stated: Probabilities) -> float | None:
+        """Return the level above which a credible set of families covers the case; None as in `set_level`.
+
+        Also None for a cause that is no effect of the catalogue under its own name.
+        """
+        if self.correct_probability(stated) is None:
+            return None
+        if self.truth["tier"] == "single":
+            correct = {family_of(id) for id in self.accepted if id in CATALOGUE}
+        else:
+            correct = {"none_of_these"}
+        levels = family_levels(stated)
+        return min((level for id, level in levels.items() if id in correct), default=1.0) if correct else None
 
     def correct_probability(self, stated: Probabilities) -> float | None:
         """Return the probability of the correct answers; None where no single answer is correct."""

@@ -37,6 +37,7 @@ _FITTED = (
     "structured_scale",
     "adequacy_factor",
     "set_level",
+    "family_level",
 )
 #: Lower bound of probabilities in the objective, so that no single case dominates it.
 _FLOOR = 1e-3
@@ -166,16 +167,25 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
         offset=round(best.offset, 2),
         structured_scale=round(best.structured_scale, 1),
     )
-    return replace(best, set_level=covering_level(cases, best))
+    stated = [(one, probabilities(one.evidence, one.structured, best)) for one in cases]
+    return replace(
+        best,
+        set_level=covering_level([one.set_level(own) for one, own in stated]),
+        family_level=covering_level([one.family_level(own) for one, own in stated]),
+    )
 
 
-def covering_level(cases: Sequence[ScoredCase], constants: DecisionConstants) -> float:
+def covering_level(known: Sequence[float | None]) -> float:
     """Compute the level of credible sets that cover a new case with 90 % probability (split conformal).
 
     See Vovk et al. 2005 (doi:10.1007/b106715); cases are taken as exchangeable.
+
+    Parameters
+    ----------
+    known
+        Level above which the set of each case covers it; None where no single answer is correct.
     """
-    stated = [(one, probabilities(one.evidence, one.structured, constants)) for one in cases]
-    levels = sorted(level for one, own in stated if (level := one.set_level(own)) is not None)
+    levels = sorted(level for level in known if level is not None)
     place = math.ceil(_COVERAGE * (len(levels) + 1)) - 1
     if place >= len(levels):
         return 1.0

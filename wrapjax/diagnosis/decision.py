@@ -70,8 +70,8 @@ class DecisionConstants:
     structured_offset, structured_scale
         Evidence for unexplained errors at which an unknown cause is as probable as none, and the scale over
         which that changes, nats.
-    set_level
-        Nominal probability of a credible set, so that it covers 90 %.
+    set_level, family_level
+        Nominal probability of a credible set of effects, and of one of families, so that it covers 90 %.
     adequacy_factor
         Factor on the repeatable error that null replicates leave, so that 95 % of people with nothing amiss
         leave less; see `wrapjax.diagnosis.gates.Adequate`.
@@ -85,6 +85,7 @@ class DecisionConstants:
     structured_offset: float
     structured_scale: float
     set_level: float
+    family_level: float
     adequacy_factor: float
 
     @classmethod
@@ -185,7 +186,7 @@ def decide(
         decision,
         probabilities=probability,
         credible_set=credible_set(probability, tie, constants.set_level),
-        credible_families=credible_families(probability, constants.set_level),
+        credible_families=credible_families(probability, constants.family_level),
     )
     joint = scores.jointly_significant
     if (
@@ -312,16 +313,19 @@ def set_levels(probability: Probabilities, tie: Sequence[str]) -> dict[tuple[str
 
 def credible_families(probability: Probabilities, level: float) -> tuple[str, ...]:
     """Select the smallest set of families with a probability of at least ``level``; see `credible_set`."""
+    return tuple(id for id, before in family_levels(probability).items() if before < level)
+
+
+def family_levels(probability: Probabilities) -> dict[str, float]:
+    """Compute the level above which a credible set of families contains each of them, as in `set_levels`."""
     shares = family_probabilities(probability.effects)
     shares["none_of_these"] = probability.none + probability.unknown
-    members: list[str] = []
+    levels: dict[str, float] = {}
     total = 0.0
     for id, share in sorted(shares.items(), key=lambda one: -one[1]):
-        if total >= level:
-            break
-        members.append(id)
+        levels[id] = total
         total += share
-    return tuple(members)
+    return levels
 
 
 def decide_on_single_effect(
