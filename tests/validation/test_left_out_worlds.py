@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.validation.synthetic_linearizations import SHAPE, lines
-from validation.diagnosis.left_out_worlds import decide_by_world, decision_on, table
+from validation.diagnosis.left_out_worlds import ablations, decide_by_world, decision_on, table
 from validation.diagnosis.scored_cases import score_case
 from wrapjax.diagnosis.decision import DecisionConstants
-from wrapjax.diagnosis.gates import Adequate
+from wrapjax.diagnosis.gates import Adequate, Plausible, Specific
 
 CYCLES, COORDINATES, PHASES = SHAPE
 PHASE = 2.0 * np.pi * np.arange(PHASES) / PHASES
@@ -74,6 +74,46 @@ def test_a_claim_that_fails_a_gate_is_not_named(cases):
     gates = replace(strong.claim.gates, adequate=Adequate(5.0, 1.0))
     inadequate = replace(strong, claim=replace(strong.claim, gates=gates))
     assert decision_on(inadequate, constants).outcome == "unknown"
+
+
+def test_an_ignored_gate_is_passed_and_has_its_row(cases):
+    strong = next(one for one in cases if one.clear)
+    constants = DecisionConstants.shipped()
+    bad = {
+        "adequate": Adequate(5.0, 1.0),
+        "plausible": Plausible("size", 2.0, 1.0),
+        "specific": Specific(0, 1),
+    }
+    for name, gate in bad.items():
+        gates = replace(strong.claim.gates, **{name: gate})
+        failing = replace(strong, claim=replace(strong.claim, gates=gates))
+        assert decision_on(failing, constants).outcome == "unknown"
+        assert decision_on(failing, constants, [name]).outcome == "named"
+    rows = ablations(cases, decide_by_world(cases, constants)).splitlines()[2:]
+    assert [row.split("|")[1].strip() for row in rows] == [
+        "complete",
+        *(f"without the gate {name}" for name in ("adequate", "plausible", "stable", "specific")),
+        "without gates",
+        "constants from one world",
+    ]
+
+
+def test_constants_of_one_world_ignore_all_others(cases):
+    """Those of world one come from two, whatever three has."""
+    start = DecisionConstants.shipped()
+    loud = [
+        replace(one, evidence=dict.fromkeys(one.evidence, 1e5))
+        if one.nothing_amiss and one.truth["world"] == "three"
+        else one
+        for one in cases
+    ]
+
+    def named(some, world):
+        decided = decide_by_world(some, start, from_one_world=True)[world]
+        return [one.named for one in decided if one.case.truth["tier"] == "single"]
+
+    assert named(loud, "one") == named(cases, "one") and any(named(cases, "one"))
+    assert named(loud, "two") == [(), ()] != named(cases, "two")
 
 
 def test_a_detectable_background_is_scored_apart(cases):

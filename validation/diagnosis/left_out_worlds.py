@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -109,11 +109,17 @@ def main() -> int:
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(decided))
+    print(table(decided), ablations(cases, decided), sep="\n\n")
     return 0
 
 
-def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> dict[str, list[DecidedCase]]:
+def decide_by_world(
+    cases: Sequence[ScoredCase],
+    start: DecisionConstants,
+    *,
+    ignored: Sequence[str] = (),
+    from_one_world: bool = False,
+) -> dict[str, list[DecidedCase]]:
     """Decide on the cases of each world by constants that were fitted on the others.
 
     Parameters
@@ -122,6 +128,10 @@ def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> di
         Scored cases of at least two worlds.
     start
         Initial values of the constants.
+    ignored
+        Names of gates that every claim passes.
+    from_one_world
+        Whether the constants are those of the next world alone that has cases with nothing amiss.
 
     Raises
     ------
@@ -129,19 +139,35 @@ def decide_by_world(cases: Sequence[ScoredCase], start: DecisionConstants) -> di
         If no other world has a case with nothing amiss.
     """
     decided: dict[str, list[DecidedCase]] = {}
-    for world in dict.fromkeys(one.truth["world"] for one in cases):
-        others = [one for one in cases if one.truth["world"] != world]
-        constants = fit_constants(others, start)
+    worlds = list(dict.fromkeys(one.truth["world"] for one in cases))
+    quiet = {one.truth["world"] for one in cases if one.nothing_amiss and one.truth["world"] != GROSS_MISFIT}
+    for place, world in enumerate(worlds):
+        fitted_on = [
+            one for one in worlds[place + 1 :] + worlds[:place] if one in quiet or not from_one_world
+        ]
+        if from_one_world:
+            fitted_on = fitted_on[:1]
+        constants = fit_constants([one for one in cases if one.truth["world"] in fitted_on], start)
         decided[world] = [
-            DecidedCase(one, decision_on(one, constants), constants.set_level, constants.family_level)
+            DecidedCase(
+                one, decision_on(one, constants, ignored), constants.set_level, constants.family_level
+            )
             for one in cases
             if one.truth["world"] == world
         ]
     return decided
 
 
-def decision_on(case: ScoredCase, constants: DecisionConstants) -> Decision:
-    """Decide on a case from its linearised model; see the module for what this leaves out."""
+def decision_on(case: ScoredCase, constants: DecisionConstants, ignored: Sequence[str] = ()) -> Decision:
+    """Decide on a case from its linearised model; see the module for what this leaves out.
+
+    Parameters
+    ----------
+    case, constants
+        Scored case, and constants of the decision.
+    ignored
+        Names of gates that every claim passes.
+    """
     assert case.claim is not None
     threshold = max(constants.least_detection_threshold, case.claim.null_threshold)
     stated = probabilities(case.evidence, case.structured, constants)
@@ -154,24 +180,53 @@ def decision_on(case: ScoredCase, constants: DecisionConstants) -> Decision:
 
     def allowed(gate: Adequate) -> Adequate:
         floor = max(constants.adequacy_factor * gate.floor_rms, case.accuracy)
-        return replace(gate, floor_rms=floor)
+        return replace(gate, floor_rms=np.inf if "adequate" in ignored else floor)
 
     if not together:
         return apply_gates(decision, Gates(allowed(case.plain)), ())
-    gates = replace(
-        found,
-        adequate=allowed(found.adequate),
-        stable=stability(case.claim.parts, any_of, threshold),
+    stable = stability(case.claim.parts, any_of, threshold)
+    gates = Gates(
+        allowed(found.adequate),
+        None if "plausible" in ignored else found.plausible,
+        None if "stable" in ignored else stable,
+        None if "specific" in ignored else found.specific,
     )
     return apply_gates(decision, gates, decision.accepted or together)
 
 
+def ablations(cases: Sequence[ScoredCase], complete: dict[str, list[DecidedCase]]) -> str:
+    """Describe the decisions over all worlds but the one with gross misfit, without one part after the other.
+
+    Parameters
+    ----------
+    cases
+        Scored cases.
+    complete
+        Decisions with all parts.
+    """
+    gates = tuple(field.name for field in fields(Gates))
+    start = DecisionConstants.shipped()
+    variants = {
+        "complete": complete,
+        **{f"without the gate {name}": decide_by_world(cases, start, ignored=[name]) for name in gates},
+        "without gates": decide_by_world(cases, start, ignored=gates),
+        "constants from one world": decide_by_world(cases, start, from_one_world=True),
+    }
+    return _format({name: _pooled(decided) for name, decided in variants.items()}, "decision")
+
+
 def table(decided: dict[str, list[DecidedCase]]) -> str:
     """Describe ranks, names and families by world and over all worlds but the one with gross misfit."""
-    pooled = [one for world, cases in decided.items() if world != GROSS_MISFIT for one in cases]
-    rows = {**decided, f"all but {GROSS_MISFIT}": pooled}
+    return _format({**decided, f"all but {GROSS_MISFIT}": _pooled(decided)}, "world")
+
+
+def _pooled(decided: dict[str, list[DecidedCase]]) -> list[DecidedCase]:
+    return [one for world, cases in decided.items() if world != GROSS_MISFIT for one in cases]
+
+
+def _format(rows: dict[str, list[DecidedCase]], what: str) -> str:
     columns = (
-        *("world", "first, d* 2 to 5", "first, d* above 5", "first three", "named right, of named"),
+        *(what, "first, d* 2 to 5", "first, d* above 5", "first three", "named right, of named"),
         *("in the tie, of ties", "named, tie or family right", "named, nothing amiss", "named, background"),
         *("named, outside", "family named wrongly", "90 % sets cover", "mean size"),
         *("90 % sets of families cover", "mean size", "calibration error"),
