@@ -44,7 +44,7 @@ def test_a_selection_has_the_conditions_of_all_cycles():
     chosen = CONTEXT.select([1, 3])
     assert list(chosen.conditions) == list(CONTEXT.conditions)
     np.testing.assert_array_equal(chosen.conditions["in slow only"], [True, False])
-    for id in ("emg_offset", "emg_drift", "emg_channel_loss", "cop_offset"):
+    for id in ("emg_offset", "emg_drift", "cop_offset"):
         labels = [[one.label for one in CATALOGUE[id].build(of).variants] for of in (CONTEXT, chosen)]
         assert labels[0] == labels[1]
 
@@ -98,6 +98,10 @@ def test_a_channel_lost_in_one_recording_gets_the_mean_envelope_of_the_other():
         RECORDING, emg=dataclasses.replace(RECORDING.emg, coefficients=jnp.asarray(lost))
     )
     context = dataclasses.replace(CONTEXT, envelopes=jnp.asarray(lost))
+    effect = CATALOGUE["emg_channel_loss"].build(context)
+    assert [entry.name for entry in effect.parameters] == ["lost_Sol"]
+    labels = [one.label for one in CATALOGUE["emg_channel_loss"].build(context.select([1, 2])).variants]
+    assert labels == [one.label for one in effect.variants]
     found = emg_after("emg_channel_loss", "in slow only", {"lost_Sol": 1.0}, recorded, context)
     for cycle in (0, 1):
         np.testing.assert_allclose(found[0, cycle], plain[0, 2:].mean(axis=0), atol=1e-15)

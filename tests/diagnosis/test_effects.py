@@ -314,7 +314,7 @@ def test_short_range_stiffness_changes_nothing_in_gait(slopes):
         ({"speeds": np.full(4, np.nan)}, "speed_dependent_delay", "not given"),
         ({"speeds": np.full(4, 0.8)}, "speed_dependent_delay", "one speed"),
         ({"order": np.zeros(4)}, "emg_drift", "one cycle"),
-        ({"recordings": ("a",) * 4, "speeds": np.ones(4)}, "emg_channel_loss", "one condition"),
+        ({}, "emg_channel_loss", "next to nothing"),
         ({"muscle_channels": (0,) * 6}, "emg_channel_swap", "one channel"),
         ({"paths_by_angle": None}, "soft_tissue_artifact", "joint angles"),
         ({"wraps": None}, "wrap_surface", "cylinders"),

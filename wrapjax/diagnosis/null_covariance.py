@@ -75,18 +75,14 @@ def nulls(
 
 
 def structured_evidence(null_weights: Float[np.ndarray, " null"]) -> float:
-    """Compute the log posterior odds of a large repeatable error of unknown cause against smaller ones, nats.
-
-    Only an error that matters beside the effects speaks for an unknown cause. In recordings with little noise
-    the evidence for a small one is strong as well.
+    """Compute the log Bayes factor of all nulls against the one with the smallest errors, the first; nats.
 
     Parameters
     ----------
     null_weights
         Log posterior probability of each of the `nulls`, up to a constant.
     """
-    by_error = logsumexp(null_weights.reshape(len(FORCE_ERRORS), len(REPEATABLE_ERRORS)), axis=0)
-    return float(by_error[-1] - logsumexp(by_error[:-1]))
+    return float(logsumexp(null_weights) - null_weights[0])
 
 
 def fixed_covariance(linearized: LinearizedModel) -> Matrix:

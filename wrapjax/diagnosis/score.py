@@ -48,7 +48,7 @@ class Scores:
     by_id
         Score of each effect, the strongest evidence first.
     structured_evidence
-        Evidence for a large repeatable error that no effect explains, see `null_covariance`; nats.
+        Evidence for errors that no effect of the catalogue explains, nats.
     null_maxima
         Strongest evidence in each null replicate, nats.
     detection_threshold

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
@@ -20,6 +20,10 @@ from wrapjax.muscle.excitation import EmgSpline
 
 #: Effect size of an exchanged or lost channel is one; smaller ones let the fit move towards it.
 _PRIOR_SD, _LIMIT = 0.5, 1.25
+#: Size of an envelope under one condition, relative to the others, below which its channel is taken as lost.
+_LOST = 0.1
+#: Place of the constant among the coefficients of a spline's polynomials.
+_CONSTANT = 3
 
 # ---- Exchanged channels
 
@@ -92,10 +96,29 @@ EMG_CHANNEL_SWAP = EffectDefinition(
 # ---- Channels lost in one recording
 
 
-def _one_condition(context: Context) -> str:
-    if context.reference.conditions:
+def _lost_channels(context: Context) -> list[str]:
+    """List the channels that record next to nothing under one condition.
+
+    An envelope that is merely smaller there is a matter of gain; to replace it would remove whatever differs
+    between conditions, and be an effect of every recording.
+    """
+    every = context.reference
+    size = np.sqrt(np.mean(np.square(np.asarray(every.envelopes)[:, :, _CONSTANT]), axis=2))
+    first = first_muscles(every)
+    return [
+        name
+        for name in driving_channels(every)
+        if any(
+            np.median(size[first[name], cycles]) < _LOST * np.median(size[first[name], ~cycles])
+            for cycles in every.conditions.values()
+        )
+    ]
+
+
+def _all_recorded(context: Context) -> str:
+    if _lost_channels(context):
         return ""
-    return "all cycles were recorded under one condition, or each recording has one cycle only"
+    return "no channel recorded next to nothing in one recording or at one speed"
 
 
 def _emg_channel_loss(context: Context) -> tuple[Variant, ...]:
@@ -104,7 +127,7 @@ def _emg_channel_loss(context: Context) -> tuple[Variant, ...]:
         Variant(
             Partial(
                 _restore,
-                channel_of_muscle(context),
+                _place_of_lost(context),
                 jnp.asarray(cycles, float),
                 every.envelopes[:, ~every.conditions[label]].mean(axis=1),
             ),
@@ -114,13 +137,21 @@ def _emg_channel_loss(context: Context) -> tuple[Variant, ...]:
     )
 
 
+def _place_of_lost(context: Context) -> Int[np.ndarray, " muscle"]:
+    """Find the place of each muscle's channel among `_lost_channels`; -1 where it is not lost."""
+    lost, driving = _lost_channels(context), driving_channels(context)
+    channels = np.asarray(channel_of_muscle(context))
+    return np.array([lost.index(driving[one]) if driving[one] in lost else -1 for one in channels])
+
+
 def _restore(
-    channel_of: Int[Array, " muscle"],
+    lost: Int[Array | np.ndarray, " muscle"],
     cycles: Float[Array, " trial"],
     envelope: Float[Array, "muscle 4 interval"],
     effect_sizes: EffectSizes,
 ) -> Alteration:
-    share = effect_sizes[channel_of][:, None] * cycles[None]
+    sizes = jnp.where(lost < 0, 0.0, effect_sizes[lost])
+    share = sizes[:, None] * cycles[None]
     return Alteration(emg=Partial(_replace_share, share[..., None, None], envelope[:, None]))
 
 
@@ -130,19 +161,20 @@ def _replace_share(
     return replace(emg, coefficients=emg.coefficients + share * (envelope - emg.coefficients))
 
 
-def _each_channel(context: Context) -> Iterable[dict[str, str]]:
-    return [{"channel": channel} for channel in driving_channels(context)]
-
-
 # The envelope that was lost is estimated by the mean of the other cycles at the same phase.
 EMG_CHANNEL_LOSS = EffectDefinition(
     id="emg_channel_loss",
     meaning="a channel did not record its muscle in one recording or at one speed",
     family="emg",
-    requirements=(Requirement("two recordings or walking speeds of several cycles each", _one_condition),),
+    requirements=(
+        Requirement(
+            "a channel that records next to nothing in one of several recordings or at one speed",
+            _all_recorded,
+        ),
+    ),
     parameters=(
         RepeatedParameter(
-            repetitions=_each_channel,
+            repetitions=lambda context: [{"channel": name} for name in _lost_channels(context)],
             name="lost_{channel}",
             unit="1",
             prior_sd=_PRIOR_SD,
