@@ -8,6 +8,7 @@ import pytest
 
 from tests.diagnosis.subject import CHANNELS, MUSCLE_CHANNELS, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.effect import Effect
 
 RECORDING, CONTEXT = small_recording_and_context()
 CHANNEL_OF = np.array(MUSCLE_CHANNELS)
@@ -107,6 +108,16 @@ def test_a_channel_lost_in_one_recording_gets_the_mean_envelope_of_the_other():
         np.testing.assert_allclose(found[0, cycle], plain[0, 2:].mean(axis=0), atol=1e-15)
     np.testing.assert_array_equal(found[0, 2:], plain[0, 2:])
     np.testing.assert_array_equal(found[1:], plain[1:])
+
+
+def test_a_smaller_gain_is_no_lost_channel():
+    plain = np.asarray(RECORDING.emg.coefficients)
+    for factor, testable in ((0.5, False), (0.05, True)):
+        weaker = np.where(SLOW[:, None, None] & (CHANNEL_OF == 0)[:, None, None, None], factor, 1.0) * plain
+        found = CATALOGUE["emg_channel_loss"].build(
+            dataclasses.replace(CONTEXT, envelopes=jnp.asarray(weaker))
+        )
+        assert isinstance(found, Effect) == testable
 
 
 def test_an_error_of_one_plate_changes_the_moments_of_its_recording_only():

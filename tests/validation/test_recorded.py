@@ -227,6 +227,8 @@ def test_rises_are_counted_by_effect_or_family_and_wrong_names_by_family():
     assert "`missing_drive`: not testable" in text
     assert "rises most in 60% of 5" in text and "one 2 of 2, two 1 of 3" in text
     assert "`emg`, would be right in 60%" in text and "Named wrongly: 2 of 5" in text
+    assert "33% to 100% by resampling people" in text
+    assert "resampling" not in recorded.table(rows[:2]), "one person has no interval"
 
 
 def test_knock_outs_are_listed_with_the_excitation_of_the_hidden_channel():

@@ -24,7 +24,7 @@ from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import calibration_fingerprint
 from validation.diagnosis.left_out_worlds import decision_on
 from validation.diagnosis.linearizations import Job, linearize_case, load
-from validation.diagnosis.scored_cases import score_case
+from validation.diagnosis.scored_cases import ScoredCase, score_case
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.decision import DecisionConstants
@@ -90,11 +90,12 @@ def main() -> int:
         for person in options.subjects:
             jobs |= _jobs(person, options)
         failed = _linearize(jobs, options.workers)
-        rows = [row for person in options.subjects for row in _rows(person, jobs)]
+        scored = _score_all(jobs, options.workers)
+        rows = [row for person in options.subjects for row in _rows(person.name, jobs, scored)]
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    print(table(rows), end="")
+    print(untouched(scored), table(rows), sep="\n\n", end="")
     return 1 if failed else 0
 
 
@@ -142,30 +143,44 @@ def _linearize(jobs: Mapping[str, tuple[Manipulation, Job]], workers: int) -> in
     return failed
 
 
-def _rows(person: Path, jobs: Mapping[str, tuple[Manipulation, Job]]) -> list[Row]:
-    """Score the untouched recording of a person and all others."""
+def _score(job: Job) -> ScoredCase:
+    """Score a linearised recording; its truth is not used."""
+    truth = {"tier": "none", "causes": [], "ties": [], "d_star": 0.0}
+    return score_case(truth, load(job.file))
+
+
+def _score_all(jobs: Mapping[str, tuple[Manipulation, Job]], workers: int) -> dict[str, ScoredCase]:
+    """Score all linearised recordings in the order of ``jobs``."""
+    known = {name: job for name, (_, job) in jobs.items() if job.file.exists()}
+    found = {one.name: one for one in run_jobs(_score, known, workers=workers)} if known else {}
+    if failed := [one for one in found.values() if one.failure]:
+        raise InputError([Problem(one.name, f"was not scored: {one.failure}") for one in failed])
+    return {name: found[name].value for name in known}
+
+
+def _rows(
+    person: str, jobs: Mapping[str, tuple[Manipulation, Job]], scored: Mapping[str, ScoredCase]
+) -> list[Row]:
+    """Compare every manipulation of a person with the untouched recording; none without that."""
     constants = DecisionConstants.shipped()
-    before: Mapping[str, float] = {}
-    detectable: Mapping[str, float] = {}
+    before = scored.get(f"{person}.{UNTOUCHED.name}")
+    if before is None:
+        return []
     rows = []
-    for name, (manipulation, job) in jobs.items():
-        if name.split(".")[0] != person.name or not job.file.exists():
+    for name, case in scored.items():
+        manipulation = jobs[name][0]
+        if name.split(".")[0] != person or manipulation.effect is None:
             continue
-        truth = {"tier": "none", "causes": [], "ties": [], "d_star": 0.0, "world": person.name}
-        case = score_case(truth, load(job.file))
         decision = decision_on(case, constants)
-        if manipulation is UNTOUCHED:
-            before, detectable = case.evidence, case.detectability
-            print(f"{person.name}, untouched: {decision.outcome} {', '.join(decision.accepted)}".rstrip())
-            continue
-        assert manipulation.effect is not None
-        rise = {id: value - before[id] for id, value in case.evidence.items() if id in before}
+        rise = {
+            id: value - before.evidence[id] for id, value in case.evidence.items() if id in before.evidence
+        }
         rows.append(
             Row(
-                person=person.name,
+                person=person,
                 says=manipulation.says,
                 effect=manipulation.effect,
-                detectability=detectable.get(manipulation.effect),
+                detectability=before.detectability.get(manipulation.effect),
                 rise={id: rise[id] for id in sorted(rise, key=lambda id: -rise[id])},
                 outcome=decision.outcome,
                 accepted=decision.accepted,
@@ -173,6 +188,18 @@ def _rows(person: Path, jobs: Mapping[str, tuple[Manipulation, Job]]) -> list[Ro
             )
         )
     return rows
+
+
+def untouched(scored: Mapping[str, ScoredCase]) -> str:
+    """Say what the decision is on every untouched recording."""
+    constants = DecisionConstants.shipped()
+    lines = []
+    for name, case in scored.items():
+        person, _, manipulation = name.partition(".")
+        if manipulation == UNTOUCHED.name:
+            decision = decision_on(case, constants)
+            lines.append(f"{person}, untouched: {decision.outcome} {', '.join(decision.accepted)}".rstrip())
+    return "\n".join(lines)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -199,19 +226,29 @@ def _counts(rows: Sequence[Row]) -> list[str]:
     people = list(dict.fromkeys(row.person for row in rows))
     by_person = [[row.right for row in rows if row.person == name] for name in people]
     share = np.mean([row.right for row in rows])
-    # People are the independent units, and not the manipulations of one person.
-    drawn = np.random.default_rng(0).integers(len(people), size=(_RESAMPLES, len(people)))
-    shares = [np.mean(np.concatenate([by_person[place] for place in draw])) for draw in drawn]
-    low, high = np.quantile(shares, [0.025, 0.975])
     each = ", ".join(f"{name} {sum(own)} of {len(own)}" for name, own in zip(people, by_person, strict=True))
     constant, times = Counter(family_of(row.effect) for row in rows).most_common(1)[0]
     wrong = sum(row.named_wrongly for row in rows)
     return [
         f"The added effect or its family rises most in {share:.0%} of {len(rows)} "
-        f"({low:.0%} to {high:.0%} by resampling people; target {TARGET:.0%}): {each}.",
+        f"({_interval(by_person)}target {TARGET:.0%}): {each}.",
         f"The best constant answer, `{constant}`, would be right in {times / len(rows):.0%}.",
         f"Named wrongly: {wrong} of {len(rows)} (target at most {WRONG:.0%}).",
     ]
+
+
+def _interval(by_person: Sequence[Sequence[bool]]) -> str:
+    """Describe the 95 % interval of a share by resampling people; empty for one person.
+
+    People are the independent units, and not the manipulations of one person.
+    """
+    people = len(by_person)
+    if people < 2:
+        return ""
+    drawn = np.random.default_rng(0).integers(people, size=(_RESAMPLES, people))
+    shares = [np.mean(np.concatenate([by_person[place] for place in draw])) for draw in drawn]
+    low, high = np.quantile(shares, [0.025, 0.975])
+    return f"{low:.0%} to {high:.0%} by resampling people; "
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -134,7 +134,7 @@ def apply_gates(decision: Decision, gates: Gates, claimed: Sequence[str]) -> Dec
     if "adequate" in failed:
         reason = (
             f"with {names} in the model, a repeatable error of {gates.adequate.left_rms:.1f} N m is left; "
-            f"up to {gates.adequate.floor_rms:.1f} N m is usual where nothing else is amiss"
+            f"up to {gates.adequate.floor_rms:.1f} N m is allowed"
         )
         return _unknown(decision, claimed, reason)
     if gates.plausible is not None and "plausible" in failed:

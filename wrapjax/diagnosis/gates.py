@@ -28,9 +28,9 @@ LEVEL = 0.95
 AGREEMENT = 0.8
 #: Largest effect size in prior standard deviations, and share of the limit at which a size counts as at it.
 MOST_DEVIATIONS, AT_LIMIT = 3.0, 0.99
-#: Accuracy of joint moments by inverse dynamics, relative to the standard deviation of the measured moments.
-#: A smaller error says nothing of the model: errors of inverse dynamics in gait are larger than this (review:
-#: Camomilla et al. 2017, doi:10.1186/s12938-017-0396-x).
+#: Accuracy of joint moments by inverse dynamics, relative to the standard deviation of the measured moments:
+#: a smaller error says nothing of the model. A choice; what makes moments of gait uncertain is reviewed by
+#: Camomilla et al. 2017, doi:10.1186/s12938-017-0396-x.
 MOMENT_ACCURACY = 0.04
 #: Evidence (nats) by which another effect has to lead a part of a recording to contradict a claim; strong
 #: evidence by Kass & Raftery 1995 (doi:10.1080/01621459.1995.10476572).

@@ -34,7 +34,7 @@ _AVERAGING_WIDTH = 0.025
 #: Share of a sine of 6 Hz that these averages take away.
 _SHARE_AT_6_HZ = float(-np.expm1(-0.5 * (2.0 * np.pi * 6.0 * _AVERAGING_WIDTH) ** 2)) ** 2
 #: Place of the constant among the coefficients of a spline's polynomials.
-_CONSTANT = 3
+CONSTANT_TERM = 3
 
 
 def driving_channels(context: Context) -> tuple[str, ...]:
@@ -137,7 +137,7 @@ def _remove_offset(
 
 
 def _subtract_from_emg(offset: Float[Array, "muscle trial"], emg: EmgSpline) -> EmgSpline:
-    coefficients = emg.coefficients.at[:, :, _CONSTANT].add(-offset[:, :, None])
+    coefficients = emg.coefficients.at[:, :, CONSTANT_TERM].add(-offset[:, :, None])
     return replace(emg, coefficients=coefficients)
 
 
@@ -239,12 +239,13 @@ def _remove_crosstalk(
 ) -> Alteration:
     """Subtract shares by channel; the first muscle of each source represents its channel."""
     shares = jnp.zeros((channel_of.size, channel_of.size)).at[into, source].add(effect_sizes)
-    return Alteration(emg=Partial(_subtract_other_channels, shares[channel_of]))
+    return Alteration(emg=Partial(add_channels, -shares[channel_of]))
 
 
-def _subtract_other_channels(shares: Float[Array, "muscle muscle"], emg: EmgSpline) -> EmgSpline:
-    crosstalk = jnp.einsum("mn,ntpi->mtpi", shares, emg.coefficients)
-    return replace(emg, coefficients=emg.coefficients - crosstalk)
+def add_channels(shares: Float[Array, "muscle muscle"], emg: EmgSpline) -> EmgSpline:
+    """Add shares of the envelopes of other muscles to the envelope of each muscle."""
+    added = jnp.einsum("mn,ntpi->mtpi", shares, emg.coefficients)
+    return replace(emg, coefficients=emg.coefficients + added)
 
 
 EMG_CROSSTALK = EffectDefinition(

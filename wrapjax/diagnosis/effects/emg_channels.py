@@ -13,7 +13,13 @@ from jaxtyping import Array, Float, Int
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter, Requirement
 from wrapjax.diagnosis.effects.effect import EffectSizes, Variant
-from wrapjax.diagnosis.effects.emg import channel_of_muscle, driving_channels, first_muscles
+from wrapjax.diagnosis.effects.emg import (
+    CONSTANT_TERM,
+    add_channels,
+    channel_of_muscle,
+    driving_channels,
+    first_muscles,
+)
 from wrapjax.diagnosis.effects.experiments import REPEATED_FIRST_TRIAL, SINGLE_MUSCLE_CONTRACTIONS
 from wrapjax.model.alteration import Alteration
 from wrapjax.muscle.excitation import EmgSpline
@@ -22,8 +28,6 @@ from wrapjax.muscle.excitation import EmgSpline
 _PRIOR_SD, _LIMIT = 0.5, 1.25
 #: Size of an envelope under one condition, relative to the others, below which its channel is taken as lost.
 _LOST = 0.1
-#: Place of the constant among the coefficients of a spline's polynomials.
-_CONSTANT = 3
 
 # ---- Exchanged channels
 
@@ -47,20 +51,11 @@ def _exchange(
     effect_sizes: EffectSizes,
 ) -> Alteration:
     """Give the channels of each pair the other's envelope; a pair's first muscles represent its channels."""
-    count = channel_of.size
-    taken = jnp.zeros((count, count))
-    lost = jnp.zeros(count)
+    shares = jnp.zeros((channel_of.size, channel_of.size))
     for own, other in ((0, 1), (1, 0)):
-        taken = taken.at[pairs[:, own], sources[:, other]].add(effect_sizes)
-        lost = lost.at[pairs[:, own]].add(effect_sizes)
-    return Alteration(emg=Partial(_mix_channels, lost[channel_of], taken[channel_of]))
-
-
-def _mix_channels(
-    lost: Float[Array, " muscle"], taken: Float[Array, "muscle muscle"], emg: EmgSpline
-) -> EmgSpline:
-    others = jnp.einsum("mn,ntpi->mtpi", taken, emg.coefficients)
-    return replace(emg, coefficients=emg.coefficients * (1.0 - lost)[:, None, None, None] + others)
+        shares = shares.at[pairs[:, own], sources[:, other]].add(effect_sizes)
+        shares = shares.at[pairs[:, own], sources[:, own]].add(-effect_sizes)
+    return Alteration(emg=Partial(add_channels, shares[channel_of]))
 
 
 EMG_CHANNEL_SWAP = EffectDefinition(
@@ -103,7 +98,7 @@ def _lost_channels(context: Context) -> list[str]:
     between conditions, and be an effect of every recording.
     """
     every = context.reference
-    size = np.sqrt(np.mean(np.square(np.asarray(every.envelopes)[:, :, _CONSTANT]), axis=2))
+    size = np.sqrt(np.mean(np.square(np.asarray(every.envelopes)[:, :, CONSTANT_TERM]), axis=2))
     first = first_muscles(every)
     return [
         name
