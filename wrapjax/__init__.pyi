@@ -6,6 +6,8 @@ from .calibration.initialisation import Initialisation as Initialisation
 from .calibration.initialisation import initialise as initialise
 from .calibration.problem import build_objective as build_objective
 from .calibration.problem import objective as objective
+from .calibration.solvers.external_solvers import OptimistixSolver as OptimistixSolver
+from .calibration.solvers.optimistix_interface import BoundedLevenbergMarquardt as BoundedLevenbergMarquardt
 from .calibration.uncertainty.uncertainty import Uncertainty as Uncertainty
 from .calibration.uncertainty.uncertainty import uncertainty as uncertainty
 from .cohorts.cohort import Cohort as Cohort

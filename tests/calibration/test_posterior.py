@@ -128,6 +128,9 @@ class Line(AbstractCalibration):
     def excess(self, variables):
         return ()
 
+    def residuals(self, variables):
+        raise NotImplementedError
+
     def linearize(self, variables):
         raise NotImplementedError
 

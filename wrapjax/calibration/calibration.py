@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
@@ -26,7 +27,8 @@ from wrapjax.calibration.problem import (
 )
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.calibration.solvers.checkpoints import Checkpoints
-from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
+from wrapjax.calibration.solvers.external_solvers import constrained_solver
+from wrapjax.calibration.solvers.interface import AbstractBoundedSolver, AbstractCalibration, Status
 from wrapjax.calibration.solvers.multistart import (
     IterationCallback,
     Outcome,
@@ -137,7 +139,11 @@ def calibrate(
     fit: Fit | ExactGeometry | None = None,
     freedom: Freedom | None = None,
     *,
-    solver: AugmentedLagrangian | None = None,
+    solver: AugmentedLagrangian
+    | AbstractBoundedSolver
+    | optx.AbstractLeastSquaresSolver
+    | optx.AbstractMinimiser
+    | None = None,
     starts: int = STARTS,
     seed: int = 0,
     callback: IterationCallback | None = None,
@@ -174,7 +180,9 @@ def calibrate(
     freedom
         Custom selection of parameters, with bounds and priors; for one leg alone.
     solver
-        Solver with its tolerances; `AugmentedLagrangian` with the defaults if not given.
+        Solver with its tolerances: `AugmentedLagrangian`, with the defaults if not given, or one that it uses
+        for problems within bounds: `AbstractBoundedSolver`, or any least-squares solver or minimiser of
+        optimistix, whose variables are substituted to stay within bounds (`OptimistixSolver`).
     starts
         Number of starting points: the values of the model, then random ones. Several minima are common.
     seed
@@ -223,7 +231,7 @@ def calibrate(
     >>> calibration.status.converged, calibration.result.parameters.emg_scale  # doctest: +SKIP
     >>> calibration.save("run")  # doctest: +SKIP
     """
-    solver = solver or AugmentedLagrangian()
+    solver = constrained_solver(solver)
     legs = build_leg_setups(subject, fit, method, freedom, undriven, synergies, surfaces)
     options = MuscleOptions(curves, tendon, muscle_law)
     fingerprint = calibration_fingerprint(legs, solver, options, starts, seed)

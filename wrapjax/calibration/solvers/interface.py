@@ -90,6 +90,10 @@ class AbstractCalibration(AbstractLeastSquares):
     def excess(self, variables: Float[Array, " variable"]) -> tuple[Float[Array, "muscle _"], ...]:
         """Compute the excess of each limited value over its bound, by limit; negative below the bound."""
 
+    @abstractmethod
+    def residuals(self, variables: Float[Array, " variable"]) -> Float[Array, " row"]:
+        """Compute all residuals, those of limits included, as one vector; their squares sum to `value`."""
+
     @property
     @abstractmethod
     def initial(self) -> Any:

@@ -46,7 +46,7 @@ from wrapjax.calibration.solvers.interface import (
     Status,
 )
 
-_Matrix = Float[Array, "variable variable"]
+Matrix = Float[Array, "variable variable"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         """Compile the functions that `solve` calls; see `AbstractBoundedSolver`."""
         state = self._begin(problem, start)
         jax.block_until_ready(problem.value_at(state.variables))
-        jax.block_until_ready(_absolute_value(_hessian(state.linearization)))
+        jax.block_until_ready(absolute_value(half_hessian(state.linearization)))
         self._advance(problem, state, None)
 
     def solve(
@@ -101,12 +101,14 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         began = time.perf_counter()
         state = self._begin(problem, start, damping_state)
         history: list[Iteration] = []
-        convex: _Matrix | None = None
+        convex: Matrix | None = None
 
         def record(number: int, step: float) -> None:
             variables = state.variables
             at_bounds = jnp.sum((variables <= problem.lower) | (variables >= problem.upper))
-            optimality = _optimality(variables, state.linearization.gradient, problem.lower, problem.upper)
+            optimality = first_order_optimality(
+                variables, state.linearization.gradient, problem.lower, problem.upper
+            )
             history.append(
                 Iteration(
                     number=number,
@@ -175,8 +177,8 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
         )
 
     def _advance(
-        self, problem: AbstractLeastSquares, state: SolverState, convex: _Matrix | None
-    ) -> tuple[SolverState, _Step, _Matrix | None, bool]:
+        self, problem: AbstractLeastSquares, state: SolverState, convex: Matrix | None
+    ) -> tuple[SolverState, StepEvaluation, Matrix | None, bool]:
         """Perform one iteration.
 
         Parameters
@@ -193,22 +195,22 @@ class ProjectedLevenbergMarquardt(AbstractBoundedSolver):
             the state is unchanged, and whether the step was accepted.
         """
         lower, upper = jnp.asarray(problem.lower), jnp.asarray(problem.upper)
-        hessian = _hessian(state.linearization)
+        hessian = half_hessian(state.linearization)
         candidate = propose_step(state, hessian, lower, upper)
         if not jnp.isfinite(candidate).all():
-            convex = _absolute_value(hessian) if convex is None else convex
+            convex = absolute_value(hessian) if convex is None else convex
             candidate = propose_step(state, convex, lower, upper)
         # Derivatives take many times as long as the cost, and a rejected step needs none.
-        step = _evaluate_step(state, candidate, problem.value_at(candidate))
+        step = evaluate_step(state, candidate, problem.value_at(candidate))
         if step.decreases or step.unchanged:
             fresh = problem.linearized_at(candidate)
-            before = _optimality(state.variables, state.linearization.gradient, lower, upper)
-            if step.decreases or _optimality(candidate, fresh.gradient, lower, upper) < before:
+            before = first_order_optimality(state.variables, state.linearization.gradient, lower, upper)
+            if step.decreases or first_order_optimality(candidate, fresh.gradient, lower, upper) < before:
                 return SolverState(candidate, fresh, step.after_acceptance), step, None, True
         return SolverState(state.variables, state.linearization, step.after_rejection), step, convex, False
 
 
-class _Step(eqx.Module):
+class StepEvaluation(eqx.Module):
     """Evaluation of a step."""
 
     #: Length relative to one plus the norm of the variables.
@@ -226,24 +228,25 @@ class _Step(eqx.Module):
 
 
 @jax.jit
-def _optimality(
+def first_order_optimality(
     variables: Float[Array, " variable"],
     gradient: Float[Array, " variable"],
     lower: Float[Array | np.ndarray, " variable"],
     upper: Float[Array | np.ndarray, " variable"],
 ) -> Float[Array, ""]:
-    """Compute the largest change of a variable by a projected gradient step: zero at a stationary point."""
+    """Compute the largest change of a variable by a projected gradient step; 0 at a stationary point."""
     projected = jnp.clip(variables - gradient, lower, upper)
     return jnp.max(jnp.abs(projected - variables))
 
 
 @jax.jit
-def _hessian(model: Linearization) -> _Matrix:
+def half_hessian(model: Linearization) -> Matrix:
+    """Compute half the Hessian of the cost: J'J plus the remainder."""
     return model.gauss_newton + model.remainder
 
 
 @jax.jit
-def _absolute_value(hessian: _Matrix) -> _Matrix:
+def absolute_value(hessian: Matrix) -> Matrix:
     """Replace the eigenvalues of a symmetric matrix by their absolute values."""
     values, vectors = jnp.linalg.eigh(hessian)
     return (vectors * jnp.abs(values)[None, :]) @ vectors.T
@@ -252,7 +255,7 @@ def _absolute_value(hessian: _Matrix) -> _Matrix:
 @jax.jit
 def propose_step(
     state: SolverState,
-    hessian: _Matrix,
+    hessian: Matrix,
     lower: Float[Array, " variable"],
     upper: Float[Array, " variable"],
 ) -> Float[Array, " variable"]:
@@ -326,7 +329,9 @@ def _damping_metric(model: Linearization) -> Float[Array, " variable"]:
 
 
 @jax.jit
-def _evaluate_step(state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]) -> _Step:
+def evaluate_step(
+    state: SolverState, candidate: Float[Array, " variable"], cost: Float[Array, ""]
+) -> StepEvaluation:
     """Compare the actual decrease of the cost with the predicted one, and compute the next damping."""
     model, damping_state = state.linearization, state.damping_state
     move = candidate - state.variables
@@ -340,7 +345,7 @@ def _evaluate_step(state: SolverState, candidate: Float[Array, " variable"], cos
     ratio = jnp.where(same_cost, 1.0, ratio)
     # Rule of Nielsen (1999): a smooth function of the ratio.
     reduced = damping_state.damping * jnp.maximum(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)
-    return _Step(
+    return StepEvaluation(
         length=jnp.linalg.norm(move) / (1.0 + jnp.linalg.norm(state.variables)),
         actual=actual,
         predicted=predicted,
