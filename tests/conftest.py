@@ -53,8 +53,9 @@ def cache(tmp_path_factory):
 
 def pytest_sessionstart():
     """Compile as commands do; not sooner, for jaxtyping wants to be there before any of the package."""
-    from wrapjax.jax_setup import choose_compiler_options
+    from wrapjax.jax_setup import choose_compiler_options, keep_freed_memory
 
+    keep_freed_memory()
     choose_compiler_options()
 
 

@@ -1,6 +1,7 @@
 """Compiler options are those tested with the installed version, and options of the user are kept."""
 
 import os
+import platform
 import subprocess
 import sys
 
@@ -40,3 +41,21 @@ def test_the_installed_version_accepts_them():
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0 and done.stdout.split() == ["2.0", f"{OURS}=false"], done.stderr
+
+
+def test_freed_memory_is_kept():
+    """Blocks of 40 MB, which the C library would map and unmap each time, are cleared by the kernel once."""
+    code = (
+        "import sys, resource; from wrapjax.jax_setup import keep_freed_memory\n"
+        "kept = keep_freed_memory() if sys.argv[1] == 'keep' else False\n"
+        "for _ in range(10): b'x' * 40_000_000\n"
+        "print(kept, resource.getrusage(resource.RUSAGE_SELF).ru_minflt)"
+    )
+    kept, not_kept = (
+        subprocess.run(
+            [sys.executable, "-c", code, mode], capture_output=True, text=True, check=True
+        ).stdout.split()
+        for mode in ("keep", "leave")
+    )
+    assert (kept[0] == "True") == (platform.libc_ver()[0] == "glibc")
+    assert kept[0] == "False" or int(kept[1]) < 0.4 * int(not_kept[1])
