@@ -39,6 +39,8 @@ PART_SUFFIX = ".part"
 _OLD_SUFFIX = ".old"
 #: Age in s from which a temporary file is taken to be left by a killed process.
 _ABANDONED_AGE_S = 86_400.0
+#: Folders and modules of the package on which no calculated number depends.
+_WITHOUT_NUMBERS = frozenset({"report", "cli", "progress.py", "renamed.py", "api.py", "__main__.py"})
 #: Number of nested locks that this process holds, by folder.
 _held: dict[Path, int] = {}
 
@@ -249,9 +251,16 @@ def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
 
 @cache
 def code_hash() -> str:
-    """Hash the package's version, source and constants, so that results cached by other code are not used."""
+    """Hash version, source and constants of what calculates, so that results of other code are not reused.
+
+    Modules that only show results or read the command line change no number; they are left out.
+    """
     package = Path(__file__).parents[1]
-    return content_hash(version("wrapjax"), *sorted([*package.rglob("*.py"), *package.rglob("*.json")]))
+    files = sorted([*package.rglob("*.py"), *package.rglob("*.json")])
+    return content_hash(
+        version("wrapjax"),
+        *(file for file in files if file.relative_to(package).parts[0] not in _WITHOUT_NUMBERS),
+    )
 
 
 def cache_folder(kind: str) -> Path:
