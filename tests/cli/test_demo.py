@@ -12,6 +12,9 @@ import pytest
 import wrapjax.cli.calibrate
 import wrapjax.demonstration.demo
 from tests.report.synthetic_diagnosis import named
+from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
+from wrapjax.calibration.solvers.interface import Iteration
+from wrapjax.cli.calibrate import iteration_log
 from wrapjax.cli.command_line import main
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, DiagnosisDemonstration, draw_effect
@@ -85,9 +88,23 @@ def test_everything_is_written_and_converged(shown):
         "fit/fit.json",
         "NGA/report.html",
         "PGA/report.html",
+        "index.html",
         *figures,
     ):
         assert (folder / file).stat().st_size > 0, file
+
+
+def test_iterations_go_to_a_log_where_nobody_watches(tmp_path):
+    """A later start, or a resumed run, continues the file."""
+    iteration = Iteration(
+        number=0, cost=12.5, optimality=1e-3, damping=1e-4, step=0.0, at_bounds=2, seconds=0.1
+    )
+    state = object.__new__(LagrangianState)
+    for start in (0, 1):
+        iteration_log(tmp_path / "log")(start, iteration, state)
+    head, first, _, second = (tmp_path / "log").read_text().splitlines()
+    assert head.split()[:3] == ["start", "iteration", "cost"]
+    assert first.split()[:3] == ["0", "0", "12.5"] and second.split()[0] == "1"
 
 
 def test_calibration_reduces_the_error_of_emg_scales(shown):

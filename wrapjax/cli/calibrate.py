@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,13 +42,24 @@ if TYPE_CHECKING:
 
 def iteration_printer(*, quiet: bool = False) -> IterationCallback | None:
     """Return a callback that prints one line for each iteration to standard error; None if ``quiet``."""
-    if quiet:
-        return None
+    return None if quiet else _iteration_lines(print_progress)
 
+
+def iteration_log(file: Path) -> IterationCallback:
+    """Return a callback that appends one line for each iteration to a file in an existing folder."""
+
+    def append(line: str) -> None:
+        with file.open("a", encoding="utf-8") as stream:
+            stream.write(line + "\n")
+
+    return _iteration_lines(append)
+
+
+def _iteration_lines(write: Callable[[str], None]) -> IterationCallback:
     def line(start: int, iteration: Iteration, state: LagrangianState) -> None:
         if iteration.number == 0:
-            print_progress("start  iteration        cost  optimality   damping      step  at bounds  seconds")
-        print_progress(
+            write("start  iteration        cost  optimality   damping      step  at bounds  seconds")
+        write(
             f"{start:5d}  {iteration.number:9d}  {iteration.cost:10.5g}  {iteration.optimality:10.2e}  "
             f"{iteration.damping:8.1e}  {iteration.step:8.1e}  {iteration.at_bounds:9d}  "
             f"{iteration.seconds:7.2f}"

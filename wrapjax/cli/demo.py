@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,9 @@ from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.demonstration.demo import Demonstration
+
+#: File with the solver's iterations where nobody watches them on a terminal.
+LOG = "iterations.log"
 
 
 def recovery_table(demonstration: Demonstration) -> str:
@@ -90,13 +94,15 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.cli.calibrate import calibration_table, iteration_printer
+    from wrapjax.cli.calibrate import calibration_table, iteration_log, iteration_printer
     from wrapjax.cli.diagnose import diagnosis_table
+    from wrapjax.cli.report import redraw
     from wrapjax.demonstration.demo import demo
 
     checkpoints = checkpoint_folder(options)
     resume = options.resume and checkpoints.exists()
     check_output_folder(options.out, options.force or resume)
+    watched = options.quiet or sys.stderr.isatty()
     demonstration = demo(
         options.out,
         seed=options.seed,
@@ -104,8 +110,9 @@ def run(options: argparse.Namespace) -> int:
         checkpoints=checkpoints,
         resume=resume,
         quiet=options.quiet,
-        callback=iteration_printer(quiet=options.quiet),
+        callback=iteration_printer(quiet=options.quiet) if watched else iteration_log(options.out / LOG),
     )
+    index = redraw(options.out)
     if options.json:
         print_json(read_json(options.out / "demo.json"))
     else:
@@ -121,5 +128,5 @@ def run(options: argparse.Namespace) -> int:
             "(same model equations, so not the accuracy on people):\n"
         )
         print(diagnosis_table(demonstration.effect_diagnosis.diagnosis.result))
-        print(f"\nwritten to {options.out}; open {options.out / 'PGA' / 'report.html'} in a browser")
+        print(f"\nwritten to {options.out}; open {index} in a browser")
     return DONE if demonstration.converged else NOT_CONVERGED
