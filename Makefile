@@ -5,7 +5,8 @@ RUN := $(VENV)/bin
 OUT ?= out/demo
 # Tests run side by side, whole files at a time: most of their time goes into compiling.
 JOBS ?= 2
-PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder
+PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-loadscope-reorder \
+	--durations 40 --durations-min 5
 # One thread for each numerical library: on few cores more of them only get in each other's way.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
