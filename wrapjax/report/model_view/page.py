@@ -1,0 +1,151 @@
+"""The page itself: one HTML file that opens without a network, from a template and a vendored library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.io.files import write_text
+from wrapjax.report.model_view.bones import Bone, find_bones
+from wrapjax.report.model_view.payload import describe_scene, to_script
+from wrapjax.report.model_view.quantities import path_quantities
+from wrapjax.report.model_view.scene import build_scene
+from wrapjax.report.model_view.sources import Shown, read_shown
+from wrapjax.report.provenance import versions_in_words
+from wrapjax.subject.subject import Subject
+
+#: Name of the page beside the report of a result.
+PAGE = "motion.html"
+
+_LARGEST_PAGE = 15 << 20
+_LICENSE_OF_LIBRARY = "three/LICENSE"
+
+
+def show(
+    place: str | Path,
+    out: str | Path,
+    *,
+    subject: Subject | str | Path | None = None,
+    bones: str | Path | None = None,
+    force: bool = False,
+) -> Path:
+    """Write a page that shows a model in motion, in three dimensions, with curves beside it.
+
+    Shown are bones, joint axes, muscle paths with their contacts on wrapping surfaces, and these surfaces;
+    of a calibration with changed wraps, before and after it. Muscles are colored by tendon force, moment arm
+    or the error of a diagnosis.
+
+    Parameters
+    ----------
+    place
+        Model (``.osim``), subject folder, or folder of a fit, a calibration or a diagnosis. A model alone
+        moves each joint through its range.
+    out
+        HTML file to write.
+    subject
+        Subject with the recorded motion, or its folder; by default that of ``place``.
+    bones
+        Folder of the bones' surfaces (``.vtp``), before those in which OpenSim's users keep them.
+    force
+        Whether to replace an existing file.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to show in ``place``, its subject is not found or does not fit, a file is damaged,
+        or the output exists and ``force`` is not set.
+
+    Examples
+    --------
+    >>> wrapjax.show("PGA", "PGA.html")  # doctest: +SKIP
+    """
+    target = Path(out)
+    if target.is_dir():
+        raise InputError(Problem(str(target), "is a folder, where an HTML file was expected"))
+    if target.exists() and not force:
+        raise InputError(Problem(str(target), "exists already", hint="replace it with --force"))
+    if bones is not None and not Path(bones).is_dir():
+        raise InputError(Problem(str(bones), "is no folder", hint="name a folder with .vtp files"))
+    shown = read_shown(Path(place), Path(subject) if isinstance(subject, str) else subject)
+    write_text(target, render_page(shown, () if bones is None else (Path(bones),)))
+    return target
+
+
+def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    shown
+        Content, from `read_shown`.
+    bone_folders
+        Folders to search for the bones' surfaces before OpenSim's.
+
+    Raises
+    ------
+    InputError
+        If a part of the model moves in an unsupported way, or a bone's file is damaged.
+    """
+    from wrapjax.osim.attached_meshes import attached_meshes, geometry_folders
+
+    scene = build_scene(shown.model, shown.muscles, shown.coordinates, shown.motions, shown.placements)
+    quantities = (*path_quantities(scene, shown.polynomials), *shown.quantities)
+    meshes = attached_meshes(shown.model_file)
+    bones, missing = find_bones(meshes, (*bone_folders, *geometry_folders(shown.model_file)))
+    notes = [*shown.notes, *scene.notes, *_note_on_bones(bones, missing)]
+    text = _rendered(shown, describe_scene(shown, scene, quantities, bones), notes)
+    if len(text) > _LARGEST_PAGE and bones:
+        # Sticks instead of bones whose surfaces are too fine for one page.
+        notes.append("The bones' surfaces are too large for this page; lines between joints stand for them.")
+        text = _rendered(shown, describe_scene(shown, scene, quantities, ()), notes)
+    return text
+
+
+def _rendered(shown: Shown, described: tuple[dict, str], notes: Sequence[str]) -> str:
+    # Imported late, as all that only pages need.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    content, block = described
+    environment = Environment(
+        loader=PackageLoader("wrapjax.report.model_view", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    own = files("wrapjax.report.model_view")
+
+    def text_of(name: str) -> Markup:
+        """Text of a file of this package, which stands in the page as it is."""
+        return Markup(own.joinpath(name).read_text(encoding="utf-8"))
+
+    return environment.get_template("page.html.jinja").render(
+        title=shown.title,
+        under=shown.under,
+        notes=notes,
+        versions=versions_in_words(),
+        style=text_of("page.css"),
+        library=text_of("three/three.min.js"),
+        license=text_of(_LICENSE_OF_LIBRARY),
+        script=text_of("page.js"),
+        content=Markup(to_script(content)),
+        block=block,
+    )
+
+
+def _note_on_bones(bones: Sequence[Bone], missing: Sequence[str]) -> list[str]:
+    if not missing:
+        return []
+    if bones:
+        return [f"Bones whose files were not found: {', '.join(missing)}."]
+    return [
+        "The bones' surfaces (Geometry/*.vtp) were not found; lines between joint centers stand for bones."
+    ]
