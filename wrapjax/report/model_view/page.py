@@ -8,6 +8,7 @@ from pathlib import Path
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_text
+from wrapjax.report import markup
 from wrapjax.report.model_view.bones import Bone, find_bones
 from wrapjax.report.model_view.payload import describe_scene, to_script
 from wrapjax.report.model_view.quantities import path_quantities
@@ -76,6 +77,32 @@ def show(
     shown = read_shown(Path(place), Path(subject) if isinstance(subject, str) else subject)
     write_text(target, render_page(shown, () if bones is None else (Path(bones),)))
     return target
+
+
+def write_beside_report(folder: Path, subject: Subject) -> str:
+    """Write the page of a result into its folder, and a line for the result's report that links to it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the result, which is complete but for its report.
+    subject
+        Subject of the result.
+
+    Returns
+    -------
+    str
+        HTML; empty if the model moves in a way that the page cannot show, and no page was written.
+    """
+    try:
+        page = render_page(read_shown(folder, subject))
+    except InputError:
+        # The result itself does without the exact path engine.
+        return ""
+    write_text(folder / PAGE, page)
+    return markup.link_line(
+        markup.Link("The model in motion", PAGE), ": bones, muscle paths and wraps in three dimensions."
+    )
 
 
 def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:

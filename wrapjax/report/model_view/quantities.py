@@ -1,4 +1,4 @@
-"""Quantities that the page draws as curves and maps to colors: lengths, moment arms, forces, moments, errors."""
+"""Quantities that the page draws as curves or as colors: lengths, moment arms, forces, moments, errors."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -100,7 +101,7 @@ def _polynomial_paths(
     """Evaluate polynomials over all frames, m; NaN for muscles and coordinates that they lack."""
     poses = np.concatenate([motion.poses for motion in scene.motions])
     angles = poses[:, [scene.coordinates.index(name) for name in paths.coordinates]].T[None]
-    state = paths(angles, np.zeros_like(angles))
+    state = paths(jnp.asarray(angles), jnp.zeros(angles.shape))
     length = np.full((len(scene.paths), scene.frames), np.nan)
     arm = np.full((len(scene.paths), len(scene.coordinates), scene.frames), np.nan)
     columns = [scene.coordinates.index(name) for name in paths.coordinates]

@@ -17,7 +17,7 @@ from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motion
 from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.geometry.routed_path import RoutedPath, route_paths
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.wrapping import NOMINAL, WrappedPath
 from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
 
 # Every so many-th vertex of a contact is drawn: arcs of 6 degrees, off a circle of 50 mm by less than 0.1 mm.
@@ -248,7 +248,9 @@ def _wrap_shapes(
 ) -> tuple[WrapShape, ...]:
     wrap = model.wrap(name)
     moved = any(name in placement.parameters for placement in placements)
-    shapes = [wrap_shape(wrap, one.parameters.get(name, NOMINAL)) for one in placements[: None if moved else 1]]
+    shapes = [
+        wrap_shape(wrap, one.parameters.get(name, NOMINAL)) for one in placements[: None if moved else 1]
+    ]
     return tuple(shape for shape in shapes if shape is not None)
 
 
@@ -264,20 +266,20 @@ def _muscle_paths(
             parameters = placement.of(wraps)
             wrapped = wrap_at_samples(posed[name], parameters[None])
             routes = route_paths(engine.model, name, engine.coordinates, poses, parameters)
-            own.append(_muscle_path(routes, wraps, wrapped.length[0], wrapped.moment_arm[0]))
+            own.append(_muscle_path(routes, wraps, wrapped))
         yield name, tuple(own)
 
 
 def _muscle_path(
     routes: Sequence[RoutedPath],
     wraps: tuple[str, ...],
-    length: Float[np.ndarray, " frame"],
-    moment_arm: Float[np.ndarray, "frame coordinate"],
+    wrapped: WrappedPath,
 ) -> MusclePath:
     parts = [_drawn(route, wraps) for route in routes]
     vertices, contact, is_point = (np.concatenate(column) for column in zip(*parts, strict=True))
     counts = np.array([len(part[0]) for part in parts])
-    return MusclePath(counts, vertices, contact, is_point, wraps, np.asarray(length), np.asarray(moment_arm).T)
+    length, arm = np.asarray(wrapped.length[0]), np.asarray(wrapped.moment_arm[0]).T
+    return MusclePath(counts, vertices, contact, is_point, wraps, length, arm)
 
 
 def _drawn(
@@ -364,7 +366,9 @@ def stick_bones(
         if body not in carrying:
             continue
         start = np.asarray(joint.in_child.translation)
-        ends = [_center_in(bodies[body], below, bodies) for below in model.joints if below.parent_body == body]
+        ends = [
+            _center_in(bodies[body], below, bodies) for below in model.joints if below.parent_body == body
+        ]
         if not ends:
             ends = [np.asarray(point.location) for point in points if point.body == body]
             ends = sorted(ends, key=lambda end: float(np.linalg.norm(end - start)))[-1:]
@@ -372,9 +376,7 @@ def stick_bones(
     return sticks
 
 
-def _center_in(
-    body: BodyMotion, joint: Joint, bodies: Mapping[str, BodyMotion]
-) -> Float[np.ndarray, " 3"]:
+def _center_in(body: BodyMotion, joint: Joint, bodies: Mapping[str, BodyMotion]) -> Float[np.ndarray, " 3"]:
     """Center of a joint below a body in that body's frame, in the first frame, m."""
     center, _ = bodies[joint.child_body].station(np.asarray(joint.in_child.translation))
     return body.rotation[0].T @ (center[0] - body.origin[0])

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.evaluation.stored_run import Run, load_run, read_curves
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.surrogate import PathSurrogate
@@ -47,6 +47,8 @@ class Shown:
         Names of the muscles, and of the coordinates of poses.
     motions
         Motions.
+    cycles
+        Place of each motion among the subject's gait cycles; none if they are not recorded.
     placements
         States of the wraps.
     polynomials
@@ -66,6 +68,7 @@ class Shown:
     muscles: tuple[str, ...]
     coordinates: tuple[str, ...]
     motions: tuple[Motion, ...]
+    cycles: tuple[int, ...] = ()
     placements: tuple[Placement, ...] = (Placement("model"),)
     polynomials: dict[str, PathSurrogate] = field(default_factory=dict)
     quantities: tuple[Quantity, ...] = ()
@@ -105,8 +108,8 @@ def read_shown(place: Path, subject: Subject | Path | None = None) -> Shown:
     }
     kind = kind_of(place)
     if kind not in readers:
-        found = "holds no result of wrapjax" if kind is None else f"holds a {kind}, which has no view in motion"
-        raise InputError(Problem(str(place), found, hint=_HINT))
+        found = "no result of wrapjax" if kind is None else f"a {kind}, which has no view in motion"
+        raise InputError(Problem(str(place), f"holds {found}", hint=_HINT))
     return readers[kind](place, subject)
 
 
@@ -150,57 +153,55 @@ def _recorded_model(file: Path | None, subject: Subject) -> Shown:
     return shown if own or file is None else replace(shown, title=f"{title} with {file.name}")
 
 
-def _recorded(subject: Subject, model_file: Path, muscles: Sequence[str] = ()) -> Shown:
-    """Show all gait cycles of a subject; ``muscles`` come first, the leg's others after them."""
+def _recorded(
+    subject: Subject,
+    model_file: Path,
+    muscles: Sequence[str] = (),
+    names: Collection[str] | None = None,
+) -> Shown:
+    """Show gait cycles of a subject, all or those named; ``muscles`` come first, the leg's others after."""
     model = describe_model(model_file)
     wanted = tuple(dict.fromkeys([*muscles, *subject.muscles.names, *subject.undriven_muscles]))
-    known, coordinates = (
-        {entry.name for entry in part} for part in (model.muscles, model.coordinates)
-    )
-    missing = [name for name in wanted if name not in known]
-    missing += [name for name in subject.trials.coordinates if name not in coordinates]
-    if missing:
-        message = f"lacks '{missing[0]}' of subject {subject.folder}"
-        raise InputError(Problem(str(model_file), message, hint="is it the model of another subject?"))
+    _require(model_file, subject, wanted, [muscle.name for muscle in model.muscles])
+    _require(model_file, subject, subject.trials.coordinates, [one.name for one in model.coordinates])
     trials, notes = subject.trials, []
-    cycles = np.arange(len(trials))
+    cycles = [place for place, name in enumerate(trials.names) if names is None or name in names]
     most = max(1, _MOST_FRAMES // trials.time.shape[1])
     if len(cycles) > most:
-        cycles = np.unique(np.linspace(0, len(trials) - 1, most).round().astype(int))
-        notes.append(
-            f"Shown are {len(cycles)} of {len(trials)} gait cycles, evenly chosen, to keep the page small."
-        )
+        notes.append(f"Shown are {most} of {len(cycles)} gait cycles, evenly chosen, to keep the page small.")
+        cycles = [cycles[place] for place in np.linspace(0, len(cycles) - 1, most).astype(int).tolist()]
     chosen = trials.select(cycles)
     percent = np.linspace(0.0, 100.0, trials.time.shape[1])
     motions = tuple(
         Motion(_cycle_name(name, use, speed), angles.T, percent, _CYCLE, time)
         for name, use, speed, angles, time in zip(
-            chosen.names, chosen.uses, chosen.speeds, chosen.angles, chosen.time, strict=True
+            chosen.names, chosen.uses, chosen.speeds.tolist(), chosen.angles, chosen.time, strict=True
         )
     )
+    counts = f"{counted(len(wanted), 'muscle')} of {model_file.name}, {counted(len(motions), 'gait cycle')}."
     return Shown(
         title=f"{subject.name}: recorded motion",
-        under=f"{counted(len(wanted), 'muscle')} of {model_file.name}, {counted(len(motions), 'gait cycle')}.",
+        under=counts,
         model_file=model_file,
         model=model,
         muscles=wanted,
         coordinates=trials.coordinates,
         motions=motions,
+        cycles=tuple(cycles),
         notes=tuple(notes),
     )
 
 
+def _require(model_file: Path, subject: Subject, wanted: Iterable[str], known: Sequence[str]) -> None:
+    """Raise an error if a model lacks a muscle or coordinate of a subject."""
+    missing = [name for name in wanted if name not in known]
+    if missing:
+        message = f"lacks '{missing[0]}' of subject {subject.folder}"
+        raise InputError(Problem(str(model_file), message, hint=nearest_name(missing[0], known)))
+
+
 def _cycle_name(name: str, use: str, speed: float) -> str:
     return f"{name} ({use}{'' if math.isnan(speed) else f', {speed:g} m/s'})"
-
-
-def _cycles_shown(subject: Subject, shown: Shown) -> list[int]:
-    """Place, among the subject's cycles, of each motion that is shown."""
-    names = [
-        _cycle_name(*entry)
-        for entry in zip(subject.trials.names, subject.trials.uses, subject.trials.speeds, strict=True)
-    ]
-    return [names.index(motion.name) for motion in shown.motions]
 
 
 def _fit(folder: Path, subject: Subject | None) -> Shown:
@@ -213,7 +214,10 @@ def _fit(folder: Path, subject: Subject | None) -> Shown:
         title=f"{subject.name}: muscle paths and their polynomials",
         polynomials={"polynomial": fitted.surrogate},
         coloring="moment_arm",
-        notes=(*shown.notes, "Drawn are the exact shortest paths; curves show them and the fitted polynomials."),
+        notes=(
+            *shown.notes,
+            "Drawn are exact shortest paths; the curves show the fitted polynomials, too.",
+        ),
     )
 
 
@@ -225,7 +229,7 @@ def _calibration(folder: Path, subject: Subject | None) -> Shown:
         message = "has changed since the calibration, whose wraps would be placed in another model"
         raise InputError(Problem(str(subject.model_file), message, hint="calibrate again"))
     shown = _recorded(subject, subject.model_file, run.muscles)
-    cycles = _cycles_shown(subject, shown)
+    cycles = list(shown.cycles)
     force = np.concatenate(np.moveaxis(curves.force[:, cycles], 1, 0), axis=1)
     measured, modelled = (
         np.concatenate(moments[cycles], axis=1) for moments in (curves.measured, curves.modelled)
@@ -282,11 +286,8 @@ def _diagnosis(folder: Path, subject: Subject | None) -> Shown:
         if missing:
             message = f"was made from a cycle '{missing[0]}', which subject {subject.folder} lacks"
             raise InputError(Problem(str(folder), message, hint="name its subject with --subject"))
-        shown = _recorded(subject, subject.model_file)
-        diagnosed = [place for place in _cycles_shown(subject, shown) if subject.trials.names[place] in trials]
-        names = [subject.trials.names[place] for place in diagnosed]
-        every = _cycles_shown(subject, shown)
-        shown = replace(shown, motions=tuple(shown.motions[every.index(place)] for place in diagnosed))
+        shown = _recorded(subject, subject.model_file, names=trials)
+        names = [subject.trials.names[place] for place in shown.cycles]
         speeds = [trials[name]["speed_m_s"] for name in names]
         coordinates = tuple(subject.trials.moment_coordinates)
         files = [folder / "moments" / f"{trials[name]['file']}.sto" for name in names]
@@ -345,7 +346,8 @@ def _moments(
     curves: Sequence[tuple[str, str, Float[np.ndarray, "coordinate frame"]]],
 ) -> Quantity:
     series = tuple(
-        Series(label, aligned(values, coordinates, shown.coordinates), style) for label, style, values in curves
+        Series(label, aligned(values, coordinates, shown.coordinates), style)
+        for label, style, values in curves
     )
     return Quantity("moment", "Joint moment", "N m", (COORDINATE,), series)
 

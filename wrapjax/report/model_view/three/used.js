@@ -1,7 +1,8 @@
+// The parts of three.js that page.js uses.
 export {
-  AmbientLight, ArrowHelper, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide,
-  EdgesGeometry, Group, HemisphereLight, InstancedMesh, LineBasicMaterial, LineDashedMaterial, LineSegments, Matrix4, Mesh,
-  MeshBasicMaterial, MeshLambertMaterial, MeshStandardMaterial, OrthographicCamera, PerspectiveCamera, Quaternion, Raycaster, Scene, Sphere, Box3,
-  SphereGeometry, Sprite, SpriteMaterial, CanvasTexture, TorusGeometry, Vector2, Vector3, WebGLRenderer, REVISION,
+  Box3, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, DoubleSide, Group,
+  HemisphereLight, InstancedMesh, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshLambertMaterial,
+  MeshStandardMaterial, PerspectiveCamera, Quaternion, Raycaster, Scene, SphereGeometry, Vector2, Vector3,
+  WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
