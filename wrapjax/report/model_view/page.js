@@ -652,6 +652,7 @@
     if (quantity.colors) option(byId("coloring"), quantity.key, `${quantity.title.toLowerCase()} (${quantity.unit})`);
   }
   byId("view-choice").hidden = placements < 2;
+  byId("hold-name").textContent = `hold ${data.root_body}`;
 
   const rows = data.muscles.map((muscle, index) => {
     const row = node("li");

@@ -63,6 +63,7 @@ def describe_scene(
         "coordinates": scene.coordinates,
         "motions": _motions(scene),
         "root": block.add(root, "float32"),
+        "root_body": scene.root,
         "bodies": bodies,
         "transforms": block.add(_transforms(scene, root), "float32"),
         "bones": [
