@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from wrapjax.cli.common import DONE, AddCommand, print_json
@@ -43,11 +44,15 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.progress import print_progress
-    from wrapjax.report.model_view.page import show
+    from wrapjax.report.model_view.show import show
 
-    print_progress("computing the muscle paths", quiet=options.quiet)
     written = show(
-        options.place, options.out, subject=options.subject, bones=options.bones, force=options.force
+        options.place,
+        options.out,
+        subject=options.subject,
+        bones=options.bones,
+        force=options.force,
+        log=partial(print_progress, quiet=options.quiet),
     )
     if options.json:
         print_json({"page": str(written)})

@@ -185,6 +185,7 @@ class Fit:
         from wrapjax.path_sources.path_samples import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
         from wrapjax.report.model_view.page import write_beside_report
+        from wrapjax.report.model_view.shown import shown_fit
         from wrapjax.report.provenance import path_from
 
         if subject is not None:
@@ -199,7 +200,9 @@ class Fit:
             paths: Iterable[SampledPath] = ()
             if subject is not None:
                 paths = sampled_paths(subject, self, shown, count=REPORTED_SAMPLES)
-            link = write_beside_report(temporary, subject) if motion and subject is not None else ""
+            link = ""
+            if motion and subject is not None:
+                link = write_beside_report(temporary, shown_fit(self.surrogate, subject))
             write_text(temporary / "report.html", render_fit(content, subject, paths, link))
 
     def write_to_cache(self, folder: Path) -> None:

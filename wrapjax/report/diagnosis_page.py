@@ -20,6 +20,7 @@ from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_secti
 from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, gate_rows, untested_findings
 from wrapjax.report.formatting import DASH, counted, decimals, leg_name, p_value, readable
 from wrapjax.report.model_view.page import write_beside_report
+from wrapjax.report.model_view.results import shown_diagnosis
 from wrapjax.report.provenance import path_from, versions_platform_and_time
 from wrapjax.report.run_summary import USES, file_stems
 from wrapjax.subject.subject import Subject
@@ -294,5 +295,5 @@ def write_diagnosis(
         write_json(target / "gap.json", describe_diagnosis(subject, result) | folder_of_subject)
         for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
             write_storage(target / "moments" / f"{stem}.sto", moment_table(result, recording))
-        link = write_beside_report(target, subject) if motion else ""
+        link = write_beside_report(target, shown_diagnosis(target, subject)) if motion else ""
         write_text(target / "report.html", render_diagnosis(subject, result, note, link))

@@ -24,6 +24,7 @@ from wrapjax.report.calibration_curves import (
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
 from wrapjax.report.model_view.page import write_beside_report
+from wrapjax.report.model_view.results import shown_calibration
 from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.parameters_and_solver import parameters_section, solver_section
 from wrapjax.report.path_views import path_section
@@ -248,5 +249,7 @@ def _write_leg(
     moves: list[MovedPath] = []
     if describe_model is not None and result.freedom.wraps is not None:
         moves = moved_paths(subject, result, describe_model(subject.model_file))
-    link = write_beside_report(run, subject) if motion and result.freedom.wraps is not None else ""
+    link = ""
+    if motion and result.freedom.wraps is not None:
+        link = write_beside_report(run, shown_calibration(run, subject))
     write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread, link))

@@ -17,7 +17,7 @@ from wrapjax.report.model_view.page import render_page
 from wrapjax.report.model_view.payload import describe_scene
 from wrapjax.report.model_view.quantities import Quantity, Series, path_quantities
 from wrapjax.report.model_view.scene import Motion, Placement, build_scene
-from wrapjax.report.model_view.sources import Shown
+from wrapjax.report.model_view.shown import Shown
 
 COORDINATES = ("hip_flexion_l", "hip_adduction_l", "knee_angle_l", "ankle_angle_l")
 #: One muscle whose wrap moves, one with a wrap that stays, one without a wrap.
@@ -38,7 +38,12 @@ def leg_file(tmp_path_factory):
 def shown(leg_file):
     phase = np.linspace(0.0, 2.0 * np.pi, FRAMES)
     poses = np.stack(
-        [0.3 + 0.4 * np.cos(phase), 0.05 * np.sin(phase), 0.5 - 0.4 * np.cos(2.0 * phase), 0.2 * np.sin(phase)],
+        [
+            0.3 + 0.4 * np.cos(phase),
+            0.05 * np.sin(phase),
+            0.5 - 0.4 * np.cos(2.0 * phase),
+            0.2 * np.sin(phase),
+        ],
         axis=1,
     )
     percent = np.linspace(0.0, 100.0, FRAMES)
@@ -58,9 +63,17 @@ def shown(leg_file):
         motions=motions,
         placements=(Placement("before"), Placement("after", MOVED)),
         quantities=(
-            Quantity("moment", "Joint moment", "N m", ("coordinate",), (Series("measured", moments, "measured"),)),
             Quantity(
-                "gap", "Explainable error", "N m", ("coordinate",), (Series("error", gap, "main"),), "sequential", False
+                "moment", "Joint moment", "N m", ("coordinate",), (Series("measured", moments, "measured"),)
+            ),
+            Quantity(
+                "gap",
+                "Explainable error",
+                "N m",
+                ("coordinate",),
+                (Series("error", gap, "main"),),
+                "sequential",
+                False,
             ),
         ),
         coloring="moment_arm",

@@ -9,11 +9,11 @@ import pytest
 from tests.report.model_view.conftest import COORDINATES, FRAMES, MUSCLES, numbers_of
 from tests.report.page import Page
 from wrapjax.errors import InputError
-from wrapjax.osim.attached_meshes import AttachedMesh
 from wrapjax.geometry.model_description import Pose
+from wrapjax.osim.attached_meshes import AttachedMesh
 from wrapjax.report.model_view.bones import find_bones, read_vtp
-from wrapjax.report.model_view.payload import describe_scene, to_script
 from wrapjax.report.model_view.page import render_page
+from wrapjax.report.model_view.payload import describe_scene, to_script
 
 
 def test_page_holds_the_paths_in_every_frame(numbers, scene):
@@ -36,7 +36,9 @@ def test_page_holds_bodies_axes_and_quantities(numbers, scene):
     thigh = content["bodies"].index("femur_l")
     np.testing.assert_allclose(transforms[thigh, :, :, :3], scene.bodies["femur_l"].rotation, atol=1e-6)
     for stored, axis in zip(content["axes"], scene.axes, strict=True):
-        np.testing.assert_allclose(numbers.array(stored["direction"]).reshape(-1, 3), axis.direction, atol=1e-6)
+        np.testing.assert_allclose(
+            numbers.array(stored["direction"]).reshape(-1, 3), axis.direction, atol=1e-6
+        )
     found = {one["key"]: one for one in content["quantities"]}
     assert list(found) == ["length", "moment_arm", "moment", "gap"]
     assert [one["name"] for one in found["length"]["series"]] == ["before", "after"]
@@ -57,9 +59,13 @@ def test_page_loads_nothing(page):
     for tag, attributes in found.elements:
         for name in ("src", "href", "data", "action", "srcset"):
             assert attributes.get(name, "data:").startswith("data:"), (tag, attributes)
-    policy = next(one["content"] for one in found.all("meta") if one.get("http-equiv") == "Content-Security-Policy")
+    policy = next(
+        one["content"] for one in found.all("meta") if one.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy.startswith("default-src 'none'")
-    without_library = page.replace(files("wrapjax.report.model_view").joinpath("three/three.min.js").read_text(), "")
+    without_library = page.replace(
+        files("wrapjax.report.model_view").joinpath("three/three.min.js").read_text(), ""
+    )
     # The name of SVG's elements is no address.
     assert set(re.findall(r"https?://[^\s\"'<]+", without_library)) == {"http://www.w3.org/2000/svg"}
     assert "@import" not in page and "url(" not in without_library
@@ -96,7 +102,7 @@ def test_equal_scenes_give_equal_blocks(described, shown, scene):
 TETRAHEDRON = """<?xml version="1.0"?>
 <VTKFile type="PolyData" version="0.1" byte_order="LittleEndian"><PolyData>
 <Piece NumberOfPoints="5" NumberOfPolys="3">
- <PointData><DataArray type="Float32" Name="Normals" NumberOfComponents="3" format="ascii">1 0 0</DataArray></PointData>
+ <PointData><DataArray type="Float32" Name="Normals" format="ascii">1 0 0</DataArray></PointData>
  <Points><DataArray type="Float32" NumberOfComponents="3" format="ascii">
   0 0 0  1 0 0  1 1 0  0 1 0  0 0 1</DataArray></Points>
  <Polys>
@@ -124,7 +130,9 @@ def test_bones_are_read_placed_and_drawn(tmp_path, shown):
 def test_page_says_what_stands_for_bones(shown, tmp_path, monkeypatch):
     (tmp_path / "thigh.vtp").write_text(TETRAHEDRON)
     same = Pose(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), (0.0, 0.0, 0.0))
-    meshes = tuple(AttachedMesh(name, "femur_l", same, (1.0, 1.0, 1.0)) for name in ("thigh.vtp", "shank.vtp"))
+    meshes = tuple(
+        AttachedMesh(name, "femur_l", same, (1.0, 1.0, 1.0)) for name in ("thigh.vtp", "shank.vtp")
+    )
     monkeypatch.setattr("wrapjax.osim.attached_meshes.attached_meshes", lambda file: meshes)
     without = render_page(shown)
     assert "Geometry/*.vtp) were not found" in without and not numbers_of(without).content["bones"]

@@ -46,12 +46,18 @@ def test_drawn_paths_are_the_engines(shown, scene, poses):
                         touched += 1
                         local = cylinder.to_cylinder_frame(vertices[on[0] : on[-1] + 2])
                         np.testing.assert_allclose(np.hypot(*local.T[:2]), cylinder.radius, atol=1e-9)
-                        np.testing.assert_allclose(vertices[on[0]], route.contacts[cylinder.name][0], atol=1e-9)
+                        np.testing.assert_allclose(
+                            vertices[on[0]], route.contacts[cylinder.name][0], atol=1e-9
+                        )
     assert touched, "no path wraps, nothing was tested"
 
 
 def test_only_what_calibration_moved_is_drawn_twice(scene):
-    assert {name: len(paths) for name, paths in scene.paths.items()} == {"psoas_l": 2, "gasmed_l": 1, "tibant_l": 1}
+    assert {name: len(paths) for name, paths in scene.paths.items()} == {
+        "psoas_l": 2,
+        "gasmed_l": 1,
+        "tibant_l": 1,
+    }
     assert {name: len(shapes) for name, shapes in scene.wraps.items()} == {
         "PS_at_brim_l": 2,
         "Gastroc_at_condyles_l": 1,
@@ -81,7 +87,9 @@ def test_bodies_turn_about_the_drawn_axes(shown, scene, poses):
         moved = poses.copy()
         moved[:, COORDINATES.index(axis.coordinate)] += step
         after = body_motion(CoordinateValues(shown.model, COORDINATES, moved), [joint.child_body])
-        rotation = after[joint.child_body].rotation @ np.swapaxes(scene.bodies[joint.child_body].rotation, 1, 2)
+        rotation = after[joint.child_body].rotation @ np.swapaxes(
+            scene.bodies[joint.child_body].rotation, 1, 2
+        )
         turned = np.stack([rotation[:, 2, 1], rotation[:, 0, 2], rotation[:, 1, 0]], axis=1) / step
         np.testing.assert_allclose(turned, axis.direction, atol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(axis.direction, axis=1), 1.0, atol=1e-12)
@@ -103,7 +111,9 @@ def test_unsupported_wraps_are_named_and_left_out(shown):
     model = replace(shown.model, wraps=wraps)
     scene = build_scene(model, ("psoas_l",), COORDINATES, shown.motions[:1], (Placement("model"),))
     assert "PS_at_brim_l" not in scene.wraps
-    assert len(scene.notes) == 1 and scene.notes[0].startswith("psoas_l is drawn straight from point to point: ")
+    assert len(scene.notes) == 1 and scene.notes[0].startswith(
+        "psoas_l is drawn straight from point to point: "
+    )
     assert wrap_shape(model.wrap("PS_at_brim_l"), NOMINAL) is None
     assert set(MOVED) == {"PS_at_brim_l"}
 

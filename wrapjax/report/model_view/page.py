@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError
 from wrapjax.io.files import write_text
 from wrapjax.report import markup
 from wrapjax.report.model_view.bones import Bone, find_bones
 from wrapjax.report.model_view.payload import describe_scene, to_script
 from wrapjax.report.model_view.quantities import path_quantities
 from wrapjax.report.model_view.scene import build_scene
-from wrapjax.report.model_view.sources import Shown, read_shown
+from wrapjax.report.model_view.shown import Shown
 from wrapjax.report.provenance import versions_in_words
-from wrapjax.subject.subject import Subject
 
 #: Name of the page beside the report of a result.
 PAGE = "motion.html"
@@ -24,70 +23,15 @@ _LARGEST_PAGE = 15 << 20
 _LICENSE_OF_LIBRARY = "three/LICENSE"
 
 
-def show(
-    place: str | Path,
-    out: str | Path,
-    *,
-    subject: Subject | str | Path | None = None,
-    bones: str | Path | None = None,
-    force: bool = False,
-) -> Path:
-    """Write a page that shows a model in motion, in three dimensions, with curves beside it.
-
-    Shown are bones, joint axes, muscle paths with their contacts on wrapping surfaces, and these surfaces;
-    of a calibration with changed wraps, before and after it. Muscles are colored by tendon force, moment arm
-    or the error of a diagnosis.
-
-    Parameters
-    ----------
-    place
-        Model (``.osim``), subject folder, or folder of a fit, a calibration or a diagnosis. A model alone
-        moves each joint through its range.
-    out
-        HTML file to write.
-    subject
-        Subject with the recorded motion, or its folder; by default that of ``place``.
-    bones
-        Folder of the bones' surfaces (``.vtp``), before those in which OpenSim's users keep them.
-    force
-        Whether to replace an existing file.
-
-    Returns
-    -------
-    Path
-        The file written.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to show in ``place``, its subject is not found or does not fit, a file is damaged,
-        or the output exists and ``force`` is not set.
-
-    Examples
-    --------
-    >>> wrapjax.show("PGA", "PGA.html")  # doctest: +SKIP
-    """
-    target = Path(out)
-    if target.is_dir():
-        raise InputError(Problem(str(target), "is a folder, where an HTML file was expected"))
-    if target.exists() and not force:
-        raise InputError(Problem(str(target), "exists already", hint="replace it with --force"))
-    if bones is not None and not Path(bones).is_dir():
-        raise InputError(Problem(str(bones), "is no folder", hint="name a folder with .vtp files"))
-    shown = read_shown(Path(place), Path(subject) if isinstance(subject, str) else subject)
-    write_text(target, render_page(shown, () if bones is None else (Path(bones),)))
-    return target
-
-
-def write_beside_report(folder: Path, subject: Subject) -> str:
+def write_beside_report(folder: Path, shown: Shown) -> str:
     """Write the page of a result into its folder, and a line for the result's report that links to it.
 
     Parameters
     ----------
     folder
-        Folder of the result, which is complete but for its report.
-    subject
-        Subject of the result.
+        Folder of the result.
+    shown
+        Content of the page.
 
     Returns
     -------
@@ -95,7 +39,7 @@ def write_beside_report(folder: Path, subject: Subject) -> str:
         HTML; empty if the model moves in a way that the page cannot show, and no page was written.
     """
     try:
-        page = render_page(read_shown(folder, subject))
+        page = render_page(shown)
     except InputError:
         # The result itself does without the exact path engine.
         return ""
@@ -111,7 +55,7 @@ def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:
     Parameters
     ----------
     shown
-        Content, from `read_shown`.
+        Content of the page.
     bone_folders
         Folders to search for the bones' surfaces before OpenSim's.
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from wrapjax.report.model_view.bones import Bone
 from wrapjax.report.model_view.quantities import Quantity
 from wrapjax.report.model_view.scene import MusclePath, Scene
-from wrapjax.report.model_view.sources import Shown
+from wrapjax.report.model_view.shown import Shown
 from wrapjax.report.model_view.wrap_shapes import WrapShape
 
 #: Step of stored positions, m: they are whole numbers of 16 bits, relative to the root body's origin.
