@@ -93,7 +93,7 @@ DRIVER = """
     byId("play").click();
     let tries = 0;
     (function played() {
-      if (view.state.frame === 0 && tries++ < 200) return setTimeout(played, 25);
+      if (view.state.frame === 0 && tries++ < 400) return setTimeout(played, 25);
       found.played = view.state.frame;
       byId("play").click();
       found.playing = view.state.playing;

@@ -47,8 +47,8 @@ def test_page_holds_bodies_axes_and_quantities(numbers, scene):
         for one in found["moment_arm"]["series"]
     )
     for row, muscle in enumerate(MUSCLES):
-        np.testing.assert_allclose(before[row], 1e3 * scene.paths[muscle][0].moment_arm, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(after[0], 1e3 * scene.paths["psoas_l"][1].moment_arm, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(before[row], 1e3 * scene.paths[muscle][0].moment_arm, atol=6e-5)
+    np.testing.assert_allclose(after[0], 1e3 * scene.paths["psoas_l"][1].moment_arm, atol=6e-5)
     # What calibration did not change is stored once.
     assert np.isnan(after[1:]).all()
 

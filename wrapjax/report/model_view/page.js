@@ -432,10 +432,9 @@
   function lookAtModel() {
     const box = new THREE.Box3();
     const point = new THREE.Vector3();
-    const last = data.motions[0].first + data.motions[0].progress.length;
     for (const muscle of data.muscles) {
       const path = muscle.paths[0];
-      for (let vertex = path.first[data.motions[0].first]; vertex < path.first[last]; vertex += 2) {
+      for (let vertex = 0; vertex < path.first[F]; vertex += 3) {
         box.expandByPoint(point.fromArray(path.vertices, 3 * vertex).multiplyScalar(data.step));
       }
     }
@@ -571,7 +570,7 @@
         if (value > most) most = value;
       }
       // Without a least span, rounding errors of a constant would fill the panel.
-      const spare = Math.max(0.06 * (most - least), 0.5 * Math.max(0, 0.02 - (most - least)));
+      const spare = Math.max(0.06 * (most - least), 0.5 * Math.max(0, 0.5 - (most - least)));
       least -= spare;
       most += spare;
       const toY = (value) => TOP + (H - TOP - BOTTOM) * (1 - (value - least) / (most - least));
@@ -646,7 +645,13 @@
     select.append(made);
   }
   data.motions.forEach((one, index) => option(byId("motion"), index, one.name));
-  data.coordinates.forEach((name, index) => option(byId("coordinate"), index, name));
+  // Coordinates about which some muscle has a moment arm, or something else is known.
+  const known = (quantity, coordinate) => quantity.axes.length === 1 && quantity.axes[0] === "coordinate" &&
+    quantity.series.some((one) => one.values.subarray(coordinate * F, (coordinate + 1) * F).some((value) => value === value));
+  data.coordinates.forEach((name, index) => {
+    const spanned = data.muscles.some((_, muscle) => spans(muscle, index));
+    if (spanned || data.quantities.some((quantity) => known(quantity, index))) option(byId("coordinate"), index, name);
+  });
   option(byId("coloring"), "", "nothing");
   for (const quantity of data.quantities) {
     if (quantity.colors) option(byId("coloring"), quantity.key, `${quantity.title.toLowerCase()} (${quantity.unit})`);
@@ -744,7 +749,12 @@
   }
 
   byId("frame").addEventListener("input", (event) => change({ frame: Number(event.target.value) }));
-  byId("motion").addEventListener("change", (event) => change({ motion: Number(event.target.value) }));
+  byId("motion").addEventListener("change", (event) => {
+    const motion = Number(event.target.value);
+    // A motion of one coordinate is best seen in the moment arms about it.
+    const moving = data.coordinates.indexOf(data.motions[motion].name);
+    change(moving < 0 ? { motion } : { motion, coordinate: moving });
+  });
   byId("coordinate").addEventListener("change", (event) => change({ coordinate: Number(event.target.value) }));
   byId("coloring").addEventListener("change", (event) => change({ coloring: event.target.value }));
   byId("view").addEventListener("change", (event) => change({ view: event.target.value }));
@@ -757,10 +767,10 @@
     return one.unit.startsWith("%") ? one.time[one.time.length - 1] - one.time[0] : 3 * Number(byId("speed").value);
   }
   let begun = 0, from = 0;
-  function step(now) {
+  function step() {
     if (!state.playing) return;
     const count = motion().progress.length;
-    const passed = (now - begun) / 1000 * Number(byId("speed").value) / durationOf(motion());
+    const passed = (performance.now() - begun) / 1000 * Number(byId("speed").value) / durationOf(motion());
     const frame = Math.floor(from + passed * (count - 1)) % count;
     if (frame !== state.frame) change({ frame });
     requestAnimationFrame(step);

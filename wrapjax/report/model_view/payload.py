@@ -178,7 +178,8 @@ def _quantity(block: Block, quantity: Quantity) -> dict[str, Any]:
         "colors": quantity.colors,
         "curve": quantity.curve,
         "series": [
-            {"name": one.name, "style": one.style, "values": block.add(one.values, "float32")}
+            # Rounded, because digits of rounding errors cannot be compressed.
+            {"name": one.name, "style": one.style, "values": block.add(one.values.round(4), "float32")}
             for one in quantity.series
         ],
     }

@@ -145,7 +145,7 @@ class Scene:
     root
         Name of the body nearest to ground that carries all others shown.
     axes
-        Joint axes of the coordinates.
+        Joint axes of the coordinates that muscles span.
     placements
         States of the wraps, the model's own first.
     wraps
@@ -216,7 +216,7 @@ def build_scene(
         motions=tuple(motions),
         bodies=bodies,
         root=_root(model, muscles),
-        axes=tuple(_joint_axes(model, coordinates, bodies)),
+        axes=tuple(_joint_axes(model, muscles, coordinates, bodies)),
         placements=tuple(placements),
         wraps={name: shape for name, shape in shapes.items() if shape},
         paths=dict(_muscle_paths(engine, poses, placements)),
@@ -300,8 +300,13 @@ def _drawn(
 
 
 def _joint_axes(
-    model: ModelDescription, coordinates: Sequence[str], bodies: Mapping[str, BodyMotion]
+    model: ModelDescription,
+    muscles: Sequence[str],
+    coordinates: Sequence[str],
+    bodies: Mapping[str, BodyMotion],
 ) -> Iterable[JointAxis]:
+    """Compute the axes of the coordinates that the muscles span."""
+    spanned = {name for muscle in muscles for name in model.spanned_by(muscle)}
     for joint in model.joints:
         child = bodies[joint.child_body]
         # Ground does not turn.
@@ -310,7 +315,7 @@ def _joint_axes(
             angular = angular - bodies[joint.parent_body].angular
         center, _ = child.station(np.asarray(joint.in_child.translation))
         for name in joint.coordinates:
-            if name not in coordinates:
+            if name not in coordinates or name not in spanned:
                 continue
             rate = angular[:, tuple(coordinates).index(name)]
             size = np.linalg.norm(rate, axis=1, keepdims=True)
