@@ -83,6 +83,7 @@ ARROWS: dict[str, set[str]] = {
     "report": {
         *("errors", "io", "subject", "preprocessing", "skeleton", "geometry", "muscle", "model"),
         *("path_sources", "calibration", "comparison", "diagnosis", "evaluation", "contact_forces"),
+        "osim",  # the model and its bones, to show them in motion
         "datasets",  # the virtual person's truth is drawn beside what calibration found
     },
     "demonstration": {
@@ -126,6 +127,8 @@ LAZY_PACKAGES: dict[str, set[str]] = {
     "dask_jobqueue": {"cohorts"},
     "sklearn": {"geometry"},
     "xarray": {"report"},
+    "jinja2": {"report"},
+    "markupsafe": {"report"},
 }
 
 #: Rooms that must do without JAX, so that a folder can be checked before it is loaded.

@@ -35,6 +35,7 @@ from .path_sources.polynomial_fit import load_fit as load_fit
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
+from .report.model_view.show import show as show
 from .subject.subject import load_subject as load_subject
 
 __version__: str

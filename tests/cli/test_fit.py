@@ -17,7 +17,7 @@ def test_fit_prints_a_table_and_its_folder(fitted):
 
 def test_fit_folder_has_the_documented_files(fitted):
     _, folder = fitted
-    assert names(folder) == ["fit.json", "fit.npz", "report.html", "settings.toml"]
+    assert names(folder) == ["fit.json", "fit.npz", "motion.html", "report.html", "settings.toml"]
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]
     content = read_json(folder / "fit.json")
     assert content["schema"] == 1
@@ -40,7 +40,11 @@ def test_fit_again_comes_from_the_cache(run, subject, fitted, tmp_path, monkeypa
     outcome = run("fit", subject, "--out", tmp_path / "fit", "--json", "--quiet")
     assert (outcome.status, outcome.progress) == (0, "")
     assert json.loads(outcome.output) == read_json(tmp_path / "fit" / "fit.json")
-    assert read_json(tmp_path / "fit" / "fit.json") == read_json(fitted[1] / "fit.json")
+    again, first = (read_json(folder / "fit.json") for folder in (tmp_path / "fit", fitted[1]))
+    # Where the subject is, from the folder of each fit.
+    assert (tmp_path / "fit" / again.pop("subject_folder")).resolve() == subject.resolve()
+    assert (fitted[1] / first.pop("subject_folder")).resolve() == subject.resolve()
+    assert again == first
 
 
 def test_thresholds_are_settings(run, subject, fitted, tmp_path):

@@ -103,7 +103,7 @@ class Calibration:
 
         return calibration_dataset(self.result)
 
-    def save(self, folder: str | Path, *, force: bool = False) -> None:
+    def save(self, folder: str | Path, *, force: bool = False, motion: bool = False) -> None:
         """Write the folder of the run: summary, parameters, curves, model and report.
 
         Parameters
@@ -112,6 +112,8 @@ class Calibration:
             Folder to create; the other leg, if any, is in its subfolder ``other_leg``.
         force
             Replace an existing folder.
+        motion
+            If wraps were calibrated, also write ``motion.html``, which shows them in motion; takes seconds.
 
         Raises
         ------
@@ -127,6 +129,7 @@ class Calibration:
             force=force,
             describe_model=describe_model,
             write_calibrated_model=write_calibrated_model,
+            motion=motion,
         )
         if self.checkpoints is not None:
             self.checkpoints.close()

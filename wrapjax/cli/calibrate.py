@@ -309,7 +309,7 @@ def run(options: argparse.Namespace) -> int:
         print_progress(INTERRUPTED)
         return NOT_CONVERGED
     if options.uncertainty is None:
-        done.save(options.out, force=options.force)
+        done.save(options.out, force=options.force, motion=True)
         print_result(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))
         return DONE if done.status.converged else NOT_CONVERGED
     count = options.draws or DRAWS[options.uncertainty]
@@ -321,6 +321,6 @@ def run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print_progress(INTERRUPTED)
         return NOT_CONVERGED
-    result.save(options.out, force=options.force)
+    result.save(options.out, force=options.force, motion=True)
     print_result(options, "summary.json", lambda: uncertainty_table(result))
     return DONE if done.status.converged else NOT_CONVERGED

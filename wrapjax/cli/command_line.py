@@ -28,6 +28,7 @@ from wrapjax.cli import (
     initialise,
     prepare,
     report,
+    show,
 )
 from wrapjax.cli.common import BAD_INPUT, NOT_CONVERGED, positive_integer
 from wrapjax.cli.settings_file import add_settings, apply_settings, save_settings
@@ -48,6 +49,7 @@ ADD_COMMANDS = (
     fetch.add,
     evaluate.add,
     report.add,
+    show.add,
     contact.add,
     cohort.add,
 )

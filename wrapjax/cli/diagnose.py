@@ -178,6 +178,6 @@ def run(options: argparse.Namespace) -> int:
         callback=iteration_printer(quiet=options.quiet),
         log=lambda line: print_progress(line, quiet=options.quiet),
     )
-    done.save(options.out, force=options.force)
+    done.save(options.out, force=options.force, motion=True)
     print_result(options, "gap.json", lambda: diagnosis_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE

@@ -103,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     fitted = fit(subject, options.geometry, seed=options.seed, **settings)
     result = fit_wraps(subject, fitted, thresholds=PhysiologicalThresholds(**thresholds), **settings)
     print_progress("drawing the report", quiet=options.quiet)
-    result.save(options.out, subject=subject, force=options.force)
+    result.save(options.out, subject=subject, force=options.force, motion=True)
 
     def tables() -> str:
         wraps = result.wraps

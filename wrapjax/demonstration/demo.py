@@ -135,7 +135,7 @@ def demonstrate_diagnosis(
         callback=callback,
         log=log,
     )
-    diagnosis.save(folder / "gap", force=force, note=NOTE)
+    diagnosis.save(folder / "gap", force=force, note=NOTE, motion=True)
     return DiagnosisDemonstration(hidden, diagnosis)
 
 
@@ -274,7 +274,7 @@ def demo(
     )
     subject = load_subject(folder / "virtual_subject")
     fitted = fit(subject, seed=seed, quiet=quiet)
-    fitted.save(folder / "fit", subject=subject, force=force)
+    fitted.save(folder / "fit", subject=subject, force=force, motion=True)
     calibrations = {}
     for method, starts in _STARTS.items():
         print_progress(f"calibrating by {method}", quiet=quiet)
@@ -291,7 +291,7 @@ def demo(
             resume=resume and method_checkpoints is not None and method_checkpoints.exists(),
         )
         # Saving would delete the checkpoints, which are needed until the whole demonstration is done.
-        replace(calibrations[method], checkpoints=None).save(folder / method, force=force)
+        replace(calibrations[method], checkpoints=None).save(folder / method, force=force, motion=True)
     print_progress("simulating an effect in another virtual person, and diagnosing it", quiet=quiet)
     effect_diagnosis = demonstrate_diagnosis(
         folder,

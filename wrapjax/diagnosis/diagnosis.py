@@ -104,11 +104,23 @@ class Diagnosis:
         )
         return Diagnosis(self.calibration, result, data, independent)
 
-    def save(self, folder: str | Path, *, force: bool = False, note: str = "") -> None:
-        """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top."""
+    def save(self, folder: str | Path, *, force: bool = False, note: str = "", motion: bool = False) -> None:
+        """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top.
+
+        Parameters
+        ----------
+        folder
+            Folder to create.
+        force
+            Replace an existing folder.
+        note
+            Important sentence about the data for the report.
+        motion
+            Also write ``motion.html``, which shows the error on the model in motion; takes seconds.
+        """
         from wrapjax.report.diagnosis_page import write_diagnosis
 
-        write_diagnosis(self.subject, self.result, Path(folder), force=force, note=note)
+        write_diagnosis(self.subject, self.result, Path(folder), force=force, note=note, motion=motion)
 
 
 @renamed_arguments(twins="null_replicates", tuning="constants", tell="log")

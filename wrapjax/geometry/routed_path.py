@@ -1,4 +1,4 @@
-"""Course of a muscle's shortest path in one pose, as a line through space for drawing."""
+"""Course of a muscle's shortest path in given poses, as a line through space for drawing."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ from wrapjax.geometry.wrapping import NOMINAL, Surface
 _STEP = np.deg2rad(0.5)
 # Paths are padded to this number of points, so that all with as many cylinders share a compiled program.
 _POINTS = 8
+# Poses of one batch: all batches of several poses share a compiled program.
+_BATCH = 101
 
 Points = Float[np.ndarray, "vertex 3"]
 
@@ -116,42 +118,69 @@ def route_path(
     From a path point inside a cylinder there is no shortest path. The engine then treats the point as on the
     surface, and the line has a gap there.
     """
+    return route_paths(model, muscle, coordinates, np.asarray(pose)[None], parameters)[0]
+
+
+def route_paths(
+    model: ModelDescription,
+    muscle: str,
+    coordinates: Sequence[str],
+    poses: Float[np.ndarray, "pose coordinate"],
+    parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+) -> list[RoutedPath]:
+    """Compute the course of a muscle's shortest path in many poses; see `route_path`."""
     wraps = ExactPaths(model, (muscle,), coordinates).wraps_of(muscle)
     path = model.muscle(muscle)
     objects = [model.wrap(name) for name in wraps]
-    values = CoordinateValues(model, coordinates, np.asarray(pose)[None])
+    values = CoordinateValues(model, coordinates, np.asarray(poses))
     motion = body_motion(values, {point.body for point in path.points} | {wrap.body for wrap in objects})
     points = path_points(path.points, motion, values)
-    active = points.active[0]
     if not wraps:
-        line = points.position[0][active]
-        return RoutedPath(line, line, {}, ())
+        lines = [position[active] for position, active in zip(points.position, points.active, strict=True)]
+        return [RoutedPath(line, line, {}, ()) for line in lines]
     carriers = [(wrap.body, motion[wrap.body]) for wrap in objects]
     entries = [entry for entry in path.wraps if entry.wrap in wraps]
-    surfaces = surfaces_of(objects)
     if parameters is None:
         parameters = np.tile(NOMINAL, (len(wraps), 1))
-    route = jax.tree.map(
-        np.asarray,
-        _route(
-            _first_pose(points_and_bodies(path, points, carriers, entries)), surfaces, jnp.asarray(parameters)
-        ),
+    routes = _routes(
+        _padded(points_and_bodies(path, points, carriers, entries)),
+        surfaces_of(objects),
+        jnp.asarray(parameters),
     )
-    cylinders = tuple(_placed_cylinder(route, number, name) for number, name in enumerate(wraps))
-    return _routed(route, active, cylinders)
+    routed = []
+    for pose, active in enumerate(points.active):
+        route = jax.tree.map(lambda leaf: leaf[pose], routes)  # noqa: B023
+        cylinders = tuple(_placed_cylinder(route, number, name) for number, name in enumerate(wraps))
+        routed.append(_routed(route, active, cylinders))
+    return routed
+
+
+def _routes(
+    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
+) -> Route:
+    """Compute the course in every pose, in batches; arrays of NumPy whose first axis is ``pose``."""
+    poses = path.position.shape[0]
+    size = min(poses, _BATCH)
+    parts = []
+    for first in range(0, poses, size):
+        # The last batch is filled with its last pose, since another size would need another program.
+        rows = np.minimum(np.arange(first, first + size), poses - 1)
+        batch = jax.tree.map(lambda leaf: leaf[rows], path)  # noqa: B023
+        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, parameters)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:poses], *parts)
 
 
 @eqx.filter_jit
-def _route(
+def _route_batch(
     path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
 ) -> Route:
-    return shortest_route(path, jax.vmap(Surface.placed)(surfaces, parameters))
+    cylinders = jax.vmap(Surface.placed)(surfaces, parameters)
+    return jax.vmap(shortest_route, in_axes=(0, None))(path, cylinders)
 
 
-def _first_pose(path: PointsAndBodies) -> PointsAndBodies:
-    """Select the only pose, and pad the points to `_POINTS` by copies of the last point."""
-    one = jax.tree.map(lambda leaf: leaf[0], path)
-    missing = max(0, _POINTS - one.position.shape[0])
+def _padded(path: PointsAndBodies) -> PointsAndBodies:
+    """Pad the points to `_POINTS` by copies of the last point."""
+    missing = max(0, _POINTS - path.position.shape[1])
 
     def padded(leaf: Array, axis: int) -> Array:
         last = jnp.take(leaf, jnp.array([-1]), axis=axis)
@@ -159,8 +188,8 @@ def _first_pose(path: PointsAndBodies) -> PointsAndBodies:
 
     return eqx.tree_at(
         lambda own: (own.position, own.velocity, own.point_body),
-        one,
-        (padded(one.position, 0), padded(one.velocity, 1), padded(one.point_body, 0)),
+        path,
+        (padded(path.position, 1), padded(path.velocity, 2), padded(path.point_body, 1)),
     )
 
 

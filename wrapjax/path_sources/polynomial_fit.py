@@ -154,7 +154,14 @@ class Fit:
             return polynomial_paths(subject, trials, self.surrogate, freedom)
         return wrapped_polynomial_paths(subject, trials, self.surrogate, self.wraps, freedom.wraps)
 
-    def save(self, folder: str | Path, *, subject: Subject | None = None, force: bool = False) -> None:
+    def save(
+        self,
+        folder: str | Path,
+        *,
+        subject: Subject | None = None,
+        force: bool = False,
+        motion: bool = False,
+    ) -> None:
         """Write ``fit.json``, ``fit.npz`` and ``report.html`` into a new folder.
 
         Parameters
@@ -166,6 +173,8 @@ class Fit:
             rejected, of every muscle that touches a wrap; computing them takes half a minute.
         force
             Replace an existing folder.
+        motion
+            Also write ``motion.html``, which shows the subject's paths in motion; takes seconds.
 
         Raises
         ------
@@ -175,23 +184,32 @@ class Fit:
         """
         from wrapjax.path_sources.path_samples import REPORTED_SAMPLES, sampled_paths
         from wrapjax.report.fit_page import render_fit
+        from wrapjax.report.model_view.page import write_beside_report
+        from wrapjax.report.model_view.shown import shown_fit
+        from wrapjax.report.provenance import path_from
 
         if subject is not None:
             self.require_subject(subject, "fit")
         with new_folder(Path(folder), force=force) as temporary:
-            self._write(temporary)
+            content = self.content()
+            if subject is not None:
+                content["subject_folder"] = path_from(temporary, subject.folder)
+            self._write(temporary, content)
             wraps_of = {} if self.wraps is None else self.wraps.wraps_of
             shown = [name for name in self.touching if wraps_of.get(name)]
             paths: Iterable[SampledPath] = ()
             if subject is not None:
                 paths = sampled_paths(subject, self, shown, count=REPORTED_SAMPLES)
-            write_text(temporary / "report.html", render_fit(self.content(), subject, paths))
+            link = ""
+            if motion and subject is not None:
+                link = write_beside_report(temporary, shown_fit(self.surrogate, subject))
+            write_text(temporary / "report.html", render_fit(content, subject, paths, link))
 
     def write_to_cache(self, folder: Path) -> None:
         """Write the fit without a report to a folder of the cache, replacing what is there."""
         # A process that is writing the same fit leaves the same content.
         with suppress(BusyError), new_folder(folder, force=True) as temporary:
-            self._write(temporary)
+            self._write(temporary, self.content())
 
     def require_subject(self, subject: Subject, place: str) -> None:
         """Raise an error if this is not a fit of the subject's model and all its muscles.
@@ -234,7 +252,7 @@ class Fit:
             "thresholds": None if self.wraps is None else vars(self.wraps.thresholds),
         }
 
-    def _write(self, folder: Path) -> None:
+    def _write(self, folder: Path, content: dict[str, Any]) -> None:
         arrays = self.surrogate.arrays()
         if self.wraps is not None:
             arrays |= self.wraps.arrays()
@@ -243,7 +261,7 @@ class Fit:
             np.savez(path, allow_pickle=False, **arrays)
 
         write_atomically(folder / "fit.npz", write)
-        write_json(folder / "fit.json", self.content())
+        write_json(folder / "fit.json", content)
 
 
 def load_fit(folder: str | Path, subject: Subject | None = None) -> Fit:

@@ -19,7 +19,9 @@ from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
 from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, gate_rows, untested_findings
 from wrapjax.report.formatting import DASH, counted, decimals, leg_name, p_value, readable
-from wrapjax.report.provenance import versions_platform_and_time
+from wrapjax.report.model_view.page import write_beside_report
+from wrapjax.report.model_view.results import shown_diagnosis
+from wrapjax.report.provenance import path_from, versions_platform_and_time
 from wrapjax.report.run_summary import USES, file_stems
 from wrapjax.subject.subject import Subject
 
@@ -119,7 +121,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if math.isfinite(share) else DASH
 
 
-def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") -> str:
+def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "", link: str = "") -> str:
     """Write the report of a diagnosis as a self-contained HTML page.
 
     Parameters
@@ -128,6 +130,8 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") 
         Diagnosed subject and result of the diagnosis.
     note
         Important sentence about the data, shown at the top.
+    link
+        HTML below the title, such as a link to another page.
     """
     title = f"{subject.name}: diagnosis of the model's remaining error"
     counts = {use: result.uses.count(use) for use in USES}
@@ -140,6 +144,7 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "") 
         title,
         [
             markup.header(title, under),
+            link,
             *([markup.paragraph(note)] if note else []),
             _verdict_section(subject, result),
             _gates_section(result),
@@ -257,7 +262,13 @@ def _notes_section(subject: Subject, result: DiagnosisResult) -> str:
 
 
 def write_diagnosis(
-    subject: Subject, result: DiagnosisResult, folder: Path, *, force: bool = False, note: str = ""
+    subject: Subject,
+    result: DiagnosisResult,
+    folder: Path,
+    *,
+    force: bool = False,
+    note: str = "",
+    motion: bool = False,
 ) -> None:
     """Write ``gap.json``, the moments of every recording and ``report.html``.
 
@@ -271,6 +282,8 @@ def write_diagnosis(
         Whether to replace an existing folder.
     note
         Important sentence about the data for the report.
+    motion
+        Whether to write a page beside the report that shows the error on the model in motion.
 
     Raises
     ------
@@ -278,7 +291,9 @@ def write_diagnosis(
         If the folder exists and ``force`` is not set, or cannot be created.
     """
     with new_folder(folder, force=force) as target:
-        write_json(target / "gap.json", describe_diagnosis(subject, result))
+        folder_of_subject = {"subject_folder": path_from(target, subject.folder)}
+        write_json(target / "gap.json", describe_diagnosis(subject, result) | folder_of_subject)
         for recording, stem in file_stems(tuple(dict.fromkeys(result.recordings))).items():
             write_storage(target / "moments" / f"{stem}.sto", moment_table(result, recording))
-        write_text(target / "report.html", render_diagnosis(subject, result, note))
+        link = write_beside_report(target, shown_diagnosis(target, subject)) if motion else ""
+        write_text(target / "report.html", render_diagnosis(subject, result, note, link))

@@ -193,7 +193,12 @@ _STAGES = {
 }
 
 
-def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable[SampledPath] = ()) -> str:
+def render_fit(
+    content: dict[str, Any],
+    subject: Subject | None,
+    paths: Iterable[SampledPath] = (),
+    link: str = "",
+) -> str:
     """Write the report of a fit as a self-contained HTML page.
 
     Parameters
@@ -204,6 +209,8 @@ def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable
         Subject of the fit, if known.
     paths
         Sampled paths to draw, one muscle at a time.
+    link
+        HTML below the title, such as a link to another page.
     """
     title = "Muscle paths as polynomials"
     if subject is not None:
@@ -217,6 +224,7 @@ def render_fit(content: dict[str, Any], subject: Subject | None, paths: Iterable
         title,
         [
             markup.header(title, under),
+            link,
             markup.verdict(
                 [*error_findings(content), *cylinder_findings(content)], fine=not unusual_muscles(content)
             ),

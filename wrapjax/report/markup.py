@@ -82,6 +82,11 @@ def paragraph(plain: str, kind: str = "") -> str:
     return f"<p{_class(kind)}>{text(plain)}</p>"
 
 
+def link_line(link: Link, after: str) -> str:
+    """Write a paragraph that begins with a link to a file, with plain text after it."""
+    return f"<p>{_cell(link)}{text(after)}</p>"
+
+
 def bullets(lines: Iterable[str]) -> str:
     """Write lines of plain text as a bulleted list."""
     return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"

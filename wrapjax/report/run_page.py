@@ -23,6 +23,8 @@ from wrapjax.report.calibration_curves import (
     moments_section,
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
+from wrapjax.report.model_view.page import write_beside_report
+from wrapjax.report.model_view.results import shown_calibration
 from wrapjax.report.moved_paths import MovedPath, moved_paths
 from wrapjax.report.parameters_and_solver import parameters_section, solver_section
 from wrapjax.report.path_views import path_section
@@ -44,6 +46,7 @@ def render_report(
     settings: dict[str, Any],
     moves: Sequence[MovedPath] = (),
     spread: LegSpread | None = None,
+    link: str = "",
 ) -> str:
     """Write the report of a calibration as a self-contained HTML page.
 
@@ -59,6 +62,8 @@ def render_report(
         Muscle paths to show in space, from `moved_paths`.
     spread
         Uncertainty of parameters and moments, if it was requested.
+    link
+        HTML below the title, such as a link to another page.
     """
     title = f"{subject.name}: {result.method} calibration"
     counts = {use: result.uses.count(use) for use in USES}
@@ -74,6 +79,7 @@ def render_report(
         title,
         [
             markup.header(title, under),
+            link,
             markup.verdict(run_findings(result, summary), fine=summary["converged"]),
             errors_section(result, summary),
             moments_section(result, summary),
@@ -177,6 +183,7 @@ def write_run(
     describe_model: DescribeModel | None = None,
     write_calibrated_model: WriteModel | None = None,
     spreads: Sequence[LegSpread] = (),
+    motion: bool = False,
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -194,6 +201,8 @@ def write_run(
         Function that writes the model with calibrated cylinders; without it no model is written.
     spreads
         Uncertainty of each leg's parameters and moments, if it was requested.
+    motion
+        Whether to write a page beside the report that shows calibrated wraps in motion.
 
     Raises
     ------
@@ -204,7 +213,7 @@ def write_run(
         for place, (subject, result), spread in zip_longest(
             (run, run / OTHER_LEG)[: len(legs)], legs, spreads
         ):
-            _write_leg(subject, result, place, describe_model, spread)
+            _write_leg(subject, result, place, describe_model, spread, motion)
             if write_calibrated_model is not None and result.freedom.wraps is not None:
                 write_calibrated_model(subject, result, place / PERSONALISED_MODEL)
 
@@ -215,6 +224,7 @@ def _write_leg(
     run: Path,
     describe_model: DescribeModel | None,
     spread: LegSpread | None,
+    motion: bool,
 ) -> None:
     summary = summarize(subject, result)
     if spread is not None:
@@ -239,4 +249,7 @@ def _write_leg(
     moves: list[MovedPath] = []
     if describe_model is not None and result.freedom.wraps is not None:
         moves = moved_paths(subject, result, describe_model(subject.model_file))
-    write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread))
+    link = ""
+    if motion and result.freedom.wraps is not None:
+        link = write_beside_report(run, shown_calibration(run, subject))
+    write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread, link))

@@ -112,7 +112,7 @@ class Uncertainty:
         """Uncertainty of the leg (the first of two)."""
         return self.spreads[0]
 
-    def save(self, folder: str | Path, *, force: bool = False) -> None:
+    def save(self, folder: str | Path, *, force: bool = False, motion: bool = False) -> None:
         """Write the folder of the run as `Calibration.save` does, with uncertainties in tables and report.
 
         Parameters
@@ -121,6 +121,8 @@ class Uncertainty:
             Folder to create.
         force
             Replace an existing folder.
+        motion
+            If wraps were calibrated, also write ``motion.html``, which shows them in motion; takes seconds.
 
         Raises
         ------
@@ -135,6 +137,7 @@ class Uncertainty:
             force=force,
             describe_model=describe_model,
             write_calibrated_model=write_calibrated_model,
+            motion=motion,
             spreads=self.spreads,
         )
         if self.calibration.checkpoints is not None:

@@ -1,0 +1,1 @@
+"""Page that shows a model in motion in three dimensions, with curves beside it."""

@@ -1,0 +1,131 @@
+"""Surfaces of bones from VTK's ``.vtp`` files, as OpenSim distributes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.io.xml import read_xml
+from wrapjax.osim.attached_meshes import AttachedMesh
+
+
+@dataclass(frozen=True)
+class Bone:
+    """Surface of a bone in the frame of the body that carries it.
+
+    Parameters
+    ----------
+    body
+        Name of the body.
+    vertices
+        m
+    triangles
+        Vertices of each triangle.
+    """
+
+    body: str
+    vertices: Float[np.ndarray, "vertex 3"]
+    triangles: Int[np.ndarray, "triangle 3"]
+
+
+def find_bones(
+    meshes: Sequence[AttachedMesh], folders: Sequence[Path]
+) -> tuple[tuple[Bone, ...], tuple[str, ...]]:
+    """Read the surfaces that are found in some folder.
+
+    Parameters
+    ----------
+    meshes
+        Surfaces that the model names.
+    folders
+        Folders to search, in this order.
+
+    Returns
+    -------
+    bones, missing
+        Surfaces that were read, and the names of the files that were not found or are not ``.vtp``.
+
+    Raises
+    ------
+    InputError
+        If a file that is found is damaged.
+    """
+    bones, missing = [], []
+    for mesh in meshes:
+        places = [folder / mesh.file for folder in folders]
+        file = next((place for place in places if place.is_file()), None)
+        if file is None or file.suffix.lower() != ".vtp":
+            missing.append(mesh.file)
+            continue
+        vertices, triangles = read_vtp(file)
+        rotation, origin = np.asarray(mesh.pose.rotation), np.asarray(mesh.pose.translation)
+        bones.append(Bone(mesh.body, origin + (vertices * mesh.scale) @ rotation.T, triangles))
+    return tuple(bones), tuple(dict.fromkeys(missing))
+
+
+def read_vtp(file: Path) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray, "triangle 3"]]:
+    """Read a surface from a ``.vtp`` file whose numbers are written as text, as in OpenSim's files.
+
+    Returns
+    -------
+    vertices, triangles
+        Vertices in the file's units, and the vertices of each triangle. Polygons are divided into triangles.
+
+    Raises
+    ------
+    InputError
+        If the file is not such a file or is damaged.
+    """
+    root = read_xml(file, "VTKFile")
+    pieces = root.findall("PolyData/Piece")
+    vertices, triangles, count = [], [], 0
+    for piece in pieces:
+        points = _numbers(piece.find("Points/DataArray"), file, "Points").reshape(-1, 3)
+        arrays = {entry.get("Name"): entry for entry in piece.findall("Polys/DataArray")}
+        corners = _numbers(arrays.get("connectivity"), file, "connectivity").astype(int)
+        ends = _numbers(arrays.get("offsets"), file, "offsets").astype(int)
+        fans = _fans(corners, ends, file)
+        if fans.size and (fans.min() < 0 or fans.max() >= len(points)):
+            raise InputError(Problem(str(file), "has polygons of vertices that it does not hold"))
+        vertices.append(points)
+        triangles.append(count + fans)
+        count += len(points)
+    if not count:
+        raise InputError(Problem(str(file), "expected a surface (PolyData), found none"))
+    return np.concatenate(vertices), np.concatenate(triangles)
+
+
+def _numbers(array: Element | None, file: Path, name: str) -> Float[np.ndarray, " number"]:
+    if array is None:
+        raise InputError(Problem(str(file), f"expected a DataArray of {name}, found none"))
+    if array.get("format", "ascii") != "ascii":
+        message = f"expected numbers as text (format 'ascii'), found '{array.get('format')}'"
+        raise InputError(Problem(str(file), message, name, "save it as text, for instance with ParaView"))
+    try:
+        numbers = np.array((array.text or "").split(), dtype=float)
+    except ValueError as error:
+        raise InputError(Problem(str(file), f"expected numbers ({error})", name)) from None
+    if not np.isfinite(numbers).all() or (name == "Points" and numbers.size % 3):
+        raise InputError(Problem(str(file), "expected finite numbers, three for each vertex", name))
+    return numbers
+
+
+def _fans(
+    corners: Int[np.ndarray, " corner"], ends: Int[np.ndarray, " polygon"], file: Path
+) -> Int[np.ndarray, "triangle 3"]:
+    """Divide convex polygons into triangles that share the first vertex."""
+    starts = np.concatenate([[0], ends[:-1]]).astype(int)
+    if ends.size and (np.any(ends < starts) or ends[-1] != corners.size):
+        raise InputError(Problem(str(file), "expected ascending ends of polygons up to the last", "offsets"))
+    sizes = ends - starts
+    parts = []
+    for size in np.unique(sizes[sizes > 2]).tolist():
+        polygons = corners[starts[sizes == size][:, None] + np.arange(size)]
+        parts += [polygons[:, [0, second, second + 1]] for second in range(1, size - 1)]
+    return np.concatenate(parts) if parts else np.zeros((0, 3), dtype=int)
