@@ -27,7 +27,7 @@ from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.path_sources.undriven_muscles import acting_muscles
 from wrapjax.subject.muscle_groups import fiber_length_groups
 from wrapjax.subject.muscle_parameters import CSV_COLUMNS
-from wrapjax.subject.recordings import PassiveTrial
+from wrapjax.subject.passive_trials import PassiveTrial
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:

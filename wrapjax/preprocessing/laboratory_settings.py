@@ -12,7 +12,8 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, parse_toml, read_toml_text
 from wrapjax.preprocessing.force_plates import SIDES, ForceColumns
-from wrapjax.subject.settings import TrialSettings, read_channels, read_cycles
+from wrapjax.subject.settings import read_channels
+from wrapjax.subject.trial_settings import TrialSettings, read_cycles
 
 #: Volts in each unit of EMG that the settings may name.
 VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
