@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrapjax.calibration.calibration_result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult, of_trials
 from wrapjax.calibration.uncertainty.intervals import LegSpread
+from wrapjax.evaluation.left_out_tasks import LeftOutTask
 from wrapjax.io.files import new_folder, write_atomically, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report import markup
@@ -20,7 +21,6 @@ from wrapjax.report.calibration_curves import (
     drive_section,
     errors_section,
     fiber_lengths_section,
-    moments_section,
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
 from wrapjax.report.moved_paths import MovedPath, moved_paths
@@ -31,7 +31,9 @@ from wrapjax.report.run_summary import USES, file_stems, summarize
 from wrapjax.report.run_tables import band_table, curve_tables, osimx_of, parameters_csv
 from wrapjax.report.spread import describe_spread, describe_uncertainty, spread_section
 from wrapjax.report.starts import starts_csv, starts_section
+from wrapjax.report.task_curves import left_out_csv, left_out_section, moment_sections
 from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import GAIT
 
 if TYPE_CHECKING:
     from wrapjax.geometry.model_description import ModelDescription
@@ -44,6 +46,7 @@ def render_report(
     settings: dict[str, Any],
     moves: Sequence[MovedPath] = (),
     spread: LegSpread | None = None,
+    left_out: Sequence[LeftOutTask] = (),
 ) -> str:
     """Write the report of a calibration as a self-contained HTML page.
 
@@ -59,6 +62,8 @@ def render_report(
         Muscle paths to show in space, from `moved_paths`.
     spread
         Uncertainty of parameters and moments, if it was requested.
+    left_out
+        Errors of calibrations without each task, if they were requested.
     """
     title = f"{subject.name}: {result.method} calibration"
     counts = {use: result.uses.count(use) for use in USES}
@@ -67,7 +72,7 @@ def render_report(
         f"{counted(len(subject.trials.channels), 'EMG channel')}, "
         f"{_driven_by_synergies(subject)}"
         f"{counted(len(result.coordinates), 'coordinate')}, "
-        f"{counted(counts['calibration'], 'gait cycle')} for calibration and {counts['validation']} for "
+        f"{counted(counts['calibration'], _unit(result))} for calibration and {counts['validation']} for "
         f"validation. {settings['date'][:10]}."
     )
     return markup.page(
@@ -76,9 +81,9 @@ def render_report(
             markup.header(title, under),
             markup.verdict(run_findings(result, summary), fine=summary["converged"]),
             errors_section(result, summary),
-            moments_section(result, summary),
-            drive_section(subject, result),
-            activations_section(subject, result),
+            *moment_sections(result, summary),
+            *([left_out_section(left_out)] if left_out else []),
+            *_muscle_sections(subject, result),
             fiber_lengths_section(result),
             path_section(result, moves),
             parameters_section(result),
@@ -90,6 +95,15 @@ def render_report(
     )
 
 
+def _muscle_sections(subject: Subject, result: CalibrationResult) -> list[str]:
+    """Write the sections on what drove the muscles and on their activations, which are shown over gait."""
+    gait = np.array([task == GAIT for task in result.tasks])
+    if not gait.any():
+        return []
+    walking = result if gait.all() else of_trials(result, gait)
+    return [drive_section(subject, walking), activations_section(subject, walking)]
+
+
 def _driven_by_synergies(subject: Subject) -> str:
     """Write the number of muscles without an electrode that synergies drive."""
     if subject.synergies is None:
@@ -98,13 +112,18 @@ def _driven_by_synergies(subject: Subject) -> str:
     return f"{len(subject.synergies.muscles)} by {count} synerg{'y' if count == 1 else 'ies'} of these, "
 
 
+def _unit(result: CalibrationResult) -> str:
+    return "gait cycle" if set(result.tasks) == {GAIT} else "gait cycle or window"
+
+
 def run_findings(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     """Write sentences on convergence, errors and bounds of a calibration."""
     errors = {use: summary["mae_Nm"][use] for use in USES} | {
         "before": summary["before"]["mae_Nm"]["calibration"]
     }
     mean = {name: decimals(None if error is None else error["mean"]) for name, error in errors.items()}
-    cycles = {use: counted(result.uses.count(use), f"{use} cycle") for use in USES}
+    noun = "cycle" if set(result.tasks) == {GAIT} else "cycle or window"
+    cycles = {use: counted(result.uses.count(use), f"{use} {noun}") for use in USES}
     first = (
         f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over "
         f"{cycles['calibration']} (before calibration: {mean['before']} N m)"
@@ -177,6 +196,7 @@ def write_run(
     describe_model: DescribeModel | None = None,
     write_calibrated_model: WriteModel | None = None,
     spreads: Sequence[LegSpread] = (),
+    left_out: Sequence[LeftOutTask] = (),
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -194,6 +214,8 @@ def write_run(
         Function that writes the model with calibrated cylinders; without it no model is written.
     spreads
         Uncertainty of each leg's parameters and moments, if it was requested.
+    left_out
+        Errors of calibrations without each task of the only leg, if they were requested.
 
     Raises
     ------
@@ -204,7 +226,7 @@ def write_run(
         for place, (subject, result), spread in zip_longest(
             (run, run / OTHER_LEG)[: len(legs)], legs, spreads
         ):
-            _write_leg(subject, result, place, describe_model, spread)
+            _write_leg(subject, result, place, describe_model, spread, left_out)
             if write_calibrated_model is not None and result.freedom.wraps is not None:
                 write_calibrated_model(subject, result, place / PERSONALISED_MODEL)
 
@@ -215,6 +237,7 @@ def _write_leg(
     run: Path,
     describe_model: DescribeModel | None,
     spread: LegSpread | None,
+    left_out: Sequence[LeftOutTask],
 ) -> None:
     summary = summarize(subject, result)
     if spread is not None:
@@ -228,6 +251,8 @@ def _write_leg(
     model = path_from(run, subject.model_file) if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
+    if left_out:
+        write_text(run / "left_out_tasks.csv", left_out_csv(left_out))
     if result.calibrated_paths is not None:
         arrays = result.calibrated_paths.arrays()
         write_atomically(run / PATHS, lambda file: np.savez(file, allow_pickle=False, **arrays))
@@ -239,4 +264,6 @@ def _write_leg(
     moves: list[MovedPath] = []
     if describe_model is not None and result.freedom.wraps is not None:
         moves = moved_paths(subject, result, describe_model(subject.model_file))
-    write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread))
+    write_text(
+        run / "report.html", render_report(subject, result, summary, settings, moves, spread, left_out)
+    )

@@ -11,10 +11,13 @@ from wrapjax.errors import Problem
 from wrapjax.io.model_file import CoordinateInfo
 from wrapjax.io.storage import find_columns
 from wrapjax.io.toml import collect_problems
-from wrapjax.subject.recordings import Reader, check_angle_unit, select_angles
+from wrapjax.subject.recordings import Reader, Signals, check_angle_unit, select_angles, within_intervals
 from wrapjax.subject.settings import PassiveSettings, Settings
 from wrapjax.subject.trial_checks import MAX_MOMENT_PER_MASS
 from wrapjax.subject.trials import GAIT
+
+#: Most samples of a trial of task ``passive`` that determine initial lengths.
+MOST_SAMPLES = 101
 
 
 @dataclass(frozen=True)
@@ -112,4 +115,32 @@ def read_passive_trial(
         angles=values[:, inside],
         moment_coordinates=tuple(recorded),
         moments=np.array(list(recorded.values())),
+    )
+
+
+def as_passive_trial(signals: Signals, names: tuple[str, ...]) -> PassiveTrial:
+    """Return a trial of task ``passive`` as `initialise` uses it: samples of its angles in its intervals.
+
+    Of many samples, `MOST_SAMPLES` at equal distances are kept.
+
+    Parameters
+    ----------
+    signals
+        Signals of the trial.
+    names
+        Coordinates of the subject's moments.
+    """
+    inside = np.flatnonzero(within_intervals(signals))
+    if inside.size > MOST_SAMPLES:
+        inside = inside[np.linspace(0, inside.size - 1, MOST_SAMPLES).astype(int)]
+    measured = np.isfinite(signals.moments).all(axis=1)
+    time = signals.angle_time[inside]
+    return PassiveTrial(
+        name=signals.trial.name,
+        coordinates=signals.coordinates,
+        angles=signals.angles[:, inside],
+        moment_coordinates=tuple(name for name, has in zip(names, measured, strict=True) if has),
+        moments=np.array(
+            [np.interp(time, signals.moment_time, moment) for moment in signals.moments[measured]]
+        ),
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from wrapjax.errors import Problem, nearest_name
 from wrapjax.io.model_file import CoordinateInfo
@@ -152,12 +152,18 @@ def read_signals(
     return signals
 
 
-def restoring_samples(signals: Signals, names: tuple[str, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return the angle (rad) and moment (N m) about each measured coordinate within the intervals."""
+def within_intervals(signals: Signals) -> Bool[np.ndarray, " angle_sample"]:
+    """Mark the samples of the angles within the cycles or intervals of a recording."""
     time = signals.angle_time
     inside = np.zeros(time.size, dtype=bool)
     for start, end in signals.trial.cycles:
         inside |= (time >= start) & (time <= end)
+    return inside
+
+
+def restoring_samples(signals: Signals, names: tuple[str, ...]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the angle (rad) and moment (N m) about each measured coordinate within the intervals."""
+    time, inside = signals.angle_time, within_intervals(signals)
     return {
         name: (
             signals.angles[signals.coordinates.index(name), inside],

@@ -21,7 +21,7 @@ from wrapjax.subject.muscle_parameters import (
     is_on_side,
     read_muscle_parameters,
 )
-from wrapjax.subject.passive_trials import PassiveTrial, read_passive_trial
+from wrapjax.subject.passive_trials import PassiveTrial, as_passive_trial, read_passive_trial
 from wrapjax.subject.recordings import read_signals
 from wrapjax.subject.settings import SETTINGS_FILE, Settings, read_settings
 from wrapjax.subject.synergies import Synergies
@@ -84,7 +84,8 @@ class Subject:
     synergies
         Synergies that drive muscles without a channel; None if there are none.
     passive
-        Passive trials.
+        Passive trials for initial lengths: of tables ``[[passive]]``, and of task ``passive`` for
+        calibration.
     """
 
     name: str
@@ -190,7 +191,14 @@ def load_subject(path: str | Path) -> Subject:
         notes=tuple(dict.fromkeys(notes)),
         undriven_parameters=others,
         extrapolated=settings.extrapolated,
-        passive=tuple(trial for trial in passive if trial is not None),
+        passive=(
+            *(trial for trial in passive if trial is not None),
+            *(
+                as_passive_trial(entry, settings.coordinates)
+                for entry in read_all
+                if entry.trial.task == "passive" and entry.trial.use == "calibration"
+            ),
+        ),
     )
 
 
