@@ -123,8 +123,9 @@ def fit_emg_spline(
     pieces = CubicSpline(knots, emg, axis=-1, bc_type="not-a-knot").c  # (4, interval, trial, channel)
     coefficients = np.transpose(pieces, (3, 2, 0, 1))
     step = (time[:, -1] - time[:, 0]) / (emg.shape[-1] - 1)
-    for trial in np.flatnonzero(starts) if starts is not None else ():
-        first = starts[trial]
+    for trial, first in enumerate(() if starts is None else starts.tolist()):
+        if not first:
+            continue
         own = CubicSpline(knots[first:], emg[trial, :, first:], axis=-1, bc_type="not-a-knot").c
         coefficients[:, trial, :, :first] = 0.0
         coefficients[:, trial, -1, :first] = emg[trial, :, first, None]

@@ -195,15 +195,14 @@ def personal_neural_activation(
         single = stage(e, one, before[0], 1.0)
         of_first = stage(e, first, before[1], 2.0)
         of_last = stage(of_first, last, before[2], 2.0)
-        now = (single, of_first, of_last)
         if running:
-            now = single, of_first, of_last = tuple(jnp.where(running[0], one, 0.0) for one in now)
+            single, of_first, of_last = (jnp.where(running[0], a, 0.0) for a in (single, of_first, of_last))
+        now = (single, of_first, of_last)
         return (now, (one, first, last)), single + second * (of_last - single)
 
     rest = jnp.zeros_like(excitation[:, 0])
-    inputs = (excitation[:, 2:].T, by_level[:, 2:].T)
-    if start is not None:
-        inputs = (*inputs, active_frames(start, excitation.shape[1])[:, 2:].T)
+    running = () if start is None else (active_frames(start, excitation.shape[1])[:, 2:].T,)
+    inputs = (excitation[:, 2:].T, by_level[:, 2:].T, *running)
     _, later = jax.lax.scan(advance, ((rest, rest, rest), (rest, rest, rest)), inputs)
     return jnp.concatenate([jnp.stack([rest, rest], axis=1), later.T], axis=1)
 

@@ -82,7 +82,7 @@ def read_trial(
         reader.add_problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
         name = None
     use = reader.text("use", choices=("calibration", "validation"))
-    task = _read_task(reader)
+    task = read_task(reader)
     angles, moments = (reader.path(key, folder) for key in ("angles", "moments"))
     at_rest = task == "passive" and not reader.has("emg")
     emg = None if at_rest else reader.path("emg", folder)
@@ -118,7 +118,7 @@ def read_trial(
     )
 
 
-def _read_task(reader: TableReader) -> str | None:
+def read_task(reader: TableReader) -> str | None:
     """Read the task of a trial; gait where cycles are given."""
     others = tuple(task for task in TASKS if task != GAIT)
     if not reader.has("task") and (reader.has("interval") or reader.has("intervals")):
@@ -182,16 +182,26 @@ def _read_spans(reader: TableReader, one: str) -> tuple[tuple[float, float], ...
     single, several = reader.raw(one), reader.raw(many)
     if single is not None and several is not None:
         return ()
-    key = many if several is not None else one
-    listed = several if several is not None else [single]
+    if several is not None:
+        return read_spans_of(reader, many)
+    return () if single is None else _check_spans(reader, one, [single], numbered=False)
+
+
+def read_spans_of(reader: TableReader, key: str) -> tuple[tuple[float, float], ...]:
+    """Read ``key = [[t0, t1], ...]``, s; invalid spans are reported and omitted."""
+    listed = reader.raw(key)
     if not isinstance(listed, list) or not listed:
         reader.add_problem(key, f"expected [[t0, t1], ...], found {describe_value(listed)}")
         return ()
+    return _check_spans(reader, key, listed, numbered=True)
+
+
+def _check_spans(
+    reader: TableReader, key: str, listed: list, *, numbered: bool
+) -> tuple[tuple[float, float], ...]:
     spans = []
     for order, entry in enumerate(listed, start=1):
-        place = f"{key} {order}" if several is not None else key
-        if entry is None:
-            continue
+        place = f"{key} {order}" if numbered else key
         if not (isinstance(entry, list) and len(entry) == 2 and all(map(_is_time, entry))):
             reader.add_problem(place, f"expected [t0, t1] in s, found {describe_value(entry)}")
         elif entry[0] >= entry[1]:
