@@ -17,8 +17,8 @@ from wrapjax.calibration.sample_weights import (
 from wrapjax.calibration.uncertainty.uncertainty import uncertainty
 from wrapjax.errors import InputError
 from wrapjax.evaluation.evaluation import evaluate
-from wrapjax.evaluation.left_out_tasks import LeftOutTask, LeftOutTasks, leave_out_tasks
-from wrapjax.evaluation.metrics import errors_by_task
+from wrapjax.evaluation.left_out_tasks import LeftOutTasks, leave_out_tasks
+from wrapjax.evaluation.metrics import LeftOutTask, errors_by_task
 from wrapjax.path_sources.exact import exact_geometry
 from wrapjax.report.evaluation_page import redraw_evaluation
 from wrapjax.subject.subject import load_subject

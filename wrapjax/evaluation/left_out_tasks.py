@@ -10,28 +10,9 @@ import numpy as np
 
 from wrapjax.calibration.calibration import STARTS, Calibration, calibrate, write_calibrated_model
 from wrapjax.errors import InputError, Problem
-from wrapjax.evaluation.metrics import TaskErrors, errors_by_task
+from wrapjax.evaluation.metrics import LeftOutTask, errors_by_task
 from wrapjax.osim.model import describe_model
 from wrapjax.subject.trials import Trials
-
-
-@dataclass(frozen=True)
-class LeftOutTask:
-    """Errors about one coordinate in one task, of the model calibrated without it and with all.
-
-    Parameters
-    ----------
-    without
-        Errors of the model that was calibrated on the other tasks.
-    with_all
-        Errors of the model that was calibrated on all tasks.
-    converged
-        Whether the calibration without the task converged.
-    """
-
-    without: TaskErrors
-    with_all: TaskErrors
-    converged: bool
 
 
 @dataclass(frozen=True)

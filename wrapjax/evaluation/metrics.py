@@ -98,6 +98,25 @@ class TaskErrors:
     seconds: float
 
 
+@dataclass(frozen=True)
+class LeftOutTask:
+    """Errors about one coordinate in one task, of the model calibrated without it and with all.
+
+    Parameters
+    ----------
+    without
+        Errors of the model that was calibrated on the other tasks.
+    with_all
+        Errors of the model that was calibrated on all tasks.
+    converged
+        Whether the calibration without the task converged.
+    """
+
+    without: TaskErrors
+    with_all: TaskErrors
+    converged: bool
+
+
 def errors_by_task(
     trials: Trials, modelled: Float[np.ndarray, "trial coordinate frame"]
 ) -> tuple[TaskErrors, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from wrapjax.calibration.calibration_result import CalibrationResult, of_trials
 from wrapjax.calibration.uncertainty.intervals import LegSpread
-from wrapjax.evaluation.left_out_tasks import LeftOutTask
+from wrapjax.evaluation.metrics import LeftOutTask
 from wrapjax.io.files import new_folder, write_atomically, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report import markup

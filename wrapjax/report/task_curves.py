@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.evaluation.left_out_tasks import LeftOutTask
+from wrapjax.evaluation.metrics import LeftOutTask
 from wrapjax.report import markup
 from wrapjax.report.calibration_curves import moments_section
 from wrapjax.report.cycle_panels import MomentCurves, TrialCurves
