@@ -69,7 +69,7 @@ ARROWS: dict[str, set[str]] = {
         *("path_sources", "calibration"),
     },
     "evaluation": {
-        *("errors", "io", "jax_setup", "subject", "geometry", "muscle", "model", "path_sources"),
+        *("errors", "io", "jax_setup", "subject", "osim", "geometry", "muscle", "model", "path_sources"),
         "calibration",
     },
     "contact_forces": {

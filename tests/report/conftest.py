@@ -156,6 +156,8 @@ def result() -> CalibrationResult:
         trials=TRIALS,
         uses=USES,
         speeds=np.array([0.5, 0.5, 0.8]),
+        tasks=("gait",) * 3,
+        recordings=TRIALS,
         time=_time(),
         initial=_parameters(),
         # One third has no short decimal form, which tests that files keep all digits.

@@ -131,7 +131,6 @@ BROKEN = {
     "no other leg": (settings('side = "l"', 'side = "l"\nother_leg = "../right"'), ["other_leg", "right"]),
     "unknown kind of EMG": (settings('"envelope"', '"enveloppe"'), ["kind", "did you mean 'envelope'"]),
     "unknown use": (settings('"calibration"', '"calibrate"'), ["use", "did you mean 'calibration'"]),
-    "nothing to calibrate with": (settings('"calibration"', '"validation"'), ["use", "calibration", "none"]),
     "trial name twice": (settings('"walk_b"', '"walk_a"'), ["walk_a", "unique name"]),
     "trial name with a slash": (settings('"walk_b"', '"walk/b"'), ["name", "letters", "walk/b"]),
     "speed negative": (settings("speed_m_s = 1.1", "speed_m_s = -1.1"), ["speed_m_s", "-1.1"]),

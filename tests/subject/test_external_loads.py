@@ -10,8 +10,8 @@ from tests.subject.synthetic import write_subject
 from wrapjax.errors import InputError
 from wrapjax.io.storage import Storage, write_storage
 from wrapjax.subject.external_loads import read_ground_loads
-from wrapjax.subject.settings import TrialSettings
 from wrapjax.subject.subject import load_subject
+from wrapjax.subject.trial_settings import TrialSettings
 
 LOAD = """<ExternalForce name="{name}">
  <applied_to_body>{body}</applied_to_body>

@@ -175,7 +175,7 @@ def _drive(
 def mean_emg(subject: Subject, channel: int) -> Float[np.ndarray, " phase"]:
     """Compute the mean of a channel over calibration cycles at `PHASES` phases."""
     trials = subject.trials
-    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    inside = trials.inside
     calibration = [number for number, use in enumerate(trials.uses) if use == "calibration"]
     mean = trials.emg[calibration, channel, inside].mean(axis=0)
     return np.asarray(np.interp(np.linspace(0.0, 1.0, PHASES), np.linspace(0.0, 1.0, mean.size), mean))

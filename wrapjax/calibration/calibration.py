@@ -337,6 +337,8 @@ def _result(
         trials=trials.names,
         uses=trials.uses,
         speeds=trials.speeds,
+        tasks=trials.tasks,
+        recordings=trials.recordings,
         time=trials.time,
         initial=initial,
         parameters=parameters,
@@ -358,7 +360,7 @@ def _result(
         tendon=options.tendon,
         muscle_law=options.law,
         solver=solver,
-        n_residuals=problem.measured.size,
+        n_residuals=int(np.isfinite(trials.used_for("calibration").moments).sum()),
         compile_seconds=compile_seconds,
     )
 

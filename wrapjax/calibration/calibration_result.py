@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -31,6 +31,8 @@ class CalibrationResult:
         Use of each trial, such as ``calibration``.
     speeds
         Walking speed of each trial, m/s; NaN where unknown.
+    tasks, recordings
+        Task and recording of each trial.
     time
         Time of every frame, s.
     initial, parameters
@@ -46,7 +48,7 @@ class CalibrationResult:
     paths, calibrated_paths
         Polynomial paths before and after calibration; None where paths are exact.
     measured, modelled, initial_modelled
-        Joint moments, N m: measured, of the calibrated model, and of the initial model.
+        Joint moments, N m: measured (NaN where none was), of the calibrated model, and of the initial model.
     states, initial_states
         States of all muscles over all cycles, after and before calibration.
     cost_by_term
@@ -73,6 +75,8 @@ class CalibrationResult:
     trials: tuple[str, ...]
     uses: tuple[str, ...]
     speeds: Float[np.ndarray, " trial"]
+    tasks: tuple[str, ...]
+    recordings: tuple[str, ...]
     time: Float[np.ndarray, "trial frame"]
     initial: ModelParameters
     parameters: ModelParameters
@@ -154,6 +158,28 @@ def largest_excess(result: CalibrationResult) -> dict[str, float]:
         excess = np.asarray(limit.excess(limit.values(result.parameters, states)))
         largest[limit.name] = float(np.maximum(excess, 0.0).max())
     return largest
+
+
+def of_trials(result: CalibrationResult, chosen: Bool[np.ndarray, " trial"]) -> CalibrationResult:
+    """Return the result with the curves of some trials."""
+
+    def pick(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name for name, keep in zip(names, chosen, strict=True) if keep)
+
+    return replace(
+        result,
+        trials=pick(result.trials),
+        uses=pick(result.uses),
+        tasks=pick(result.tasks),
+        recordings=pick(result.recordings),
+        speeds=result.speeds[chosen],
+        time=result.time[chosen],
+        measured=result.measured[chosen],
+        modelled=result.modelled[chosen],
+        initial_modelled=result.initial_modelled[chosen],
+        states=_select_trials(result.states, chosen),
+        initial_states=_select_trials(result.initial_states, chosen),
+    )
 
 
 def _select_trials(states: MuscleState, chosen: Bool[np.ndarray, " trial"]) -> MuscleState:

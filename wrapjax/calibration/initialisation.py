@@ -27,7 +27,7 @@ from wrapjax.path_sources.exact import recorded_motion
 from wrapjax.path_sources.undriven_muscles import acting_muscles
 from wrapjax.subject.muscle_groups import fiber_length_groups
 from wrapjax.subject.muscle_parameters import CSV_COLUMNS
-from wrapjax.subject.recordings import PassiveTrial
+from wrapjax.subject.passive_trials import PassiveTrial
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
@@ -169,13 +169,13 @@ def initialise(
 
     All muscles that act on the matched coordinates are included, with or without an EMG channel, because all
     contribute to passive moments. Paths are those of the exact engine. Maximum isometric forces and pennation
-    angles are unchanged. The walking cycles are those of the trials marked ``calibration``. The terms are
-    described in `wrapjax.calibration.initial_lengths`.
+    angles are unchanged. The walking cycles, and movements, are those of the trials marked ``calibration``
+    except passive ones. The terms are described in `wrapjax.calibration.initial_lengths`.
 
     Parameters
     ----------
     subject
-        Subject from `load_subject`. Without ``[[passive]]`` trials the lengths depend on operating ranges
+        Subject from `load_subject`. Without passive trials the lengths depend on operating ranges
         alone.
     curves
         Hill curves: ``paper`` or ``opensim``.
@@ -237,6 +237,8 @@ def _problem(
     subject: Subject, muscles: MuscleParameters, curves: str, errors: LengthErrors
 ) -> InitialLengthObjective:
     model, trials = describe_model(subject.model_file), subject.trials.used_for("calibration")
+    active = np.array([task != "passive" for task in trials.tasks])
+    trials = trials.select(active) if active.any() else trials
     spanned = {name for muscle in muscles.names for name in model.spanned_by(muscle)}
     engine = ExactPaths(model, muscles.names, tuple(name for name in trials.coordinates if name in spanned))
     wanted = trials.moment_coordinates

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -187,6 +188,17 @@ def flatten(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
     return quantity.ravel()
 
 
+@dataclass(frozen=True)
+class SomeTrials:
+    """Use the values of the quantity in some trials."""
+
+    trials: tuple[int, ...]
+
+    def __call__(self, quantity: Float[Array, "trial frame"]) -> Float[Array, " value"]:
+        """Select the trials, and flatten."""
+        return quantity[np.array(self.trials)].ravel()
+
+
 def mean_over_trials_and_frames(quantity: Float[Array, "*shape"]) -> Float[Array, " value"]:
     """Compute the mean over trials and frames."""
     return quantity.mean()[None]
@@ -228,6 +240,7 @@ def pipeline_penalties(
     activation_groups: Sequence[Sequence[int]],
     fiber_length_groups: Sequence[Sequence[int]],
     extrapolated: Sequence[int] = (),
+    relaxed: Sequence[int] = (),
 ) -> tuple[AbstractPenalty, ...]:
     """Build the penalties of the NMSM Pipeline, except priors on single parameters.
 
@@ -244,6 +257,8 @@ def pipeline_penalties(
         Groups of muscles that are expected to be similar, as muscle indices.
     extrapolated
         Indices of the muscles without an EMG channel.
+    relaxed
+        Indices of the passive trials. Their passive forces are measured, and not penalised.
 
     Returns
     -------
@@ -259,8 +274,13 @@ def pipeline_penalties(
     penalties: list[AbstractPenalty] = [
         MusclePenalty("normalized_fiber_length_mean", normalized_length, mean_over_trials, mean, 0.1),
         MusclePenalty("normalized_fiber_length_shape", normalized_length, subtract_mean, shape, 0.1),
-        MusclePenalty("passive_force", _passive_force, flatten, zero, 50.0),
     ]
+    trials = length.shape[1]
+    if not relaxed:
+        penalties.append(MusclePenalty("passive_force", _passive_force, flatten, zero, 50.0))
+    elif len(relaxed) < trials:
+        active = SomeTrials(tuple(trial for trial in range(trials) if trial not in relaxed))
+        penalties.append(MusclePenalty("passive_force", _passive_force, active, zero, 50.0))
     length_groups = tuple(tuple(group) for group in fiber_length_groups)
     if length_groups:
         penalties += [

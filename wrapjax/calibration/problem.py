@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import feasibility_limits, path_limits, proximity_penalty
 from wrapjax.calibration.penalties import pipeline_penalties
+from wrapjax.calibration.sample_weights import moment_errors_by_weight
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
@@ -122,19 +124,22 @@ def build_stages(
     names = subject.muscles.names
     alterations = tendon_alterations(tendon, len(names))
     reference = eqx.filter_jit(muscle_states)(HILL_CURVES[curves], base, inputs, alterations)
+    errors = moment_errors_by_weight(trials)
     held = Objective(
         curves=HILL_CURVES[curves],
         recording=inputs,
-        measured=jnp.asarray(trials.moments),
+        measured=jnp.asarray(np.nan_to_num(trials.moments)),
         variables=free_variables(base, freedom.with_held_paths(), names),
         penalties=pipeline_penalties(
             reference,
             group_indices(subject.activation_groups, names),
             group_indices(subject.fiber_length_groups, names),
             range(len(subject.muscle_channels), len(names)),
+            tuple(place for place, task in enumerate(trials.tasks) if task == "passive"),
         ),
         limits=(),
         alterations=alterations,
+        **({} if errors is None else {"moment_error": errors}),
     )
     if freedom.paths is None and freedom.wraps is None:
         return (held,)
@@ -352,6 +357,7 @@ def _fingerprint(leg: LegSetup) -> str:
         trials.emg,
         trials.angles,
         repr((trials.names, trials.uses, trials.moment_coordinates, subject.muscle_channels)),
+        repr((trials.tasks, trials.given_samples, trials.leading)),
         repr((subject.activation_groups, subject.fiber_length_groups)),
         repr(leg.freedom),
         *(() if subject.synergies is None else (repr(subject.synergies.basis),)),

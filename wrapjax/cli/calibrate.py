@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from wrapjax.calibration.solvers.multistart import IterationCallback
     from wrapjax.calibration.uncertainty.intervals import LegSpread
     from wrapjax.calibration.uncertainty.uncertainty import Uncertainty
+    from wrapjax.evaluation.left_out_tasks import LeftOutTasks
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.path_sources.polynomial_fit import Fit
 
@@ -88,7 +89,12 @@ def calibration_table(calibration: Calibration) -> str:
         f"{'coordinate':{width}s}" + "".join(f"{name:>20s}" for name in columns),
     ]
     for name in (*result.coordinates, "mean"):
-        lines.append(f"{name:{width}s}" + "".join(f"{pooled[name]:20.2f}" for pooled in columns.values()))
+        lines.append(
+            f"{name:{width}s}"
+            + "".join(
+                f"{pooled[name]:20.2f}" if name in pooled else f"{'-':>20s}" for pooled in columns.values()
+            )
+        )
     return "\n".join(lines)
 
 
@@ -133,6 +139,22 @@ def uncertainty_table(result: Uncertainty) -> str:
     """Tabulate the calibration of each leg, and how well its recordings determine the parameters."""
     legs = zip(result.calibration.legs, result.spreads, strict=True)
     return "\n\n".join(f"{calibration_table(leg)}\n\n{spread_table(spread)}" for leg, spread in legs)
+
+
+def left_out_table(result: LeftOutTasks) -> str:
+    """Tabulate the errors of every task, of models calibrated without it and with all."""
+    width = max(len(row.without.coordinate) for row in result.rows)
+    lines = [
+        "Errors by task, N m: of the model calibrated without the task, and on all tasks",
+        f"{'task':12s}{'coordinate':{width}s}{'MAE':>10s}{'RMSE':>8s}{'R2':>7s}{'MAE':>10s}{'RMSE':>8s}{'R2':>7s}",
+    ]
+    for row in result.rows:
+        lines.append(
+            f"{row.without.task:12s}{row.without.coordinate:{width}s}"
+            + "".join(f"{own.mae:10.2f}{own.rmse:8.2f}{own.r2:7.2f}" for own in (row.without, row.with_all))
+            + ("" if row.converged else "  not converged without it")
+        )
+    return "\n".join(lines)
 
 
 def spread_table(spread: LegSpread) -> str:
@@ -242,6 +264,11 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     calibrate.add_argument(
         "--draws", type=positive_integer, metavar="N", help="number of bootstrap calibrations (default: 50)"
     )
+    calibrate.add_argument(
+        "--leave-tasks-out",
+        action="store_true",
+        help="also calibrate without each task in turn and predict it: left_out_tasks.csv",
+    )
     add_undriven_options(calibrate)
 
 
@@ -255,6 +282,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.solvers.lbfgs import BoundedLBFGS
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
+    from wrapjax.evaluation.left_out_tasks import leave_out_tasks
     from wrapjax.path_sources.exact import exact_geometry
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.path_sources.undriven_muscles import apply_undriven_strategy
@@ -271,6 +299,8 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.surfaces != "touched" and options.method != "PGA":
         raise InputError(Problem("--surfaces", "is for --method PGA: the other methods change no cylinders"))
+    if options.leave_tasks_out and options.uncertainty:
+        raise InputError(Problem("--leave-tasks-out", "cannot be combined with --uncertainty"))
     checkpoints = checkpoint_folder(options)
     inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": BoundedLBFGS}[options.solver]()
     if options.max_iterations:
@@ -308,6 +338,17 @@ def run(options: argparse.Namespace) -> int:
     if done.status is Status.interrupted:
         print_progress(INTERRUPTED)
         return NOT_CONVERGED
+    if options.leave_tasks_out:
+        left_out = leave_out_tasks(
+            done,
+            starts=options.starts,
+            seed=options.seed,
+            log=lambda line: print_progress(line, quiet=options.quiet),
+        )
+        left_out.save(options.out, force=options.force)
+        tables = f"{calibration_table(done)}\n\n{left_out_table(left_out)}"
+        print_result(options, "summary.json", lambda: tables)
+        return DONE if done.status.converged else NOT_CONVERGED
     if options.uncertainty is None:
         done.save(options.out, force=options.force, motion=True)
         print_result(options, "summary.json", lambda: "\n\n".join(map(calibration_table, done.legs)))

@@ -4,22 +4,37 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wrapjax.cli.common import DONE, AddCommand, print_json
+
+if TYPE_CHECKING:
+    from wrapjax.subject.description import Table
+    from wrapjax.subject.subject import Subject
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     check = command("check", run, "Read a subject folder and show its content, or all errors in it.")
     check.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
+    check.add_argument(
+        "--capacity",
+        action="store_true",
+        help="also compute, by OpenSim, which share of each joint's moment capacity has no electrode",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from wrapjax.subject.description import describe_subject, render_tables
+    from wrapjax.preprocessing.recording_findings import recording_findings
+    from wrapjax.subject.description import Table, describe_subject, render_tables
     from wrapjax.subject.subject import load_subject
 
-    tables = describe_subject(load_subject(options.subject))
+    subject = load_subject(options.subject)
+    rows = tuple((one.kind, one.sentence) for one in recording_findings(subject))
+    tables = (*describe_subject(subject), Table("Findings in the recordings", ("kind", "finding"), rows))
+    if options.capacity:
+        tables = (*tables, _capacity_table(subject))
     if options.json:
         print_json(
             {
@@ -30,3 +45,16 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(render_tables(tables))
     return DONE
+
+
+def _capacity_table(subject: Subject) -> Table:
+    """Tabulate the share of each joint's moment capacity without an electrode, in either direction."""
+    from wrapjax.path_sources.moment_capacity import unrecorded_capacity
+    from wrapjax.subject.description import Table
+
+    rows = tuple(
+        (one.coordinate, f"{one.sign:+d}", round(100.0 * one.share, 1), ", ".join(one.muscles) or None)
+        for one in unrecorded_capacity(subject)
+    )
+    header = ("coordinate", "direction", "without EMG (%)", "strongest muscles without EMG")
+    return Table("Moment capacity without an electrode", header, rows)

@@ -22,6 +22,7 @@ from wrapjax.path_sources.exact import ExactGeometry, exact_geometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.progress import print_progress
 from wrapjax.renamed import renamed_arguments
+from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject, read_legs
 
 if TYPE_CHECKING:
@@ -189,7 +190,7 @@ def compare(
     methods = _check_methods(methods)
     if geometry not in GEOMETRIES:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
-    persons = subjects_to_calibrate(subjects)
+    persons = subjects_to_calibrate([with_gait_alone(one, "a comparison of methods") for one in subjects])
     labels = unique_labels(persons)
     sources = [
         _path_sources(methods, person, geometry, seed=seed, processes=processes, quiet=quiet)

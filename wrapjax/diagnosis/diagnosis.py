@@ -32,6 +32,7 @@ from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.renamed import renamed_arguments
+from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def diagnose(
     Parameters
     ----------
     subject
-        Subject from `load_subject`. The other leg is not used.
+        Subject from `load_subject`. The other leg and trials of other tasks than gait are not used.
     method, fit
         See `calibrate`; paths are held as the calibration leaves them.
     without
@@ -171,7 +172,7 @@ def diagnose(
     """
     refuse_unknown(without)
     began = time.perf_counter()
-    one_leg = replace(subject, other_leg=None)
+    one_leg = replace(with_gait_alone(subject, "a diagnosis"), other_leg=None)
     while True:
         calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
         if calibration.status is Status.interrupted:
@@ -253,7 +254,7 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
         result.curves,
     )
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
-    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    inside = trials.inside
     order = np.broadcast_to(context.order[:, None, None], (len(trials), 1, trials.time.shape[1]))
     inputs = (
         trials.angles[:, columns],

@@ -34,7 +34,7 @@ class Recording(eqx.Module):
     #: EMG splines; their leading axis is ``muscle``.
     emg: EmgSpline
     path: AbstractPath
-    #: Frames of EMG before and after each cycle.
+    #: Frames of EMG before each cycle.
     padding: int = eqx.field(static=True)
 
     def select_trials(self, trials: Int[np.ndarray, " chosen"]) -> Recording:
@@ -80,7 +80,7 @@ def muscle_state_along(
     curves
         Normalised force curves.
     padding
-        Frames of EMG before and after each cycle.
+        Frames of EMG before each cycle.
     alterations
         Changes of this muscle, applied in their order within each stage.
 
@@ -100,8 +100,12 @@ def muscle_state_along(
     for alteration in alterations:
         excitation = alteration.excitation(excitation, inputs)
     dynamics = (excitation, own.activation_time_constant, inputs.emg.step, inputs.deactivation_ratio)
-    neural = neural_activation(*dynamics) if law is None else personal_neural_activation(*dynamics, law)
-    inside = slice(padding, neural.shape[-1] - padding)
+    start = inputs.emg.start
+    if law is None:
+        neural = neural_activation(*dynamics, start)
+    else:
+        neural = personal_neural_activation(*dynamics, law, start)
+    inside = slice(padding, padding + path.length.shape[-1])
     activation = muscle_activation(jnp.maximum(neural[:, inside], 0.0), own.activation_nonlinearity)
     activation = activation if law is None else personal_shape(activation, law)
     for alteration in alterations:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 #: Ratio of the deactivation to the activation time constant (He et al. 1991, doi:10.1109/10.84276).
 DEACTIVATION_RATIO = 4.0
@@ -24,6 +24,7 @@ def neural_activation(
     activation_time_constant: Float[Array, ""],
     step: Float[Array, " trial"],
     deactivation_ratio: Float[Array, ""] | float = DEACTIVATION_RATIO,
+    start: Int[Array, " trial"] | None = None,
 ) -> Float[Array, "trial padded_frame"]:
     """Compute neural activation from excitation by first-order activation dynamics, from rest.
 
@@ -41,6 +42,9 @@ def neural_activation(
         Time between frames of each cycle, s.
     deactivation_ratio
         Ratio r of the deactivation to the activation time constant.
+    start
+        Frame of each cycle from which on the dynamics run; the two frames from there on are zero, and all
+        before. None for the first frame.
 
     Returns
     -------
@@ -58,8 +62,17 @@ def neural_activation(
         return (now, last), now
 
     rest = jnp.zeros_like(excitation[:, 0])
+    if start is not None:
+        # Where excitation and rate are zero, rest persists.
+        running = active_frames(start, excitation.shape[1])
+        excitation, gain = jnp.where(running, excitation, 0.0), jnp.where(running, gain, 0.0)
     _, rest_of_frames = jax.lax.scan(advance, (rest, rest), (gain[:, 2:].T, excitation[:, 2:].T))
     return jnp.concatenate([jnp.stack([rest, rest], axis=1), rest_of_frames.T], axis=1)
+
+
+def active_frames(start: Int[Array, " trial"], frames: int) -> Bool[Array, "trial padded_frame"]:
+    """Mark the frames of each cycle in which activation follows from that of the two frames before."""
+    return jnp.arange(frames)[None] >= start[:, None] + 2
 
 
 def muscle_activation(

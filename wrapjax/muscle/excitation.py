@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.interpolate import CubicSpline
 
 #: Sharpness of `smooth_unit_clip`: the transition at 0 and at 1 is about one over this wide.
@@ -53,6 +53,8 @@ class EmgSpline(eqx.Module):
     lag: Float[Array, "*channel trial"] | None = None
     #: Synergy commands of muscles without a channel, whose own splines are zero; None where there are none.
     commands: CommandSplines | None = None
+    #: Knot at which each cycle's muscles begin to be activated, from rest; None for the first one.
+    start: Int[Array, "*channel trial"] | None = None
 
     def at_delay(
         self, delay: Float[Array, ""], weights: Float[Array, " command"] | None = None
@@ -96,7 +98,9 @@ class EmgSpline(eqx.Module):
 
 
 def fit_emg_spline(
-    time: Float[np.ndarray, "trial knot"], emg: Float[np.ndarray, "trial channel knot"]
+    time: Float[np.ndarray, "trial knot"],
+    emg: Float[np.ndarray, "trial channel knot"],
+    starts: Int[np.ndarray, " trial"] | None = None,
 ) -> EmgSpline:
     """Fit a cubic spline with not-a-knot end conditions to every cycle and channel.
 
@@ -106,17 +110,31 @@ def fit_emg_spline(
         Times of the samples, s, uniform within a cycle.
     emg
         EMG envelopes, dimensionless.
+    starts
+        Knot of each cycle at which its recording begins; earlier samples have the value of that knot, which
+        the spline holds exactly. None if all recordings begin at the first knot.
 
     Returns
     -------
     EmgSpline
-        Splines; both fields have a leading axis ``channel``.
+        Splines; the fields have a leading axis ``channel``.
     """
     knots = np.arange(emg.shape[-1], dtype=float)
     pieces = CubicSpline(knots, emg, axis=-1, bc_type="not-a-knot").c  # (4, interval, trial, channel)
     coefficients = np.transpose(pieces, (3, 2, 0, 1))
     step = (time[:, -1] - time[:, 0]) / (emg.shape[-1] - 1)
-    return EmgSpline(jnp.asarray(coefficients), jnp.broadcast_to(step, coefficients.shape[:2]))
+    for trial, first in enumerate(() if starts is None else starts.tolist()):
+        if not first:
+            continue
+        own = CubicSpline(knots[first:], emg[trial, :, first:], axis=-1, bc_type="not-a-knot").c
+        coefficients[:, trial, :, :first] = 0.0
+        coefficients[:, trial, -1, :first] = emg[trial, :, first, None]
+        coefficients[:, trial, :, first:] = np.transpose(own, (2, 0, 1))
+    return EmgSpline(
+        jnp.asarray(coefficients),
+        jnp.broadcast_to(step, coefficients.shape[:2]),
+        start=None if starts is None else jnp.broadcast_to(starts, coefficients.shape[:2]),
+    )
 
 
 def sharpen_emg(emg: EmgSpline, share: Float[Array, ""], width: float) -> EmgSpline:

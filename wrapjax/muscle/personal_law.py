@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from wrapjax.muscle.activation import active_frames
 from wrapjax.muscle.curves import AbstractCurves
 
 
@@ -148,6 +149,7 @@ def personal_neural_activation(
     step: Float[Array, " trial"],
     deactivation_ratio: Float[Array, ""] | float,
     law: Float[Array, " law_parameter"],
+    start: Int[Array, " trial"] | None = None,
 ) -> Float[Array, "trial padded_frame"]:
     """Compute neural activation by the dynamics of the family; see `activation.neural_activation`.
 
@@ -158,7 +160,7 @@ def personal_neural_activation(
 
     Parameters
     ----------
-    excitation, activation_time_constant, step, deactivation_ratio
+    excitation, activation_time_constant, step, deactivation_ratio, start
         See `activation.neural_activation`.
     law
         Values of `LAW_PARAMETERS`.
@@ -181,7 +183,7 @@ def personal_neural_activation(
 
     def advance(previous, inputs):
         (one, first, last), before = previous
-        e, of_level = inputs
+        e, of_level, *running = inputs
 
         def stage(target, now, earlier, speed):
             rising = 0.5 + 0.5 * jnp.tanh((target - now) / _DIRECTION)
@@ -193,12 +195,15 @@ def personal_neural_activation(
         single = stage(e, one, before[0], 1.0)
         of_first = stage(e, first, before[1], 2.0)
         of_last = stage(of_first, last, before[2], 2.0)
+        if running:
+            single, of_first, of_last = (jnp.where(running[0], a, 0.0) for a in (single, of_first, of_last))
         now = (single, of_first, of_last)
         return (now, (one, first, last)), single + second * (of_last - single)
 
     rest = jnp.zeros_like(excitation[:, 0])
-    start = ((rest, rest, rest), (rest, rest, rest))
-    _, later = jax.lax.scan(advance, start, (excitation[:, 2:].T, by_level[:, 2:].T))
+    running = () if start is None else (active_frames(start, excitation.shape[1])[:, 2:].T,)
+    inputs = (excitation[:, 2:].T, by_level[:, 2:].T, *running)
+    _, later = jax.lax.scan(advance, ((rest, rest, rest), (rest, rest, rest)), inputs)
     return jnp.concatenate([jnp.stack([rest, rest], axis=1), later.T], axis=1)
 
 

@@ -110,7 +110,7 @@ def recording(subject: Subject, trials: Trials, path: AbstractPath) -> Recording
     path
         Paths of the subject's muscles over these cycles.
     """
-    splines = fit_emg_spline(trials.emg_time, trials.emg)
+    splines = fit_emg_spline(trials.emg_time, trials.emg, trials.emg_starts)
     channels = np.array(subject.muscle_channels)
     emg = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[channels]), splines)
     if subject.synergies is not None:
@@ -126,7 +126,7 @@ def _with_commands(emg: EmgSpline, subject: Subject, trials: Trials) -> EmgSplin
     zero_emg = jnp.zeros((added, *shape))
     step = jnp.broadcast_to(emg.step[:1], (added, len(trials)))
     read = subject.synergies.basis.commands(trials.emg, trials.channels)
-    commands = fit_emg_spline(trials.emg_time, read).coefficients
+    commands = fit_emg_spline(trials.emg_time, read, trials.emg_starts).coefficients
     for_all_muscles = jnp.broadcast_to(
         jnp.moveaxis(commands, 0, 1), (driven + added, len(trials), len(commands), *commands.shape[2:])
     )
@@ -137,6 +137,7 @@ def _with_commands(emg: EmgSpline, subject: Subject, trials: Trials) -> EmgSplin
         commands=CommandSplines(
             for_all_muscles, jnp.broadcast_to(share[:, None], (driven + added, len(trials)))
         ),
+        start=None if emg.start is None else jnp.broadcast_to(emg.start[:1], (driven + added, len(trials))),
     )
 
 

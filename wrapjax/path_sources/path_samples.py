@@ -162,11 +162,14 @@ def fit_poses(subject: Subject, coordinates: Sequence[str], seed: int) -> FitPos
     """
     trials = subject.trials
     angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
+    durations = trials.time[:, -1] - trials.time[:, 0]
+    if trials.is_gait.any():
+        durations = np.where(trials.is_gait, durations, np.inf)
     generator = np.random.default_rng(seed)
     training = np.concatenate(
         [
             random_poses(angles, TRAINING_POSES, generator),
-            fastest_cycle_poses(angles, trials.time[:, -1] - trials.time[:, 0]),
+            fastest_cycle_poses(angles, durations),
         ]
     )
     validation = random_poses(angles, VALIDATION_POSES, generator)

@@ -47,6 +47,9 @@ MIN_STANCE_SHARE = 0.5
 MIN_FRAMES = 10
 #: Smallest force on a foot for a check of its center of pressure, as a share of body weight.
 MIN_LOAD_SHARE = 0.3
+#: Largest difference of measured from required vertical force, as a share of body weight, and largest share
+#: of an interval in which it is exceeded.
+MAX_UNSUPPORTED, MAX_UNSUPPORTED_SHARE = 0.3, 0.2
 #: Largest median distance of the center of pressure from the origin of the foot's body (the heel), m.
 MAX_FOOT_DISTANCE = 0.35
 #: Largest accepted distance of the model's markers from the recorded ones (root mean square over all), m.
@@ -201,6 +204,57 @@ def check_forces_against_motion(
         if shifted
         else "",
         "check triggers, resampling and filters of both" if shifted else "",
+    )
+
+
+def check_support(
+    time: Float[np.ndarray, " frame"],
+    required: Float[np.ndarray, " frame"],
+    forces: FootForces,
+    intervals: Sequence[tuple[float, float]],
+    weight: float,
+) -> Iterator[Check]:
+    """Check that the plates measured the force that a movement requires, in every interval.
+
+    Parameters
+    ----------
+    time, required
+        Times, s, and vertical force that supports and accelerates all bodies of the model, N.
+    forces
+        Forces on one foot or both, filtered like the motion, upward positive.
+    intervals
+        Start and end of each interval, s.
+    weight
+        Body weight, N.
+
+    Yields
+    ------
+    Check
+        One check of all intervals; none if a single foot was measured, whose share is not known.
+    """
+    if len(forces.sides) < 2:
+        return
+    measured = np.interp(time, forces.time, forces.wrench[:, 4].sum(axis=0))
+    missing = np.abs(measured - required) > MAX_UNSUPPORTED * weight
+    shares = {
+        one: float(missing[inside].mean())
+        for one in intervals
+        if (inside := (time >= one[0]) & (time <= one[1])).any()
+    }
+    if not shares:
+        return
+    worst = max(shares, key=lambda one: shares[one])
+    difference = f"{100.0 * MAX_UNSUPPORTED:.0f} % of body weight"
+    found = f"the plates' vertical force differs from what the motion requires by more than {difference}"
+    found = (
+        f"{found} in {100.0 * shares[worst]:.0f} % of the interval from {worst[0]:.4g} to {worst[1]:.4g} s"
+    )
+    wrong = shares[worst] > MAX_UNSUPPORTED_SHARE
+    yield Check(
+        "support",
+        found,
+        f"expected all contact with the ground on plates, found that {found}" if wrong else "",
+        "was a foot beside its plate, or a hand on a rail, or is the force in another unit?" if wrong else "",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,16 @@ from jaxtyping import Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, parse_toml, read_toml_text
 from wrapjax.preprocessing.force_plates import SIDES, ForceColumns
-from wrapjax.subject.settings import TrialSettings, read_channels, read_cycles
+from wrapjax.subject.settings import read_channels
+from wrapjax.subject.trial_settings import (
+    TrialSettings,
+    read_cycles,
+    read_intervals,
+    read_posture,
+    read_spans_of,
+    read_task,
+)
+from wrapjax.subject.trials import GAIT
 
 #: Volts in each unit of EMG that the settings may name.
 VOLTS_PER_UNIT = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
@@ -36,11 +45,23 @@ class LaboratoryTrial:
         File of marker positions (``.trc``, ``.c3d``) or of joint angles (``.sto``, ``.mot``); one of them is
         None.
     forces
-        File of ground reaction forces (``.mot``, ``.sto``, ``.c3d``).
+        File of ground reaction forces (``.mot``, ``.sto``, ``.c3d``); None where moments are given.
     emg
-        File of EMG (``.sto``, ``.mot``, ``.c3d``).
+        File of EMG (``.sto``, ``.mot``, ``.c3d``); None of a passive trial, whose muscles are at rest.
     cycles
-        Start and end of each gait cycle in s; if empty, they are found from the vertical force.
+        Start and end of each gait cycle in s; if empty, they are found from the vertical force. Of other
+        tasks, start and end of each interval.
+    task, condition, posture
+        As in the subject folder; see `TrialSettings`.
+    moments
+        File of joint moments that the laboratory computed (``.sto``, ``.mot``); None to compute them.
+    moments_low_pass
+        Cut-off frequency at which the laboratory filtered these moments, Hz, so that they are not filtered
+        again; NaN to filter them like the motion.
+    low_pass
+        Cut-off frequency for motion and forces, Hz; NaN for the usual one.
+    steps
+        Intervals (s) of steps in gait with flight phases, by side, whose foot a person has stated.
     """
 
     name: str
@@ -48,9 +69,16 @@ class LaboratoryTrial:
     speed: float
     markers: Path | None
     angles: Path | None
-    forces: Path
-    emg: Path
+    forces: Path | None
+    emg: Path | None
     cycles: tuple[tuple[float, float], ...]
+    task: str = GAIT
+    condition: str = ""
+    posture: tuple[tuple[str, float], ...] = ()
+    moments: Path | None = None
+    moments_low_pass: float = math.nan
+    low_pass: float = math.nan
+    steps: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     @property
     def motion(self) -> Path:
@@ -276,15 +304,59 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
         found = "both" if reader.has("markers") else "neither"
         reader.add_problem("markers", f"expected either markers or angles, found {found}")
     markers, angles = (_file(reader, key, required=False) for key in ("markers", "angles"))
-    forces, emg = (_file(reader, key) for key in ("forces", "emg"))
-    cycles = read_cycles(reader) if reader.has("cycles") or reader.has("cycle") else ()
-    reader.raw("cycle"), reader.raw("cycles")
+    task = read_task(reader)
+    given = reader.has("moments")
+    moments = _file(reader, "moments", required=False)
+    moments_low_pass, low_pass = (
+        reader.number(key, lowest=0.5, highest=100.0, unit="Hz", required=False)
+        for key in ("moments_low_pass_hz", "low_pass_hz")
+    )
+    if moments_low_pass is not None and not given:
+        reader.add_problem("moments_low_pass_hz", "states the filter of moments, of which no file is given")
+    forces = _file(reader, "forces", required=not given)
+    at_rest = task == "passive" and not reader.has("emg")
+    emg = None if at_rest else _file(reader, "emg")
+    if task != GAIT:
+        cycles = read_intervals(reader)
+    else:
+        listed = reader.has("cycles") or reader.has("cycle") or not reader.has("forces")
+        cycles = read_cycles(reader) if listed else ()
+        reader.raw("cycle"), reader.raw("cycles")
+    posture, condition = read_posture(reader), reader.text("condition", required=False)
+    steps = _read_steps(reader, problems)
     reader.report_unknown_keys()
-    if name is None or use is None or forces is None or emg is None or (markers is None) == (angles is None):
+    if name is None or use is None or task is None or (markers is None) == (angles is None):
+        return None
+    if (forces is None and moments is None) or (emg is None and not at_rest):
         return None
     return LaboratoryTrial(
-        name, use, math.nan if speed is None else speed, markers, angles, forces, emg, cycles
+        name,
+        use,
+        math.nan if speed is None else speed,
+        markers,
+        angles,
+        forces,
+        emg,
+        cycles,
+        task,
+        condition or "",
+        posture,
+        moments,
+        math.nan if moments_low_pass is None else moments_low_pass,
+        math.nan if low_pass is None else low_pass,
+        steps,
     )
+
+
+def _read_steps(reader: TableReader, problems: list[Problem]) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Read ``steps = { l = [[t0, t1], ...], r = [...] }``: steps whose foot a person states."""
+    table = reader.raw("steps")
+    if table is None:
+        return {}
+    own = TableReader(table, reader.file, f"{reader.place} steps", problems)
+    found = {side: read_spans_of(own, side) for side in SIDES if own.has(side)}
+    own.report_unknown_keys()
+    return found
 
 
 def laboratory_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:

@@ -21,7 +21,8 @@ from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, read_l
 from wrapjax.preprocessing.nmsm_muscle_analysis import compare_muscle_analyses
 from wrapjax.preprocessing.nmsm_project import Project, read_project, write_project_as_subject
 from wrapjax.preprocessing.prepared_folder import PreparedTrial, write_subject_folder
-from wrapjax.preprocessing.trial_preparation import PreparationModel, prepare_trial
+from wrapjax.preprocessing.recorded_files import PreparationModel
+from wrapjax.preprocessing.trial_preparation import prepare_trial
 from wrapjax.renamed import renamed_arguments
 from wrapjax.subject.description import Table
 from wrapjax.subject.subject import (
@@ -278,6 +279,7 @@ def _write_page(
             needed=prepared.required_force,
         )
         for prepared in trials
+        if prepared.forces is not None
     ]
     page = render_preparation(load_subject(folder), tables, forces, came_from)
     write_text(folder / "report.html", page)

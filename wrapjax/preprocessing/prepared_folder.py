@@ -19,6 +19,7 @@ from wrapjax.preprocessing.force_plates import FootForces, write_forces
 from wrapjax.preprocessing.joint_angles import Motion
 from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
 from wrapjax.subject.settings import SETTINGS_FILE
+from wrapjax.subject.trials import GAIT
 
 #: Names of files in the subject folder.
 MODEL_FILE = "model.osim"
@@ -45,12 +46,12 @@ class PreparedTrial:
         Generalised forces of inverse dynamics, N m or N, at the times of ``motion``, by OpenSim's label
         (``hip_flexion_l_moment``).
     forces
-        Ground reaction forces on the feet, filtered.
+        Ground reaction forces on the feet, filtered; None if there are none.
     required_time, required_force
         Times, s, and the upward force that supports and accelerates all bodies of the model, N.
     emg_time, volts
         Times, s, and raw EMG at the electrode, V, or dimensionless envelopes, in the order of the channels in
-        the settings.
+        the settings; None if there is none.
     checks
         Results of the checks.
     notes
@@ -62,11 +63,11 @@ class PreparedTrial:
     cutoff_hz: float
     motion: Motion
     moments: dict[str, Float[np.ndarray, " frame"]]
-    forces: FootForces
+    forces: FootForces | None
     required_time: Float[np.ndarray, " required_frame"]
     required_force: Float[np.ndarray, " required_frame"]
-    emg_time: Float[np.ndarray, " sample"]
-    volts: Float[np.ndarray, "channel sample"]
+    emg_time: Float[np.ndarray, " sample"] | None
+    volts: Float[np.ndarray, "channel sample"] | None
     checks: tuple[Check, ...]
     notes: tuple[str, ...]
 
@@ -97,10 +98,12 @@ def _write_trial(folder: Path, settings: LaboratorySettings, prepared: PreparedT
         np.array(list(prepared.moments.values())).T,
     )
     write_storage(folder / "moments.sto", moments)
-    title = "raw EMG in V" if settings.emg_kind == "raw" else "EMG envelopes"
-    volts = Storage(title, tuple(settings.channels), prepared.emg_time, prepared.volts.T)
-    write_storage(folder / "emg.sto", volts)
-    write_forces(folder, prepared.forces, settings.feet)
+    if prepared.emg_time is not None and prepared.volts is not None:
+        title = "raw EMG in V" if settings.emg_kind == "raw" else "EMG envelopes"
+        volts = Storage(title, tuple(settings.channels), prepared.emg_time, prepared.volts.T)
+        write_storage(folder / "emg.sto", volts)
+    if prepared.forces is not None:
+        write_forces(folder, prepared.forces, settings.feet)
 
 
 def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial]) -> str:
@@ -124,11 +127,21 @@ def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial]
     ]
     for prepared in trials:
         trial = prepared.trial
-        files = {kind: f"{kind}.sto" for kind in ("angles", "moments", "emg")}
-        files |= {"ground_forces": "ground_forces.mot", "external_loads": "external_loads.xml"}
+        files = {kind: f"{kind}.sto" for kind in ("angles", "moments")}
+        files |= {} if prepared.volts is None else {"emg": "emg.sto"}
+        if prepared.forces is not None:
+            files |= {"ground_forces": "ground_forces.mot", "external_loads": "external_loads.xml"}
         lines += ["", "[[trial]]", f"name = {toml_string(trial.name)}", f'use = "{trial.use}"']
         lines += [] if math.isnan(trial.speed) else [f"speed_m_s = {trial.speed!r}"]
         lines += [f"{kind} = {toml_string(f'trials/{trial.name}/{file}')}" for kind, file in files.items()]
         cycles = ", ".join(f"[{start!r}, {end!r}]" for start, end in prepared.cycles)
-        lines.append(f"cycles = [{cycles}]")
+        if trial.task == GAIT:
+            lines.append(f"cycles = [{cycles}]")
+        else:
+            lines += [f'task = "{trial.task}"', f"intervals = [{cycles}]"]
+        if trial.condition:
+            lines.append(f"condition = {toml_string(trial.condition)}")
+        if trial.posture:
+            stated = ", ".join(f"{toml_string(name)} = {value!r}" for name, value in trial.posture)
+            lines.append(f"posture = {{ {stated} }}")
     return "\n".join(lines) + "\n"

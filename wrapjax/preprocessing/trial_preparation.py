@@ -2,78 +2,63 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
-from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import Coordinate
-from wrapjax.io.model_file import ModelFile
-from wrapjax.io.storage import Storage, read_storage
-from wrapjax.osim.mechanics import Mechanics, analyse_mechanics
-from wrapjax.osim.motion import Motion as PosedMotion
-from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
-from wrapjax.preprocessing.c3d import read_c3d_analog, read_c3d_markers, read_plates
+from wrapjax.errors import InputError, Problem
 from wrapjax.preprocessing.consistency_checks import (
+    MIN_LOAD_SHARE,
     Check,
     check_calf_emg_against_moment,
     check_foot_on_plates,
     check_force_sides,
     check_forces_against_motion,
-    check_marker_errors,
+    check_support,
 )
-from wrapjax.preprocessing.emg_quality import emg_faults, envelope_faults
-from wrapjax.preprocessing.force_plates import SIDES, FootForces, read_force_columns, write_forces
+from wrapjax.preprocessing.cycle_outliers import (
+    dropped_sentences,
+    steps_of_other_foot,
+    unusual_durations,
+    unusual_moments,
+)
+from wrapjax.preprocessing.flight_steps import (
+    MIN_OTHER_SHARE,
+    assign_steps,
+    find_flight_contacts,
+    flight_cycles,
+    forces_of_steps,
+    is_flight,
+    stride_time,
+)
+from wrapjax.preprocessing.force_plates import SIDES, FootForces
 from wrapjax.preprocessing.gait_events import find_contacts
-from wrapjax.preprocessing.joint_angles import Motion, read_motion
-from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial, laboratory_rotation
-from wrapjax.preprocessing.markers import (
-    MOTION_HARMONIC,
-    Markers,
-    low_pass,
-    match_markers,
-    read_trc,
-    write_trc,
+from wrapjax.preprocessing.joint_angles import Motion
+from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.preprocessing.markers import MOTION_HARMONIC
+from wrapjax.preprocessing.motion_and_moments import (
+    analyse_bodies,
+    filtered_forces,
+    foot_positions,
+    given_moments,
+    raise_failed,
+    required_force,
+    solve_motion,
+    trial_moments,
 )
 from wrapjax.preprocessing.prepared_folder import PreparedTrial
-from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sampling_rate
-from wrapjax.subject.recordings import MIN_RAW_EMG_RATE
+from wrapjax.preprocessing.recorded_files import PreparationModel, RecordedFiles, read_files
+from wrapjax.subject.emg_envelopes import compute_envelopes, sampling_rate
+from wrapjax.subject.trials import GAIT
+from wrapjax.subject.windows import SETTLING_SECONDS
 
-#: Motion kept before and after the cycles, s, so that edge effects of filters and derivatives are outside.
-MOTION_MARGIN = 0.4
 #: EMG kept before and after the cycles, s, for delays and edge effects of the low-pass filter.
 EMG_MARGIN = 1.5
-#: Frame rate at which the forces required by the motion are computed, Hz; filtered motion needs no more.
-MECHANICS_RATE = 100.0
+#: Cut-off frequency of motion and forces of tasks other than gait, Hz.
+TASK_LOW_PASS = 6.0
 #: Prefixes of the names of calf muscles.
 _CALF_PREFIXES = ("soleus", "gas")
-
-
-@dataclass(frozen=True)
-class PreparationModel:
-    """Scaled model for the preparation of all trials.
-
-    Parameters
-    ----------
-    path
-        File of the model (``.osim``).
-    file
-        Content of the file.
-    coupled
-        Coupled coordinates, from `find_coupled_coordinates`.
-    markers
-        Names of its markers.
-    """
-
-    path: Path
-    file: ModelFile
-    coupled: Mapping[str, Coordinate]
-    markers: tuple[str, ...]
 
 
 def prepare_trial(
@@ -97,38 +82,190 @@ def prepare_trial(
     InputError
         With all faults of the files, or with all failed checks.
     """
-    forces = _read_forces(trial, settings)
-    emg_time, volts = _read_emg(trial, settings)
-    notes: list[str] = []
-    recorded = _read_recorded_motion(trial, settings, model, notes)
-    cycles = _find_cycles(trial, settings, forces, recorded.time, emg_time)
-    cutoff = MOTION_HARMONIC / float(np.mean([end - start for start, end in cycles]))
-    # Limited to the recorded forces, as inverse dynamics would extrapolate them.
-    window = (
-        max(cycles[0][0] - MOTION_MARGIN, float(forces.time[0])),
-        min(cycles[-1][1] + MOTION_MARGIN, float(forces.time[-1])),
-    )
+    files = read_files(trial, settings, model)
+    if trial.task != GAIT:
+        return _prepare_task(files, trial, settings, model, log)
+    contacts = () if files.forces is None else find_flight_contacts(files.forces)
+    if contacts:
+        prepared = _prepare_flight_gait(files, contacts, trial, settings, model, log)
+        if prepared is not None:
+            return prepared
+    return _prepare_gait(files, trial, settings, model, log)
 
-    checks: list[Check] = []
-    if isinstance(recorded, Markers):
-        log(f"{trial.name}: inverse kinematics")
-        filtered = recorded.filtered(cutoff).during(*window)
-        motion = _solve_kinematics(filtered, trial, settings, model, checks, notes)
-    else:
-        motion = _filter_motion(recorded, window, cutoff, model)
-    forces = forces.filtered(cutoff).during(motion.time[0] - MOTION_MARGIN, motion.time[-1] + MOTION_MARGIN)
-    _raise_failed(trial, trial.motion, checks)
-    required_time, mechanics = _analyse_bodies(motion, settings, model)
-    mechanical = tuple(_mechanical_checks(required_time, mechanics, forces, cycles, settings))
-    _raise_failed(trial, trial.forces, mechanical)
-    log(f"{trial.name}: inverse dynamics")
-    with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
-        write_forces(Path(folder), forces, settings.feet)
-        loads = Path(folder) / "external_loads.xml"
-        moments = solve_inverse_dynamics(model.path, motion.coordinates, motion.time, motion.values, loads)
-    calf = tuple(_calf_checks(motion, moments, emg_time, volts, cycles, settings, notes))
-    _raise_failed(trial, trial.emg, calf)
-    selected = (emg_time >= cycles[0][0] - EMG_MARGIN) & (emg_time <= cycles[-1][1] + EMG_MARGIN)
+
+def _prepare_gait(
+    files: RecordedFiles,
+    trial: LaboratoryTrial,
+    settings: LaboratorySettings,
+    model: PreparationModel,
+    log: Callable[[str], None],
+) -> PreparedTrial:
+    """Prepare gait in which a foot is on the ground at any time, or whose moments are given."""
+    notes = list(files.notes)
+    cycles = _find_cycles(trial, settings, files)
+    if not trial.cycles:
+        cycles = _without(cycles, unusual_durations(cycles), notes)
+    cutoff = _cutoff(trial, float(np.mean([end - start for start, end in cycles])))
+    motion, checks = solve_motion(files, trial, settings, model, cycles, cutoff, notes, log)
+    if files.forces is None:
+        moments = given_moments(trial, settings, motion, cutoff, notes)
+        return _finish(files, trial, cycles, cutoff, motion, moments, None, None, checks, notes)
+    forces = filtered_forces(files.forces, motion, cutoff)
+    required_time, mechanics = analyse_bodies(motion, settings, model)
+    feet = foot_positions(mechanics, settings)
+    if not trial.cycles:
+        least = MIN_LOAD_SHARE * 9.81 * settings.mass_kg
+        strange = steps_of_other_foot(cycles, settings.side, required_time, feet, forces, least)
+        # Where most are nearer to the other foot, legs are swapped, which the check of sides names.
+        cycles = _without(cycles, strange, notes) if 2 * len(strange) < len(cycles) else cycles
+    weight = 9.81 * settings.mass_kg
+    mechanical = (
+        *check_force_sides(required_time, feet, forces, weight),
+        *check_foot_on_plates(forces, settings.side, cycles),
+        *check_forces_against_motion(required_time, required_force(mechanics), forces),
+    )
+    raise_failed(trial, trial.forces, mechanical)
+    moments = trial_moments(trial, settings, model, motion, forces, cutoff, notes, log)
+    cycles = _without_unusual_moments(trial, settings, cycles, motion, moments, notes)
+    calf = tuple(_calf_checks(motion, moments, files, cycles, settings, notes))
+    raise_failed(trial, trial.emg, calf)
+    required = (required_time, required_force(mechanics))
+    checks = (*checks, *mechanical, *calf)
+    return _finish(files, trial, cycles, cutoff, motion, moments, forces, required, checks, notes)
+
+
+def _prepare_flight_gait(
+    files: RecordedFiles,
+    contacts: Sequence[tuple[float, float]],
+    trial: LaboratoryTrial,
+    settings: LaboratorySettings,
+    model: PreparationModel,
+    log: Callable[[str], None],
+) -> PreparedTrial | None:
+    """Prepare running; None where the body was not in the air between contacts."""
+    assert files.forces is not None
+    notes = list(files.notes)
+    cutoff = _cutoff(trial, stride_time(contacts))
+    span = ((contacts[0][0], contacts[-1][1]),)
+    motion, checks = solve_motion(files, trial, settings, model, span, cutoff, notes, log)
+    required_time, mechanics = analyse_bodies(motion, settings, model)
+    required = required_force(mechanics)
+    if not is_flight(required_time, required, contacts, 9.81 * settings.mass_kg):
+        return None
+    feet = foot_positions(mechanics, settings)
+    steps = assign_steps(files.forces, contacts, required_time, feet, trial.steps)
+    start, end = (
+        pick(limit[place] for limit in files.covered.values()) for place, pick in enumerate((max, min))
+    )
+    cycles, dropped = flight_cycles(steps, settings.side, start, end)
+    moved = sum(step.other_share > MIN_OTHER_SHARE for step in steps)
+    notes.append(
+        f"gait with flight phases: {len(steps)} steps, each assigned to the foot nearest to the center of "
+        f"pressure of all plates; {moved} of them trod the other foot's plate, wholly or in part"
+    )
+    if trial.cycles:
+        cycles, dropped = trial.cycles, ()
+    notes += dropped
+    if not cycles:
+        message = "expected strikes of the leg's foot with one step of the other in between, found none"
+        raise InputError(Problem(str(trial.forces), message, f"trial '{trial.name}'"))
+    if not trial.cycles:
+        cycles = _without(cycles, unusual_durations(cycles), notes)
+    forces = filtered_forces(forces_of_steps(files.forces, steps), motion, cutoff)
+    mechanical = (
+        *check_force_sides(required_time, feet, forces, 9.81 * settings.mass_kg),
+        *check_forces_against_motion(required_time, required, forces),
+    )
+    raise_failed(trial, trial.forces, mechanical)
+    moments = trial_moments(trial, settings, model, motion, forces, cutoff, notes, log)
+    cycles = _without_unusual_moments(trial, settings, cycles, motion, moments, notes)
+    calf = tuple(_calf_checks(motion, moments, files, cycles, settings, notes))
+    raise_failed(trial, trial.emg, calf)
+    checks = (*checks, *mechanical, *calf)
+    pair = (required_time, required)
+    return _finish(files, trial, cycles, cutoff, motion, moments, forces, pair, checks, notes)
+
+
+def _prepare_task(
+    files: RecordedFiles,
+    trial: LaboratoryTrial,
+    settings: LaboratorySettings,
+    model: PreparationModel,
+    log: Callable[[str], None],
+) -> PreparedTrial:
+    """Prepare intervals of a task other than gait."""
+    notes = list(files.notes)
+    _check_covered(trial, settings, files)
+    cutoff = TASK_LOW_PASS if np.isnan(trial.low_pass) else trial.low_pass
+    intervals = trial.cycles
+    motion, checks = solve_motion(files, trial, settings, model, intervals, cutoff, notes, log)
+    forces = required = None
+    if files.forces is not None:
+        forces = filtered_forces(files.forces, motion, cutoff)
+        required_time, mechanics = analyse_bodies(motion, settings, model)
+        required = (required_time, required_force(mechanics))
+        feet = foot_positions(mechanics, settings)
+        mechanical = tuple(check_force_sides(required_time, feet, forces, 9.81 * settings.mass_kg))
+        mechanical += tuple(check_support(*required, forces, intervals, 9.81 * settings.mass_kg))
+        raise_failed(trial, trial.forces, mechanical)
+        checks = (*checks, *mechanical)
+    moments = trial_moments(trial, settings, model, motion, forces, cutoff, notes, log)
+    return _finish(files, trial, intervals, cutoff, motion, moments, forces, required, checks, notes)
+
+
+def _cutoff(trial: LaboratoryTrial, period: float) -> float:
+    """Return the cut-off frequency of motion and forces of gait, Hz."""
+    return MOTION_HARMONIC / period if np.isnan(trial.low_pass) else trial.low_pass
+
+
+def _without(
+    cycles: tuple[tuple[float, float], ...], unusual: Mapping[tuple[float, float], str], notes: list[str]
+) -> tuple[tuple[float, float], ...]:
+    """Drop unusual cycles, and note each with its reason."""
+    notes += dropped_sentences(unusual)
+    return tuple(cycle for cycle in cycles if cycle not in unusual)
+
+
+def _without_unusual_moments(
+    trial: LaboratoryTrial,
+    settings: LaboratorySettings,
+    cycles: tuple[tuple[float, float], ...],
+    motion: Motion,
+    moments: Mapping[str, Float[np.ndarray, " frame"]],
+    notes: list[str],
+) -> tuple[tuple[float, float], ...]:
+    """Drop cycles with unusual moments; those that a person listed are kept and named."""
+    own = {
+        name: moment for name, moment in moments.items() if name[: -len("_moment")] in settings.coordinates
+    }
+    unusual = unusual_moments(cycles, motion.time, own)
+    if trial.cycles:
+        notes += [line.replace("dropped", "is unusual") for line in dropped_sentences(unusual)]
+        return cycles
+    return _without(cycles, unusual, notes)
+
+
+def _finish(
+    files: RecordedFiles,
+    trial: LaboratoryTrial,
+    cycles: tuple[tuple[float, float], ...],
+    cutoff: float,
+    motion: Motion,
+    moments: dict[str, Float[np.ndarray, " frame"]],
+    forces: FootForces | None,
+    required: tuple[Float[np.ndarray, " frame"], Float[np.ndarray, " frame"]] | None,
+    checks: Sequence[Check],
+    notes: Sequence[str],
+) -> PreparedTrial:
+    """Collect a prepared trial, with the EMG about its cycles."""
+    emg_time = volts = None
+    if files.emg_time is not None and files.volts is not None:
+        first, last = cycles[0][0], max(end for _, end in cycles)
+        margin = EMG_MARGIN if trial.task == GAIT else EMG_MARGIN + SETTLING_SECONDS
+        selected = (files.emg_time >= first - margin) & (files.emg_time <= last + EMG_MARGIN)
+        emg_time, volts = files.emg_time[selected], files.volts[:, selected]
+    nothing = np.zeros(0)
+    required_time, required_force = required if required is not None else (nothing, nothing)
     return PreparedTrial(
         trial=trial,
         cycles=cycles,
@@ -137,112 +274,38 @@ def prepare_trial(
         moments=moments,
         forces=forces,
         required_time=required_time,
-        required_force=_required_force(mechanics),
-        emg_time=emg_time[selected],
-        volts=volts[:, selected],
-        checks=(*checks, *mechanical, *calf),
+        required_force=required_force,
+        emg_time=emg_time,
+        volts=volts,
+        checks=tuple(checks),
         notes=tuple(notes),
     )
 
 
-def _raise_failed(trial: LaboratoryTrial, file: Path, checks: Sequence[Check]) -> None:
-    """Raise an error with all failed checks; ``file`` is the one that most likely needs correction."""
-    faults = [
-        Problem(str(file), check.fault, f"trial '{trial.name}', {check.what}", check.hint)
-        for check in checks
-        if check.fault
-    ]
-    if faults:
-        raise InputError(faults)
-
-
-def _is_c3d(path: Path) -> bool:
-    return path.suffix.lower() == ".c3d"
-
-
-def _read_forces(trial: LaboratoryTrial, settings: LaboratorySettings) -> FootForces:
-    plates = _is_c3d(trial.forces)
-    key = "plates" if plates else "force"
-    problems = [
-        Problem(str(settings.file), f"expected {key}, needed to read {trial.forces}", f"[forces.{side}]")
-        for side, foot in settings.feet.items()
-        if bool(foot.plates) != plates
-    ]
-    if problems:
-        raise InputError(problems)
-    if plates:
-        return read_plates(trial.forces, settings.feet, laboratory_rotation(settings.forward, settings.up))
-    return read_force_columns(trial.forces, settings.feet)
-
-
-def _read_recorded_motion(
-    trial: LaboratoryTrial, settings: LaboratorySettings, model: PreparationModel, notes: list[str]
-) -> Markers | Motion:
-    """Read joint angles, or the markers that the model has."""
-    if trial.angles is not None:
-        return read_motion(trial.angles, model.file.coordinates, model.coupled, settings.coordinates, notes)
-    assert trial.markers is not None
-    read = read_c3d_markers if _is_c3d(trial.markers) else read_trc
-    markers = read(trial.markers).rotated(laboratory_rotation(settings.forward, settings.up))
-    names = match_markers(markers, model.markers, settings.ignored_markers, trial.markers)
-    missing = [name for name in model.markers if name not in names and name not in settings.ignored_markers]
-    if missing:
-        notes.append(f"{trial.markers}: lacks the markers {', '.join(missing)} of the model")
-    return markers.select(names)
-
-
-def _read_emg(
-    trial: LaboratoryTrial, settings: LaboratorySettings
-) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, "channel sample"]]:
-    """Read raw EMG at the electrode (V) or envelopes, and raise an error for faulty channels."""
-    path = trial.emg
-    table: Storage = read_c3d_analog(path) if _is_c3d(path) else read_storage(path, trust_row_count=False)
-    missing = [name for name in settings.channels if name not in table.columns]
-    problems = [
-        Problem(str(path), "is not in the file", f"column {name}", nearest_name(name, table.columns))
-        for name in missing
-    ]
-    rate = sampling_rate(table.time)
-    raw = settings.emg_kind == "raw"
-    if raw and rate < MIN_RAW_EMG_RATE:
-        message = f"expected raw EMG at {MIN_RAW_EMG_RATE:g} Hz or more, found {rate:.4g} Hz"
-        problems.append(Problem(str(path), message, hint='are these envelopes? Write kind = "envelope"'))
-    if problems:
-        raise InputError(problems)
-    columns = [table.columns.index(name) for name in settings.channels]
-    time, volts = resample_evenly(table.time, table.values.T[columns] * settings.volts)
-    names = tuple(settings.channels)
-    found = emg_faults(names, volts, rate) if raw else envelope_faults(names, volts)
-    faults = [
-        Problem(str(path), message, f"channel {channel}", hint)
-        for channel, message, hint in found
-        if channel not in settings.accepted
-    ]
-    if faults:
-        raise InputError(faults)
-    return time, volts
+def _check_covered(
+    trial: LaboratoryTrial, settings: LaboratorySettings, files: RecordedFiles
+) -> tuple[float, float, str]:
+    """Return the first and last time that all files cover, s, with words; report cycles outside."""
+    start = max(limits[0] for limits in files.covered.values())
+    end = min(limits[1] for limits in files.covered.values())
+    covered = ", ".join(f"{kind} {limits[0]:g} to {limits[1]:g} s" for kind, limits in files.covered.items())
+    outside = [cycle for cycle in trial.cycles if cycle[0] < start - 1e-6 or cycle[1] > end + 1e-6]
+    if outside:
+        noun = "cycles" if trial.task == GAIT else "intervals"
+        message = f"expected {noun} that all recordings cover ({covered}), found {list(outside[0])} s"
+        raise InputError(Problem(str(settings.file), message, f"trial '{trial.name}'"))
+    return start, end, covered
 
 
 def _find_cycles(
-    trial: LaboratoryTrial,
-    settings: LaboratorySettings,
-    forces: FootForces,
-    motion_time: Float[np.ndarray, " frame"],
-    emg_time: Float[np.ndarray, " sample"],
+    trial: LaboratoryTrial, settings: LaboratorySettings, files: RecordedFiles
 ) -> tuple[tuple[float, float], ...]:
     """Return the cycles in the settings, else those between strikes that motion, forces and EMG cover."""
-    spans = {"motion": motion_time, "forces": forces.time, "EMG": emg_time}
-    start = max(time[0] for time in spans.values())
-    end = min(time[-1] for time in spans.values())
-    covered = ", ".join(f"{kind} {time[0]:g} to {time[-1]:g} s" for kind, time in spans.items())
-    place = f"trial '{trial.name}'"
+    start, end, covered = _check_covered(trial, settings, files)
     if trial.cycles:
-        outside = [cycle for cycle in trial.cycles if cycle[0] < start - 1e-6 or cycle[1] > end + 1e-6]
-        if outside:
-            message = f"expected cycles that all recordings cover ({covered}), found {list(outside[0])} s"
-            raise InputError(Problem(str(settings.file), message, place))
         return trial.cycles
-    contacts = find_contacts(forces.time, forces.vertical(settings.side))
+    assert files.forces is not None
+    contacts = find_contacts(files.forces.time, files.forces.vertical(settings.side))
     cycles = contacts.cycles(start, end)
     if not cycles:
         side = SIDES[settings.side]
@@ -251,89 +314,14 @@ def _find_cycles(
         )
         message = f"{message} strikes of the {side} foot"
         hint = "list the cycles in the settings if there are any"
-        raise InputError(Problem(str(trial.forces), message, place, hint))
+        raise InputError(Problem(str(trial.forces), message, f"trial '{trial.name}'", hint))
     return cycles
-
-
-def _solve_kinematics(
-    markers: Markers,
-    trial: LaboratoryTrial,
-    settings: LaboratorySettings,
-    model: PreparationModel,
-    checks: list[Check],
-    notes: list[str],
-) -> Motion:
-    """Compute joint angles from markers by OpenSim's inverse kinematics."""
-    invisible = np.isnan(markers.positions).any(axis=2).sum(axis=1)
-    gaps = [
-        f"{name} in {count} frames" for name, count in zip(markers.names, invisible, strict=True) if count
-    ]
-    if gaps:
-        notes.append(f"{trial.markers}: markers not visible, and not used there: {', '.join(gaps)}")
-    weights = {name: settings.marker_weights.get(name, 1.0) for name in markers.names}
-    with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
-        file = Path(folder) / "markers.trc"
-        write_trc(file, markers)
-        try:
-            solution = solve_inverse_kinematics(
-                model.path, file, weights, float(markers.time[0]), float(markers.time[-1])
-            )
-        except InputError as error:
-            # The temporary file is replaced by the recorded one.
-            renamed = [replace(problem, file=str(trial.markers)) for problem in error.problems]
-            raise InputError(renamed) from error
-    checks.append(check_marker_errors(markers.names, markers.positions, solution.positions))
-    return Motion(solution.coordinates, markers.time, solution.values).with_coupled(model.coupled)
-
-
-def _filter_motion(
-    recorded: Motion, window: tuple[float, float], cutoff: float, model: PreparationModel
-) -> Motion:
-    """Filter joint angles that the laboratory has computed, and select the window (s)."""
-    time, values = resample_evenly(recorded.time, recorded.values)
-    smooth = low_pass(time, values, cutoff)
-    selected = (time >= window[0] - 1e-9) & (time <= window[1] + 1e-9)
-    return Motion(recorded.coordinates, time[selected], smooth[:, selected]).with_coupled(model.coupled)
-
-
-def _analyse_bodies(
-    motion: Motion, settings: LaboratorySettings, model: PreparationModel
-) -> tuple[Float[np.ndarray, " frame"], Mechanics]:
-    """Compute positions of all bodies, and the forces that the motion requires, at about `MECHANICS_RATE`."""
-    independent = motion.without_coupled(model.coupled)
-    step = max(1, round((motion.time.size - 1) / (motion.time[-1] - motion.time[0]) / MECHANICS_RATE))
-    time = motion.time[::step]
-    spline = CubicSpline(independent.time, independent.values, axis=1)
-    # Positions, velocities and accelerations.
-    derivatives = [spline(time, order) for order in range(3)]
-    posed = PosedMotion(independent.coordinates, *derivatives)
-    return time, analyse_mechanics(model.path, settings.coordinates, posed)
-
-
-def _required_force(mechanics: Mechanics) -> Float[np.ndarray, " frame"]:
-    """Compute the upward force that supports and accelerates all bodies, N."""
-    return np.asarray(mechanics.mass_wrench[:, 4].sum(axis=0))
-
-
-def _mechanical_checks(
-    time: Float[np.ndarray, " frame"],
-    mechanics: Mechanics,
-    forces: FootForces,
-    cycles: Sequence[tuple[float, float]],
-    settings: LaboratorySettings,
-) -> Iterator[Check]:
-    """Check sides, steps, weight and timing of the forces against the motion of the bodies."""
-    feet = {side: mechanics.origin[mechanics.bodies.index(foot.body)] for side, foot in settings.feet.items()}
-    yield from check_force_sides(time, feet, forces, 9.81 * settings.mass_kg)
-    yield from check_foot_on_plates(forces, settings.side, cycles)
-    yield from check_forces_against_motion(time, _required_force(mechanics), forces)
 
 
 def _calf_checks(
     motion: Motion,
     moments: Mapping[str, Float[np.ndarray, " frame"]],
-    emg_time: Float[np.ndarray, " sample"],
-    volts: Float[np.ndarray, "channel sample"],
+    files: RecordedFiles,
     cycles: Sequence[tuple[float, float]],
     settings: LaboratorySettings,
     notes: list[str],
@@ -345,7 +333,8 @@ def _calf_checks(
         for row, muscles in enumerate(settings.channels.values())
         if any(name.startswith(_CALF_PREFIXES) for name in muscles)
     ]
-    if ankle not in moments or not calf:
+    emg_time, volts = files.emg_time, files.volts
+    if ankle not in moments or not calf or emg_time is None or volts is None:
         notes.append(
             "timing of EMG: not checked, as this needs an EMG channel of a calf muscle and the ankle moment"
         )

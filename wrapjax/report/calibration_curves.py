@@ -240,13 +240,13 @@ def errors_section(result: CalibrationResult, summary: dict[str, Any]) -> str:
             "validation: MAE": summary["mae_Nm"]["validation"],
             "validation: RMSE": summary["rmse_Nm"]["validation"],
         }
-    peak = np.abs(result.measured).max(axis=(0, 2))
+    peak = np.nanmax(np.abs(result.measured), axis=(0, 2))
     largest = dict(zip(result.coordinates, peak.tolist(), strict=True))
     rows = [
         (
             name,
             decimals(largest.get(name)),
-            *(decimals(None if column is None else column[name]) for column in columns.values()),
+            *(decimals(None if column is None else column.get(name)) for column in columns.values()),
         )
         for name in (*result.coordinates, "mean")
     ]

@@ -33,19 +33,68 @@ class MomentCurves(Protocol):
         ...
 
     @property
+    def tasks(self) -> tuple[str, ...]:
+        """Task of each cycle."""
+        ...
+
+    @property
+    def recordings(self) -> tuple[str, ...]:
+        """Name of the recording of each cycle."""
+        ...
+
+    @property
+    def time(self) -> Float[np.ndarray, "trial frame"]:
+        """Time in the recording, s."""
+        ...
+
+    @property
     def speeds(self) -> Float[np.ndarray, " trial"]:
         """Walking speed of each cycle, m/s; NaN where unknown."""
         ...
 
     @property
     def measured(self) -> Float[np.ndarray, "trial coordinate frame"]:
-        """Moments by inverse dynamics, N m."""
+        """Moments by inverse dynamics, N m; NaN where none was measured."""
         ...
 
     @property
     def modelled(self) -> Float[np.ndarray, "trial coordinate frame"]:
         """Moments predicted by the model from EMG, N m."""
         ...
+
+
+@dataclass(frozen=True)
+class TrialCurves:
+    """Measured and modelled joint moments of some trials: the simplest `MomentCurves`."""
+
+    coordinates: tuple[str, ...]
+    trials: tuple[str, ...]
+    uses: tuple[str, ...]
+    tasks: tuple[str, ...]
+    recordings: tuple[str, ...]
+    time: Float[np.ndarray, "trial frame"]
+    speeds: Float[np.ndarray, " trial"]
+    measured: Float[np.ndarray, "trial coordinate frame"]
+    modelled: Float[np.ndarray, "trial coordinate frame"]
+
+    @staticmethod
+    def of(curves: MomentCurves, chosen: Bool[np.ndarray, " trial"]) -> TrialCurves:
+        """Select the chosen trials."""
+
+        def pick(names: tuple[str, ...]) -> tuple[str, ...]:
+            return tuple(name for name, keep in zip(names, chosen, strict=True) if keep)
+
+        return TrialCurves(
+            curves.coordinates,
+            pick(curves.trials),
+            pick(curves.uses),
+            pick(curves.tasks),
+            pick(curves.recordings),
+            curves.time[chosen],
+            curves.speeds[chosen],
+            curves.measured[chosen],
+            curves.modelled[chosen],
+        )
 
 
 @dataclass(frozen=True)

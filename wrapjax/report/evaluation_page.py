@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,55 +14,31 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.evaluation.metrics import pooled_mae
+from wrapjax.evaluation.metrics import pooled_mae, pooled_rmse
 from wrapjax.io.files import write_json, write_text
 from wrapjax.io.json_and_arrays import load_json
 from wrapjax.io.storage import read_storage, write_storage
 from wrapjax.report import markup
-from wrapjax.report.calibration_curves import moments_section
+from wrapjax.report.cycle_panels import TrialCurves
 from wrapjax.report.formatting import counted, decimals
-from wrapjax.report.run_summary import USES, by_trial, by_use, errors_of, pooled_rmse
+from wrapjax.report.run_summary import USES, by_trial, by_use, describe_tasks, errors_of
 from wrapjax.report.run_tables import moment_labels, moment_table
+from wrapjax.report.task_curves import moment_sections
 from wrapjax.subject.subject import Subject
-from wrapjax.subject.trials import Trials
+from wrapjax.subject.trials import FRAMES, GAIT, Trials
 
 #: Version of the layout of ``evaluation.json``.
 SCHEMA = 1
 
 
-@dataclass(frozen=True)
-class PredictedCycles:
-    """Measured and modelled joint moments of gait cycles (`wrapjax.report.cycle_panels.MomentCurves`).
-
-    Parameters
-    ----------
-    coordinates, trials, uses
-        Names of coordinates and cycles, and the use of each cycle.
-    speeds
-        Walking speeds, m/s, NaN where unknown.
-    time
-        Time in the recording, s.
-    measured, modelled
-        Joint moments, N m.
-    """
-
-    coordinates: tuple[str, ...]
-    trials: tuple[str, ...]
-    uses: tuple[str, ...]
-    speeds: Float[np.ndarray, " trial"]
-    time: Float[np.ndarray, "trial frame"]
-    measured: Float[np.ndarray, "trial coordinate frame"]
-    modelled: Float[np.ndarray, "trial coordinate frame"]
-
-
-def predicted_cycles(
-    trials: Trials, modelled: Float[np.ndarray, "trial coordinate frame"]
-) -> PredictedCycles:
+def predicted_cycles(trials: Trials, modelled: Float[np.ndarray, "trial coordinate frame"]) -> TrialCurves:
     """Combine a subject's cycles with their predicted moments (N m)."""
-    return PredictedCycles(
+    return TrialCurves(
         coordinates=trials.moment_coordinates,
         trials=trials.names,
         uses=trials.uses,
+        tasks=trials.tasks,
+        recordings=trials.recordings,
         speeds=trials.speeds,
         time=trials.time,
         measured=trials.moments,
@@ -103,11 +78,12 @@ def describe_evaluation(
         "trials": {
             name: trial | {"speed_m_s": speeds[name]} for name, trial in by_trial(errors, cycles).items()
         },
+        **describe_tasks(subject.trials, modelled),
         "notes": list(notes),
     }
 
 
-def render_evaluation(content: dict[str, Any], cycles: PredictedCycles) -> str:
+def render_evaluation(content: dict[str, Any], cycles: TrialCurves) -> str:
     """Write the report of an evaluation as a self-contained HTML page.
 
     Parameters
@@ -129,7 +105,7 @@ def render_evaluation(content: dict[str, Any], cycles: PredictedCycles) -> str:
             markup.header(title, under),
             _verdict_section(content),
             _errors_section(content, cycles),
-            moments_section(cycles, content),
+            *moment_sections(cycles, content),
             _cycles_section(content, cycles),
             markup.section("Notes", markup.bullets([*content["notes"], _FILES])),
         ],
@@ -159,14 +135,14 @@ def _verdict_section(content: dict[str, Any]) -> str:
     return markup.box("\n".join(map(markup.paragraph, lines)), "verdict")
 
 
-def _errors_section(content: dict[str, Any], cycles: PredictedCycles) -> str:
+def _errors_section(content: dict[str, Any], cycles: TrialCurves) -> str:
     columns: dict[str, dict[str, float]] = {}
     for use in USES:
         if content["mae_Nm"][use] is not None:
             columns |= {f"{use}: MAE": content["mae_Nm"][use], f"{use}: RMSE": content["rmse_Nm"][use]}
         if content["run"]["mae_Nm"][use] is not None:
             columns[f"run's {use}: MAE"] = content["run"]["mae_Nm"][use]
-    peak = np.abs(cycles.measured).max(axis=(0, 2))
+    peak = np.nanmax(np.abs(cycles.measured), axis=(0, 2))
     largest = dict(zip(cycles.coordinates, peak.tolist(), strict=True))
     rows = [
         (name, decimals(largest.get(name)), *(decimals(column.get(name)) for column in columns.values()))
@@ -182,10 +158,10 @@ def _errors_section(content: dict[str, Any], cycles: PredictedCycles) -> str:
     )
 
 
-def _cycles_section(content: dict[str, Any], cycles: PredictedCycles) -> str:
+def _cycles_section(content: dict[str, Any], cycles: TrialCurves) -> str:
     columns = (*cycles.coordinates, "mean")
     rows = [
-        (name, trial["use"], *(decimals(trial["mae_Nm"][column]) for column in columns))
+        (name, trial["use"], *(decimals(trial["mae_Nm"].get(column)) for column in columns))
         for name, trial in content["trials"].items()
     ]
     header = ("cycle", "use", *columns)
@@ -230,19 +206,30 @@ def redraw_evaluation(folder: Path) -> None:
     write_text(folder / "report.html", page)
 
 
-def _read_cycles(content: dict[str, Any], folder: Path) -> PredictedCycles:
+def _read_cycles(content: dict[str, Any], folder: Path) -> TrialCurves:
     coordinates = tuple(content["coordinates"])
     labels = moment_labels(coordinates)
     time, moments = [], []
     for trial in content["trials"].values():
         table = read_storage(folder / f"{trial['file']}.sto")
-        time.append(table.time)
-        moments.append(table.values[:, [table.columns.index(label) for label in labels]].T)
+        is_gait = "task" not in trial
+        curves = [
+            table.values[:, table.columns.index(label)]
+            if is_gait or label in table.columns
+            else np.full(table.time.size, np.nan)
+            for label in labels
+        ]
+        # Windows have the frames in which moments were measured.
+        unused = (0, 0 if is_gait else FRAMES - table.time.size)
+        time.append(np.pad(table.time, unused, constant_values=np.nan))
+        moments.append(np.pad(np.array(curves), ((0, 0), unused), constant_values=np.nan))
     both = np.stack(moments)
-    return PredictedCycles(
+    return TrialCurves(
         coordinates=coordinates,
         trials=tuple(content["trials"]),
         uses=tuple(trial["use"] for trial in content["trials"].values()),
+        tasks=tuple(trial.get("task", GAIT) for trial in content["trials"].values()),
+        recordings=tuple(trial.get("recording", name) for name, trial in content["trials"].items()),
         speeds=np.array(
             [
                 math.nan if trial["speed_m_s"] is None else trial["speed_m_s"]

@@ -232,7 +232,7 @@ def _required_force(forces: Sequence[ForceTrace]) -> str:
 
 def _cycles_section(trials: Trials) -> str:
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
-    inside = slice(trials.padding, trials.emg.shape[-1] - trials.padding)
+    inside = trials.inside
     pictures = (
         (np.rad2deg(trials.angles[:, columns]), trials.moment_coordinates, "angle (deg)", "Joint angles"),
         (trials.moments, trials.moment_coordinates, "moment (N m)", "Joint moments by inverse dynamics"),

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrapjax.calibration.calibration_result import CalibrationResult
+from wrapjax.calibration.calibration_result import CalibrationResult, of_trials
 from wrapjax.calibration.uncertainty.intervals import LegSpread
+from wrapjax.evaluation.metrics import LeftOutTask
 from wrapjax.io.files import new_folder, write_atomically, write_json, write_text
 from wrapjax.io.storage import write_storage
 from wrapjax.report import markup
@@ -20,7 +21,6 @@ from wrapjax.report.calibration_curves import (
     drive_section,
     errors_section,
     fiber_lengths_section,
-    moments_section,
 )
 from wrapjax.report.formatting import counted, decimals, leg_name
 from wrapjax.report.model_view.page import write_beside_report
@@ -33,7 +33,9 @@ from wrapjax.report.run_summary import USES, file_stems, summarize
 from wrapjax.report.run_tables import band_table, curve_tables, osimx_of, parameters_csv
 from wrapjax.report.spread import describe_spread, describe_uncertainty, spread_section
 from wrapjax.report.starts import starts_csv, starts_section
+from wrapjax.report.task_curves import left_out_csv, left_out_section, moment_sections
 from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import GAIT
 
 if TYPE_CHECKING:
     from wrapjax.geometry.model_description import ModelDescription
@@ -47,6 +49,7 @@ def render_report(
     moves: Sequence[MovedPath] = (),
     spread: LegSpread | None = None,
     link: str = "",
+    left_out: Sequence[LeftOutTask] = (),
 ) -> str:
     """Write the report of a calibration as a self-contained HTML page.
 
@@ -64,6 +67,8 @@ def render_report(
         Uncertainty of parameters and moments, if it was requested.
     link
         HTML below the title, such as a link to another page.
+    left_out
+        Errors of calibrations without each task, if they were requested.
     """
     title = f"{subject.name}: {result.method} calibration"
     counts = {use: result.uses.count(use) for use in USES}
@@ -72,7 +77,7 @@ def render_report(
         f"{counted(len(subject.trials.channels), 'EMG channel')}, "
         f"{_driven_by_synergies(subject)}"
         f"{counted(len(result.coordinates), 'coordinate')}, "
-        f"{counted(counts['calibration'], 'gait cycle')} for calibration and {counts['validation']} for "
+        f"{counted(counts['calibration'], _unit(result))} for calibration and {counts['validation']} for "
         f"validation. {settings['date'][:10]}."
     )
     return markup.page(
@@ -82,9 +87,9 @@ def render_report(
             link,
             markup.verdict(run_findings(result, summary), fine=summary["converged"]),
             errors_section(result, summary),
-            moments_section(result, summary),
-            drive_section(subject, result),
-            activations_section(subject, result),
+            *moment_sections(result, summary),
+            *([left_out_section(left_out)] if left_out else []),
+            *_muscle_sections(subject, result),
             fiber_lengths_section(result),
             path_section(result, moves),
             parameters_section(result),
@@ -96,6 +101,15 @@ def render_report(
     )
 
 
+def _muscle_sections(subject: Subject, result: CalibrationResult) -> list[str]:
+    """Write the sections on what drove the muscles and on their activations, which are shown over gait."""
+    gait = np.array([task == GAIT for task in result.tasks])
+    if not gait.any():
+        return []
+    walking = result if gait.all() else of_trials(result, gait)
+    return [drive_section(subject, walking), activations_section(subject, walking)]
+
+
 def _driven_by_synergies(subject: Subject) -> str:
     """Write the number of muscles without an electrode that synergies drive."""
     if subject.synergies is None:
@@ -104,13 +118,18 @@ def _driven_by_synergies(subject: Subject) -> str:
     return f"{len(subject.synergies.muscles)} by {count} synerg{'y' if count == 1 else 'ies'} of these, "
 
 
+def _unit(result: CalibrationResult) -> str:
+    return "gait cycle" if set(result.tasks) == {GAIT} else "gait cycle or window"
+
+
 def run_findings(result: CalibrationResult, summary: dict[str, Any]) -> list[str]:
     """Write sentences on convergence, errors and bounds of a calibration."""
     errors = {use: summary["mae_Nm"][use] for use in USES} | {
         "before": summary["before"]["mae_Nm"]["calibration"]
     }
     mean = {name: decimals(None if error is None else error["mean"]) for name, error in errors.items()}
-    cycles = {use: counted(result.uses.count(use), f"{use} cycle") for use in USES}
+    noun = "cycle" if set(result.tasks) == {GAIT} else "cycle or window"
+    cycles = {use: counted(result.uses.count(use), f"{use} {noun}") for use in USES}
     first = (
         f"Modelled and measured joint moments differ by {mean['calibration']} N m on average over "
         f"{cycles['calibration']} (before calibration: {mean['before']} N m)"
@@ -184,6 +203,7 @@ def write_run(
     write_calibrated_model: WriteModel | None = None,
     spreads: Sequence[LegSpread] = (),
     motion: bool = False,
+    left_out: Sequence[LeftOutTask] = (),
 ) -> None:
     """Write a calibration's summary, parameters, curves, settings and report.
 
@@ -203,6 +223,8 @@ def write_run(
         Uncertainty of each leg's parameters and moments, if it was requested.
     motion
         Whether to write a page beside the report that shows calibrated wraps in motion.
+    left_out
+        Errors of calibrations without each task of the only leg, if they were requested.
 
     Raises
     ------
@@ -213,7 +235,7 @@ def write_run(
         for place, (subject, result), spread in zip_longest(
             (run, run / OTHER_LEG)[: len(legs)], legs, spreads
         ):
-            _write_leg(subject, result, place, describe_model, spread, motion)
+            _write_leg(subject, result, place, describe_model, spread, motion, left_out)
             if write_calibrated_model is not None and result.freedom.wraps is not None:
                 write_calibrated_model(subject, result, place / PERSONALISED_MODEL)
 
@@ -225,6 +247,7 @@ def _write_leg(
     describe_model: DescribeModel | None,
     spread: LegSpread | None,
     motion: bool,
+    left_out: Sequence[LeftOutTask],
 ) -> None:
     summary = summarize(subject, result)
     if spread is not None:
@@ -238,6 +261,8 @@ def _write_leg(
     model = path_from(run, subject.model_file) if result.freedom.wraps is None else PERSONALISED_MODEL
     write_text(run / "calibrated.osimx", osimx_of(result, model))
     write_text(run / "starts.csv", starts_csv(result))
+    if left_out:
+        write_text(run / "left_out_tasks.csv", left_out_csv(left_out))
     if result.calibrated_paths is not None:
         arrays = result.calibrated_paths.arrays()
         write_atomically(run / PATHS, lambda file: np.savez(file, allow_pickle=False, **arrays))
@@ -252,4 +277,5 @@ def _write_leg(
     link = ""
     if motion and result.freedom.wraps is not None:
         link = write_beside_report(run, shown_calibration(run, subject))
-    write_text(run / "report.html", render_report(subject, result, summary, settings, moves, spread, link))
+    page = render_report(subject, result, summary, settings, moves, spread, link, left_out)
+    write_text(run / "report.html", page)

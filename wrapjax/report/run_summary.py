@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult, describe_limits
-from wrapjax.evaluation.metrics import MomentErrors, moment_errors, pooled_mae
+from wrapjax.evaluation.metrics import MomentErrors, errors_by_task, moment_errors, pooled_mae, pooled_rmse
 from wrapjax.report.calibration_curves import describe_drive
 from wrapjax.report.cycle_panels import MomentCurves
 from wrapjax.report.starts import describe_starts
 from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import GAIT, Trials
 
 #: Version of the layout of ``summary.json``.
 SCHEMA = 1
@@ -52,6 +53,7 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
             "rmse_Nm": by_use(pooled_rmse, before, result),
         },
         "trials": by_trial(errors, result),
+        **describe_tasks(subject.trials, result.modelled),
         "drive": describe_drive(subject),
         "geometry_change": geometry_change(result),
         "at_bounds": list(result.at_bounds),
@@ -60,6 +62,26 @@ def summarize(subject: Subject, result: CalibrationResult) -> dict[str, Any]:
         "cost": solution.cost,
         "cost_by_term": dict(result.cost_by_term),
     }
+
+
+def describe_tasks(
+    trials: Trials, modelled: Float[np.ndarray, "trial coordinate frame"]
+) -> dict[str, dict[str, Any]]:
+    """Describe errors by task, coordinate and use under the key ``tasks``; nothing where all is gait."""
+    if trials.is_gait_only:
+        return {}
+    found: dict[str, Any] = {}
+    for use in USES:
+        keep = np.array([entry == use for entry in trials.uses])
+        for row in errors_by_task(trials.select(keep), modelled[keep]):
+            by_use = found.setdefault(row.task, {}).setdefault(row.coordinate, {})
+            by_use[use] = {
+                "mae_Nm": row.mae,
+                "rmse_Nm": row.rmse,
+                "r2": row.r2 if np.isfinite(row.r2) else None,
+                "seconds": row.seconds,
+            }
+    return {"tasks": found}
 
 
 def geometry_change(result: CalibrationResult) -> dict[str, float]:
@@ -112,8 +134,11 @@ def by_trial(errors: list[MomentErrors], cycles: MomentCurves) -> dict[str, dict
             "mae_Nm": pooled_mae([error], cycles.coordinates),
             "rmse_Nm": pooled_rmse([error], cycles.coordinates),
             "file": files[trial],
+            **({} if task == GAIT else {"task": task, "recording": recording}),
         }
-        for trial, use, error in zip(cycles.trials, cycles.uses, errors, strict=True)
+        for trial, use, error, task, recording in zip(
+            cycles.trials, cycles.uses, errors, cycles.tasks, cycles.recordings, strict=True
+        )
     }
 
 
@@ -130,14 +155,3 @@ def by_use(
         )
         for use in USES
     }
-
-
-def pooled_rmse(errors: Sequence[MomentErrors], coordinates: Sequence[str]) -> dict[str, float] | None:
-    """Pool root mean square errors (N m) over the frames of all cycles, by coordinate.
-
-    ``mean`` is their average over coordinates. None if there is no cycle.
-    """
-    if not errors:
-        return None
-    pooled = np.sqrt(np.mean([error.root_mean_square**2 for error in errors], axis=0))
-    return dict(zip(coordinates, pooled.tolist(), strict=True)) | {"mean": float(pooled.mean())}

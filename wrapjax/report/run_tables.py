@@ -17,6 +17,7 @@ from wrapjax.io.storage import Storage
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx
 from wrapjax.report.cycle_panels import MomentCurves
+from wrapjax.subject.trials import GAIT
 
 PARAMETER_COLUMNS = ("owner", "kind", "parameter", "value", "unit", "lower", "upper")
 #: Further columns if uncertainty was requested.
@@ -135,10 +136,18 @@ def moment_labels(coordinates: Sequence[str]) -> tuple[str, ...]:
 
 
 def moment_table(cycles: MomentCurves, time: Float[np.ndarray, "trial frame"], trial: int) -> Storage:
-    """Tabulate one cycle's moments, modelled and measured, in N m over time in s."""
+    """Tabulate one cycle's moments, modelled and measured, in N m over time in s.
+
+    Of a window of another task, the frames in which a moment was measured, and the measured coordinates.
+    """
     moments = np.concatenate([cycles.modelled[trial], cycles.measured[trial]])
     name = f"joint moments (N m) of {cycles.trials[trial]}"
-    return Storage(name, moment_labels(cycles.coordinates), time[trial], moments.T)
+    labels = np.array(moment_labels(cycles.coordinates))
+    if cycles.tasks[trial] == GAIT:
+        return Storage(name, tuple(labels.tolist()), time[trial], moments.T)
+    frames = np.isfinite(cycles.measured[trial]).any(axis=0)
+    rows = np.isfinite(moments[:, frames]).all(axis=1)
+    return Storage(name, tuple(labels[rows].tolist()), time[trial][frames], moments[rows][:, frames].T)
 
 
 def curve_tables(result: CalibrationResult, trial: int) -> dict[str, Storage]:

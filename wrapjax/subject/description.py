@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import GAIT, Trials
 
 Cell = str | float | int | None
 
@@ -55,7 +56,6 @@ def render_tables(tables: tuple[Table, ...]) -> str:
 
 def _overview(subject: Subject) -> Table:
     trials = subject.trials
-    counts = {use: len(trials.used_for(use)) for use in ("calibration", "validation")}
     rows: tuple[tuple[str, Cell], ...] = (
         ("folder", str(subject.folder)),
         ("mass (kg)", subject.mass_kg),
@@ -69,12 +69,20 @@ def _overview(subject: Subject) -> Table:
         ("undriven muscles", ", ".join(subject.undriven_muscles) or None),
         ("activation groups", len(subject.activation_groups)),
         ("fiber length groups", len(subject.fiber_length_groups)),
-        ("calibration cycles", counts["calibration"]),
-        ("validation cycles", counts["validation"]),
+        *(
+            (f"{use} {kind}", count)
+            for kind, group in (("cycles", trials.is_gait), ("windows of other tasks", ~trials.is_gait))
+            for use, count in _counts(trials.select(group)).items()
+            if kind == "cycles" or group.any()
+        ),
         ("frames a cycle", trials.time.shape[1]),
-        ("EMG frames before and after", trials.padding),
+        ("EMG frames before" if trials.leading else "EMG frames before and after", trials.padding),
     )
     return Table(f"Subject {subject.name}", ("what", "value"), rows)
+
+
+def _counts(trials: Trials) -> dict[str, int]:
+    return {use: len(trials.used_for(use)) for use in ("calibration", "validation")}
 
 
 def _channels(subject: Subject) -> Table:
@@ -89,25 +97,29 @@ def _channels(subject: Subject) -> Table:
 
 def _trials(subject: Subject) -> Table:
     rows = []
+    gait_only = all(entry.task == GAIT and not entry.condition for entry in subject.recordings)
     for recording, rate in zip(subject.recordings, subject.emg_rates, strict=True):
         durations = [end - start for start, end in recording.cycles]
+        others = () if gait_only else (recording.task, recording.condition or None)
         rows.append(
             (
                 recording.name,
                 recording.use,
+                *others,
                 None if math.isnan(recording.speed) else recording.speed,
                 len(durations),
                 min(durations),
                 max(durations),
-                rate,
+                None if math.isnan(rate) else rate,
                 "yes" if recording.ground_forces else "no",
             )
         )
     header = (
         "trial",
         "use",
+        *(() if gait_only else ("task", "condition")),
         "speed (m/s)",
-        "cycles",
+        "cycles" if gait_only else "cycles or intervals",
         "shortest (s)",
         "longest (s)",
         "EMG (Hz)",
@@ -121,10 +133,9 @@ def _coordinates(subject: Subject) -> Table:
     rows = []
     for index, name in enumerate(trials.moment_coordinates):
         angles = np.rad2deg(trials.angles[:, trials.coordinates.index(name)])
-        moments = trials.moments[:, index]
-        rows.append(
-            (name, float(angles.min()), float(angles.max()), float(moments.min()), float(moments.max()))
-        )
+        known = trials.moments[:, index][np.isfinite(trials.moments[:, index])]
+        ends = (float(known.min()), float(known.max())) if known.size else (None, None)
+        rows.append((name, float(angles.min()), float(angles.max()), *ends))
     header = ("coordinate", "angle min (deg)", "max (deg)", "moment min (N m)", "max (N m)")
     return Table("Joint angles and moments over all cycles", header, tuple(rows))
 

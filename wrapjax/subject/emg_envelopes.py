@@ -12,6 +12,8 @@ HIGH_PASS_HZ = 40.0
 #: Cut-off frequency of the low-pass filter times the gait period, so that the same harmonics pass at all
 #: speeds.
 LOW_PASS_HARMONIC = 3.5
+#: Cut-off frequency of the low-pass filter of tasks other than gait, Hz.
+LOW_PASS_HZ = 6.0
 #: Order of both Butterworth filters, before they are run forwards and backwards.
 FILTER_ORDER = 4
 
@@ -45,10 +47,7 @@ def resample_evenly(
 def compute_envelopes(
     volts: Float[np.ndarray, "channel sample"], rate: float, cycle_duration: float
 ) -> Float[np.ndarray, "channel sample"]:
-    """Compute envelopes of raw EMG: high-pass filter, subtract mean, rectify, low-pass filter, clip at zero.
-
-    Method of Meyer et al. (2017). Both filters are zero-lag: Butterworth filters of order 4 run forwards and
-    backwards. The mean of each channel is taken over time.
+    """Compute envelopes of the raw EMG of gait; see `envelopes_below`.
 
     Parameters
     ----------
@@ -64,8 +63,33 @@ def compute_envelopes(
     Float[np.ndarray, "channel sample"]
         Envelopes in V, not negative, not normalised.
     """
+    return envelopes_below(volts, rate, LOW_PASS_HARMONIC / cycle_duration)
+
+
+def envelopes_below(
+    volts: Float[np.ndarray, "channel sample"], rate: float, cutoff: float
+) -> Float[np.ndarray, "channel sample"]:
+    """Compute envelopes of raw EMG: high-pass filter, subtract mean, rectify, low-pass filter, clip at zero.
+
+    Method of Meyer et al. (2017). Both filters are zero-lag: Butterworth filters of order 4 run forwards and
+    backwards. The mean of each channel is taken over time.
+
+    Parameters
+    ----------
+    volts
+        Raw EMG in V, evenly sampled.
+    rate
+        Sampling rate in Hz, above twice `HIGH_PASS_HZ`.
+    cutoff
+        Cut-off frequency of the low-pass filter in Hz.
+
+    Returns
+    -------
+    Float[np.ndarray, "channel sample"]
+        Envelopes in V, not negative, not normalised.
+    """
     high_pass = butter(FILTER_ORDER, HIGH_PASS_HZ, "highpass", fs=rate, output="sos")
-    low_pass = butter(FILTER_ORDER, LOW_PASS_HARMONIC / cycle_duration, "lowpass", fs=rate, output="sos")
+    low_pass = butter(FILTER_ORDER, cutoff, "lowpass", fs=rate, output="sos")
     filtered = sosfiltfilt(high_pass, volts, axis=1)
     rectified = np.abs(filtered - filtered.mean(axis=1, keepdims=True))
     return np.maximum(sosfiltfilt(low_pass, rectified, axis=1), 0.0)

@@ -13,7 +13,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.storage import find_columns, read_storage, read_storage_header
 from wrapjax.io.toml import collect_problems
 from wrapjax.io.xml import read_xml
-from wrapjax.subject.settings import TrialSettings
+from wrapjax.subject.trial_settings import TrialSettings
 from wrapjax.subject.trials import TIME_TOLERANCE
 
 #: Values that OpenSim writes for an empty name.

@@ -1,13 +1,12 @@
 """Settings of a subject folder, ``subject.toml``: its allowed keys, their checks, and the values read.
 
-A new key is read in the function of its table (`read_settings`, `_read_trial`, `read_channels`,
+A new key is read in the function of its table (`read_settings`, `read_trial`, `read_channels`,
 `read_extrapolated`, `read_passive_settings`); a key that no function reads is reported as unknown.
 """
 
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,49 +14,10 @@ from typing import Any
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, read_toml
+from wrapjax.subject.trial_settings import TrialSettings, read_trial
 
 #: Name of the settings file in a subject folder.
 SETTINGS_FILE = "subject.toml"
-#: Valid names of trials, which are used as names of result files.
-_TRIAL_NAME = re.compile(r"[\w.+-]+( [\w.+-]+)*")
-
-
-@dataclass(frozen=True)
-class TrialSettings:
-    """Recording and its gait cycles (table ``[[trial]]``).
-
-    Parameters
-    ----------
-    name
-        Name, unique among the trials of the subject.
-    use
-        ``calibration`` or ``validation``.
-    angles, moments, emg
-        Files (``.sto`` or ``.mot``) of joint angles, joint moments and EMG.
-    cycles
-        Start and end of each gait cycle in s.
-    speed
-        Walking speed in m/s, NaN if not given.
-    ground_forces
-        File (``.sto`` or ``.mot``) of ground reaction forces, None if not given.
-    external_loads
-        OpenSim's XML file that assigns the ground reaction forces to bodies, None if not given.
-    """
-
-    name: str
-    use: str
-    angles: Path
-    moments: Path
-    emg: Path
-    cycles: tuple[tuple[float, float], ...]
-    speed: float = math.nan
-    ground_forces: Path | None = None
-    external_loads: Path | None = None
-
-    @staticmethod
-    def is_valid_name(name: str) -> bool:
-        """Return whether a name is valid for a trial, and thus for its result files."""
-        return bool(_TRIAL_NAME.fullmatch(name) and name.strip("."))
 
 
 @dataclass(frozen=True)
@@ -110,6 +70,8 @@ class Settings:
         Trials, in the order of the file.
     passive
         Passive trials, in the order of the file.
+    file
+        The settings file.
     """
 
     name: str
@@ -125,6 +87,7 @@ class Settings:
     extrapolated: dict[str, tuple[str, ...]] | None
     trials: tuple[TrialSettings, ...]
     passive: tuple[PassiveSettings, ...] = ()
+    file: Path = Path(SETTINGS_FILE)
 
 
 def read_settings(folder: Path, problems: list[Problem]) -> Settings:
@@ -163,9 +126,9 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
 
     tables = top.tables("trial")
     trials = [
-        _read_trial(table, number, file, folder, problems) for number, table in enumerate(tables, start=1)
+        read_trial(table, number, file, folder, problems) for number, table in enumerate(tables, start=1)
     ]
-    _check_trials(trials, tables, file, problems)
+    _check_trials(trials, file, problems)
     passive = read_passive_settings(top.raw("passive"), file, folder, problems)
     top.report_unknown_keys()
     return Settings(
@@ -182,6 +145,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         extrapolated=extrapolated,
         trials=tuple(trial for trial in trials if trial is not None),
         passive=passive,
+        file=file,
     )
 
 
@@ -202,93 +166,13 @@ def _read_other_leg(subject: TableReader, folder: Path) -> Path | None:
     return settings.parent
 
 
-def _read_trial(
-    table: object, number: int, file: Path, folder: Path, problems: list[Problem]
-) -> TrialSettings | None:
-    """Read a table ``[[trial]]``; None if a required key is missing or invalid."""
-    label = table.get("name") if isinstance(table, dict) else None
-    place = f"[[trial]] '{label}'" if isinstance(label, str) and label else f"[[trial]] number {number}"
-    reader = TableReader(table, file, place, problems)
-    name = reader.text("name")
-    if name is not None and not TrialSettings.is_valid_name(name):
-        reader.add_problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
-        name = None
-    use = reader.text("use", choices=("calibration", "validation"))
-    paths = [reader.path(key, folder) for key in ("angles", "moments", "emg")]
-    extra = [reader.path(key, folder, required=False) for key in ("ground_forces", "external_loads")]
-    speed = reader.number("speed_m_s", lowest=0.0, highest=15.0, unit="m/s", required=False)
-    cycles = read_cycles(reader)
-    reader.report_unknown_keys()
-    angles, moments, emg = paths
-    if name is None or use is None or angles is None or moments is None or emg is None:
-        return None
-    return TrialSettings(
-        name=name,
-        use=use,
-        angles=angles,
-        moments=moments,
-        emg=emg,
-        cycles=cycles,
-        speed=math.nan if speed is None else speed,
-        ground_forces=extra[0],
-        external_loads=extra[1],
-    )
-
-
-def read_cycles(reader: TableReader) -> tuple[tuple[float, float], ...]:
-    """Read ``cycle = [t0, t1]`` or ``cycles = [[t0, t1], ...]``, s; invalid ones are reported and omitted."""
-    if reader.has("cycle") == reader.has("cycles"):
-        found = "both" if reader.has("cycle") else "neither"
-        reader.add_problem(
-            "cycle", f"expected either cycle = [t0, t1] or cycles = [[t0, t1], ...], found {found}"
-        )
-    single, several = reader.raw("cycle"), reader.raw("cycles")
-    if single is not None and several is not None:
-        return ()
-    key = "cycles" if several is not None else "cycle"
-    listed = several if several is not None else [single]
-    if not isinstance(listed, list) or not listed:
-        reader.add_problem(key, f"expected [[t0, t1], ...], found {describe_value(listed)}")
-        return ()
-    cycles = []
-    for order, entry in enumerate(listed, start=1):
-        place = f"{key} {order}" if several is not None else key
-        if entry is None:
-            continue
-        if not (isinstance(entry, list) and len(entry) == 2 and all(map(_is_time, entry))):
-            reader.add_problem(place, f"expected [t0, t1] in s, found {describe_value(entry)}")
-        elif entry[0] >= entry[1]:
-            reader.add_problem(place, f"expected t0 before t1, found [{entry[0]:g}, {entry[1]:g}]")
-        else:
-            cycles.append((float(entry[0]), float(entry[1])))
-    return tuple(cycles)
-
-
-def _is_time(value: object) -> bool:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer beyond the range of floating-point numbers
-        return False
-
-
-def _check_trials(
-    trials: list[TrialSettings | None], tables: list, file: Path, problems: list[Problem]
-) -> None:
-    """Report duplicate names, and a lack of trials for calibration."""
+def _check_trials(trials: list[TrialSettings | None], file: Path, problems: list[Problem]) -> None:
+    """Report duplicate names."""
     names = Counter(trial.name.lower() for trial in trials if trial is not None)
     for name, count in names.items():
         if count > 1:
             message = f"expected every trial to have a unique name, found {count} of this name"
             problems.append(Problem(str(file), message, f"[[trial]] '{name}'"))
-    uses = {
-        table.get("use") for table in tables if isinstance(table, dict) and isinstance(table.get("use"), str)
-    }
-    # An invalid use has been reported already, and may have been meant as calibration.
-    if tables and uses and uses <= {"validation"}:
-        message = 'expected at least one trial with use = "calibration", found none'
-        problems.append(Problem(str(file), message, "[[trial]] use"))
 
 
 def read_channels(table: object, file: Path, problems: list[Problem]) -> dict[str, tuple[str, ...]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.model_file import ModelFile, MuscleParameters, read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.io.toml import collect_problems
-from wrapjax.subject.cycles import cut_cycles
+from wrapjax.subject.cycles import cut_cycles, noise_floor
 from wrapjax.subject.emg_envelopes import sampling_rate
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
 from wrapjax.subject.muscle_parameters import (
@@ -20,9 +21,12 @@ from wrapjax.subject.muscle_parameters import (
     is_on_side,
     read_muscle_parameters,
 )
-from wrapjax.subject.recordings import PassiveTrial, read_passive_trial, read_signals
-from wrapjax.subject.settings import SETTINGS_FILE, Settings, TrialSettings, read_settings
+from wrapjax.subject.passive_trials import PassiveTrial, as_passive_trial, read_passive_trial
+from wrapjax.subject.recordings import read_signals
+from wrapjax.subject.settings import SETTINGS_FILE, Settings, read_settings
 from wrapjax.subject.synergies import Synergies
+from wrapjax.subject.trial_checks import activity_notes
+from wrapjax.subject.trial_settings import TrialSettings
 from wrapjax.subject.trials import Trials
 
 #: Largest accepted difference between the person's mass and that of the scaled model, as a share of the
@@ -34,7 +38,7 @@ POUNDS_PER_KG = 2.2046
 
 @dataclass(frozen=True)
 class Subject:
-    """One leg of a person: model, muscles and recorded gait cycles.
+    """One leg of a person: model, muscles, recorded gait cycles and windows of other tasks.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ class Subject:
     recordings
         Settings of the recordings that the cycles were cut from, with their files.
     emg_rates
-        Sampling rate of the EMG of each recording, Hz.
+        Sampling rate of the EMG of each recording, Hz; NaN where none was recorded.
     notes
         Repairs and remarks for the user.
     undriven_parameters
@@ -80,7 +84,8 @@ class Subject:
     synergies
         Synergies that drive muscles without a channel; None if there are none.
     passive
-        Passive trials.
+        Passive trials for initial lengths: of tables ``[[passive]]``, and of task ``passive`` for
+        calibration.
     """
 
     name: str
@@ -114,8 +119,9 @@ class Subject:
 def load_subject(path: str | Path) -> Subject:
     """Read and check a subject folder.
 
-    Angles, moments and EMG of all trials are read, checked, and cut into gait cycles of 101 frames. Raw EMG
-    is filtered to envelopes and normalised to the maximum of each channel over all cycles.
+    Angles, moments and EMG of all trials are read, checked, and cut into gait cycles of 101 frames, or into
+    windows of 1 s for other tasks. Raw EMG is filtered to envelopes and normalised to the maximum of each
+    channel over all of them.
 
     Parameters
     ----------
@@ -160,6 +166,8 @@ def load_subject(path: str | Path) -> Subject:
         # Each trial that uses a faulty file reports the same problem.
         raise InputError(dict.fromkeys(problems))
     assert model is not None and muscles is not None and settings.model_file is not None
+    if "passive" in trials.tasks:
+        notes += activity_notes(trials, noise_floor(trials.emg))
     notes.extend(f"{folder / SETTINGS_FILE}: {note}" for note in mass_notes(settings.mass_kg, model.mass_kg))
     channel_of = {name: index for index, names in enumerate(settings.channels.values()) for name in names}
     return Subject(
@@ -177,11 +185,20 @@ def load_subject(path: str | Path) -> Subject:
         undriven_muscles=() if others is None else others.names,
         trials=trials,
         recordings=settings.trials,
-        emg_rates=tuple(sampling_rate(entry.emg_time) for entry in read_all),
+        emg_rates=tuple(
+            math.nan if entry.emg_time is None else sampling_rate(entry.emg_time) for entry in read_all
+        ),
         notes=tuple(dict.fromkeys(notes)),
         undriven_parameters=others,
         extrapolated=settings.extrapolated,
-        passive=tuple(trial for trial in passive if trial is not None),
+        passive=(
+            *(trial for trial in passive if trial is not None),
+            *(
+                as_passive_trial(entry, settings.coordinates)
+                for entry in read_all
+                if entry.trial.task == "passive" and entry.trial.use == "calibration"
+            ),
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from wrapjax.calibration.solvers.interface import AbstractCalibration, Status
 from wrapjax.calibration.two_legs import join_leg_objectives
 from wrapjax.calibration.uncertainty.intervals import LegSpread, summarize_draws
 from wrapjax.calibration.uncertainty.posterior import Posterior, leg_objectives, moments_and_slopes, posterior
+from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.parameters import QUANTITIES
@@ -185,6 +186,8 @@ def uncertainty(
 
     Raises
     ------
+    InputError
+        If the calibration has trials of other tasks than gait.
     ValueError
         If the method is unknown, or there are fewer than 2 draws.
     KeyboardInterrupt
@@ -201,6 +204,12 @@ def uncertainty(
     count = DRAWS[way] if draws is None else draws
     if count < 2:
         raise ValueError(f"{count} draws have no spread: expected at least 2")
+    for leg in calibration.legs:
+        if not leg.subject.trials.is_gait_only:
+            message = "expected gait cycles alone, whose residuals recur phase by phase, found other tasks"
+            raise InputError(
+                Problem(str(leg.subject.folder), message, hint="calibrate without --uncertainty")
+            )
     solution = calibration.result.solution
     problem, speeds = _problem(calibration)
     distribution = posterior(problem, solution.state, speeds)

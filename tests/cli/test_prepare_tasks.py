@@ -1,0 +1,169 @@
+"""``wrapjax prepare`` beyond walking: other tasks, a laboratory's own moments, and recorded running."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.preprocessing import walker
+from wrapjax.io.storage import read_storage, write_storage
+from wrapjax.subject.subject import load_subject
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """The walker's files with angles in place of markers, and moments that a laboratory computed."""
+    folder = tmp_path_factory.mktemp("lab")
+    settings = walker.write_laboratory(folder)
+    time = walker.simulated_positions()[0]
+    motion = walker.motion(time)
+    angles = walker.Storage("angles", tuple(motion), time, np.array(list(motion.values())).T)
+    write_storage(folder / "angles.sto", angles)
+    settings.write_text(settings.read_text().replace('markers = "walk.trc"', 'angles = "angles.sto"'))
+    return settings
+
+
+@pytest.fixture(scope="module")
+def walked(run, laboratory, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("prepared") / "walker"
+    outcome = run("prepare", laboratory, "--out", folder)
+    assert outcome.status == 0, outcome.progress
+    return folder
+
+
+def prepare(run, laboratory, folder, *changes):
+    text = laboratory.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    settings = laboratory.parent / f"{folder.name}.toml"
+    settings.write_text(text)
+    return run("prepare", settings, "--out", folder)
+
+
+def test_a_laboratory_s_moments_replace_inverse_dynamics(run, laboratory, walked, tmp_path):
+    """Moments whose filter is stated are taken unchanged; forces are not needed, and cycles are listed."""
+    given = read_storage(walked / "trials" / "walk" / "moments.sto")
+    write_storage(laboratory.parent / "id.sto", given)
+    cycles = json.loads((walked / "preparation.json").read_text())["trials"]["walk"]["cycles"]
+    lines = f'moments = "id.sto"\nmoments_low_pass_hz = 6\ncycles = {cycles}'
+    outcome = prepare(run, laboratory, tmp_path / "own", ('forces = "forces.mot"', lines))
+    assert outcome.status == 0, outcome.progress
+    assert "low-passed by it at 6 Hz and not again" in outcome.output
+    found, expected = load_subject(tmp_path / "own").trials, load_subject(walked).trials
+    np.testing.assert_allclose(found.moments, expected.moments, atol=0.02)
+    assert "ground_forces" not in (tmp_path / "own" / "subject.toml").read_text()
+    filtered = lines.replace("moments_low_pass_hz = 6\n", "")
+    outcome = prepare(run, laboratory, tmp_path / "alike", ('forces = "forces.mot"', filtered))
+    assert outcome.status == 0 and "like the motion" in outcome.output
+    change = load_subject(tmp_path / "alike").trials.moments - expected.moments
+    assert 0.02 < np.abs(change).max() < 15.0
+
+
+def test_moments_that_do_not_cover_the_cycles_are_refused(run, laboratory, walked, tmp_path):
+    given = read_storage(walked / "trials" / "walk" / "moments.sto")
+    half = given.time < 2.0
+    write_storage(
+        laboratory.parent / "short.sto", replace(given, time=given.time[half], values=given.values[half])
+    )
+    lines = 'moments = "short.sto"\ncycles = [[0.5, 1.6], [1.6, 2.7]]'
+    outcome = prepare(run, laboratory, tmp_path / "short", ('forces = "forces.mot"', lines))
+    assert outcome.status == 2 and "expected moments from 0.5 to 2.7 s" in outcome.progress
+    renamed = replace(
+        given, columns=tuple(name.replace("knee_angle_l_m", "knee_m") for name in given.columns)
+    )
+    write_storage(laboratory.parent / "short.sto", renamed)
+    outcome = prepare(run, laboratory, tmp_path / "named", ('forces = "forces.mot"', lines))
+    assert outcome.status == 2 and "column knee_angle_l_moment: is not in the file" in outcome.progress
+
+
+def test_an_interval_of_a_movement_is_prepared(run, laboratory, tmp_path):
+    lines = 'task = "movement"\ncondition = "brace"\ninterval = [0.9, 3.4]\nforces = "forces.mot"'
+    outcome = prepare(run, laboratory, tmp_path / "squat", ('forces = "forces.mot"', lines))
+    assert outcome.status == 0, outcome.progress
+    trials = load_subject(tmp_path / "squat").trials
+    assert set(trials.tasks) == {"movement"} and set(trials.conditions) == {"brace"}
+    assert trials.counted.sum() == 251
+    content = json.loads((tmp_path / "squat" / "preparation.json").read_text())["trials"]["walk"]
+    assert content["motion_and_force_low_pass_hz"] == 6.0
+    assert "support" in [check["what"] for check in content["checks"]]
+
+
+def test_a_movement_with_a_foot_beside_its_plate_is_refused(run, laboratory, tmp_path):
+    file = laboratory.parent / "forces.mot"
+    table = read_storage(file)
+    right = [place for place, name in enumerate(table.columns) if name.startswith("right_v")]
+    values = table.values.copy()
+    values[:, right] *= (table.time < 1.6)[:, None]
+    write_storage(laboratory.parent / "beside.mot", replace(table, values=values))
+    lines = 'task = "movement"\ninterval = [0.9, 3.4]\nforces = "beside.mot"'
+    outcome = prepare(run, laboratory, tmp_path / "beside", ('forces = "forces.mot"', lines))
+    assert outcome.status == 2
+    assert "expected all contact with the ground on plates" in outcome.progress
+    assert not (tmp_path / "beside").exists()
+
+
+BAD = {
+    "moments and no filter": ("moments_low_pass_hz = 6\nforces =", "of which no file is given"),
+    "no forces and no moments": ("#", "forces: expected"),
+    "foot of a step": ("steps = { x = [[1.0, 2.0]] }\nforces =", "steps x: is not a known key"),
+    "interval outside": ('task = "movement"\ninterval = [1.0, 9.0]\nforces =', "expected intervals that all"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_settings_are_named(run, laboratory, tmp_path, case):
+    lines, words = BAD[case]
+    outcome = prepare(run, laboratory, tmp_path / "bad", ('forces = "forces.mot"', f'{lines} "forces.mot"'))
+    assert outcome.status == 2 and words in outcome.progress, outcome.progress
+
+
+RUNNER = """[subject]
+name = "runner"
+mass_kg = 58.03
+side = "r"
+[model]
+file = "{source}/model.osim"
+coordinates = ["knee_angle_r", "ankle_angle_r"]
+[forces.r]
+body = "calcn_r"
+force = "ground_force_v"
+point = "ground_force_p"
+torque = "ground_torque_"
+[forces.l]
+body = "calcn_l"
+force = "l_ground_force_v"
+point = "l_ground_force_p"
+torque = "l_ground_torque_"
+[emg]
+kind = "envelope"
+[emg.channels]
+soleus_r = ["soleus_r"]
+vas_lat_r = ["vas_lat_r"]
+[[trial]]
+name = "run"
+use = "calibration"
+angles = "ik.sto"
+forces = "XLD.mot"
+emg = "emgFilt.sto"
+"""
+
+
+def test_recorded_running_is_prepared(run, data_folder, tmp_path):
+    """All steps of 10 s of running, some of them on both belts, give cycles."""
+    source = data_folder / "healthy_running"
+    for name in ("ik.sto", "XLD.mot", "emgFilt.sto"):
+        table = read_storage(source / "lab" / name)
+        keep = table.time < 10.0
+        write_storage(tmp_path / name, replace(table, time=table.time[keep], values=table.values[keep]))
+    settings = tmp_path / "prepare.toml"
+    settings.write_text(RUNNER.format(source=source))
+    outcome = run("prepare", settings, "--out", tmp_path / "out")
+    assert outcome.status == 0, outcome.progress
+    assert "gait with flight phases" in outcome.output
+    trials = load_subject(tmp_path / "out").trials
+    durations = trials.time[:, -1] - trials.time[:, 0]
+    assert len(trials) >= 11 and np.all((durations > 0.7) & (durations < 0.85))
+    # Every cycle begins where the one before ends: none is missing.
+    np.testing.assert_allclose(trials.time[1:, 0], trials.time[:-1, -1], atol=1e-9)

@@ -1,0 +1,132 @@
+"""Findings in recordings: each fault added to one stretch is named with its channel, and no other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.subject.synthetic import CHANNELS, COORDINATES, PERIOD, angles, write_subject
+from wrapjax.io.storage import Storage, read_storage, write_storage
+from wrapjax.path_sources.moment_capacity import unrecorded_capacity
+from wrapjax.preprocessing.recording_findings import recording_findings
+from wrapjax.subject.subject import load_subject
+
+CYCLES = 16
+RATE = 200.0
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Subject with one recording of 16 cycles, whose EMG has bursts at different phases, and some noise."""
+    write_subject(tmp_path)
+    rng = np.random.default_rng(5)
+    time = np.arange(round((CYCLES + 1.5) * PERIOD * RATE)) / RATE
+    phase = time / PERIOD % 1.0
+    size = 1.0 + 0.1 * np.interp(time, np.arange(40) * 0.6, rng.standard_normal(40))
+    bursts = [np.exp(-0.5 * ((phase - place) / 0.08) ** 2) for place in (0.3, 0.7)]
+    emg = 0.02 + 0.6 * size * np.array(bursts)
+    emg += 0.003 * np.abs(rng.standard_normal(emg.shape))
+    place = tmp_path / "trials" / "walk_a"
+    write_storage(place / "emg.sto", Storage("emg", tuple(CHANNELS), time, emg.T))
+    write_storage(place / "angles.sto", Storage("angles", COORDINATES, time, angles(time).T))
+    moments = np.array([30.0 * np.sin(6.0 * time), 20.0 * np.cos(6.0 * time)])
+    labels = tuple(f"{name}_moment" for name in COORDINATES)
+    write_storage(place / "moments.sto", Storage("moments", labels, time, moments.T))
+    file = tmp_path / "subject.toml"
+    text = file.read_text()
+    start, end = text.index("[[trial]]"), text.rindex("[[trial]]")
+    cycles = [[round(0.5 + k * PERIOD, 3), round(0.5 + (k + 1) * PERIOD, 3)] for k in range(CYCLES)]
+    file.write_text(text[:end].replace("[[0.5, 1.7], [1.7, 2.9]]", str(cycles)))
+    assert start < end
+    return tmp_path
+
+
+def change(folder, function, name="emg"):
+    """Change the EMG of the interval from 6 to 12 s."""
+    file = folder / "trials" / "walk_a" / f"{name}.sto"
+    table = read_storage(file)
+    values = table.values.copy()
+    inside = (table.time > 6.0) & (table.time < 12.0)
+    values[inside] = function(values[inside], table.time[inside])
+    write_storage(file, replace(table, values=values))
+    return recording_findings(load_subject(folder))
+
+
+def test_clean_recordings_have_no_findings(folder, tmp_path):
+    assert recording_findings(load_subject(folder)) == ()
+
+
+def added(values, time):
+    return values + np.array([0.08, 0.0])
+
+
+def lost(values, time):
+    return np.column_stack([values[:, 0], np.full(len(values), 0.02)])
+
+
+def clipped(values, time):
+    return np.column_stack([np.where(values[:, 0] > 0.5, 0.9, values[:, 0]), values[:, 1]])
+
+
+def hum(values, time):
+    return values + np.outer(np.sin(2.0 * np.pi * 50.0 * time), [0.0, 0.05])
+
+
+FAULTS = {
+    "baseline": (added, ("RecFem",), "never falls below 0.1"),
+    "lost channel": (lost, ("SemiTen",), "lost its signal"),
+    "swapped channels": (
+        lambda values, time: values[:, ::-1],
+        ("RecFem", "SemiTen"),
+        "look swapped in 4 of 16",
+    ),
+    "saturation": (clipped, ("RecFem",), "stays at 0.9"),
+    "mains": (hum, ("SemiTen",), "at 50 Hz"),
+}
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_of_one_stretch_is_named(folder, kind):
+    function, channels, words = FAULTS[kind]
+    found = [one for one in change(folder, function) if one.kind == kind]
+    assert len(found) == 1
+    assert found[0].subjects == channels and words in found[0].sentence and "walk_a" in found[0].sentence
+
+
+def test_a_baseline_of_one_recording_is_named(folder):
+    other = folder / "trials" / "walk_a" / "emg.sto"
+    table = read_storage(other)
+    raised = replace(table, values=table.values + np.array([0.0, 0.061]))
+    write_storage(folder / "trials" / "again.sto", raised)
+    file = folder / "subject.toml"
+    text = file.read_text()
+    again = text[text.index("[[trial]]") :].replace('"walk_a"', '"again"')
+    file.write_text(text + "\n" + again.replace("trials/walk_a/emg.sto", "trials/again.sto"))
+    found = recording_findings(load_subject(folder))
+    assert [(one.kind, one.recording, one.subjects) for one in found] == [("baseline", "again", ("SemiTen",))]
+    assert "16 of 16 cycles" in found[0].sentence
+
+
+@pytest.mark.parametrize(("force", "expected"), [(30.0, []), (90.0, ["pelvis residual"])])
+def test_residuals_of_inverse_dynamics_are_compared_with_weight(folder, force, expected):
+    file = folder / "trials" / "walk_a" / "moments.sto"
+    table = read_storage(file)
+    columns = (*table.columns, "pelvis_ty_force")
+    values = np.column_stack([table.values, np.full(table.time.size, force)])
+    write_storage(file, replace(table, columns=columns, values=values))
+    subject = load_subject(folder)
+    assert recording_findings(subject) == ()
+    with_forces = tuple(replace(entry, ground_forces=file) for entry in subject.recordings)
+    found = recording_findings(replace(subject, recordings=with_forces))
+    assert [one.kind for one in found] == expected
+
+
+def test_capacity_without_electrodes(folder):
+    file = folder / "subject.toml"
+    file.write_text(file.read_text().replace('RecFem = ["recfem_l"]\n', ""))
+    rows = {(one.coordinate, one.sign): one for one in unrecorded_capacity(load_subject(folder))}
+    assert set(rows) == {(name, sign) for name in COORDINATES for sign in (1, -1)}
+    # The muscle in front of the joints flexes the hip and extends the knee; the other one is behind both.
+    for one in rows.values():
+        assert one.share < 0.05 or (one.share > 0.95 and one.muscles == ("recfem_l",))
+    assert rows["hip_flexion_l", 1].share != rows["hip_flexion_l", -1].share
