@@ -110,7 +110,7 @@ ARROWS: dict[str, set[str]] = {
 }
 
 #: Modules of `geometry` that describe a model's bodies and joints by NumPy alone.
-SKELETON = {"model_description", "kinematics", "joint_changes"}
+SKELETON = {"functions", "model_description", "skeleton", "kinematics", "joint_changes"}
 
 #: Packages of others that only these folders may import, inside functions.
 LAZY_PACKAGES: dict[str, set[str]] = {
