@@ -31,6 +31,8 @@ from .path_sources.path_samples import physiological_picture as physiological_pi
 from .path_sources.polynomial_fit import Fit as Fit
 from .path_sources.polynomial_fit import load_fit as load_fit
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
+from .preprocessing.inverse_kinematics import InverseKinematics as InverseKinematics
+from .preprocessing.inverse_kinematics import inverse_kinematics as inverse_kinematics
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
 from .subject.subject import load_subject as load_subject

@@ -25,6 +25,7 @@ from wrapjax.cli import (
     evaluate,
     fetch,
     fit,
+    ik,
     initialise,
     prepare,
     report,
@@ -39,6 +40,7 @@ from wrapjax.jax_setup import set_threads
 ADD_COMMANDS = (
     check.add,
     prepare.add,
+    ik.add,
     fit.add,
     initialise.add,
     calibrate.add,

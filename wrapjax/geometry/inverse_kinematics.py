@@ -3,8 +3,8 @@
 In each frame the weighted mean of squared marker distances plus squared differences of coordinates from their
 goals is minimised within the bounds of clamped coordinates. This is the cost of OpenSim's inverse kinematics,
 ``sum_m w_m |x_m - y_m|^2 / sum_m w_m + sum_c v_c (q_c - g_c)^2``, where invisible markers have no weight. The
-method is a damped Gauss-Newton method (Levenberg-Marquardt), with second derivatives of the rotations so that it
-converges quadratically whatever the distances; coordinates at an active bound are held.
+method is a damped Gauss-Newton method (Levenberg-Marquardt), with second derivatives of the rotations so that
+it converges quadratically whatever the distances; coordinates at an active bound are held.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ class PoseFit(NamedTuple):
         Values of the coordinates, rad or m.
     cost
         Cost of each frame, m^2.
+    matrix
+        Gauss-Newton matrix of each frame, goals of coordinates included.
     steps
         Number of steps that each frame took.
     converged
@@ -73,6 +75,7 @@ class PoseFit(NamedTuple):
 
     poses: Float[Array, "frame coordinate"]
     cost: Float[Array, " frame"]
+    matrix: Float[Array, "frame coordinate coordinate"]
     steps: Float[Array, " frame"]
     converged: Bool[Array, " frame"]
 
@@ -101,9 +104,9 @@ class _Search(NamedTuple):
 def expand(model: MarkerModel, goal: MarkerGoals, pose: Float[Array, " coordinate"]) -> Expansion:
     """Compute the cost of one frame and its derivatives by the coordinates.
 
-    The remainder is the sum of residuals times their second derivatives. A rotation about an axis with angular
-    velocity w turns the velocity v of a marker by a joint further from ground into w x v. Curvature of the
-    functions on a joint's axes is left out.
+    The remainder is the sum of residuals times their second derivatives. A rotation with angular velocity w
+    turns the velocity v of a marker by a joint further from ground into w x v. Curvature of the functions on
+    a joint's axes is left out.
 
     Parameters
     ----------
@@ -163,36 +166,60 @@ def fit_frame(
         return _Search(
             pose=jnp.where(better, trial, pose),
             expansion=Expansion(*(jnp.where(better, new, old) for new, old in zip(there, here, strict=True))),
-            damping=jnp.where(better, lowered, jnp.where(search.exact > 0.0, 1.0, 10.0) * search.damping),
+            damping=jnp.where(
+                better & jnp.isfinite(here.cost),
+                lowered,
+                jnp.where(search.exact > 0.0, 1.0, 10.0) * search.damping,
+            ),
             exact=jnp.where(better, 1.0, 0.0),
             steps=search.steps + 1,
-            change=jnp.where(possible, jnp.abs(trial - pose).max(), jnp.inf),
+            change=jnp.where(possible & jnp.isfinite(here.cost), jnp.abs(trial - pose).max(), jnp.inf),
         )
 
-    inside = jnp.clip(start, lower, upper)
+    # The first step leads nowhere and only evaluates the start, so that the expansion is compiled once.
+    count = start.shape[0]
     first = _Search(
-        pose=inside,
-        expansion=expand(model, goal, inside),
+        pose=jnp.clip(start, lower, upper),
+        expansion=Expansion(
+            jnp.asarray(jnp.inf), jnp.zeros(count), jnp.eye(count), jnp.zeros((count, count))
+        ),
         damping=jnp.asarray(INITIAL_DAMPING),
         exact=jnp.asarray(1.0),
         steps=jnp.asarray(0),
         change=jnp.asarray(jnp.inf),
     )
     last = jax.lax.while_loop(unfinished, advance, first)
-    return PoseFit(last.pose, last.expansion.cost, last.steps * 1.0, last.change <= TOLERANCE)
+    return PoseFit(
+        last.pose,
+        last.expansion.cost,
+        last.expansion.gauss_newton,
+        last.steps * 1.0,
+        last.change <= TOLERANCE,
+    )
 
 
 @eqx.filter_jit
-def fit_starts(
-    model: MarkerModel, goal: MarkerGoals, bounds: Bounds, starts: Float[Array, "start coordinate"]
+def fit_block(
+    model: MarkerModel, goals: MarkerGoals, bounds: Bounds, starts: Float[Array, "frame coordinate"]
 ) -> PoseFit:
-    """Solve one frame from several starting poses at once; the axis ``frame`` of the result is ``start``."""
-    return jax.vmap(lambda start: fit_frame(model, goal, bounds, start))(starts)
+    """Solve several frames at once, each from its own starting pose."""
+    return jax.vmap(lambda goal, start: fit_frame(model, goal, bounds, start))(goals, starts)
 
 
-@eqx.filter_jit
+def fit_starts(
+    model: MarkerModel, goal: MarkerGoals, bounds: Bounds, starts: Float[np.ndarray, "start coordinate"]
+) -> PoseFit:
+    """Solve one frame from at most `BLOCK` starting poses; the axis ``frame`` of the result is ``start``."""
+    count = len(starts)
+    # The block's size is that of other blocks, so that one compiled program serves for both.
+    goals = MarkerGoals(*(np.repeat(np.asarray(array)[None], BLOCK, axis=0) for array in goal))
+    filled = np.concatenate([starts, starts[-1:].repeat(BLOCK - count, axis=0)])
+    fit = fit_block(model, goals, bounds, filled)
+    return PoseFit(*(array[:count] for array in fit))
+
+
 def fit_successive(
-    model: MarkerModel, goals: MarkerGoals, bounds: Bounds, start: Float[Array, " coordinate"]
+    model: MarkerModel, goals: MarkerGoals, bounds: Bounds, start: Float[np.ndarray, " coordinate"]
 ) -> PoseFit:
     """Solve frames in order of time, blocks of them at once, each block from the last pose of the one before.
 
@@ -201,32 +228,29 @@ def fit_successive(
     model
         Skeleton with markers.
     goals
-        Goals; the number of frames is a multiple of `BLOCK` (see `padded`).
+        Goals.
     bounds
         Bounds of the coordinates.
     start
         Pose near that of the first frame.
     """
-    blocks = jax.tree.map(lambda array: jnp.reshape(array, (-1, BLOCK, *array.shape[1:])), goals)
-
-    def solve(begin: Float[Array, " coordinate"], block: MarkerGoals) -> tuple[Array, PoseFit]:
-        fit = jax.vmap(lambda goal: fit_frame(model, goal, bounds, begin))(block)
-        return fit.poses[-1], fit
-
-    _, fits = jax.lax.scan(solve, jnp.asarray(start), blocks)
-    return PoseFit(*(jnp.reshape(array, (-1, *array.shape[2:])) for array in fits))
-
-
-def padded(goals: MarkerGoals) -> MarkerGoals:
-    """Repeat the last frame until the number of frames is a multiple of `BLOCK`."""
-    missing = -goals.weights.shape[0] % BLOCK
-    return MarkerGoals(*(np.concatenate([array, array[-1:].repeat(missing, axis=0)]) for array in goals))
+    count = len(goals.weights)
+    # The last frame is repeated until the blocks are full.
+    rows = np.minimum(np.arange(count + -count % BLOCK), count - 1).reshape(-1, BLOCK)
+    fits, pose = [], np.asarray(start)
+    for block in rows:
+        fit = fit_block(
+            model, MarkerGoals(*(array[block] for array in goals)), bounds, pose[None].repeat(BLOCK, axis=0)
+        )
+        fits.append(fit)
+        pose = np.asarray(fit.poses[-1])
+    return PoseFit(*(np.concatenate(parts)[:count] for parts in zip(*fits, strict=True)))
 
 
 def starting_poses(
     model: MarkerModel, bounds: Bounds, rest: Float[np.ndarray, " coordinate"]
 ) -> Float[np.ndarray, "start coordinate"]:
-    """Starting poses for the first frame: at rest, turned to several directions by a joint that turns freely.
+    """Choose poses to start the first frame from: at rest, turned to several directions.
 
     Parameters
     ----------
@@ -269,20 +293,3 @@ def _turning_coordinates(model: MarkerModel) -> list[int]:
             if column >= 0:
                 columns[column] = None
     return list(columns)
-
-
-@eqx.filter_jit
-def marker_positions(
-    model: MarkerModel, poses: Float[Array, "frame coordinate"]
-) -> Float[Array, "frame marker 3"]:
-    """Compute the markers' positions in ground in every frame, m."""
-    return jax.vmap(model.positions)(poses)
-
-
-@eqx.filter_jit
-def information(
-    model: MarkerModel, goals: MarkerGoals, poses: Float[Array, "frame coordinate"]
-) -> Float[Array, "frame coordinate coordinate"]:
-    """Compute the Gauss-Newton matrix of every frame, without goals of coordinates."""
-    without = goals._replace(value_weights=jnp.zeros_like(goals.value_weights))
-    return jax.vmap(lambda goal, pose: expand(model, goal, pose).gauss_newton)(without, poses)

@@ -72,7 +72,7 @@ class MarkerModel(eqx.Module):
                 carried[first, second] = above or before
         return carried
 
-    def by_coordinate(self, values: Float[Array, "mover *other"]) -> Float[Array, "coordinate *other"]:
+    def by_coordinate(self, values: Float[Array, "mover ..."]) -> Float[Array, "coordinate ..."]:
         """Sum the values of each coordinate's movers."""
         columns = [column for _, column in self.structure.movers]
         count = len(self.structure.coordinates)

@@ -34,7 +34,8 @@ from wrapjax.geometry.model_description import (
     Triple,
     WrapObject,
 )
-from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.io.xml import read_xml_file
+from wrapjax.osim.loading import check_is_file, failure_reason, import_opensim, initial_state, load_model
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -59,13 +60,15 @@ _MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
 Couplers = dict[str, tuple[tuple[str, ...], Function | None]]
 
 
-def describe_model(model_file: Path | str) -> ModelDescription:
+def describe_model(model_file: Path | str, marker_set: Path | str | None = None) -> ModelDescription:
     """Read the description of a model from its file.
 
     Parameters
     ----------
     model_file
         OpenSim model (.osim).
+    marker_set
+        OpenSim's marker set (.xml), whose markers are added, or replace those of their names.
 
     Returns
     -------
@@ -83,6 +86,8 @@ def describe_model(model_file: Path | str) -> ModelDescription:
     """
     opensim = import_opensim()
     model, state = load_model(model_file)
+    if marker_set is not None:
+        state = add_marker_set(model, marker_set)
     model.realizePosition(state)
     couplers, constraints = _constraints(opensim, model)
     return ModelDescription(
@@ -94,6 +99,46 @@ def describe_model(model_file: Path | str) -> ModelDescription:
         constraints=constraints,
         markers=tuple(_marker(marker) for marker in elements(model.getMarkerSet())),
     )
+
+
+def add_marker_set(model: Any, marker_set: Path | str) -> Any:
+    """Add the markers of a file to OpenSim's model, and return the state of its new system.
+
+    Parameters
+    ----------
+    model
+        OpenSim's model.
+    marker_set
+        OpenSim's marker set (.xml). Its markers replace those of their names.
+
+    Raises
+    ------
+    InputError
+        If the file is not a marker set, or names a body that the model lacks.
+    """
+    path = check_is_file(marker_set)
+    root = read_xml_file(path)
+    if next(root.iter("Marker"), None) is None:
+        raise InputError(Problem(str(path), "expected a marker set of OpenSim with markers, found none"))
+    bodies = [body.getName() for body in elements(model.getBodySet())] + ["ground"]
+    problems = []
+    for marker in root.iter("Marker"):
+        frame = marker.findtext("body") or marker.findtext("socket_parent_frame") or ""
+        body = frame.strip().rsplit("/", 1)[-1]
+        if body not in bodies:
+            message = f"is on the body '{body}', which the model lacks"
+            problems.append(
+                Problem(str(path), message, f"marker {marker.get('name')}", nearest_name(body, bodies))
+            )
+    if problems:
+        raise InputError(problems)
+    try:
+        model.updateMarkerSet(import_opensim().MarkerSet(str(path)))
+        model.finalizeConnections()
+        return initial_state(model)
+    except RuntimeError as error:
+        message = f"OpenSim cannot add it to the model ({failure_reason(error)})"
+        raise InputError(Problem(str(path), message)) from error
 
 
 def spanned_coordinates(model_file: Path | str, muscles: Sequence[str]) -> dict[str, tuple[str, ...]]:

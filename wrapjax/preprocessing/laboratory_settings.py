@@ -287,6 +287,27 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
     )
 
 
+def named_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:
+    """Compute `laboratory_rotation` from axes that a user has named.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or both name the same axis.
+    """
+    problems = [
+        Problem(f"--{key}", f"expected one of {', '.join(_AXES)}, found '{name}'")
+        for key, name in (("forward", forward), ("up", up))
+        if name not in _AXES
+    ]
+    if not problems and forward[-1] == up[-1]:
+        message = f"expected another axis than forward, found '{forward}' and '{up}'"
+        problems = [Problem("--up", message)]
+    if problems:
+        raise InputError(problems)
+    return laboratory_rotation(forward, up)
+
+
 def laboratory_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:
     """Compute the rotation from a laboratory's axes to OpenSim's: x forward, y up, z to the right.
 
