@@ -250,7 +250,7 @@ def _point(opensim: Any, point: Any, state: Any) -> PathPoint:
         body=frame.findBaseFrame().getName(),
         location=_triple(in_body),
         motion=_motion(opensim, point),
-        frame=_read_pose(frame.findTransformInBaseFrame()),
+        frame=read_pose(frame.findTransformInBaseFrame()),
         active_range=_active_range(opensim, point),
     )
 
@@ -323,10 +323,10 @@ def _read_joint(opensim: Any, joint: Any, state: Any) -> Joint:
         parent_body=parent.findBaseFrame().getName(),
         child_body=child.findBaseFrame().getName(),
         coordinates=coordinates,
-        in_parent=_read_pose(parent.findTransformInBaseFrame()),
-        in_child=_read_pose(child.findTransformInBaseFrame()),
+        in_parent=read_pose(parent.findTransformInBaseFrame()),
+        in_child=read_pose(child.findTransformInBaseFrame()),
         axes=_axes(opensim, joint, coordinates),
-        default=_read_pose(child.findTransformBetween(state, parent)),
+        default=read_pose(child.findTransformBetween(state, parent)),
     )
 
 
@@ -465,7 +465,7 @@ _READERS: dict[str, Callable[[Any, Any], Function | None]] = {
 }
 
 
-def _read_pose(transform: Any) -> Pose:
+def read_pose(transform: Any) -> Pose:
     """Convert an OpenSim ``Transform``."""
     rotation = transform.R().asMat33()
     rows: Matrix = tuple(tuple(rotation.get(i, j) for j in range(3)) for i in range(3))  # type: ignore[assignment]
