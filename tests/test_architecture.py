@@ -52,6 +52,9 @@ ARROWS: dict[str, set[str]] = {
         ),
         "path_sources",
     },
+    "joints": {
+        *("errors", "progress", "io", "skeleton", "osim", "geometry", "preprocessing", "calibration"),
+    },
     "comparison": {"errors", "renamed", "progress", "io", "subject", "osim", "path_sources", "calibration"},
     "diagnosis": {
         *(
@@ -82,7 +85,7 @@ ARROWS: dict[str, set[str]] = {
     },
     "report": {
         *("errors", "io", "subject", "preprocessing", "skeleton", "geometry", "muscle", "model"),
-        *("path_sources", "calibration", "comparison", "diagnosis", "evaluation", "contact_forces"),
+        *("path_sources", "calibration", "joints", "comparison", "diagnosis", "evaluation", "contact_forces"),
         "datasets",  # the virtual person's truth is drawn beside what calibration found
     },
     "demonstration": {
@@ -95,6 +98,7 @@ ARROWS: dict[str, set[str]] = {
         *(
             "path_sources",
             "calibration",
+            "joints",
             "comparison",
             "diagnosis",
             "evaluation",

@@ -24,6 +24,9 @@ from .evaluation.evaluation import evaluate as evaluate
 from .evaluation.stored_run import Run as Run
 from .evaluation.stored_run import load_run as load_run
 from .geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
+from .joints.personalisation import personalize_joints as personalize_joints
+from .joints.result import JointPersonalisation as JointPersonalisation
+from .joints.settings import JointSettings as JointSettings
 from .path_sources.exact import ExactGeometry as ExactGeometry
 from .path_sources.exact import exact_geometry as exact_geometry
 from .path_sources.path_fitting import fit as fit

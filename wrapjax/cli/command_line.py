@@ -27,6 +27,7 @@ from wrapjax.cli import (
     fit,
     ik,
     initialise,
+    joints,
     prepare,
     report,
 )
@@ -41,6 +42,7 @@ ADD_COMMANDS = (
     check.add,
     prepare.add,
     ik.add,
+    joints.add,
     fit.add,
     initialise.add,
     calibrate.add,
