@@ -19,8 +19,8 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "settings",
         type=Path,
         metavar="SETTINGS",
-        help="laboratory settings with a table [joints] (TOML), a folder that holds joints.toml, or settings of "
-        "the NMSM Pipeline's joint model personalization (XML)",
+        help="laboratory settings with a table [joints] (TOML), a folder that holds joints.toml, or settings "
+        "of the NMSM Pipeline's joint model personalization (XML)",
     )
     joints.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
     add_settings(joints)

@@ -34,7 +34,7 @@ class SkeletonChange(eqx.Module):
     places: Float[np.ndarray, "marker axis parameter"]
     scaled: Float[np.ndarray, "joint translation"]
 
-    def apply(self, model: MarkerModel, values: Float[Array, " parameter"]) -> MarkerModel:
+    def apply(self, model: MarkerModel, values: Float[Array | np.ndarray, " parameter"]) -> MarkerModel:
         """Change a model: scale its bodies as OpenSim does, then move frames and markers.
 
         Parameters
@@ -61,7 +61,7 @@ class SkeletonChange(eqx.Module):
         return MarkerModel(model.structure, model.carriers, changed, locations)
 
 
-def rotation_xyz(angles: Float[Array, "joint 3"]) -> Float[Array, "joint 3 3"]:
+def rotation_xyz(angles: Float[Array | np.ndarray, "joint 3"]) -> Float[Array, "joint 3 3"]:
     """Rotation matrices of successive rotations about x, y and z of the turning frame, rad."""
     (sx, sy, sz), (cx, cy, cz) = jnp.sin(angles).T, jnp.cos(angles).T
     rows = [

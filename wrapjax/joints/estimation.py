@@ -111,7 +111,9 @@ class JointProblem(AbstractLeastSquares):
         """Upper bounds."""
         return np.concatenate([self.limits[1] / self.sd, np.full(self.skin.sd.shape, 1e6)])
 
-    def parameters(self, variables: Float[Array, " variable"]) -> Float[Array, " parameter"]:
+    def parameters(
+        self, variables: Float[Array | np.ndarray, " variable"]
+    ) -> Float[Array | np.ndarray, " parameter"]:
         """Values of the parameters in their units."""
         return variables[: self.sd.shape[0]] * self.sd
 
@@ -119,8 +121,13 @@ class JointProblem(AbstractLeastSquares):
         """Compute the cost, half its gradient and its Gauss-Newton matrix."""
 
         def add(total: tuple[Array, Array, Array], block: Frames) -> tuple[tuple[Array, Array, Array], None]:
-            parts = jax.vmap(lambda frame: self._frame_terms(variables, frame))(block)
-            return tuple(old + new.sum(axis=0) for old, new in zip(total, parts, strict=True)), None
+            cost, residuals, rows, followed = jax.vmap(lambda frame: self._frame_terms(variables, frame))(
+                block
+            )
+            # One product of tall matrices is far quicker than one a frame.
+            tall, wide = (array.reshape(-1, variables.shape[0]) for array in (rows, followed))
+            terms = (cost.sum(), tall.T @ residuals.reshape(-1), tall.T @ tall - wide.T @ wide)
+            return tuple(old + new for old, new in zip(total, terms, strict=True)), None
 
         count = variables.shape[0]
         start = (jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)))
@@ -142,7 +149,7 @@ class JointProblem(AbstractLeastSquares):
         cost, _ = jax.lax.scan(add, jnp.zeros(()), self.frames)
         return cost + jnp.sum(variables**2)
 
-    def fit(self, variables: Float[Array, " variable"]) -> PoseFit:
+    def fit(self, variables: Float[Array | np.ndarray, " variable"]) -> PoseFit:
         """Solve the poses of all frames, ``block frame``."""
         return jax.lax.map(
             lambda block: jax.vmap(lambda frame: self._fit(variables, frame))(block), self.frames
@@ -166,8 +173,10 @@ class JointProblem(AbstractLeastSquares):
     def _fit(self, variables: Float[Array, " variable"], frame: Frames) -> PoseFit:
         return fit_frame(self._skeleton(variables, frame), frame.goals, self.pose_bounds, frame.starts)
 
-    def _frame_terms(self, variables: Float[Array, " variable"], frame: Frames) -> tuple[Array, Array, Array]:
-        """Cost of a frame, half its gradient and its Gauss-Newton matrix with the pose eliminated."""
+    def _frame_terms(
+        self, variables: Float[Array, " variable"], frame: Frames
+    ) -> tuple[Array, Array, Array, Array]:
+        """Compute cost, residuals, their Jacobian J, and C with ``C'C = J'K inverse(K'K) K'J``."""
         model = self._skeleton(variables, frame)
         fit = fit_frame(model, frame.goals, self.pose_bounds, frame.starts)
         pose = jax.lax.stop_gradient(fit.poses)
@@ -178,7 +187,6 @@ class JointProblem(AbstractLeastSquares):
         by_coordinate = model.by_coordinate(by_mover).reshape(pose.shape[0], -1)
         flat = by_variable.reshape(-1, variables.shape[0])
         residuals = ((positions - frame.goals.measured) * root).reshape(-1)
-        gradient = flat.T @ residuals
         # Coordinates held at a bound do not follow the variables.
         slope = expand(model, frame.goals, pose).gradient
         held = ((pose <= self.pose_bounds.lower) & (slope > 0.0)) | (
@@ -187,14 +195,14 @@ class JointProblem(AbstractLeastSquares):
         free = by_coordinate * (1.0 - held)[:, None]
         information = free @ free.T + jnp.diag(frame.goals.value_weights * frame.precision)
         scale = _RIDGE * jnp.maximum(jnp.diagonal(information).max(), 1e-30)
-        factor = jnp.linalg.cholesky(information + (scale + held) * jnp.eye(pose.shape[0]))
+        factor = jnp.linalg.cholesky(information + jnp.diag(scale + held))
         crossed = jsp.linalg.solve_triangular(factor, free @ flat, lower=True)
-        return fit.cost * frame.precision, gradient, flat.T @ flat - crossed.T @ crossed
+        return fit.cost * frame.precision, residuals, flat, crossed
 
     def _marker_jacobian(
         self, variables: Float[Array, " variable"], frame: Frames, pose: Float[Array, " coordinate"]
     ) -> Float[Array, "marker 3 variable"]:
-        """Derivatives of the markers' positions by the variables at a fixed pose."""
+        """Differentiate the markers' positions by the variables at a fixed pose."""
         count = self.sd.shape[0]
 
         def positions(head: Float[Array, " parameter"]) -> Float[Array, "marker 3"]:
@@ -213,7 +221,7 @@ class JointProblem(AbstractLeastSquares):
 
 
 @eqx.filter_jit
-def fit_poses(problem: JointProblem, variables: Float[Array, " variable"]) -> PoseFit:
+def fit_poses(problem: JointProblem, variables: Float[Array | np.ndarray, " variable"]) -> PoseFit:
     """Solve the poses of all frames given the variables, ``block frame``."""
     return problem.fit(variables)
 

@@ -183,7 +183,7 @@ def check_spanned(
 def _too_few(
     description: ModelDescription, joint: Joint, below: Sequence[str], counts: dict[str, int], file: str
 ) -> list[Problem]:
-    """Problem if the nearest marked bodies below a joint have fewer marker coordinates than it has freedoms."""
+    """Report a joint below which the next marked bodies have too few markers for its coordinates."""
     freedoms = sum(not _still(description, name) for name in joint.coordinates)
     most = max(counts[body] for body in below)
     if 3 * most >= freedoms + 1:
@@ -266,7 +266,7 @@ def _still(description: ModelDescription, name: str) -> bool:
 
 
 def _bodies_at(description: ModelDescription, joints: Sequence[str], counts: dict[str, int]) -> list[str]:
-    """Marked bodies next to joints, in the model's order."""
+    """List the marked bodies next to joints, in the model's order."""
     found: set[str] = set()
     for joint in description.joints:
         if joint.name in joints:

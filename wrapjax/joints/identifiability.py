@@ -1,4 +1,4 @@
-"""What markers say about freed parameters: posterior standard deviations, and directions left undetermined."""
+"""What markers say about freed parameters: posterior spread, and combinations left undetermined."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def posterior(
     parameters
         Freed parameters, the first of the variables.
     matrix
-        Gauss-Newton matrix at the solution, prior included, of variables in prior standard deviations. Further
-        variables (movements of skin) are integrated out.
+        Gauss-Newton matrix at the solution, prior included, of variables in prior standard deviations.
+        Further variables (movements of skin) are integrated out.
     """
     count = len(parameters)
     covariance = np.linalg.inv(0.5 * (matrix + matrix.T))[:count, :count]

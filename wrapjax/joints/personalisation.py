@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from wrapjax.joints.freed_parameters import (
     with_widths,
 )
 from wrapjax.joints.identifiability import posterior
+from wrapjax.joints.nmsm_settings import read_nmsm_settings
 from wrapjax.joints.result import JointPersonalisation, TrialErrors
 from wrapjax.joints.settings import HELD_OUT_SHARE, JointSettings, MarkerTrial, read_joint_settings
 from wrapjax.osim.model import describe_model
@@ -68,15 +69,16 @@ def personalize_joints(
 ) -> JointPersonalisation:
     """Personalise joint frames, body scales and marker places of a model from recorded markers.
 
-    The cost is the sum of squared marker distances, in units of their noise, over the frames of all trials with
-    the poses eliminated, plus squared changes in units of their prior standard deviations. Noise and its
+    The cost is the sum of squared marker distances, in units of their noise, over the frames of all trials
+    with the poses eliminated, plus squared changes in units of their prior standard deviations. Noise and its
     correlation in time are estimated from the residuals. What markers do not determine keeps its prior, and
     is named in the result.
 
     Parameters
     ----------
     settings
-        Settings, their TOML file, or a folder that holds ``joints.toml``.
+        Settings, their TOML file, a folder that holds ``joints.toml``, or settings of the NMSM Pipeline's
+        joint model personalization (.xml).
     log
         Function called with each line of progress.
 
@@ -88,14 +90,14 @@ def personalize_joints(
     Raises
     ------
     InputError
-        With all faults of the files: unknown joints, joints that no marker spans, markers in another unit, left
-        and right exchanged, files of two people.
+        With all faults of the files: unknown joints, joints that no marker spans, markers in another unit,
+        left and right exchanged, files of two people.
 
     Examples
     --------
     >>> wrapjax.personalize_joints("lab.toml").save("joints")  # doctest: +SKIP
     """
-    settings = settings if isinstance(settings, JointSettings) else read_joint_settings(settings)
+    settings = settings if isinstance(settings, JointSettings) else _read_settings(Path(settings))
     began = time.perf_counter()
     description = describe_model(settings.model_file, settings.marker_set)
     check_constraints(description)
@@ -103,16 +105,22 @@ def personalize_joints(
     names = _common_names([markers for _, markers in recordings], description)
     parameters = freed_parameters(settings, description, names)
     log(f"inverse kinematics of {sum(markers.time.size for _, markers in recordings)} frames")
+    validated = any(trial.use == "validation" for trial, _ in recordings)
     solved = [
-        _Recording(trial, markers, _kinematics(settings, description, trial, markers), np.array([]))
+        _Recording(
+            trial=trial,
+            markers=markers,
+            kinematics=_kinematics(settings, description, trial, markers),
+            used=_used_frames(trial, markers.time.size, validated=validated),
+        )
         for trial, markers in recordings
     ]
-    solved = _split(solved)
     log(f"estimating {len(parameters)} parameters")
     problem = build_problem(settings, description, solved, names, parameters)
     variables = np.zeros(problem.lower.size)
     for number in range(ROUNDS):
         solution = SOLVER.solve(problem, variables)
+        log(f"{solution.iterations} iterations, {time.perf_counter() - began:.1f} s")
         variables = solution.variables
         noise, independent = _noise(problem, variables, solved)
         log(f"round {number + 1}: noise {1e3 * noise:.2f} mm, {independent:.0f} independent frames")
@@ -150,6 +158,10 @@ def personalize_joints(
         status=solution.status,
         seconds=time.perf_counter() - began,
     )
+
+
+def _read_settings(file: Path) -> JointSettings:
+    return read_nmsm_settings(file) if file.suffix.lower() == ".xml" else read_joint_settings(file)
 
 
 def freed_parameters(
@@ -219,16 +231,10 @@ def _kinematics(
     return solve(description, markers, weights, {}, trial.file)
 
 
-def _split(recordings: Sequence[_Recording]) -> list[_Recording]:
-    """Choose the frames for the estimation: of calibration trials, the last part held out if none validates."""
-    whole = any(entry.trial.use == "validation" for entry in recordings)
-    split = []
-    for entry in recordings:
-        count = entry.markers.time.size
-        kept = count if whole else max(1, round((1.0 - HELD_OUT_SHARE) * count))
-        used = (np.arange(count) < kept) & (entry.trial.use == "calibration")
-        split.append(replace(entry, used=used))
-    return split
+def _used_frames(trial: MarkerTrial, count: int, *, validated: bool) -> Bool[np.ndarray, " frame"]:
+    """Choose the frames for the estimation; where no trial validates, the last part is held out."""
+    kept = count if validated else max(1, round((1.0 - HELD_OUT_SHARE) * count))
+    return (np.arange(count) < kept) & (trial.use == "calibration")
 
 
 def build_problem(
@@ -329,7 +335,7 @@ def _skin(
 def _noise(
     problem: JointProblem, variables: Float[np.ndarray, " variable"], recordings: Sequence[_Recording]
 ) -> tuple[float, float]:
-    """Estimate the noise of a marker's coordinate (m), and the number of frames that are independent of others."""
+    """Estimate the noise of a marker's coordinate, m, and the number of independent frames."""
     frames = problem.frames
     cost = np.asarray(fit_poses(problem, variables).cost)
     used = np.asarray(frames.precision) > 0.0
@@ -341,7 +347,7 @@ def _noise(
 
 
 def _independent_frames(recording: _Recording) -> float:
-    """Number of frames over the correlation time of the residuals (to the first zero of the correlation)."""
+    """Divide the number of frames by the correlation time of the residuals, up to its first zero."""
     residuals = (recording.kinematics.positions - recording.kinematics.measured)[:, recording.used]
     residuals = np.nan_to_num(residuals - np.nanmean(residuals, axis=1, keepdims=True))
     count = residuals.shape[1]

@@ -1,4 +1,4 @@
-"""Result of joint personalisation: changes, how sure they are, marker errors, and the files that hold them."""
+"""Result of joint personalisation: changes, how sure they are, marker errors, and its files."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class JointPersonalisation:
         return list(dict.fromkeys(entry.owner for entry in self.parameters if entry.kind in kinds))
 
     def _joint(self, name: str) -> dict[str, Any]:
-        """Placement of a joint's frames, their changes, standard deviations, and whether markers determine."""
+        """Describe a joint: poses of its frames, changes, standard deviations, and what markers determine."""
         joint = next(entry for entry in self.after.joints if entry.name == name)
         poses = {"parent": joint.in_parent, "child": joint.in_child}
         content: dict[str, Any] = {
@@ -187,7 +187,7 @@ class JointPersonalisation:
         return content
 
     def _other(self, kind: str, owner: str) -> dict[str, Any]:
-        """Factors of a body or place of a marker, with standard deviations and whether markers determine."""
+        """Describe the scale of a body or the place of a marker."""
         rows = self.entries(kind, owner)
         names = ["xyz" if row[0].axis < 0 else AXES[row[0].axis] for row in rows]
         content: dict[str, Any] = {}

@@ -28,7 +28,7 @@ class JointChanges:
     scales
         Factors on a body's size along its axes, by body.
     frames
-        Pose of a joint's parent and child frame in the parent and child body after scaling, by joint: rotation
+        Pose of a joint's parent and child frame in their bodies after scaling, by joint: rotation
         matrix and origin (m).
     markers
         Location of a marker on its body after scaling, m, by marker.
