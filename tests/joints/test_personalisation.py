@@ -78,7 +78,7 @@ def test_slides_along_hinge_axes_are_named_as_undetermined(person, recovered):
 
 
 def test_priors_keep_what_markers_do_not_determine(settings, recovered):
-    """The slide along the knee's axis stays at the prior mean, zero; what is determined is found as before."""
+    """The slide along the knee's axis stays at the prior mean, zero; the rest is found as before."""
     kept = personalize_joints(replace(settings, prior_factor=1.0))
     values = dict(zip([entry.name for entry in kept.parameters], kept.values, strict=True))
     slide = values["knee_r parent_translation z"] + values["knee_r child_translation z"]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -16,6 +17,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.inverse_kinematics import MarkerGoals
 from wrapjax.geometry.marker_model import MarkerModel, build_marker_model
 from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.skeleton import body_poses, stations
 from wrapjax.joints.changed_skeleton import skeleton_change
 from wrapjax.joints.estimation import Frames, JointProblem, SkinMovement, fit_poses, in_blocks
 from wrapjax.joints.freed_parameters import (
@@ -51,7 +53,7 @@ MIN_NOISE = 0.0005
 #: Rounds of estimation; each begins with the noise of the one before.
 ROUNDS = 2
 #: Solver: the posterior is far wider than these tolerances.
-SOLVER = ProjectedLevenbergMarquardt(gtol=1e-4, ftol=1e-7, max_iterations=60)
+SOLVER = ProjectedLevenbergMarquardt(gtol=1e-5, ftol=1e-8, max_iterations=80)
 
 
 @dataclass(frozen=True)
@@ -116,13 +118,13 @@ def personalize_joints(
         for trial, markers in recordings
     ]
     log(f"estimating {len(parameters)} parameters")
-    problem = build_problem(settings, description, solved, names, parameters)
+    problem, counts = build_problem(settings, description, solved, names, parameters)
     variables = np.zeros(problem.lower.size)
     for number in range(ROUNDS):
         solution = SOLVER.solve(problem, variables)
         log(f"{solution.iterations} iterations, {time.perf_counter() - began:.1f} s")
         variables = solution.variables
-        noise, independent = _noise(problem, variables, solved)
+        noise, independent = _noise(problem, variables, counts)
         log(f"round {number + 1}: noise {1e3 * noise:.2f} mm, {independent:.0f} independent frames")
         if number + 1 < ROUNDS:
             problem = _with_noise(problem, noise, independent)
@@ -243,8 +245,14 @@ def build_problem(
     recordings: Sequence[_Recording],
     names: tuple[str, ...],
     parameters: Sequence[FreedParameter],
-) -> JointProblem:
-    """Build the least-squares problem from frames that are spread evenly over the calibration trials."""
+) -> tuple[JointProblem, list[int]]:
+    """Build the least-squares problem from frames that are spread evenly over the calibration trials.
+
+    Returns
+    -------
+    problem, counts
+        The problem, and the number of frames of each calibration trial.
+    """
     free = free_coordinates(description)
     coordinates = [entry.name for entry in free]
     model = build_marker_model(description, coordinates, names)
@@ -277,7 +285,7 @@ def build_problem(
         features=in_blocks(features),
         starts=in_blocks(poses),
     )
-    return JointProblem(
+    problem = JointProblem(
         model=model,
         change=skeleton_change(description, model, names, parameters),
         skin=skin,
@@ -289,6 +297,7 @@ def build_problem(
             np.array([parameter.upper for parameter in parameters]),
         ),
     )
+    return problem, [len(part) for part in precision]
 
 
 def _with_all_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
@@ -333,26 +342,46 @@ def _skin(
 
 
 def _noise(
-    problem: JointProblem, variables: Float[np.ndarray, " variable"], recordings: Sequence[_Recording]
+    problem: JointProblem, variables: Float[np.ndarray, " variable"], counts: Sequence[int]
 ) -> tuple[float, float]:
     """Estimate the noise of a marker's coordinate, m, and the number of independent frames."""
-    frames = problem.frames
-    cost = np.asarray(fit_poses(problem, variables).cost)
-    used = np.asarray(frames.precision) > 0.0
-    visible = (np.asarray(frames.goals.weights) > 0.0).sum(axis=-1)
+    residuals = _residuals(problem, variables, sum(counts))
+    visible = np.isfinite(residuals).all(axis=-1).sum(axis=1)
     freedoms = np.maximum(3 * visible - len(problem.model.structure.coordinates), 1)
-    noise = float(np.sqrt((cost * visible)[used].sum() / freedoms[used].sum()))
-    independent = sum(_independent_frames(entry) for entry in recordings if entry.used.any())
-    return max(noise, MIN_NOISE), min(independent, float(used.sum()))
+    noise = float(np.sqrt(np.nansum(residuals**2) / freedoms.sum()))
+    independent = sum(_independent_frames(part) for part in np.split(residuals, np.cumsum(counts)[:-1]))
+    return max(noise, MIN_NOISE), independent
 
 
-def _independent_frames(recording: _Recording) -> float:
+def _residuals(
+    problem: JointProblem, variables: Float[np.ndarray, " variable"], count: int
+) -> Float[np.ndarray, "frame marker 3"]:
+    """Differences of the model's markers from those measured, m; NaN where a marker was not visible."""
+    poses, goals, features = (
+        np.asarray(array).reshape(-1, *array.shape[2:])[:count]
+        for array in (
+            fit_poses(problem, variables).poses,
+            problem.frames.goals.measured,
+            problem.frames.features,
+        )
+    )
+    weights = np.asarray(problem.frames.goals.weights).reshape(-1, goals.shape[1])[:count]
+    model, skin = problem.change.apply(problem.model, problem.parameters(variables)), problem.skin
+    locations = np.repeat(np.asarray(model.locations)[None], count, axis=0)
+    moved = variables[len(problem.sd) :] * skin.sd * features[:, np.array(skin.features, dtype=int)]
+    for column, (marker, axis) in enumerate(zip(skin.markers, skin.axes, strict=True)):
+        locations[:, marker, axis] += moved[:, column]
+    skeleton = jax.tree.map(np.asarray, model.skeleton)
+    positions = stations(body_poses(model.structure, skeleton, poses), np.array(model.carriers), locations)
+    return np.where(weights[..., None] > 0.0, positions - goals, np.nan)
+
+
+def _independent_frames(residuals: Float[np.ndarray, "frame marker 3"]) -> float:
     """Divide the number of frames by the correlation time of the residuals, up to its first zero."""
-    residuals = (recording.kinematics.positions - recording.kinematics.measured)[:, recording.used]
-    residuals = np.nan_to_num(residuals - np.nanmean(residuals, axis=1, keepdims=True))
-    count = residuals.shape[1]
-    spectrum = np.abs(np.fft.rfft(residuals, 2 * count, axis=1)) ** 2
-    correlation = np.fft.irfft(spectrum.sum(axis=(0, 2)))[:count]
+    centred = np.nan_to_num(residuals)
+    count = len(centred)
+    spectrum = np.abs(np.fft.rfft(centred, 2 * count, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum.sum(axis=(1, 2)))[:count]
     if correlation[0] <= 0.0:
         return float(count)
     correlation = correlation / correlation[0]
