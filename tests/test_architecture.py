@@ -32,7 +32,9 @@ ARROWS: dict[str, set[str]] = {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),
     },
-    "preprocessing": {"errors", "renamed", "progress", "io", "subject", "skeleton", "osim", "geometry"},
+    "preprocessing": {
+        *("errors", "renamed", "progress", "io", "jax_setup", "subject", "skeleton", "osim", "geometry"),
+    },
     "datasets": {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),

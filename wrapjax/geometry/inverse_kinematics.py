@@ -247,6 +247,51 @@ def fit_successive(
     return PoseFit(*(np.concatenate(parts)[:count] for parts in zip(*fits, strict=True)))
 
 
+def fit_first(
+    model: MarkerModel,
+    goal: MarkerGoals,
+    bounds: Bounds,
+    ranges: Bounds,
+    rest: Float[np.ndarray, " coordinate"],
+) -> tuple[Float[np.ndarray, " coordinate"], float]:
+    """Find the pose of a frame without a pose near it.
+
+    The body is turned to several directions, and fitted in three steps: by the joint with ground alone, with
+    all other coordinates within their ranges, and within the bounds. So joints take no whole turns.
+
+    Parameters
+    ----------
+    model
+        Skeleton with markers.
+    goal
+        Goals of the frame, without the axis ``frame``.
+    bounds
+        Bounds of the coordinates.
+    ranges
+        Ranges of the coordinates, clamped or not.
+    rest
+        Default values of the coordinates.
+
+    Returns
+    -------
+    pose, cost
+        Pose of the lowest cost, and this cost, m^2.
+    """
+    lower, upper = np.maximum(bounds.lower, ranges.lower), np.minimum(bounds.upper, ranges.upper)
+    rest = np.clip(rest, lower, upper)
+    ground = _ground_coordinates(model)
+    held = Bounds(np.where(ground, bounds.lower, rest), np.where(ground, bounds.upper, rest))
+    within = Bounds(np.where(ground, bounds.lower, lower), np.where(ground, bounds.upper, upper))
+    placed = fit_starts(model, goal, held, starting_poses(model, bounds, rest))
+    searched = fit_starts(model, goal, within, np.asarray(placed.poses))
+    # Of poses that fit equally well, such as after a whole turn, the one nearest to rest.
+    cost = np.asarray(searched.cost)
+    equal = cost <= cost.min() * (1.0 + 1e-6) + 1e-12
+    far = np.where(equal, np.linalg.norm(np.asarray(searched.poses) - rest, axis=1), np.inf)
+    last = fit_starts(model, goal, bounds, np.asarray(searched.poses)[[int(np.argmin(far))]])
+    return np.asarray(last.poses)[0], float(last.cost[0])
+
+
 def starting_poses(
     model: MarkerModel, bounds: Bounds, rest: Float[np.ndarray, " coordinate"]
 ) -> Float[np.ndarray, "start coordinate"]:
@@ -266,7 +311,6 @@ def starting_poses(
     Array
         The 24 rotations by right angles, if three coordinates of a joint of ground rotate, else one pose.
     """
-    structure = model.structure
     turning = _turning_coordinates(model)
     if len(turning) < 3:
         return np.asarray(rest)[None]
@@ -276,10 +320,17 @@ def starting_poses(
         [(a * quarter, 0.0, c * quarter) for a in range(4) for c in range(4)]
         + [(a * quarter, b * quarter, 0.0) for a in range(4) for b in (-1, 1)]
     )
+    angles = np.where(angles > np.pi, angles - 2.0 * np.pi, angles)
     starts = np.repeat(np.asarray(rest)[None], len(angles), axis=0)
     starts[:, list(turning[:3])] = angles
-    assert starts.shape[1] == len(structure.coordinates)
     return np.clip(starts, bounds.lower, bounds.upper)
+
+
+def _ground_coordinates(model: MarkerModel) -> Bool[np.ndarray, " coordinate"]:
+    """Whether each coordinate moves a body against ground."""
+    structure = model.structure
+    moved = {column for joint, column in structure.movers if structure.parents[joint] == 0}
+    return np.array([column in moved for column in range(len(structure.coordinates))], dtype=bool)
 
 
 def _turning_coordinates(model: MarkerModel) -> list[int]:

@@ -14,15 +14,15 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.inverse_kinematics import (
     Bounds,
     MarkerGoals,
-    fit_starts,
+    fit_first,
     fit_successive,
-    starting_poses,
 )
 from wrapjax.geometry.marker_model import MarkerModel, build_marker_model
 from wrapjax.geometry.model_description import Coordinate, ModelDescription
 from wrapjax.geometry.skeleton import all_coordinate_values, body_poses, build_skeleton, stations
 from wrapjax.io.files import new_folder, write_json
 from wrapjax.io.storage import Storage, write_storage
+from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, unknown_names
 from wrapjax.preprocessing.c3d import read_c3d_markers
 from wrapjax.preprocessing.kinematics_settings import CoordinateGoal, KinematicsSettings
@@ -229,6 +229,7 @@ def solve(
     file
         File of the markers, for messages.
     """
+    require_float64()
     check_constraints(description)
     free = free_coordinates(description)
     model = build_marker_model(description, [entry.name for entry in free], recorded.names)
@@ -275,6 +276,12 @@ def coordinate_bounds(coordinates: Sequence[Coordinate]) -> Bounds:
     return Bounds(np.array(lower), np.array(upper))
 
 
+def coordinate_ranges(coordinates: Sequence[Coordinate]) -> Bounds:
+    """Ranges of coordinates, clamped or not."""
+    lower, upper = np.array([entry.range for entry in coordinates]).reshape(-1, 2).T
+    return Bounds(lower, upper)
+
+
 def marker_goals(
     recorded: Markers,
     weights: Float[np.ndarray, " marker"],
@@ -313,20 +320,16 @@ def first_pose(
     frame = int(np.argmax((np.asarray(goals.weights) > 0.0).sum(axis=1)))
     goal = MarkerGoals(*(array[frame] for array in goals))
     rest = np.array([entry.default_value for entry in coordinates])
-    starts = starting_poses(model, bounds, rest)
-    fits = fit_starts(model, goal, bounds, starts)
-    # Of poses that fit equally well, such as after a whole turn, the one nearest to rest.
-    equal = np.asarray(fits.cost) <= np.min(fits.cost) * (1.0 + 1e-6) + 1e-12
-    far = np.where(equal, np.linalg.norm(np.asarray(fits.poses) - rest, axis=1), np.inf)
-    best = int(np.argmin(far))
+    ranges = coordinate_ranges(coordinates)
+    pose, cost = fit_first(model, goal, bounds, ranges, rest)
     order = exchanged_sides(names)
     if order is not None:
         exchanged = goal._replace(
             measured=np.asarray(goal.measured)[order], weights=np.asarray(goal.weights)[order]
         )
-        cost = float(np.min(fit_starts(model, exchanged, bounds, starts).cost))
-        check_exchanged_sides(float(fits.cost[best]), cost, file)
-    return np.asarray(fits.poses)[best]
+        _, other = fit_first(model, exchanged, bounds, ranges, rest)
+        check_exchanged_sides(cost, other, file)
+    return pose
 
 
 def all_values(

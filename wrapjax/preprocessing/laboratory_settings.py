@@ -92,6 +92,8 @@ class LaboratorySettings:
         Markers that inverse kinematics does not use.
     marker_weights
         Weights of markers in inverse kinematics that differ from 1, by marker.
+    inverse_kinematics
+        Whose inverse kinematics is used: ``opensim`` or ``wrapjax``.
     feet
         Body, and columns or force plates, of each measured foot, by side.
     channels
@@ -120,6 +122,7 @@ class LaboratorySettings:
     up: str
     ignored_markers: tuple[str, ...]
     marker_weights: dict[str, float]
+    inverse_kinematics: str
     feet: dict[str, ForceColumns]
     channels: dict[str, tuple[str, ...]]
     emg_kind: str
@@ -165,6 +168,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
     ignored = markers.names("ignore", required=False)
     weights = _read_marker_weights(markers, problems)
+    solver = markers.text("inverse_kinematics", required=False, choices=("opensim", "wrapjax"))
     markers.report_unknown_keys()
 
     feet = _read_feet(top, file, side, problems)
@@ -183,6 +187,8 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
 
     tables = top.tables("trial")
     trials = [_read_trial(table, number, file, problems) for number, table in enumerate(tables, start=1)]
+    # `wrapjax joints` reads this table from the same file.
+    top.raw("joints")
     top.report_unknown_keys()
     if problems:
         raise InputError(problems)
@@ -202,6 +208,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         up=up,
         ignored_markers=ignored or (),
         marker_weights=weights,
+        inverse_kinematics=solver or "opensim",
         feet=feet,
         channels=channels,
         emg_kind=kind,

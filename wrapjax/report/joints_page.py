@@ -164,16 +164,17 @@ def _undetermined_section(result: JointPersonalisation) -> str:
 
 
 def _notes_section(result: JointPersonalisation) -> str:
+    noise, skin = 1e3 * result.noise, 1e3 * result.settings.skin_movement
+    frames = f"{result.independent_frames:.0f} independent frames"
     return markup.section(
         "Notes",
         markup.bullets(
             [
-                f"A marker's coordinate has a noise of {1e3 * result.noise:.2f} mm by the residuals, whose "
-                f"frames count as {result.independent_frames:.0f} independent ones.",
-                f"Movement of skin with the joint angles ({1e3 * result.settings.skin_movement:.0f} mm root "
-                "mean square, prior) is allowed for, and integrated out.",
-                "model_joints.osim holds the personalised model: bodies, muscle points, wrapping surfaces and "
-                "lengths scaled by OpenSim with masses kept, then joint frames and markers placed.",
+                f"A marker's coordinate has a noise of {noise:.2f} mm, by residuals that count as {frames}.",
+                "Movement of skin with the joint angles is allowed for, and integrated out: prior "
+                f"{skin:.0f} mm root mean square.",
+                "model_joints.osim holds the personalised model: bodies, muscle points, wrapping surfaces "
+                "and lengths scaled by OpenSim with masses kept, then joint frames and markers placed.",
                 f"Computed in {result.seconds:.0f} s. {versions_in_words()}.",
             ]
         ),
