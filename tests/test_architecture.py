@@ -32,7 +32,9 @@ ARROWS: dict[str, set[str]] = {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),
     },
-    "preprocessing": {"errors", "renamed", "progress", "io", "subject", "skeleton", "osim", "geometry"},
+    "preprocessing": {
+        *("errors", "renamed", "progress", "io", "jax_setup", "subject", "skeleton", "osim", "geometry"),
+    },
     "datasets": {
         *("errors", "progress", "io", "jax_setup", "subject", "skeleton", "osim"),
         *("geometry", "muscle", "model"),
@@ -51,6 +53,9 @@ ARROWS: dict[str, set[str]] = {
             "model",
         ),
         "path_sources",
+    },
+    "joints": {
+        *("errors", "progress", "io", "skeleton", "osim", "geometry", "preprocessing", "calibration"),
     },
     "comparison": {"errors", "renamed", "progress", "io", "subject", "osim", "path_sources", "calibration"},
     "diagnosis": {
@@ -82,8 +87,8 @@ ARROWS: dict[str, set[str]] = {
     },
     "report": {
         *("errors", "io", "subject", "preprocessing", "skeleton", "geometry", "muscle", "model"),
-        *("path_sources", "calibration", "comparison", "diagnosis", "evaluation", "contact_forces"),
         "osim",  # the model and its bones, to show them in motion
+        *("path_sources", "calibration", "joints", "comparison", "diagnosis", "evaluation", "contact_forces"),
         "datasets",  # the virtual person's truth is drawn beside what calibration found
     },
     "demonstration": {
@@ -96,6 +101,7 @@ ARROWS: dict[str, set[str]] = {
         *(
             "path_sources",
             "calibration",
+            "joints",
             "comparison",
             "diagnosis",
             "evaluation",
@@ -111,7 +117,7 @@ ARROWS: dict[str, set[str]] = {
 }
 
 #: Modules of `geometry` that describe a model's bodies and joints by NumPy alone.
-SKELETON = {"model_description", "kinematics", "joint_changes"}
+SKELETON = {"functions", "model_description", "skeleton", "kinematics", "joint_changes"}
 
 #: Packages of others that only these folders may import, inside functions.
 LAZY_PACKAGES: dict[str, set[str]] = {

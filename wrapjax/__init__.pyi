@@ -26,6 +26,9 @@ from .evaluation.evaluation import evaluate as evaluate
 from .evaluation.stored_run import Run as Run
 from .evaluation.stored_run import load_run as load_run
 from .geometry.physiological import PhysiologicalThresholds as PhysiologicalThresholds
+from .joints.personalisation import personalize_joints as personalize_joints
+from .joints.result import JointPersonalisation as JointPersonalisation
+from .joints.settings import JointSettings as JointSettings
 from .path_sources.exact import ExactGeometry as ExactGeometry
 from .path_sources.exact import exact_geometry as exact_geometry
 from .path_sources.path_fitting import fit as fit
@@ -33,6 +36,8 @@ from .path_sources.path_samples import physiological_picture as physiological_pi
 from .path_sources.polynomial_fit import Fit as Fit
 from .path_sources.polynomial_fit import load_fit as load_fit
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
+from .preprocessing.inverse_kinematics import InverseKinematics as InverseKinematics
+from .preprocessing.inverse_kinematics import inverse_kinematics as inverse_kinematics
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
 from .report.model_view.show import show as show

@@ -74,6 +74,21 @@ def test_the_report_shows_forces_and_all_cycles(prepared):
         assert markup.text(check["found"]) in page
 
 
+def test_inverse_kinematics_in_jax_gives_the_same_angles(run, laboratory, prepared, tmp_path):
+    for file in laboratory.parent.iterdir():
+        if file.is_file():
+            (tmp_path / file.name).write_bytes(file.read_bytes())
+    settings = tmp_path / laboratory.name
+    settings.write_text(settings.read_text() + '\n[markers]\ninverse_kinematics = "wrapjax"\n')
+    outcome = run("prepare", settings, "--out", tmp_path / "out")
+    assert outcome.status == 0, outcome.progress
+    ours, theirs = (
+        read_storage(folder / "trials" / "walk" / "angles.sto") for folder in (tmp_path / "out", prepared[1])
+    )
+    assert ours.columns == theirs.columns
+    np.testing.assert_allclose(ours.values, theirs.values, atol=2e-4)
+
+
 def test_angles_are_recovered(prepared):
     table = read_storage(prepared[1] / "trials" / "walk" / "angles.sto")
     truth = walker.motion(table.time)

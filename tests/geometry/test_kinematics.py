@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wrapjax.errors import InputError
+from wrapjax.geometry.functions import Polynomial, Spline
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
-from wrapjax.geometry.model_description import Polynomial, Spline
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.muscle_analysis import analyse_muscles
 
@@ -92,14 +92,14 @@ def test_an_unsupported_function_is_an_error_only_for_bodies_that_need_it(odd_mo
 def test_an_unsupported_joint_must_stay_in_its_default_pose(odd_model):
     model = describe_model(odd_model)
     joints = tuple(
-        replace(joint, kind="BallJoint", axes=None) if joint.name == "knee_joint" else joint
+        replace(joint, kind="EllipsoidJoint", axes=None) if joint.name == "knee_joint" else joint
         for joint in model.joints
     )
     unsupported = replace(model, joints=joints)
     at_rest = body_motion(CoordinateValues(unsupported, ("hip",), np.array([[0.3]])), ["foot"])["foot"]
     moved = body_motion(CoordinateValues(model, ("hip",), np.array([[0.3]])), ["foot"])["foot"]
     np.testing.assert_allclose(at_rest.origin, moved.origin, atol=1e-14)
-    with pytest.raises(InputError, match="joint 'knee_joint' is a BallJoint"):
+    with pytest.raises(InputError, match="joint 'knee_joint' is a EllipsoidJoint"):
         body_motion(CoordinateValues(unsupported, ("knee",), np.array([[0.3]])), ["foot"])
 
 

@@ -25,7 +25,9 @@ from wrapjax.cli import (
     evaluate,
     fetch,
     fit,
+    ik,
     initialise,
+    joints,
     prepare,
     report,
     show,
@@ -40,6 +42,8 @@ from wrapjax.jax_setup import set_threads
 ADD_COMMANDS = (
     check.add,
     prepare.add,
+    ik.add,
+    joints.add,
     fit.add,
     initialise.add,
     calibrate.add,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from wrapjax.cli.common import DONE, AddCommand, print_json, read_json
 from wrapjax.io.files import check_output_folder
+from wrapjax.jax_setup import set_up_jax
 
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
@@ -28,6 +29,8 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    # Inverse kinematics in JAX, if the settings name it.
+    set_up_jax()
     from wrapjax.preprocessing.preparation import prepare_subject
     from wrapjax.progress import print_progress
     from wrapjax.subject.description import render_tables

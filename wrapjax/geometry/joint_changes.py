@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.geometry.functions import IDENTITY
 from wrapjax.geometry.model_description import (
-    IDENTITY,
     Axis,
     Coordinate,
     Joint,

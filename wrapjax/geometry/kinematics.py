@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.model_description import Axis, Joint, ModelDescription, PathPoint, Pose
+from wrapjax.geometry.model_description import ModelDescription, PathPoint
+from wrapjax.geometry.skeleton import body_poses, build_skeleton
 
 Vectors = Float[np.ndarray, "pose 3"]
 Rates = Float[np.ndarray, "pose coordinate 3"]
@@ -121,20 +122,21 @@ def body_motion(values: CoordinateValues, bodies: Iterable[str]) -> dict[str, Bo
     InputError
         If a joint between them and ground is of an unsupported kind and does not stay in its default pose.
     """
-    joint_above = {joint.child_body: joint for joint in values.model.joints}
-    poses, coordinates = values.poses.shape
-    at_rest = np.zeros((poses, coordinates, 3))
-    ground = BodyMotion(np.tile(np.eye(3), (poses, 1, 1)), np.zeros((poses, 3)), at_rest, at_rest)
-    motions = {"ground": ground}
-
-    def motion_of(body: str) -> BodyMotion:
-        if body not in motions:
-            joint = joint_above[body]
-            motions[body] = _child_motion(joint, motion_of(joint.parent_body), values)
-        return motions[body]
-
-    for body in bodies:
-        motion_of(body)
+    structure, skeleton = build_skeleton(values.model, values.names, bodies)
+    poses = body_poses(structure, skeleton, values.poses)
+    # Whether a mover's joint moves a body, and its coordinate is a certain one.
+    movers = np.array(structure.movers, dtype=int).reshape(-1, 2)
+    moves = structure.ancestors[:, movers[:, 0]]
+    by_coordinate = movers[:, 1] == np.arange(len(values.names))[:, None]
+    motions = {}
+    for index, body in enumerate(structure.bodies):
+        chosen = (moves[index] & by_coordinate).astype(float)
+        angular = np.einsum("cm,pmk->pck", chosen, poses.angular)
+        linear = np.einsum("cm,pmk->pck", chosen, poses.linear)
+        origin = poses.origin[:, index]
+        motions[body] = BodyMotion(
+            poses.rotation[:, index], origin, angular, linear + np.cross(angular, origin[:, None])
+        )
     return motions
 
 
@@ -186,72 +188,6 @@ def path_points(
         velocity=np.stack([velocity for _, velocity in located], axis=2),
         active=np.stack([_active(point, values) for point in points], axis=1),
     )
-
-
-def _child_motion(joint: Joint, parent: BodyMotion, values: CoordinateValues) -> BodyMotion:
-    """Compute the motion of a joint's child body from that of its parent body."""
-    in_parent, in_child = _arrays(joint.in_parent), _arrays(joint.in_child)
-    rotation = parent.rotation @ in_parent[0]
-    origin, linear = parent.station(in_parent[1])
-    angular = parent.angular
-    base = rotation
-    if joint.axes is None:
-        _check_at_rest(joint, values)
-        turned, moved = _arrays(joint.default)
-        rotation, shift, rate = base @ turned, base @ moved, np.zeros_like(linear)
-    else:
-        shift, rate = np.zeros_like(origin), np.zeros_like(linear)
-        for axis, value, derivative in _movements(joint.axes, values):
-            direction = np.asarray(axis.direction)
-            if axis.kind == "rotation":
-                angular = angular + derivative[:, :, None] * (rotation @ direction)[:, None]
-                rotation = rotation @ _rotation(direction, value)
-            else:
-                shift = shift + value[:, None] * (base @ direction)
-                rate = rate + derivative[:, :, None] * (base @ direction)[:, None]
-    # The displacement rotates with the joint's frame in the parent body.
-    linear = linear + np.cross(parent.angular, shift[:, None]) + rate
-    origin = origin + shift
-    rotation = rotation @ in_child[0].T
-    arm = -(rotation @ in_child[1])
-    return BodyMotion(rotation, origin + arm, angular, linear + np.cross(angular, arm[:, None]))
-
-
-def _movements(
-    axes: Iterable[Axis], values: CoordinateValues
-) -> Iterator[tuple[Axis, Float[np.ndarray, " pose"], Float[np.ndarray, "pose coordinate"]]]:
-    """Yield each axis with its displacement (rad or m) and the displacement's derivatives."""
-    for axis in axes:
-        name = axis.coordinate
-        value, derivative = values.zeros() if name is None else values.value_and_derivative(name)
-        yield axis, axis.function.value(value), axis.function.derivative(value)[:, None] * derivative
-
-
-def _check_at_rest(joint: Joint, values: CoordinateValues) -> None:
-    """Raise `InputError` if a given coordinate moves a joint of an unsupported kind."""
-    if any(values.value_and_derivative(name)[1].any() for name in joint.coordinates):
-        raise InputError(
-            Problem(
-                values.model.name,
-                f"joint '{joint.name}' is a {joint.kind} that the path engine cannot move",
-                hint="supported are pin, slider, universal, gimbal and planar joints, and custom joints with "
-                "polynomials and SIMM splines",
-            )
-        )
-
-
-def _arrays(pose: Pose) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    return np.asarray(pose.rotation), np.asarray(pose.translation)
-
-
-def _rotation(
-    axis: Float[np.ndarray, " 3"], angle: Float[np.ndarray, " pose"]
-) -> Float[np.ndarray, "pose 3 3"]:
-    """Rotation matrices about a unit vector by angles in rad (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return cosine * np.eye(3) + sine * cross + (1.0 - cosine) * np.outer(axis, axis)
 
 
 def _point(

@@ -6,78 +6,9 @@ It holds all that determines muscle lengths and moment arms, and needs neither O
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Float
-from scipy.interpolate import CubicHermiteSpline
-
-
-@dataclass(frozen=True)
-class Polynomial:
-    """Polynomial of one variable, which includes constants and straight lines.
-
-    Parameters
-    ----------
-    coefficients
-        Coefficients, that of the highest power first.
-    """
-
-    coefficients: tuple[float, ...]
-
-    def value(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate the function."""
-        return np.polyval(self.coefficients, at)
-
-    def derivative(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate the first derivative."""
-        return np.polyval(np.polyder(np.asarray(self.coefficients)), at)
-
-    def scaled(self, factor: float) -> Polynomial:
-        """Multiply the function by a number."""
-        return Polynomial(tuple(factor * coefficient for coefficient in self.coefficients))
-
-
-@dataclass(frozen=True)
-class Spline:
-    """Piecewise cubic polynomial (OpenSim's ``SimmSpline``), extrapolated linearly.
-
-    Parameters
-    ----------
-    knots
-        Abscissae, ascending.
-    values, slopes
-        Values and first derivatives at the knots, which determine the cubics between them (Hermite).
-    """
-
-    knots: tuple[float, ...]
-    values: tuple[float, ...]
-    slopes: tuple[float, ...]
-
-    def value(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate the function."""
-        inside = np.clip(at, self.knots[0], self.knots[-1])
-        end_slope = np.where(at < self.knots[0], self.slopes[0], self.slopes[-1])
-        return self._cubics()(inside) + end_slope * (at - inside)
-
-    def derivative(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
-        """Evaluate the first derivative."""
-        return self._cubics()(np.clip(at, self.knots[0], self.knots[-1]), 1)
-
-    def scaled(self, factor: float) -> Spline:
-        """Multiply the function by a number."""
-        values, slopes = (tuple(factor * value for value in row) for row in (self.values, self.slopes))
-        return replace(self, values=values, slopes=slopes)
-
-    def _cubics(self) -> CubicHermiteSpline:
-        return CubicHermiteSpline(self.knots, self.values, self.slopes)
-
-
-#: Function of one coordinate: of a joint's axis, a coupler or a moving path point.
-Function = Polynomial | Spline
-
-CONSTANT_ZERO = Polynomial((0.0,))
-IDENTITY = Polynomial((1.0, 0.0))
+from wrapjax.geometry.functions import Function
 
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
@@ -295,8 +226,30 @@ class WrapObject:
 
 
 @dataclass(frozen=True)
+class Marker:
+    """Marker of a model, which stands for one on the skin.
+
+    Parameters
+    ----------
+    name
+        OpenSim's name.
+    body
+        Name of the body that carries the marker.
+    location
+        Location in that body's frame, m.
+    fixed
+        Whether the location is taken from anatomy, so that OpenSim's scale tool does not move the marker.
+    """
+
+    name: str
+    body: str
+    location: Triple
+    fixed: bool
+
+
+@dataclass(frozen=True)
 class ModelDescription:
-    """Description of a model: all that determines muscle lengths and moment arms.
+    """Description of a model: all that determines muscle lengths, moment arms and markers' positions.
 
     Parameters
     ----------
@@ -306,6 +259,8 @@ class ModelDescription:
         Parts of the model, in its order.
     constraints
         Names and OpenSim's classes of enforced constraints other than coordinate couplers.
+    markers
+        Markers, in the model's order.
     """
 
     name: str
@@ -314,6 +269,7 @@ class ModelDescription:
     joints: tuple[Joint, ...]
     wraps: tuple[WrapObject, ...]
     constraints: tuple[tuple[str, str], ...]
+    markers: tuple[Marker, ...] = ()
 
     def muscle(self, name: str) -> Muscle:
         """Muscle of a given name."""

@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
+from math import factorial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.geometry.model_description import (
+from wrapjax.geometry.functions import (
     CONSTANT_ZERO,
     IDENTITY,
+    Function,
+    Piece,
+    PiecewisePolynomial,
+    Polynomial,
+    Spline,
+)
+from wrapjax.geometry.model_description import (
     Axis,
     Coordinate,
-    Function,
     Joint,
+    Marker,
     Matrix,
     ModelDescription,
     Muscle,
     PathPoint,
     PathWrap,
-    Polynomial,
     Pose,
-    Spline,
     Triple,
     WrapObject,
 )
-from wrapjax.osim.loading import import_opensim, load_model
+from wrapjax.io.xml import read_xml_file
+from wrapjax.osim.loading import check_is_file, failure_reason, import_opensim, initial_state, load_model
 
 _X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -36,6 +46,12 @@ _MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
     "SliderJoint": (("translation", _X),),
     "UniversalJoint": (("rotation", _X), ("rotation", _Y)),
     "GimbalJoint": (("rotation", _X), ("rotation", _Y), ("rotation", _Z)),
+    # OpenSim gives Simbody's ball and free joints as angles about x, y and z in place of quaternions.
+    "BallJoint": (("rotation", _X), ("rotation", _Y), ("rotation", _Z)),
+    "FreeJoint": (
+        *(("rotation", _X), ("rotation", _Y), ("rotation", _Z)),
+        *(("translation", _X), ("translation", _Y), ("translation", _Z)),
+    ),
     "PlanarJoint": (("rotation", _Z), ("translation", _X), ("translation", _Y)),
 }
 
@@ -44,13 +60,15 @@ _MOVEMENTS: dict[str, tuple[tuple[str, Triple], ...]] = {
 Couplers = dict[str, tuple[tuple[str, ...], Function | None]]
 
 
-def describe_model(model_file: Path | str) -> ModelDescription:
+def describe_model(model_file: Path | str, marker_set: Path | str | None = None) -> ModelDescription:
     """Read the description of a model from its file.
 
     Parameters
     ----------
     model_file
         OpenSim model (.osim).
+    marker_set
+        OpenSim's marker set (.xml), whose markers are added, or replace those of their names.
 
     Returns
     -------
@@ -68,6 +86,8 @@ def describe_model(model_file: Path | str) -> ModelDescription:
     """
     opensim = import_opensim()
     model, state = load_model(model_file)
+    if marker_set is not None:
+        state = add_marker_set(model, marker_set)
     model.realizePosition(state)
     couplers, constraints = _constraints(opensim, model)
     return ModelDescription(
@@ -77,7 +97,48 @@ def describe_model(model_file: Path | str) -> ModelDescription:
         joints=tuple(_read_joint(opensim, joint, state) for joint in elements(model.getJointSet())),
         wraps=tuple(_wraps(opensim, model)),
         constraints=constraints,
+        markers=tuple(_marker(marker) for marker in elements(model.getMarkerSet())),
     )
+
+
+def add_marker_set(model: Any, marker_set: Path | str) -> Any:
+    """Add the markers of a file to OpenSim's model, and return the state of its new system.
+
+    Parameters
+    ----------
+    model
+        OpenSim's model.
+    marker_set
+        OpenSim's marker set (.xml). Its markers replace those of their names.
+
+    Raises
+    ------
+    InputError
+        If the file is not a marker set, or names a body that the model lacks.
+    """
+    path = check_is_file(marker_set)
+    root = read_xml_file(path)
+    if next(root.iter("Marker"), None) is None:
+        raise InputError(Problem(str(path), "expected a marker set of OpenSim with markers, found none"))
+    bodies = [body.getName() for body in elements(model.getBodySet())] + ["ground"]
+    problems = []
+    for marker in root.iter("Marker"):
+        frame = marker.findtext("body") or marker.findtext("socket_parent_frame") or ""
+        body = frame.strip().rsplit("/", 1)[-1]
+        if body not in bodies:
+            message = f"is on the body '{body}', which the model lacks"
+            problems.append(
+                Problem(str(path), message, f"marker {marker.get('name')}", nearest_name(body, bodies))
+            )
+    if problems:
+        raise InputError(problems)
+    try:
+        model.updateMarkerSet(import_opensim().MarkerSet(str(path)))
+        model.finalizeConnections()
+        return initial_state(model)
+    except RuntimeError as error:
+        message = f"OpenSim cannot add it to the model ({failure_reason(error)})"
+        raise InputError(Problem(str(path), message)) from error
 
 
 def spanned_coordinates(model_file: Path | str, muscles: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -192,6 +253,12 @@ def _point(opensim: Any, point: Any, state: Any) -> PathPoint:
         frame=read_pose(frame.findTransformInBaseFrame()),
         active_range=_active_range(opensim, point),
     )
+
+
+def _marker(marker: Any) -> Marker:
+    frame = marker.getParentFrame()
+    in_body = frame.findTransformInBaseFrame().shiftFrameStationToBase(marker.get_location())
+    return Marker(marker.getName(), frame.findBaseFrame().getName(), _triple(in_body), marker.get_fixed())
 
 
 def _motion(opensim: Any, point: Any) -> tuple[tuple[str, Function | None], ...] | None:
@@ -323,25 +390,56 @@ def _wraps(opensim: Any, model: Any) -> Iterator[WrapObject]:
 def _read_function(opensim: Any, function: Any) -> Function | None:
     """Read a function of one variable, or return None for an unsupported kind.
 
-    Supported are Constant, LinearFunction, PolynomialFunction, SimmSpline, and a
-    MultiplierFunction of any of these.
+    Supported are Constant, LinearFunction, PolynomialFunction, SimmSpline, PiecewiseLinearFunction,
+    PiecewiseConstantFunction, GCVSpline, and a MultiplierFunction of any of these.
     """
     kind = function.getConcreteClassName()
-    if kind == "MultiplierFunction":
-        multiplier = opensim.MultiplierFunction.safeDownCast(function)
-        inner = _read_function(opensim, multiplier.getFunction())
-        return None if inner is None else inner.scaled(multiplier.getScale())
-    if kind == "Constant":
-        return Polynomial((opensim.Constant.safeDownCast(function).getValue(),))
-    if kind == "LinearFunction":
-        line = opensim.LinearFunction.safeDownCast(function)
-        return Polynomial((line.getSlope(), line.getIntercept()))
-    if kind == "PolynomialFunction":
-        coefficients = opensim.PolynomialFunction.safeDownCast(function).getCoefficients()
-        return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
-    if kind == "SimmSpline":
-        return _spline(opensim, opensim.SimmSpline.safeDownCast(function))
-    return None
+    read = _READERS.get(kind)
+    return None if read is None else read(opensim, getattr(opensim, kind).safeDownCast(function))
+
+
+def _multiplied(opensim: Any, multiplier: Any) -> Function | None:
+    inner = _read_function(opensim, multiplier.getFunction())
+    return None if inner is None else inner.scaled(multiplier.getScale())
+
+
+def _polynomial(opensim: Any, function: Any) -> Polynomial:
+    coefficients = function.getCoefficients()
+    return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
+
+
+def _piecewise_linear(opensim: Any, function: Any) -> PiecewisePolynomial:
+    points = [(function.getX(index), function.getY(index)) for index in range(function.getSize())]
+    if len(points) == 1:
+        return PiecewisePolynomial((), (Piece(0.0, (points[0][1],)),))
+    lines = [Piece(x, (y, (y2 - y) / (x2 - x))) for (x, y), (x2, y2) in pairwise(points)]
+    # The first and the last line are extended.
+    return PiecewisePolynomial(tuple(x for x, _ in points[1:-1]), tuple(lines))
+
+
+def _piecewise_constant(opensim: Any, function: Any) -> PiecewisePolynomial:
+    points = [(function.getX(index), function.getY(index)) for index in range(function.getSize())]
+    knots = tuple(float(np.nextafter(x, np.inf)) for x, _ in points[1:])
+    return PiecewisePolynomial(knots, tuple(Piece(0.0, (y,)) for _, y in points))
+
+
+def _gcv_spline(opensim: Any, spline: Any) -> PiecewisePolynomial:
+    """Read a natural spline of any odd degree from its derivatives at the knots; it ends in lower degrees."""
+    degree = spline.getDegree()
+    knots = [spline.getX(index) for index in range(spline.getSize())]
+
+    def piece(x: float, count: int) -> Piece:
+        at = opensim.Vector(1, float(x))
+        derivatives = [spline.calcValue(at)]
+        derivatives += [
+            spline.calcDerivative(opensim.StdVectorInt([0] * order), at) for order in range(1, count + 1)
+        ]
+        return Piece(x, tuple(value / factorial(order) for order, value in enumerate(derivatives)))
+
+    outer = (degree - 1) // 2
+    # Derivatives of the highest order jump at the knots, so that each piece is expanded about its middle.
+    inner = (piece(0.5 * (x + end), degree) for x, end in pairwise(knots))
+    return PiecewisePolynomial(tuple(knots), (piece(knots[0], outer), *inner, piece(knots[-1], outer)))
 
 
 def _spline(opensim: Any, spline: Any) -> Spline:
@@ -352,6 +450,19 @@ def _spline(opensim: Any, spline: Any) -> Spline:
         at = opensim.Vector(1, float(knot))
         slopes.append(spline.calcDerivative(first, at))
     return Spline(tuple(knots), tuple(spline.getY(index) for index in range(len(knots))), tuple(slopes))
+
+
+#: Reader of each class of functions of one variable.
+_READERS: dict[str, Callable[[Any, Any], Function | None]] = {
+    "Constant": lambda opensim, constant: Polynomial((constant.getValue(),)),
+    "LinearFunction": lambda opensim, line: Polynomial((line.getSlope(), line.getIntercept())),
+    "PolynomialFunction": _polynomial,
+    "SimmSpline": _spline,
+    "PiecewiseLinearFunction": _piecewise_linear,
+    "PiecewiseConstantFunction": _piecewise_constant,
+    "GCVSpline": _gcv_spline,
+    "MultiplierFunction": _multiplied,
+}
 
 
 def read_pose(transform: Any) -> Pose:

@@ -111,6 +111,7 @@ def solve_inverse_kinematics(
     weights: Mapping[str, float],
     start: float,
     end: float,
+    accuracy: float = ACCURACY,
 ) -> Kinematics:
     """Compute joint angles from recorded markers by OpenSim's ``InverseKinematicsTool``.
 
@@ -124,6 +125,8 @@ def solve_inverse_kinematics(
         Weight, above zero, of each marker to fit; all of them must be in the file and in the model.
     start, end
         Time range, s.
+    accuracy
+        Accuracy of the tool's optimiser.
 
     Raises
     ------
@@ -145,7 +148,7 @@ def solve_inverse_kinematics(
         tool.setMarkerDataFileName(str(Path(marker_file).resolve()))
         tool.setStartTime(start)
         tool.setEndTime(end)
-        tool.set_accuracy(ACCURACY)
+        tool.set_accuracy(accuracy)
         tool.set_report_errors(False)
         tool.set_report_marker_locations(True)
         tool.setResultsDir(str(folder))

@@ -120,6 +120,8 @@ class LaboratorySettings:
         Markers that inverse kinematics does not use.
     marker_weights
         Weights of markers in inverse kinematics that differ from 1, by marker.
+    inverse_kinematics
+        Whose inverse kinematics is used: ``opensim`` or ``wrapjax``.
     feet
         Body, and columns or force plates, of each measured foot, by side.
     channels
@@ -148,6 +150,7 @@ class LaboratorySettings:
     up: str
     ignored_markers: tuple[str, ...]
     marker_weights: dict[str, float]
+    inverse_kinematics: str
     feet: dict[str, ForceColumns]
     channels: dict[str, tuple[str, ...]]
     emg_kind: str
@@ -193,6 +196,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
     ignored = markers.names("ignore", required=False)
     weights = _read_marker_weights(markers, problems)
+    solver = markers.text("inverse_kinematics", required=False, choices=("opensim", "wrapjax"))
     markers.report_unknown_keys()
 
     feet = _read_feet(top, file, side, problems)
@@ -211,6 +215,8 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
 
     tables = top.tables("trial")
     trials = [_read_trial(table, number, file, problems) for number, table in enumerate(tables, start=1)]
+    # `wrapjax joints` reads this table from the same file.
+    top.raw("joints")
     top.report_unknown_keys()
     if problems:
         raise InputError(problems)
@@ -230,6 +236,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         up=up,
         ignored_markers=ignored or (),
         marker_weights=weights,
+        inverse_kinematics=solver or "opensim",
         feet=feet,
         channels=channels,
         emg_kind=kind,
@@ -357,6 +364,27 @@ def _read_steps(reader: TableReader, problems: list[Problem]) -> dict[str, tuple
     found = {side: read_spans_of(own, side) for side in SIDES if own.has(side)}
     own.report_unknown_keys()
     return found
+
+
+def named_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:
+    """Compute `laboratory_rotation` from axes that a user has named.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or both name the same axis.
+    """
+    problems = [
+        Problem(f"--{key}", f"expected one of {', '.join(_AXES)}, found '{name}'")
+        for key, name in (("forward", forward), ("up", up))
+        if name not in _AXES
+    ]
+    if not problems and forward[-1] == up[-1]:
+        message = f"expected another axis than forward, found '{forward}' and '{up}'"
+        problems = [Problem("--up", message)]
+    if problems:
+        raise InputError(problems)
+    return laboratory_rotation(forward, up)
 
 
 def laboratory_rotation(forward: str, up: str) -> Float[np.ndarray, "3 3"]:

@@ -107,6 +107,9 @@ def read_trc(path: Path) -> Markers:
         message = "does not begin with 'PathFileType', where a .trc file of markers was expected"
         raise InputError(Problem(str(path), message))
     keys = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    if keys.get("Units", "").strip().lower() not in METERS_PER_UNIT:
+        # Some programs put several tabs and spaces between the values.
+        keys = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = keys.get("Units", "").strip().lower()
     if unit not in METERS_PER_UNIT:
         message = f"expected {', '.join(METERS_PER_UNIT)} as Units, found '{unit}'"

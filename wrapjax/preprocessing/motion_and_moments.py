@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.io.storage import find_columns, read_storage
 from wrapjax.osim.mechanics import Mechanics, analyse_mechanics
+from wrapjax.osim.model import describe_model
 from wrapjax.osim.motion import Motion as PosedMotion
 from wrapjax.osim.tools import solve_inverse_dynamics, solve_inverse_kinematics
 from wrapjax.preprocessing.consistency_checks import Check, check_marker_errors
@@ -79,7 +80,7 @@ def _solve_kinematics(
     checks: list[Check],
     notes: list[str],
 ) -> Motion:
-    """Compute joint angles from markers by OpenSim's inverse kinematics."""
+    """Compute joint angles from markers by the inverse kinematics that the settings name."""
     invisible = np.isnan(markers.positions).any(axis=2).sum(axis=1)
     gaps = [
         f"{name} in {count} frames" for name, count in zip(markers.names, invisible, strict=True) if count
@@ -87,6 +88,19 @@ def _solve_kinematics(
     if gaps:
         notes.append(f"{trial.markers}: markers not visible, and not used there: {', '.join(gaps)}")
     weights = {name: settings.marker_weights.get(name, 1.0) for name in markers.names}
+    solver = _solve_by_opensim if settings.inverse_kinematics == "opensim" else _solve_in_jax
+    coordinates, values, positions = solver(markers, weights, trial, model)
+    checks.append(check_marker_errors(markers.names, markers.positions, positions))
+    return Motion(coordinates, markers.time, values).with_coupled(model.coupled)
+
+
+#: Names of all coordinates, their values, and positions of the model's markers (m).
+_Solved = tuple[tuple[str, ...], Float[np.ndarray, "coordinate frame"], Float[np.ndarray, "marker frame 3"]]
+
+
+def _solve_by_opensim(
+    markers: Markers, weights: Mapping[str, float], trial: LaboratoryTrial, model: PreparationModel
+) -> _Solved:
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         file = Path(folder) / "markers.trc"
         write_trc(file, markers)
@@ -98,8 +112,18 @@ def _solve_kinematics(
             # The temporary file is replaced by the recorded one.
             renamed = [replace(problem, file=str(trial.markers)) for problem in error.problems]
             raise InputError(renamed) from error
-    checks.append(check_marker_errors(markers.names, markers.positions, solution.positions))
-    return Motion(solution.coordinates, markers.time, solution.values).with_coupled(model.coupled)
+    return solution.coordinates, solution.values, solution.positions
+
+
+def _solve_in_jax(
+    markers: Markers, weights: Mapping[str, float], trial: LaboratoryTrial, model: PreparationModel
+) -> _Solved:
+    from wrapjax.preprocessing.inverse_kinematics import solve
+
+    assert trial.markers is not None
+    used = np.array([weights[name] for name in markers.names])
+    solution = solve(describe_model(model.path), markers, used, {}, trial.markers)
+    return solution.coordinates, solution.values, solution.positions
 
 
 def _filter_motion(

@@ -1,0 +1,1 @@
+"""Personalisation of a model's joints from markers."""

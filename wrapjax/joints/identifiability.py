@@ -1,0 +1,99 @@
+"""What markers say about freed parameters: posterior spread, and combinations left undetermined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from wrapjax.joints.freed_parameters import FreedParameter
+
+#: A parameter is determined if markers reduce its standard deviation below this share of the prior one.
+DETERMINED_RATIO = 0.5
+#: Components below this share of the largest one are left out of a direction's description.
+_SMALL_COMPONENT = 0.3
+
+
+@dataclass(frozen=True)
+class Direction:
+    """Combination of parameters that markers do not determine.
+
+    Parameters
+    ----------
+    information
+        Information of the markers along the direction, as a share of the prior's.
+    components
+        Largest components, in prior standard deviations, by the parameter's name.
+    """
+
+    information: float
+    components: dict[str, float]
+
+    def __str__(self) -> str:
+        """Describe the direction in a line."""
+        parts = [f"{value:+.2f} {name}" for name, value in self.components.items()]
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Laplace approximation of the parameters' posterior distribution.
+
+    Parameters
+    ----------
+    sd
+        Posterior standard deviations, in the parameters' units.
+    correlated
+        Posterior covariance, in prior standard deviations.
+    determined
+        Whether markers determine each parameter.
+    directions
+        Combinations of parameters about which the prior says more than the markers, the least known first.
+    """
+
+    sd: Float[np.ndarray, " parameter"]
+    correlated: Float[np.ndarray, "parameter parameter"]
+    determined: Bool[np.ndarray, " parameter"]
+    directions: tuple[Direction, ...]
+
+
+def posterior(
+    parameters: Sequence[FreedParameter], matrix: Float[np.ndarray, "variable variable"]
+) -> Posterior:
+    """Compute the posterior of the parameters from the Gauss-Newton matrix of all variables.
+
+    Parameters
+    ----------
+    parameters
+        Freed parameters, the first of the variables.
+    matrix
+        Gauss-Newton matrix at the solution, prior included, of variables in prior standard deviations.
+        Further variables (movements of skin) are integrated out.
+    """
+    count = len(parameters)
+    covariance = np.linalg.inv(0.5 * (matrix + matrix.T))[:count, :count]
+    prior_sd = np.array([parameter.sd for parameter in parameters])
+    ratio = np.sqrt(np.diagonal(covariance))
+    values, vectors = np.linalg.eigh(covariance)
+    # Along an eigenvector, information of the markers over that of the prior is 1/variance - 1.
+    unknown = [place for place in np.argsort(-values) if values[place] > 0.5]
+    directions = tuple(
+        _direction(parameters, vectors[:, place], 1.0 / values[place] - 1.0) for place in unknown
+    )
+    return Posterior(ratio * prior_sd, covariance, ratio < DETERMINED_RATIO, directions)
+
+
+def _direction(
+    parameters: Sequence[FreedParameter], vector: Float[np.ndarray, " parameter"], information: float
+) -> Direction:
+    largest = float(np.abs(vector).max())
+    order = [
+        place for place in np.argsort(-np.abs(vector)) if abs(vector[place]) >= _SMALL_COMPONENT * largest
+    ]
+    sign = np.sign(vector[order[0]])
+    return Direction(
+        max(information, 0.0),
+        {parameters[place].name: float(sign * vector[place]) for place in order},
+    )
