@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.engine import ExactPaths, points_and_bodies, surfaces_of
+from wrapjax.geometry.engine import ExactPaths, kinds_of, points_and_bodies, surfaces_of
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
+from wrapjax.geometry.wrap_methods import Kinds
 from wrapjax.geometry.wrapping import NOMINAL, Surface
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
@@ -134,7 +135,10 @@ def route_path(
     route = jax.tree.map(
         np.asarray,
         _route(
-            _first_pose(points_and_bodies(path, points, carriers, entries)), surfaces, jnp.asarray(parameters)
+            _first_pose(points_and_bodies(path, points, carriers, entries)),
+            surfaces,
+            jnp.asarray(parameters),
+            kinds_of(objects, entries),
         ),
     )
     cylinders = tuple(_placed_cylinder(route, number, name) for number, name in enumerate(wraps))
@@ -143,9 +147,9 @@ def route_path(
 
 @eqx.filter_jit
 def _route(
-    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
+    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"], kinds: Kinds
 ) -> Route:
-    return shortest_route(path, jax.vmap(Surface.placed)(surfaces, parameters))
+    return shortest_route(path, jax.vmap(Surface.placed)(surfaces, parameters), kinds)
 
 
 def _first_pose(path: PointsAndBodies) -> PointsAndBodies:
@@ -165,7 +169,7 @@ def _first_pose(path: PointsAndBodies) -> PointsAndBodies:
 
 
 def _placed_cylinder(route: Route, number: int, name: str) -> PlacedCylinder:
-    one = jax.tree.map(lambda leaf: leaf[number], route.cylinders)
+    one = jax.tree.map(lambda leaf: leaf[number], route.surfaces)
     axes = [np.array([axis.x, axis.y, axis.z]) for axis in (one.x_axis, one.y_axis, one.z_axis)]
     center = np.array([one.center.x, one.center.y, one.center.z])
     return PlacedCylinder(name, np.stack(axes, axis=1), center, float(one.radius), float(one.half_length))
