@@ -72,18 +72,19 @@ def write_model(surfaces: Sequence[SurfaceDraw], file: Path) -> None:
 
 
 def _translating_body(opensim: Any, model: Any, name: str) -> Any:
-    body = opensim.Body(f"{name}_body", 1.0, opensim.Vec3(0), opensim.Inertia(0.1, 0.1, 0.1))
-    model.addBody(body)
-    transform = opensim.SpatialTransform()
-    for number, axis in enumerate("xyz", start=1):
-        one = getattr(transform, f"upd_translation{number}")()
-        names = opensim.ArrayStr()
-        names.append(f"{name}_{axis}")
-        one.setCoordinateNames(names)
-        one.setFunction(opensim.LinearFunction(1.0, 0.0))
-    joint = opensim.CustomJoint(f"{name}_joint", model.getGround(), body, transform)
-    model.addJoint(joint)
-    return body
+    """Add a body that three joints translate along x, y and z."""
+    parent = model.updGround()
+    # Rotations that turn the joint's axis, x, into each axis.
+    turns = {"x": (0.0, 0.0, 0.0), "y": (0.0, 0.0, 0.5 * np.pi), "z": (0.0, -0.5 * np.pi, 0.0)}
+    for axis, turn in turns.items():
+        body = opensim.Body(f"{name}_body_{axis}", 1.0, opensim.Vec3(0), opensim.Inertia(0.1, 0.1, 0.1))
+        model.addBody(body)
+        frame = (opensim.Vec3(0), opensim.Vec3(*turn))
+        joint = opensim.SliderJoint(f"{name}_{axis}_joint", parent, *frame, body, *frame)
+        joint.updCoordinate().setName(f"{name}_{axis}")
+        model.addJoint(joint)
+        parent = body
+    return parent
 
 
 def _wrap_object(opensim: Any, surface: SurfaceDraw) -> Any:

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.ellipsoid import decide_wrapping as decide_shortest
-from wrapjax.geometry.ellipsoid import plane_towards
 from wrapjax.geometry.nearest_on_ellipsoid import nearest_in_section, nearest_on_ellipsoid
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, FindContact, PlacedSurface, over_segments
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
@@ -122,21 +121,33 @@ def _wrapped(
     root = safe_sqrt(linear**2 - 4.0 * quadratic * constant)
     entry = end + (root - linear) / (2.0 * quadratic) * way
     through = -root / quadratic * way
-    point, weight = _plane_point(entry, through, way, axes, method)
-    point = _on_active_side(point, weight, axes, ellipsoid)
+    point, weight, from_entry = _plane_point(entry, through, way, axes, method)
+    point, begin, reflected = _on_active_side(point, weight, axes, ellipsoid)
+    # OpenSim's iteration for the points of contact begins at this point or where the segment enters and leaves.
+    from_entry &= ~reflected
+    begins = [jnp.where(from_entry, other, begin) for other in (entry, entry + through)]
 
     normal = jnp.cross(way, start - point)
     normal = normal * safe_inverse(_norm(normal))
-    # The points of contact, where the ellipsoid is a unit sphere.
-    scaled_start, scaled_end = start / axes, end / axes
-    backward = scaled_start - scaled_end
-    backward = backward * safe_inverse(_norm(backward))
-    aside = point / axes - scaled_start
-    aside = aside - backward * jnp.sum(aside * backward)
-    aside = aside * safe_inverse(_norm(aside))
-    plane = plane_towards(scaled_start, scaled_end, backward, aside)
+    # Where the ellipsoid is a unit sphere, the plane's section is a circle.
+    scaled_normal = normal * axes
+    height = jnp.sum(normal * point) * safe_inverse(_norm(scaled_normal))
+    scaled_normal = scaled_normal * safe_inverse(_norm(scaled_normal))
+    center, radius = height * scaled_normal, safe_sqrt(1.0 - height**2)
+
+    def contact(end: Float[Array, " 3"], begin: Float[Array, " 3"]) -> Float[Array, " 3"]:
+        """Tangent point on the side where the iteration begins, seen from the end."""
+        toward = end / axes - center
+        distance = _norm(toward)
+        toward = toward * safe_inverse(distance)
+        aside = jnp.cross(scaled_normal, toward)
+        side = jnp.where(jnp.sum((begin / axes - center) * aside) >= 0.0, 1.0, -1.0)
+        cosine = jnp.minimum(radius * safe_inverse(distance), 1.0)
+        around = cosine * toward + side * safe_sqrt(1.0 - cosine**2) * aside
+        return axes * (center + radius * around)
+
+    first, last = contact(start, begins[0]), contact(end, begins[1])
     on_surface = [jnp.abs(jnp.sum((one / axes) ** 2) - 1.0) < _INSIDE for one in (start, end)]
-    first, last = axes * plane.points(jnp.stack([plane.first, plane.last]))
     first = jnp.where(on_surface[0], start, first)
     last = jnp.where(on_surface[1], end, last)
     length = _surface_length(first, last, start, end, normal, jnp.sum(normal * point), axes, scale, ellipsoid)
@@ -149,22 +160,21 @@ def _plane_point(
     way: Float[Array, " 3"],
     axes: Float[Array, " 3"],
     method: str,
-) -> tuple[Float[Array, " 3"], Float[Array, ""]]:
-    """Point of the surface that determines the plane, and the weight of the mean over the segment in it.
-
-    The weight is minus infinity if the mean is not used, as in OpenSim.
+) -> tuple[Float[Array, " 3"], Float[Array, ""], Bool[Array, ""]]:
+    """Point of the surface that determines the plane, the weight by which a reflected point is moved back to the
+    border, and whether points of contact are searched from where the segment enters and leaves.
     """
-    unused = jnp.asarray(-jnp.inf)
-    if method == "midpoint":
-        return nearest_on_ellipsoid(entry + 0.5 * through, axes), unused
     cosines = jnp.abs(way) * safe_inverse(_norm(way))
     best = jnp.argmax(cosines)
+    cosine = cosines[best]
+    unmoved, from_point = jnp.asarray(0.0), jnp.asarray(False)
+    if method == "midpoint":
+        return nearest_on_ellipsoid(entry + 0.5 * through, axes), unmoved, from_point
     share = -entry[best] / through[best]
     section_point = (entry + share * through).at[best].set(0.0)
     axial = nearest_in_section(section_point, axes, best)
     if method == "axial":
-        return axial, unused
-    cosine = cosines[best]
+        return axial, unmoved, (share <= 0.0) | (share >= 1.0)
     fade = jnp.clip(jnp.minimum(share, 1.0 - share) / _FADE, 0.0, 1.0)
     faded = _FAN_BELOW + fade * (cosine - _FAN_BELOW)
     cosine = jnp.where((cosine > _FAN_BELOW) & (fade < 1.0), faded, cosine)
@@ -178,21 +188,24 @@ def _plane_point(
     mixed = nearest_on_ellipsoid(part * axial + (1.0 - part) * fan, axes)
     only_fan, only_axial = cosine <= _FAN_BELOW, cosine >= _AXIAL_ABOVE
     point = jnp.where(only_axial, axial, jnp.where(only_fan, fan, mixed))
-    weight = jnp.where(only_axial, unused, jnp.where(only_fan, 1.0, 1.0 - part))
-    return point, weight
+    # A weight for the axial method alone is also computed by OpenSim, which then does not use it.
+    weight = jnp.where(only_axial, unmoved, jnp.where(only_fan, 1.0, 1.0 - part))
+    return point, weight, from_point
 
 
 def _on_active_side(
     point: Float[Array, " 3"], weight: Float[Array, ""], axes: Float[Array, " 3"], ellipsoid: PlacedSurface
-) -> Float[Array, " 3"]:
-    """Reflect the plane's point to the active side and, by the mean's weight, back to the border."""
-    restricted = ellipsoid.side != 0
-    reflected = restricted & ~ellipsoid.on_side(vector(point))
+) -> tuple[Float[Array, " 3"], Float[Array, " 3"], Bool[Array, ""]]:
+    """Reflect the plane's point to the active side and, by a weight, move it back towards the border.
+
+    Returns the point, the point before it was moved back, and whether it was reflected.
+    """
+    reflected = (ellipsoid.side != 0) & ~ellipsoid.on_side(vector(point))
     axis = jnp.arange(3) == ellipsoid.side_axis
-    kept = jnp.where(weight > 0.0, 1.0 - weight, 1.0)
-    moved = jnp.where(axis, -point * kept, point)
-    moved = jnp.where(weight > 0.0, nearest_on_ellipsoid(moved, axes), moved)
-    return jnp.where(reflected, moved, point)
+    mirrored = jnp.where(axis, -point, point)
+    moved = nearest_on_ellipsoid(jnp.where(axis, -point * (1.0 - weight), point), axes)
+    moved = jnp.where(weight > 0.0, moved, mirrored)
+    return jnp.where(reflected, moved, point), jnp.where(reflected, mirrored, point), reflected
 
 
 def _surface_length(
