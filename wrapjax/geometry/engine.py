@@ -27,7 +27,7 @@ from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, PathPoints
 from wrapjax.geometry.model_description import ModelDescription, Muscle, PathWrap, WrapObject
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.placed_surface import PlacedSurface, WrapMethod
-from wrapjax.geometry.several_wraps import wrap_in_parity, wrap_shortest
+from wrapjax.geometry.several_wraps import Numbers, wrap_in_parity, wrap_shortest
 from wrapjax.geometry.vectors import vector
 from wrapjax.geometry.wrap_methods import (
     CYLINDER,
@@ -55,7 +55,7 @@ class Wrapping(NamedTuple):
 
     name: str
     once: Callable[[str], WrapMethod]
-    wrap_several: Callable[[PointsAndBodies, PlacedSurface, Kinds], WrappedPath]
+    wrap_several: Callable[[PointsAndBodies, PlacedSurface, Kinds, Numbers], WrappedPath]
 
 
 GEODESIC = Wrapping("geodesic", SHORTEST.__getitem__, wrap_shortest)
@@ -71,6 +71,8 @@ class PosedPath(eqx.Module):
     surfaces: Surface
     #: Kinds of the surfaces (see `wrap_methods`).
     kinds: Kinds = eqx.field(static=True, default=())
+    #: Number of the kind of each surface; None if ``kinds`` is in the order of the path.
+    numbers: Int[Array, " wrap"] | None = None
 
     def wrapped(
         self, parameters: Float[Array, "wrap wrap_parameter"], wrapping: Wrapping = GEODESIC
@@ -92,7 +94,9 @@ class PosedPath(eqx.Module):
         """
         if isinstance(self.path, PointsAndBodies):
             surfaces = jax.vmap(Surface.placed)(self.surfaces, parameters)
-            return jax.vmap(lambda path: wrapping.wrap_several(path, surfaces, self.kinds))(self.path)
+            return jax.vmap(lambda path: wrapping.wrap_several(path, surfaces, self.kinds, self.numbers))(
+                self.path
+            )
         if not parameters.shape[0]:
             return unwrapped(self.path)
         surface = jax.tree.map(lambda leaf: leaf[0], self.surfaces)

@@ -111,6 +111,7 @@ def refit_wrap(
     wrap: Int[Array, ""] | int,
     route: PathOnCylinders,
     methods: Sequence[WrapMethod],
+    numbers: Int[Array, " wrap"] | None = None,
 ) -> tuple[PathOnCylinders, Int[Array, ""]]:
     """Remove one surface's contact from the path, and compute it again from its neighbors in the path.
 
@@ -125,7 +126,10 @@ def refit_wrap(
     route
         Path before this step.
     methods
-        How segments wrap round each surface, at least up to the largest value of ``wrap``.
+        How segments wrap round each surface, at least up to the largest value of ``wrap``. With ``numbers``, the
+        methods in any order.
+    numbers
+        Number of each surface's method.
 
     Returns
     -------
@@ -151,7 +155,8 @@ def refit_wrap(
     eligible = in_range & (after >= 0) & ~on_one_surface & ((end - start).norm() > 0.0)
     straight_start = vector(route.straight_ends[first_knots])
     straight_end = vector(route.straight_ends[last_knots])
-    fitted = by_method(methods, wrap, _fit, start, end, straight_start, straight_end, surface, eligible)
+    operands = (start, end, straight_start, straight_end, surface, eligible)
+    fitted = by_method(methods, wrap, numbers, _fit, *operands)
 
     rows = points + 2 * wrap + jnp.arange(2)
     position = route.position.at[rows].set(jnp.where(fitted.touched, fitted.contacts, route.position[rows]))
@@ -170,17 +175,25 @@ def refit_wrap(
 def by_method(
     methods: Sequence[WrapMethod],
     wrap: Int[Array, ""] | int,
+    numbers: Int[Array, " wrap"] | None,
     function: Callable[..., _Result],
     *operands: Any,
 ) -> _Result:
-    """Call a function, whose first argument is a method, with the method of a surface by its number."""
+    """Call a function, whose first argument is a method, with the method of a surface.
+
+    Arguments are those of `refit_wrap`. Only this method is evaluated, unless ``wrap`` or ``numbers`` differ in a
+    batch.
+    """
+    if numbers is not None:
+        branches = [partial(function, method) for method in methods]
+        return jax.lax.switch(numbers[wrap], branches, *operands)
     if isinstance(wrap, int):
         return function(methods[wrap], *operands)
     different = list(dict.fromkeys(methods))
     if len(different) == 1:
         return function(different[0], *operands)
-    numbers = jnp.asarray([different.index(method) for method in methods])
-    return jax.lax.switch(numbers[wrap], [partial(function, method) for method in different], *operands)
+    places = jnp.asarray([different.index(method) for method in methods])
+    return jax.lax.switch(places[wrap], [partial(function, method) for method in different], *operands)
 
 
 def _fit(

@@ -44,6 +44,9 @@ _GEODESIC_TOLERANCE = 1e-13
 _OPENSIM_SWEEPS = 8
 _OPENSIM_TOLERANCE = 0.0005
 
+#: Number of the kind of each surface, if kinds are not in the order of the path.
+Numbers = Int[Array, " wrap"] | None
+
 
 class Route(NamedTuple):
     """Course of a path in ground's frame.
@@ -61,7 +64,12 @@ class Route(NamedTuple):
     surfaces: PlacedSurface
 
 
-def wrap_shortest(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> WrappedPath:
+def wrap_shortest(
+    path: PointsAndBodies,
+    surfaces: PlacedSurface,
+    kinds: Kinds = (),
+    numbers: Numbers = None,
+) -> WrappedPath:
     """Compute the shortest path round several surfaces, whose moment arms are exactly -dL/dq.
 
     Parameters
@@ -71,12 +79,15 @@ def wrap_shortest(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds =
     surfaces
         Each surface in the frame of the body that carries it.
     kinds
-        Kind of each surface; by default all are cylinders.
+        Kind of each surface; by default all are cylinders. With ``numbers``, the kinds in any order.
+    numbers
+        Number of each surface's kind, by which paths round different kinds of surfaces share a program.
     """
     kinds = _known(kinds, surfaces)
-    route, contacts = _shortest_path(path, surfaces, kinds)
+    route, contacts = _shortest_path(path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
-    return _wrapped_path(route, path, placed, kinds, contacts.off_end, contacts.long_wrap)
+    clearances = _point_clearances(path, placed, kinds, numbers)
+    return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap)
 
 
 def shortest_route(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> Route:
@@ -84,11 +95,16 @@ def shortest_route(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds 
 
     Parameters are those of `wrap_shortest`.
     """
-    route, _ = _shortest_path(path, surfaces, _known(kinds, surfaces))
+    route, _ = _shortest_path(path, surfaces, _known(kinds, surfaces), None)
     return Route(route.knots, route.position, route.on_surface, surfaces_in_ground(path, surfaces))
 
 
-def wrap_in_parity(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> WrappedPath:
+def wrap_in_parity(
+    path: PointsAndBodies,
+    surfaces: PlacedSurface,
+    kinds: Kinds = (),
+    numbers: Numbers = None,
+) -> WrappedPath:
     """Compute a path round several surfaces as OpenSim 4.6 does, defects included.
 
     Parameters
@@ -98,7 +114,9 @@ def wrap_in_parity(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds 
     surfaces
         Each surface in the frame of the body that carries it.
     kinds
-        Kind of each surface; by default all are cylinders.
+        Kind of each surface; by default all are cylinders. With ``numbers``, the kinds in any order.
+    numbers
+        Number of each surface's kind, by which paths round different kinds of surfaces share a program.
 
     Notes
     -----
@@ -111,17 +129,44 @@ def wrap_in_parity(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds 
     placed = surfaces_in_ground(path, surfaces)
     points, wraps = path.position.shape[0], surfaces.radius.shape[0]
 
+    def stale(route, cached):
+        # The position in ground of a knot that was used before is no longer updated.
+        straight_ends = jnp.where(cached[:, None], route.straight_ends, route.position)
+        return route._replace(straight_ends=straight_ends)
+
+    def refit_by_numbers(route, cached, order):
+        """Refit all surfaces in their order, by a loop over constant numbers of surfaces.
+
+        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces are
+        refitted in both of their places.
+        """
+        turns, surfaces_in_turn = (jnp.asarray(values) for values in _turns(wraps))
+
+        def refit(step, state):
+            before, after, codes = state
+            turn, wrap = turns[step], surfaces_in_turn[step]
+            found, code = refit_wrap(path, placed, wrap, before, methods, numbers)
+            own = order[turn] == wrap
+            after = jax.tree.map(lambda new, old: jnp.where(own, new, old), stale(found, cached), after)
+            finished = jnp.append(turns, -1)[step + 1] != turn
+            before = jax.tree.map(lambda new, old: jnp.where(finished, new, old), after, before)
+            return before, after, jnp.where(own, codes.at[turn].set(code), codes)
+
+        codes = jnp.zeros(wraps, dtype=int)
+        route, _, codes = jax.lax.fori_loop(0, turns.size, refit, (route, route, codes))
+        return route, codes
+
     def sweep(state):
         route, cached, order, last_length, count, _ = state
         codes = []
-        for turn in range(wraps):
+        if numbers is not None:
+            route, codes = refit_by_numbers(route, cached, order)
+        for turn in range(0 if numbers is not None else wraps):
             # Only the first two surfaces exchange places.
             own = (order[turn], methods[:2]) if turn < 2 else (turn, methods)
             route, code = refit_wrap(path, placed, own[0], route, own[1])
             codes.append(code)
-            # The position in ground of a knot that was used before is no longer updated.
-            straight_ends = jnp.where(cached[:, None], route.straight_ends, route.position)
-            route = route._replace(straight_ends=straight_ends)
+            route = stale(route, cached)
         cached = cached | jnp.any(route.knots[None] == jnp.arange(points + 2 * wraps)[:, None], axis=1)
         length = path_length(route, points)
         done = jnp.abs(length - last_length) < _OPENSIM_TOLERANCE
@@ -138,7 +183,8 @@ def wrap_in_parity(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds 
         *(jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(False)),
     )
     route, *_ = jax.lax.while_loop(unfinished, sweep, start)
-    return _wrapped_path(route, path, placed, kinds, route.margins.off_end, route.margins.long_wrap)
+    clearances = _point_clearances(path, placed, kinds, numbers)
+    return _wrapped_path(route, path, placed, clearances, route.margins.off_end, route.margins.long_wrap)
 
 
 class _Contacts(NamedTuple):
@@ -149,23 +195,32 @@ class _Contacts(NamedTuple):
     long_wrap: Float[Array, " wrap"]
 
 
+def _turns(wraps: int) -> tuple[list[int], list[int]]:
+    """Turns and surfaces to refit in them: of the first two turns both surfaces, later only the turn's own."""
+    pairs = [(0, 0), (0, 1), (1, 1), (1, 0), *((turn, turn) for turn in range(2, wraps))]
+    return [turn for turn, _ in pairs], [wrap for _, wrap in pairs]
+
+
 def _known(kinds: Kinds, surfaces: PlacedSurface) -> Kinds:
     return kinds or (CYLINDER,) * surfaces.radius.shape[0]
 
 
 def _shortest_path(
-    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds
+    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds, numbers: Numbers
 ) -> tuple[PathOnCylinders, _Contacts]:
     """Compute the shortest path, differentiable by points and surfaces."""
     points = path.position.shape[0]
-    route = _converged(*jax.lax.stop_gradient((path, surfaces)), kinds)
-    knots = _with_derivatives(route.position[points:], route.knots, path, surfaces, kinds)
-    knots, contacts = _refit_all(knots, route.knots, path, surfaces_in_ground(path, surfaces), kinds)
+    route = _converged(*jax.lax.stop_gradient((path, surfaces)), kinds, numbers)
+    knots = _with_derivatives(route.position[points:], route.knots, path, surfaces, kinds, numbers)
+    placed = surfaces_in_ground(path, surfaces)
+    knots, contacts = _refit_all(knots, route.knots, path, placed, kinds, numbers)
     position = jnp.concatenate([path.position, knots])
     return route._replace(position=position, straight_ends=position, on_surface=contacts.length), contacts
 
 
-def _converged(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds) -> PathOnCylinders:
+def _converged(
+    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds, numbers: Numbers
+) -> PathOnCylinders:
     """Determine which surfaces the path touches and in which order, then iterate to convergence."""
     placed = surfaces_in_ground(path, surfaces)
     points, wraps = path.position.shape[0], surfaces.radius.shape[0]
@@ -176,7 +231,7 @@ def _converged(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds) -> 
         before = route
 
         def refit(wrap, route):
-            route, _ = refit_wrap(path, placed, wrap, route, methods)
+            route, _ = refit_wrap(path, placed, wrap, route, methods, numbers)
             return route._replace(straight_ends=route.position)
 
         route = jax.lax.fori_loop(0, wraps, refit, route)
@@ -193,8 +248,8 @@ def _converged(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds) -> 
     def step(state):
         # Contacts converge linearly: their limit is extrapolated from two sweeps (Aitken).
         contacts, _, count = state
-        once, _ = _refit_all(contacts, route.knots, path, placed, kinds)
-        twice, _ = _refit_all(once, route.knots, path, placed, kinds)
+        once, _ = _refit_all(contacts, route.knots, path, placed, kinds, numbers)
+        twice, _ = _refit_all(once, route.knots, path, placed, kinds, numbers)
         first, second = once - contacts, twice - once
         factor = jnp.clip(jnp.sum(first * second) * safe_inverse(jnp.sum(first**2)), -0.9, 0.9)
         # After the last extrapolation points would be off the surface by its size.
@@ -217,6 +272,7 @@ def _with_derivatives(
     path: PointsAndBodies,
     surfaces: PlacedSurface,
     kinds: Kinds,
+    numbers: Numbers,
 ) -> Float[Array, "contact 3"]:
     """Give converged points of contact their derivatives by points and surfaces.
 
@@ -228,14 +284,14 @@ def _with_derivatives(
 
 @_with_derivatives.def_jvp
 def _with_derivatives_jvp(primals, tangents):
-    _, knots, path, surfaces, kinds = primals
-    _, _, path_tangent, surfaces_tangent, _ = tangents
+    _, knots, path, surfaces, kinds, numbers = primals
+    _, _, path_tangent, surfaces_tangent, _, _ = tangents
     # Not the bare points: second derivatives differentiate this rule, and need the points' own derivatives.
     contacts = _with_derivatives(*primals)
 
     def refit(x, path, surfaces):
         placed = surfaces_in_ground(path, surfaces)
-        return _refit_all(x.reshape(contacts.shape), knots, path, placed, kinds)[0].ravel()
+        return _refit_all(x.reshape(contacts.shape), knots, path, placed, kinds, numbers)[0].ravel()
 
     flat = contacts.ravel()
     _, moved = eqx.filter_jvp(
@@ -254,6 +310,7 @@ def _refit_all(
     path: PointsAndBodies,
     placed: PlacedSurface,
     kinds: Kinds,
+    numbers: Numbers,
 ) -> tuple[Float[Array, "contact 3"], _Contacts]:
     """Recompute the contact with every touched surface once, each between its neighbors in the path."""
     points = path.position.shape[0]
@@ -268,7 +325,7 @@ def _refit_all(
         after = jnp.maximum(knots[jnp.minimum(place + 2, knots.size - 1)], 0)
         start = surface.to_surface_frame(vector(position[before]))
         end = surface.to_surface_frame(vector(position[after]))
-        contact = by_method(methods, wrap, _touch, start, end, surface)
+        contact = by_method(methods, wrap, numbers, _touch, start, end, surface)
         ends = (surface.to_body_frame(contact.first), surface.to_body_frame(contact.last))
         found = jnp.stack([stack_components(end) for end in ends])
         unchanged = jax.lax.stop_gradient(position[rows])
@@ -294,7 +351,7 @@ def _wrapped_path(
     route: PathOnCylinders,
     path: PointsAndBodies,
     placed: PlacedSurface,
-    kinds: Kinds,
+    point_clearances: Float[Array, "wrap point"],
     off_end: Float[Array, " wrap"],
     long_wrap: Float[Array, " wrap"],
 ) -> WrappedPath:
@@ -318,13 +375,13 @@ def _wrapped_path(
         on_surface=route.on_surface,
         margins=jax.tree.map(jnp.min, route.margins),
         clearances=jnp.concatenate(
-            [_point_clearances(path, placed, kinds).ravel(), off_end, placed.radius * long_wrap]
+            [point_clearances.ravel(), off_end, placed.radius * long_wrap]
         ),
     )
 
 
 def _point_clearances(
-    path: PointsAndBodies, placed: PlacedSurface, kinds: Kinds
+    path: PointsAndBodies, placed: PlacedSurface, kinds: Kinds, numbers: Numbers
 ) -> Float[Array, "wrap point"]:
     """Distance of each path point from each surface that it may wrap round (m), negative inside."""
 
@@ -333,9 +390,8 @@ def _point_clearances(
 
     place = jnp.arange(path.position.shape[0])[None]
     in_range = (place >= path.first_point[:, None]) & (place <= path.last_point[:, None])
-    if len(set(kinds)) == 1:
-        found = jax.vmap(lambda surface: of_wrap(surface, kinds[0]))(placed)
-    else:
-        single = [jax.tree.map(lambda leaf, row=row: leaf[row], placed) for row in range(len(kinds))]
-        found = jnp.stack([of_wrap(surface, kind) for surface, kind in zip(single, kinds, strict=True)])
+    different = list(dict.fromkeys(kinds)) if numbers is None else list(kinds)
+    by_kind = [jax.vmap(lambda surface, kind=kind: of_wrap(surface, kind))(placed) for kind in different]
+    places = jnp.asarray([different.index(kind) for kind in kinds]) if numbers is None else numbers
+    found = by_kind[0] if len(different) == 1 else jnp.stack(by_kind)[places, jnp.arange(places.size)]
     return jnp.where(in_range, found, FREE)

@@ -34,7 +34,8 @@ NOMINAL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 #: and factors of the second and third size in addition to ``radius_factor``, which multiplies all sizes. Sizes
 #: are the semi-axes of an ellipsoid along x, y and z, and the radii of a torus' ring and tube.
 FURTHER_WRAP_PARAMETERS = ("rotation_z_rad", "second_size_factor", "third_size_factor")
-_FURTHER_NOMINAL = np.array([0.0, 1.0, 1.0])
+#: All wrap parameters of a surface as the model has it.
+NOMINAL_PARAMETERS = np.append(NOMINAL, [0.0, 1.0, 1.0])
 
 
 class Surface(eqx.Module):
