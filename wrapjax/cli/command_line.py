@@ -26,6 +26,7 @@ from wrapjax.cli import (
     fetch,
     fit,
     initialise,
+    paths,
     prepare,
     report,
 )
@@ -50,6 +51,7 @@ ADD_COMMANDS = (
     report.add,
     contact.add,
     cohort.add,
+    paths.add,
 )
 
 

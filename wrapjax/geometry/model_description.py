@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.interpolate import CubicHermiteSpline
 
 
@@ -73,8 +73,41 @@ class Spline:
         return CubicHermiteSpline(self.knots, self.values, self.slopes)
 
 
+@dataclass(frozen=True)
+class PiecewiseLinear:
+    """Straight lines between points (OpenSim's ``PiecewiseLinearFunction``), extrapolated linearly.
+
+    Parameters
+    ----------
+    knots
+        Abscissae, ascending, at least two.
+    values
+        Values at the knots.
+    """
+
+    knots: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def value(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
+        """Evaluate the function."""
+        piece = self._piece(at)
+        return np.asarray(self.values)[piece] + self.derivative(at) * (at - np.asarray(self.knots)[piece])
+
+    def derivative(self, at: Float[np.ndarray, " pose"]) -> Float[np.ndarray, " pose"]:
+        """Evaluate the first derivative, at a knot that of the line after it."""
+        slopes = np.diff(self.values) / np.diff(self.knots)
+        return slopes[self._piece(at)]
+
+    def scaled(self, factor: float) -> PiecewiseLinear:
+        """Multiply the function by a number."""
+        return replace(self, values=tuple(factor * value for value in self.values))
+
+    def _piece(self, at: Float[np.ndarray, " pose"]) -> Int[np.ndarray, " pose"]:
+        return np.clip(np.searchsorted(self.knots, at, side="right") - 1, 0, len(self.knots) - 2)
+
+
 #: Function of one coordinate: of a joint's axis, a coupler or a moving path point.
-Function = Polynomial | Spline
+Function = Polynomial | Spline | PiecewiseLinear
 
 CONSTANT_ZERO = Polynomial((0.0,))
 IDENTITY = Polynomial((1.0, 0.0))

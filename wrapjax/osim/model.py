@@ -19,6 +19,7 @@ from wrapjax.geometry.model_description import (
     Muscle,
     PathPoint,
     PathWrap,
+    PiecewiseLinear,
     Polynomial,
     Pose,
     Spline,
@@ -341,7 +342,7 @@ def _extents(opensim: Any, wrap: Any) -> tuple[float | None, float | None, tuple
 def _read_function(opensim: Any, function: Any) -> Function | None:
     """Read a function of one variable, or return None for an unsupported kind.
 
-    Supported are Constant, LinearFunction, PolynomialFunction, SimmSpline, and a
+    Supported are Constant, LinearFunction, PolynomialFunction, PiecewiseLinearFunction, SimmSpline, and a
     MultiplierFunction of any of these.
     """
     kind = function.getConcreteClassName()
@@ -357,6 +358,11 @@ def _read_function(opensim: Any, function: Any) -> Function | None:
     if kind == "PolynomialFunction":
         coefficients = opensim.PolynomialFunction.safeDownCast(function).getCoefficients()
         return Polynomial(tuple(coefficients.get(index) for index in range(coefficients.size())))
+    if kind == "PiecewiseLinearFunction":
+        lines = opensim.PiecewiseLinearFunction.safeDownCast(function)
+        places = range(lines.getSize())
+        knots, values = (tuple(get(place) for place in places) for get in (lines.getX, lines.getY))
+        return PiecewiseLinear(knots, values) if len(knots) > 1 else None
     if kind == "SimmSpline":
         return _spline(opensim, opensim.SimmSpline.safeDownCast(function))
     return None
