@@ -8,6 +8,7 @@ intervals of the calibrated parameters, ``diagnose`` finds the effect that best 
 (of those in ``effect_meanings``), ``contact`` computes joint contact forces, ``evaluate`` tests a finished
 calibration (``load_run``) on other trials, and ``cohort`` calibrates many subjects. ``objective`` returns
 the calibration's cost as a pure function for `jax.grad`, and ``build_objective`` the object behind it.
+``muscle_paths`` computes muscle lengths and moment arms of any OpenSim model, without recordings.
 
 All numbers are in SI units and radians; JAX must be in 64-bit mode::
 

@@ -31,6 +31,8 @@ from .joints.result import JointPersonalisation as JointPersonalisation
 from .joints.settings import JointSettings as JointSettings
 from .path_sources.exact import ExactGeometry as ExactGeometry
 from .path_sources.exact import exact_geometry as exact_geometry
+from .path_sources.muscle_paths import MusclePaths as MusclePaths
+from .path_sources.muscle_paths import muscle_paths as muscle_paths
 from .path_sources.path_fitting import fit as fit
 from .path_sources.path_samples import physiological_picture as physiological_picture
 from .path_sources.polynomial_fit import Fit as Fit

@@ -28,6 +28,7 @@ from wrapjax.cli import (
     ik,
     initialise,
     joints,
+    paths,
     prepare,
     report,
     show,
@@ -56,6 +57,7 @@ ADD_COMMANDS = (
     show.add,
     contact.add,
     cohort.add,
+    paths.add,
 )
 
 

@@ -14,15 +14,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
+from wrapjax.geometry.placed_surface import Contact, Decision, PlacedSurface
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, where
 
-#: Largest wrap angle (rad) of a regular wrap; above it OpenSim takes the long way round.
-HALF_TURN = jnp.pi
 # Negative wrap angles down to this size (rad) count as tangential contact, not as almost a full turn.
 _GRAZING = 0.1
 # Constants of OpenSim's iteration: largest kink (rad), length of a spiral's piece (m), most iterations.
@@ -31,47 +29,9 @@ _STEP = 0.002
 _MAX_SLIDES = 100
 
 
-class Cylinder(eqx.Module):
-    """A wrap cylinder with its pose in the frame of the body that carries it.
-
-    ``x_axis``, ``y_axis`` and ``z_axis`` are unit vectors; ``center``, ``radius`` and ``half_length`` are in
-    m. ``side_axis`` and ``side`` are OpenSim's quadrant: paths pass on the side where the coordinate
-    ``side_axis`` (0: x, 1: y) of the cylinder's frame has the sign ``side``; ``side`` zero means
-    unrestricted.
-    """
-
-    x_axis: Vector
-    y_axis: Vector
-    z_axis: Vector
-    center: Vector
-    radius: Float[Array, "*cylinder"]
-    half_length: Float[Array, "*cylinder"]
-    side_axis: Int[Array, "*cylinder"]
-    side: Int[Array, "*cylinder"]
-
-    def to_cylinder_frame(self, point: Vector) -> Vector:
-        """Transform a point from the body's frame to the cylinder's frame."""
-        arm = point - self.center
-        return Vector(self.x_axis.dot(arm), self.y_axis.dot(arm), self.z_axis.dot(arm))
-
-    def rotate_to_body_frame(self, direction: Vector) -> Vector:
-        """Rotate a direction from the cylinder's frame to the body's frame."""
-        return self.x_axis * direction.x + self.y_axis * direction.y + self.z_axis * direction.z
-
-    def to_body_frame(self, point: Vector) -> Vector:
-        """Transform a point from the cylinder's frame to the body's frame."""
-        return self.center + self.rotate_to_body_frame(point)
-
-
-class Decision(eqx.Module):
+class CylinderDecision(Decision):
     """Whether straight path segments wrap round a cylinder, and on which side."""
 
-    #: An end of the segment is inside the cylinder: OpenSim does not wrap then.
-    inside: Bool[Array, "*segment"]
-    #: The segment intersects the cylinder.
-    mandatory: Bool[Array, "*segment"]
-    #: The segment passes the cylinder on the side that its quadrant excludes.
-    possible: Bool[Array, "*segment"]
     #: Tangent points at the heights of the two ends.
     first: Vector
     last: Vector
@@ -79,38 +39,9 @@ class Decision(eqx.Module):
     counterclockwise: Bool[Array, "*segment"]
     #: The wrap angle exceeds half a turn.
     long_way: Bool[Array, "*segment"]
-    #: Distances of the two ends from the surface (m), negative inside.
-    start_clearance: Float[Array, "*segment"]
-    end_clearance: Float[Array, "*segment"]
-
-    @property
-    def clearance(self) -> Float[Array, "*segment"]:
-        """Distance of the nearer end from the surface (m)."""
-        return jnp.minimum(self.start_clearance, self.end_clearance)
 
 
-class Contact(eqx.Module):
-    """Contact of path segments with a cylinder, in the cylinder's frame."""
-
-    #: Points where the path comes to the surface and leaves it (m).
-    first: Vector
-    last: Vector
-    #: Length on the surface (m).
-    length: Float[Array, "*segment"]
-    #: Length from the segment's start to its end (m).
-    total: Float[Array, "*segment"]
-    #: Unit vectors along the path at the segment's start and end, both from start to end.
-    start_pull: Vector
-    end_pull: Vector
-    #: Whether the path wraps in this way.
-    valid: Bool[Array, "*segment"]
-    #: Wrap angle (rad).
-    turn: Float[Array, "*segment"]
-    #: Distance of the nearer point of contact from the cylinder's end (m), negative beyond the end.
-    off_end: Float[Array, "*segment"]
-
-
-def decide_wrapping(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
+def decide_wrapping(start: Vector, end: Vector, cylinder: PlacedSurface) -> CylinderDecision:
     """Decide as OpenSim's ``WrapCylinder`` does whether straight segments wrap, and on which side.
 
     Parameters
@@ -128,10 +59,7 @@ def decide_wrapping(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
 
     restricted = cylinder.side != 0
 
-    def on_side(point: Vector) -> Bool[Array, "*segment"]:
-        value = jnp.where(cylinder.side_axis == 0, point.x, point.y)
-        return jnp.where(value >= 0.0, 1, -1) == cylinder.side
-
+    on_side = cylinder.on_side
     start_on, end_on = on_side(start), on_side(end)
     passing = jnp.where(start_on | end_on, (start_on != end_on) & ~on_side(nearest), True)
     left_way, right_way = _flat_dot(first_left, last_right), _flat_dot(first_right, last_left)
@@ -153,7 +81,7 @@ def decide_wrapping(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
     # Compare the directions from the ends to their tangent points with those from the axis to the tangent
     # points.
     outward = _flat_dot(first + last, (first - start) + (last - end))
-    return Decision(
+    return CylinderDecision(
         inside=(first_distance < radius) | (last_distance < radius),
         mandatory=crossing & (~restricted | start_on | end_on),
         possible=restricted & ~(crossing & (start_on | end_on)) & passing,
@@ -163,10 +91,13 @@ def decide_wrapping(start: Vector, end: Vector, cylinder: Cylinder) -> Decision:
         long_way=restricted & (outward < 0.0),
         start_clearance=first_distance - radius,
         end_clearance=last_distance - radius,
+        increase=jnp.zeros_like(last_distance),
     )
 
 
-def spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
+def spiral_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact as OpenSim 4.6 does for a path with a single wrap object.
 
     Parameters
@@ -184,7 +115,9 @@ def spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Dec
     return _on_spiral(start, first, last, end, cylinder, decision)
 
 
-def iterated_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
+def iterated_spiral_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact as OpenSim 4.6 does for a path with several wrap objects.
 
     Starting from `spiral_contact`, both points of contact are moved along the cylinder's axis, up to a
@@ -249,7 +182,9 @@ def iterated_spiral_contact(start: Vector, end: Vector, cylinder: Cylinder, deci
     )
 
 
-def geodesic_contact(start: Vector, end: Vector, cylinder: Cylinder, decision: Decision) -> Contact:
+def geodesic_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact of the shortest path that passes the cylinder on the chosen side.
 
     From an end inside the cylinder there is no such path. The end then counts as on the surface, so that the
@@ -353,7 +288,12 @@ def _slide_into_plane(
 
 
 def _on_spiral(
-    start: Vector, first: Vector, last: Vector, end: Vector, cylinder: Cylinder, decision: Decision
+    start: Vector,
+    first: Vector,
+    last: Vector,
+    end: Vector,
+    cylinder: PlacedSurface,
+    decision: CylinderDecision,
 ) -> Contact:
     """Compute the contact along the spiral between two given points of contact."""
     angle = _angle_between(first, last)

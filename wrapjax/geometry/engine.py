@@ -1,11 +1,13 @@
-"""Exact path engine: lengths and moment arms of muscle paths that wrap round cylinders, without OpenSim.
+"""Exact path engine: lengths and moment arms of muscle paths that wrap round surfaces, without OpenSim.
 
-Paths are computed in one of two ways. `GEODESIC` gives shortest paths, whose moment arms are exactly -dL/dq.
-Calibrations that change wraps use it, directly or through surrogates. `PARITY` reproduces OpenSim 4.6 to
-round-off, defects included. It predicts the behavior of a model in OpenSim and validates the engine.
+Surfaces are cylinders, spheres, ellipsoids and tori. Paths are computed in one of two ways. `GEODESIC` gives
+shortest paths, whose moment arms are exactly -dL/dq. Calibrations that change wraps use it, directly or through
+surrogates. `PARITY` reproduces OpenSim 4.6, defects included: to round-off, except round ellipsoids, for which
+OpenSim's own tolerance is of the order of micrometers. It predicts the behavior of a model in OpenSim and
+validates the engine.
 
 Both can be differentiated by poses and wrap parameters in forward mode. Reverse mode works too, except for
-`PARITY` round several cylinders, which contains a loop of unknown length.
+`PARITY` round several surfaces or round an ellipsoid, which contains a loop of unknown length.
 """
 
 from __future__ import annotations
@@ -21,15 +23,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.cylinder import Cylinder, geodesic_contact, spiral_contact
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, PathPoints, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription, Muscle, PathWrap, WrapObject
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
-from wrapjax.geometry.several_wraps import wrap_in_parity, wrap_shortest
+from wrapjax.geometry.placed_surface import PlacedSurface, WrapMethod
+from wrapjax.geometry.several_wraps import Numbers, wrap_in_parity, wrap_shortest
 from wrapjax.geometry.vectors import vector
+from wrapjax.geometry.wrap_methods import (
+    CYLINDER,
+    OPENSIM_SINGLE,
+    SHORTEST,
+    SUPPORTED_CLASSES,
+    Kinds,
+    kind_of,
+)
 from wrapjax.geometry.wrapping import (
     NOMINAL,
-    FindContact,
     StraightPath,
     Surface,
     WrappedPath,
@@ -42,15 +51,15 @@ _BATCH = 20_000
 
 
 class Wrapping(NamedTuple):
-    """Method by which paths are wrapped: functions for one cylinder and for several cylinders."""
+    """Way in which paths are wrapped: methods for one surface of each kind, and a function for several."""
 
     name: str
-    find_contact: FindContact
-    wrap_several: Callable[[PointsAndBodies, Cylinder], WrappedPath]
+    once: Callable[[str], WrapMethod]
+    wrap_several: Callable[[PointsAndBodies, PlacedSurface, Kinds, Numbers], WrappedPath]
 
 
-GEODESIC = Wrapping("geodesic", geodesic_contact, wrap_shortest)
-PARITY = Wrapping("parity", spiral_contact, wrap_in_parity)
+GEODESIC = Wrapping("geodesic", SHORTEST.__getitem__, wrap_shortest)
+PARITY = Wrapping("parity", OPENSIM_SINGLE.__getitem__, wrap_in_parity)
 
 
 class PosedPath(eqx.Module):
@@ -58,8 +67,12 @@ class PosedPath(eqx.Module):
 
     #: The first axis of all leaves is ``pose``.
     path: StraightPath | PointsAndBodies
-    #: Nominal cylinders in the order of the path; the first axis of all leaves is ``wrap``.
+    #: Nominal surfaces in the order of the path; the first axis of all leaves is ``wrap``.
     surfaces: Surface
+    #: Kinds of the surfaces (see `wrap_methods`).
+    kinds: Kinds = eqx.field(static=True, default=())
+    #: Number of the kind of each surface; None if ``kinds`` is in the order of the path.
+    numbers: Int[Array, " wrap"] | None = None
 
     def wrapped(
         self, parameters: Float[Array, "wrap wrap_parameter"], wrapping: Wrapping = GEODESIC
@@ -69,7 +82,8 @@ class PosedPath(eqx.Module):
         Parameters
         ----------
         parameters
-            Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders, in the order of its path.
+            Wrap parameters (`WRAP_PARAMETERS`) of the muscle's surfaces, in the order of its path. Those of
+            surfaces other than cylinders may be followed by `FURTHER_WRAP_PARAMETERS`.
         wrapping
             `GEODESIC` or `PARITY`.
 
@@ -79,13 +93,16 @@ class PosedPath(eqx.Module):
             The first axis of all leaves is ``pose``.
         """
         if isinstance(self.path, PointsAndBodies):
-            cylinders = jax.vmap(Surface.placed)(self.surfaces, parameters)
-            return jax.vmap(wrapping.wrap_several, in_axes=(0, None))(self.path, cylinders)
+            surfaces = jax.vmap(Surface.placed)(self.surfaces, parameters)
+            return jax.vmap(lambda path: wrapping.wrap_several(path, surfaces, self.kinds, self.numbers))(
+                self.path
+            )
         if not parameters.shape[0]:
             return unwrapped(self.path)
         surface = jax.tree.map(lambda leaf: leaf[0], self.surfaces)
-        cylinder = surface.placed(parameters[0])
-        return jax.vmap(wrap_once, in_axes=(0, None, None))(self.path, cylinder, wrapping.find_contact)
+        placed = surface.placed(parameters[0])
+        method = wrapping.once(self.kinds[0] if self.kinds else CYLINDER)
+        return jax.vmap(lambda path: wrap_once(path, placed, method))(self.path)
 
 
 class ExactPaths:
@@ -104,8 +121,8 @@ class ExactPaths:
     Raises
     ------
     InputError
-        If a path has a part that the engine does not support: a wrap object other than a cylinder, a cylinder
-        restricted along its axis, or a path that is not made of points. All such parts are named.
+        If a path has a part that the engine does not support: a wrap object of another class, one without
+        extent, or a path that is not made of points. All such parts are named.
     """
 
     def __init__(self, model: ModelDescription, muscles: Sequence[str], coordinates: Sequence[str]):
@@ -133,7 +150,7 @@ class ExactPaths:
         Returns
         -------
         dict
-            Posed path by muscle name. Those with one cylinder are padded to the same number of segments.
+            Posed path by muscle name. Those with one surface are padded to the same number of segments.
 
         Raises
         ------
@@ -158,19 +175,19 @@ class ExactPaths:
                 path = straight_path(muscle, points, carriers[0][1], entries[0])
             else:
                 path = straight_path(muscle, points, motion["ground"], None)
-            posed[name] = PosedPath(path, surfaces_of(wraps))
+            posed[name] = PosedPath(path, surfaces_of(wraps), kinds_of(wraps, entries))
         return _padded(posed)
 
 
 def _padded(posed: dict[str, PosedPath]) -> dict[str, PosedPath]:
-    """Pad paths with one cylinder to the same number of segments, so that they share a compiled program."""
+    """Pad paths with one surface to the same number of segments, so that they share a compiled program."""
     single = {
         name: one.path
         for name, one in posed.items()
         if isinstance(one.path, StraightPath) and one.surfaces.radius.size
     }
     most = max((path.eligible.shape[1] for path in single.values()), default=0)
-    return posed | {name: PosedPath(path.padded(most), posed[name].surfaces) for name, path in single.items()}
+    return posed | {name: replace(posed[name], path=path.padded(most)) for name, path in single.items()}
 
 
 def wrap_at_samples(
@@ -185,7 +202,7 @@ def wrap_at_samples(
     posed
         Path points in the poses.
     parameters
-        Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders.
+        Wrap parameters (`WRAP_PARAMETERS`) of the muscle's surfaces.
     wrapping
         `GEODESIC` or `PARITY`.
 
@@ -213,7 +230,7 @@ def _at_samples(
 
 
 def nominal_parameters(wraps: int) -> Float[np.ndarray, "wrap wrap_parameter"]:
-    """Wrap parameters (`WRAP_PARAMETERS`) of a number of cylinders as the model has them."""
+    """Wrap parameters (`WRAP_PARAMETERS`) of a number of surfaces as the model has them."""
     return np.tile(NOMINAL, (wraps, 1))
 
 
@@ -225,10 +242,16 @@ def _unsupported_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]
         wrap = model.wrap(entry.wrap)
         if not wrap.active:
             continue
-        if wrap.kind != "WrapCylinder":
-            problems.append(_unsupported(model, f"wrap object '{wrap.name}' is a {wrap.kind}, no cylinder"))
-        elif wrap.quadrant.endswith("z"):
-            problems.append(_unsupported(model, f"cylinder '{wrap.name}' is restricted along its own axis"))
+        if wrap.kind not in SUPPORTED_CLASSES:
+            problems.append(_unsupported(model, f"wrap object '{wrap.name}' is a {wrap.kind}"))
+        elif min(extents_of(wrap)) <= 0.0:
+            problems.append(
+                Problem(
+                    model.name,
+                    f"wrap object '{wrap.name}' of muscle '{muscle.name}' has no extent: sizes above 0 m were "
+                    f"expected, and {', '.join(f'{size:g}' for size in extents_of(wrap))} found",
+                )
+            )
     return problems
 
 
@@ -243,7 +266,7 @@ def _unsupported(model: ModelDescription, what: str) -> Problem:
 def straight_path(
     muscle: Muscle, points: PathPoints, carrier: BodyMotion, wrap: PathWrap | None
 ) -> StraightPath:
-    """Compute a path straight from point to point, and its segments that may wrap round one cylinder.
+    """Compute a path straight from point to point, and its segments that may wrap round one surface.
 
     Parameters
     ----------
@@ -252,9 +275,9 @@ def straight_path(
     points
         Path points in every pose, in ground's frame.
     carrier
-        Motion of the body that carries the cylinder; segments are given in its frame.
+        Motion of the body that carries the surface; segments are given in its frame.
     wrap
-        Entry of the cylinder in the muscle's path; None for a path without a cylinder.
+        Entry of the surface in the muscle's path; None for a path without a surface.
     """
     position, velocity = _in_frame_of(_with_inactive_merged(points), carrier)
     segment, rate = np.diff(position, axis=1), np.diff(velocity, axis=2)
@@ -278,7 +301,7 @@ def points_and_bodies(
     carriers: Sequence[tuple[str, BodyMotion]],
     wraps: Sequence[PathWrap],
 ) -> PointsAndBodies:
-    """Collect a path's points and the bodies that carry its cylinders, in ground's frame.
+    """Collect a path's points and the bodies that carry its surfaces, in ground's frame.
 
     Parameters
     ----------
@@ -287,9 +310,9 @@ def points_and_bodies(
     points
         Path points in every pose, in ground's frame.
     carriers
-        Name and motion of the body that carries each cylinder.
+        Name and motion of the body that carries each surface.
     wraps
-        Entries of the cylinders in the muscle's path.
+        Entries of the surfaces in the muscle's path.
     """
     poses = len(points.position)
     names = dict.fromkeys([*points.bodies, *(name for name, _ in carriers)])
@@ -325,18 +348,43 @@ def points_and_bodies(
 
 
 def surfaces_of(wraps: Sequence[WrapObject]) -> Surface:
-    """Convert cylinders of a model's description; the first axis of all leaves is ``wrap``."""
+    """Convert wrap objects of a model's description; the first axis of all leaves is ``wrap``."""
     axes = [wrap.quadrant.lstrip("+-") for wrap in wraps]
+    cylinders_only = all(wrap.kind == "WrapCylinder" for wrap in wraps)
     unrestricted = [axis == "all" for axis in axes]
     negative = [wrap.quadrant.startswith("-") for wrap in wraps]
     return Surface(
         rotation=jnp.asarray([_rotation(wrap.xyz_body_rotation) for wrap in wraps]).reshape(-1, 3, 3),
         center=jnp.asarray([wrap.translation for wrap in wraps]).reshape(-1, 3),
-        radius=jnp.asarray([wrap.radius for wrap in wraps], dtype=float),
-        length=jnp.asarray([wrap.length for wrap in wraps], dtype=float),
-        side_axis=jnp.asarray([0 if axis == "all" else "xy".index(axis) for axis in axes], dtype=int),
+        radius=jnp.asarray([_radius(wrap) for wrap in wraps], dtype=float),
+        length=jnp.asarray([1.0 if wrap.length is None else wrap.length for wrap in wraps], dtype=float),
+        side_axis=jnp.asarray([0 if axis == "all" else "xyz".index(axis) for axis in axes], dtype=int),
         side=jnp.asarray(np.where(unrestricted, 0, np.where(negative, -1, 1)), dtype=int),
+        sizes=None if cylinders_only else jnp.asarray([_sizes(wrap) for wrap in wraps], dtype=float),
     )
+
+
+def kinds_of(wraps: Sequence[WrapObject], entries: Sequence[PathWrap]) -> Kinds:
+    """Kinds of wrap objects of a model's description, from the entries of the path."""
+    return tuple(kind_of(wrap.kind, entry.method) for wrap, entry in zip(wraps, entries, strict=True))
+
+
+def extents_of(wrap: WrapObject) -> tuple[float, ...]:
+    """Sizes of a wrap object that a path depends on, m."""
+    return (wrap.radius,) if wrap.radius is not None else wrap.sizes
+
+
+def _radius(wrap: WrapObject) -> float:
+    if wrap.radius is not None:
+        return wrap.radius
+    return wrap.sizes[1] if wrap.kind == "WrapTorus" else sum(wrap.sizes) / 3.0
+
+
+def _sizes(wrap: WrapObject) -> tuple[float, float, float]:
+    if wrap.radius is not None:
+        return (wrap.radius,) * 3
+    first, second, *third = wrap.sizes
+    return first, second, third[0] if third else second
 
 
 def _in_frame_of(

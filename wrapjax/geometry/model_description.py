@@ -206,12 +206,16 @@ class WrapObject:
         Name of the body that carries the surface.
     translation, xyz_body_rotation
         Pose in that body: origin (m), and body-fixed x-y-z angles (rad).
-    radius, length
-        Radius and length of a cylinder, m; None for other surfaces.
+    radius
+        Radius of a cylinder or a sphere, m; None for other surfaces.
+    length
+        Length of a cylinder, m; None for other surfaces.
     quadrant
         Side on which paths pass: ``all``, ``x``, ``-x``, ``y`` ...
     active
         Whether paths wrap round the surface at all.
+    sizes
+        Semi-axes of an ellipsoid, or radii of a torus' ring and tube, m; empty for other surfaces.
     """
 
     name: str
@@ -223,6 +227,7 @@ class WrapObject:
     length: float | None
     quadrant: str
     active: bool
+    sizes: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.engine import ExactPaths, points_and_bodies, surfaces_of
+from wrapjax.geometry.engine import ExactPaths, kinds_of, points_and_bodies, surfaces_of
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
+from wrapjax.geometry.wrap_methods import Kinds
 from wrapjax.geometry.wrapping import NOMINAL, Surface
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
@@ -146,6 +147,7 @@ def route_paths(
         _padded(points_and_bodies(path, points, carriers, entries)),
         surfaces_of(objects),
         jnp.asarray(parameters),
+        kinds_of(objects, entries),
     )
     routed = []
     for pose, active in enumerate(points.active):
@@ -156,7 +158,7 @@ def route_paths(
 
 
 def _routes(
-    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
+    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"], kinds: Kinds
 ) -> Route:
     """Compute the course in every pose, in batches; arrays of NumPy whose first axis is ``pose``."""
     poses = path.position.shape[0]
@@ -166,16 +168,16 @@ def _routes(
         # The last batch is filled with its last pose, since another size would need another program.
         rows = np.minimum(np.arange(first, first + size), poses - 1)
         batch = jax.tree.map(lambda leaf: leaf[rows], path)  # noqa: B023
-        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, parameters)))
+        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, parameters, kinds)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:poses], *parts)
 
 
 @eqx.filter_jit
 def _route_batch(
-    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"]
+    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"], kinds: Kinds
 ) -> Route:
-    cylinders = jax.vmap(Surface.placed)(surfaces, parameters)
-    return jax.vmap(shortest_route, in_axes=(0, None))(path, cylinders)
+    placed = jax.vmap(Surface.placed)(surfaces, parameters)
+    return jax.vmap(lambda pose: shortest_route(pose, placed, kinds))(path)
 
 
 def _padded(path: PointsAndBodies) -> PointsAndBodies:
@@ -194,7 +196,7 @@ def _padded(path: PointsAndBodies) -> PointsAndBodies:
 
 
 def _placed_cylinder(route: Route, number: int, name: str) -> PlacedCylinder:
-    one = jax.tree.map(lambda leaf: leaf[number], route.cylinders)
+    one = jax.tree.map(lambda leaf: leaf[number], route.surfaces)
     axes = [np.array([axis.x, axis.y, axis.z]) for axis in (one.x_axis, one.y_axis, one.z_axis)]
     center = np.array([one.center.x, one.center.y, one.center.z])
     return PlacedCylinder(name, np.stack(axes, axis=1), center, float(one.radius), float(one.half_length))

@@ -1,12 +1,13 @@
-"""Paths round several cylinders in one pose: the shortest path with exact derivatives, and OpenSim's path.
+"""Paths round several surfaces in one pose: the shortest path with exact derivatives, and OpenSim's path.
 
-Both recompute the contact with each cylinder from its neighbors in the path, one cylinder after the other.
+Both recompute the contact with each surface from its neighbors in the path, one surface after the other.
 `wrap_shortest` repeats this until the contacts no longer move, `wrap_in_parity` as often as OpenSim does. The
-cylinders may be on one body or on several.
+surfaces may be on one body or on several, and of several kinds.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -14,30 +15,25 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from wrapjax.geometry.cylinder import (
-    HALF_TURN,
-    Cylinder,
-    decide_wrapping,
-    geodesic_contact,
-    iterated_spiral_contact,
-)
 from wrapjax.geometry.path_on_cylinders import (
     INSIDE,
     NO_WRAP,
     PathOnCylinders,
     PointsAndBodies,
-    cylinders_in_ground,
+    by_method,
     initial_path,
     knot_owners,
     path_length,
     path_segments,
     refit_wrap,
-    stack_components,
+    surfaces_in_ground,
 )
-from wrapjax.geometry.vectors import safe_inverse, safe_sqrt, vector
+from wrapjax.geometry.placed_surface import HALF_TURN, Contact, PlacedSurface, WrapMethod
+from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
+from wrapjax.geometry.wrap_methods import CYLINDER, OPENSIM_SEVERAL, SHORTEST, Kinds, clearance
 from wrapjax.geometry.wrapping import FREE, WrappedPath
 
-# The shortest path: most sweeps over all cylinders that determine the order of contacts, movement (m) below
+# The shortest path: most sweeps over all surfaces that determine the order of contacts, movement (m) below
 # which the order counts as final, most accelerated steps that then move the contacts, and their tolerance
 # (m).
 _MAX_SWEEPS = 20
@@ -48,76 +44,129 @@ _GEODESIC_TOLERANCE = 1e-13
 _OPENSIM_SWEEPS = 8
 _OPENSIM_TOLERANCE = 0.0005
 
+#: Number of the kind of each surface, if kinds are not in the order of the path.
+Numbers = Int[Array, " wrap"] | None
+
 
 class Route(NamedTuple):
     """Course of a path in ground's frame.
 
-    Knots are numbered: path points first, then the two ends of each cylinder's contact.
+    Knots are numbered: path points first, then the two ends of each surface's contact.
     """
 
     #: Numbers of the path's knots in order, padded with -1.
     knots: Int[Array, " place"]
     #: Position of each knot (m).
     position: Float[Array, "knot 3"]
-    #: Length of the contact with each cylinder (m), zero without contact.
+    #: Length of the contact with each surface (m), zero without contact.
     on_surface: Float[Array, " wrap"]
-    #: Cylinders in ground's frame.
-    cylinders: Cylinder
+    #: Surfaces in ground's frame.
+    surfaces: PlacedSurface
 
 
-def wrap_shortest(path: PointsAndBodies, cylinders: Cylinder) -> WrappedPath:
-    """Compute the shortest path round several cylinders, whose moment arms are exactly -dL/dq.
+def wrap_shortest(
+    path: PointsAndBodies,
+    surfaces: PlacedSurface,
+    kinds: Kinds = (),
+    numbers: Numbers = None,
+) -> WrappedPath:
+    """Compute the shortest path round several surfaces, whose moment arms are exactly -dL/dq.
 
     Parameters
     ----------
     path
         Path points and bodies in one pose.
-    cylinders
-        Each cylinder in the frame of the body that carries it.
+    surfaces
+        Each surface in the frame of the body that carries it.
+    kinds
+        Kind of each surface; by default all are cylinders. With ``numbers``, the kinds in any order.
+    numbers
+        Number of each surface's kind, by which paths round different kinds of surfaces share a program.
     """
-    route, contacts = _shortest_path(path, cylinders)
-    return _wrapped_path(
-        route, path, cylinders_in_ground(path, cylinders), contacts.off_end, contacts.long_wrap
-    )
+    kinds = _known(kinds, surfaces)
+    route, contacts = _shortest_path(path, surfaces, kinds, numbers)
+    placed = surfaces_in_ground(path, surfaces)
+    clearances = _point_clearances(path, placed, kinds, numbers)
+    return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap)
 
 
-def shortest_route(path: PointsAndBodies, cylinders: Cylinder) -> Route:
-    """Compute the course of the shortest path round any number of cylinders, in one pose.
+def shortest_route(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> Route:
+    """Compute the course of the shortest path round any number of surfaces, in one pose.
 
     Parameters are those of `wrap_shortest`.
     """
-    route, _ = _shortest_path(path, cylinders)
-    return Route(route.knots, route.position, route.on_surface, cylinders_in_ground(path, cylinders))
+    route, _ = _shortest_path(path, surfaces, _known(kinds, surfaces), None)
+    return Route(route.knots, route.position, route.on_surface, surfaces_in_ground(path, surfaces))
 
 
-def wrap_in_parity(path: PointsAndBodies, cylinders: Cylinder) -> WrappedPath:
-    """Compute a path round several cylinders as OpenSim 4.6 does, defects included.
+def wrap_in_parity(
+    path: PointsAndBodies,
+    surfaces: PlacedSurface,
+    kinds: Kinds = (),
+    numbers: Numbers = None,
+) -> WrappedPath:
+    """Compute a path round several surfaces as OpenSim 4.6 does, defects included.
 
     Parameters
     ----------
     path
         Path points and bodies in one pose.
-    cylinders
-        Each cylinder in the frame of the body that carries it.
+    surfaces
+        Each surface in the frame of the body that carries it.
+    kinds
+        Kind of each surface; by default all are cylinders. With ``numbers``, the kinds in any order.
+    numbers
+        Number of each surface's kind, by which paths round different kinds of surfaces share a program.
 
     Notes
     -----
     ``PathWrapPoint::setLocation`` does not invalidate the cached position in ground. Lengths and directions
-    of straight segments therefore use the wrap points of the first sweep in which a cylinder was touched,
+    of straight segments therefore use the wrap points of the first sweep in which a surface was touched,
     while forces act at the current wrap points.
     """
-    placed = cylinders_in_ground(path, cylinders)
-    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
+    kinds = _known(kinds, surfaces)
+    methods = [OPENSIM_SEVERAL[kind] for kind in kinds]
+    placed = surfaces_in_ground(path, surfaces)
+    points, wraps = path.position.shape[0], surfaces.radius.shape[0]
+
+    def stale(route, cached):
+        # The position in ground of a knot that was used before is no longer updated.
+        straight_ends = jnp.where(cached[:, None], route.straight_ends, route.position)
+        return route._replace(straight_ends=straight_ends)
+
+    def refit_by_numbers(route, cached, order):
+        """Refit all surfaces in their order, by a loop over constant numbers of surfaces.
+
+        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces are
+        refitted in both of their places.
+        """
+        turns, surfaces_in_turn = (jnp.asarray(values) for values in _turns(wraps))
+
+        def refit(step, state):
+            before, after, codes = state
+            turn, wrap = turns[step], surfaces_in_turn[step]
+            found, code = refit_wrap(path, placed, wrap, before, methods, numbers)
+            own = order[turn] == wrap
+            after = jax.tree.map(lambda new, old: jnp.where(own, new, old), stale(found, cached), after)
+            finished = jnp.append(turns, -1)[step + 1] != turn
+            before = jax.tree.map(lambda new, old: jnp.where(finished, new, old), after, before)
+            return before, after, jnp.where(own, codes.at[turn].set(code), codes)
+
+        codes = jnp.zeros(wraps, dtype=int)
+        route, _, codes = jax.lax.fori_loop(0, turns.size, refit, (route, route, codes))
+        return route, codes
 
     def sweep(state):
         route, cached, order, last_length, count, _ = state
         codes = []
-        for turn in range(wraps):
-            route, code = refit_wrap(path, placed, order[turn], route, iterated_spiral_contact)
+        if numbers is not None:
+            route, codes = refit_by_numbers(route, cached, order)
+        for turn in range(0 if numbers is not None else wraps):
+            # Only the first two surfaces exchange places.
+            own = (order[turn], methods[:2]) if turn < 2 else (turn, methods)
+            route, code = refit_wrap(path, placed, own[0], route, own[1])
             codes.append(code)
-            # The position in ground of a knot that was used before is no longer updated.
-            straight_ends = jnp.where(cached[:, None], route.straight_ends, route.position)
-            route = route._replace(straight_ends=straight_ends)
+            route = stale(route, cached)
         cached = cached | jnp.any(route.knots[None] == jnp.arange(points + 2 * wraps)[:, None], axis=1)
         length = path_length(route, points)
         done = jnp.abs(length - last_length) < _OPENSIM_TOLERANCE
@@ -134,38 +183,55 @@ def wrap_in_parity(path: PointsAndBodies, cylinders: Cylinder) -> WrappedPath:
         *(jnp.asarray(jnp.inf), jnp.asarray(0), jnp.asarray(False)),
     )
     route, *_ = jax.lax.while_loop(unfinished, sweep, start)
-    return _wrapped_path(route, path, placed, route.margins.off_end, route.margins.long_wrap)
+    clearances = _point_clearances(path, placed, kinds, numbers)
+    return _wrapped_path(route, path, placed, clearances, route.margins.off_end, route.margins.long_wrap)
 
 
 class _Contacts(NamedTuple):
-    """Lengths (m) and margins (m, rad; see `Margins`) of a path's contacts with its cylinders."""
+    """Lengths (m) and margins (m, rad; see `Margins`) of a path's contacts with its surfaces."""
 
     length: Float[Array, " wrap"]
     off_end: Float[Array, " wrap"]
     long_wrap: Float[Array, " wrap"]
 
 
-def _shortest_path(path: PointsAndBodies, cylinders: Cylinder) -> tuple[PathOnCylinders, _Contacts]:
-    """Compute the shortest path, differentiable by points and cylinders."""
+def _turns(wraps: int) -> tuple[list[int], list[int]]:
+    """Turns and surfaces to refit in them: of the first two turns both surfaces, later only the turn's own."""
+    pairs = [(0, 0), (0, 1), (1, 1), (1, 0), *((turn, turn) for turn in range(2, wraps))]
+    return [turn for turn, _ in pairs], [wrap for _, wrap in pairs]
+
+
+def _known(kinds: Kinds, surfaces: PlacedSurface) -> Kinds:
+    return kinds or (CYLINDER,) * surfaces.radius.shape[0]
+
+
+def _shortest_path(
+    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds, numbers: Numbers
+) -> tuple[PathOnCylinders, _Contacts]:
+    """Compute the shortest path, differentiable by points and surfaces."""
     points = path.position.shape[0]
-    route = _converged(*jax.lax.stop_gradient((path, cylinders)))
-    knots = _with_derivatives(route.position[points:], route.knots, path, cylinders)
-    knots, contacts = _refit_all(knots, route.knots, path, cylinders_in_ground(path, cylinders))
+    route = _converged(*jax.lax.stop_gradient((path, surfaces)), kinds, numbers)
+    knots = _with_derivatives(route.position[points:], route.knots, path, surfaces, kinds, numbers)
+    placed = surfaces_in_ground(path, surfaces)
+    knots, contacts = _refit_all(knots, route.knots, path, placed, kinds, numbers)
     position = jnp.concatenate([path.position, knots])
     return route._replace(position=position, straight_ends=position, on_surface=contacts.length), contacts
 
 
-def _converged(path: PointsAndBodies, cylinders: Cylinder) -> PathOnCylinders:
-    """Determine which cylinders the path touches and in which order, then iterate to convergence."""
-    placed = cylinders_in_ground(path, cylinders)
-    points, wraps = path.position.shape[0], cylinders.radius.shape[0]
+def _converged(
+    path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds, numbers: Numbers
+) -> PathOnCylinders:
+    """Determine which surfaces the path touches and in which order, then iterate to convergence."""
+    placed = surfaces_in_ground(path, surfaces)
+    points, wraps = path.position.shape[0], surfaces.radius.shape[0]
+    methods = [SHORTEST[kind] for kind in kinds]
 
     def sweep(state):
         route, _, count = state
         before = route
 
         def refit(wrap, route):
-            route, _ = refit_wrap(path, placed, wrap, route, geodesic_contact)
+            route, _ = refit_wrap(path, placed, wrap, route, methods, numbers)
             return route._replace(straight_ends=route.position)
 
         route = jax.lax.fori_loop(0, wraps, refit, route)
@@ -182,8 +248,8 @@ def _converged(path: PointsAndBodies, cylinders: Cylinder) -> PathOnCylinders:
     def step(state):
         # Contacts converge linearly: their limit is extrapolated from two sweeps (Aitken).
         contacts, _, count = state
-        once, _ = _refit_all(contacts, route.knots, path, placed)
-        twice, _ = _refit_all(once, route.knots, path, placed)
+        once, _ = _refit_all(contacts, route.knots, path, placed, kinds, numbers)
+        twice, _ = _refit_all(once, route.knots, path, placed, kinds, numbers)
         first, second = once - contacts, twice - once
         factor = jnp.clip(jnp.sum(first * second) * safe_inverse(jnp.sum(first**2)), -0.9, 0.9)
         # After the last extrapolation points would be off the surface by its size.
@@ -204,9 +270,11 @@ def _with_derivatives(
     contacts: Float[Array, "contact 3"],
     knots: Int[Array, " place"],
     path: PointsAndBodies,
-    cylinders: Cylinder,
+    surfaces: PlacedSurface,
+    kinds: Kinds,
+    numbers: Numbers,
 ) -> Float[Array, "contact 3"]:
-    """Give converged points of contact their derivatives by points and cylinders.
+    """Give converged points of contact their derivatives by points and surfaces.
 
     Converged points x solve x = T(x, p), where T recomputes all contacts once. By the implicit function
     theorem dx = (1 - dT/dx)^-1 dT/dp dp, so that no iteration is differentiated.
@@ -216,22 +284,22 @@ def _with_derivatives(
 
 @_with_derivatives.def_jvp
 def _with_derivatives_jvp(primals, tangents):
-    _, knots, path, cylinders = primals
-    _, _, path_tangent, cylinders_tangent = tangents
+    _, knots, path, surfaces, kinds, numbers = primals
+    _, _, path_tangent, surfaces_tangent, _, _ = tangents
     # Not the bare points: second derivatives differentiate this rule, and need the points' own derivatives.
     contacts = _with_derivatives(*primals)
 
-    def refit(x, path, cylinders):
-        placed = cylinders_in_ground(path, cylinders)
-        return _refit_all(x.reshape(contacts.shape), knots, path, placed)[0].ravel()
+    def refit(x, path, surfaces):
+        placed = surfaces_in_ground(path, surfaces)
+        return _refit_all(x.reshape(contacts.shape), knots, path, placed, kinds, numbers)[0].ravel()
 
     flat = contacts.ravel()
     _, moved = eqx.filter_jvp(
-        lambda path, cylinders: refit(flat, path, cylinders),
-        (path, cylinders),
-        (path_tangent, cylinders_tangent),
+        lambda path, surfaces: refit(flat, path, surfaces),
+        (path, surfaces),
+        (path_tangent, surfaces_tangent),
     )
-    by_contacts = jax.jacfwd(refit)(flat, path, cylinders)
+    by_contacts = jax.jacfwd(refit)(flat, path, surfaces)
     tangent = jnp.linalg.solve(jnp.eye(flat.size) - by_contacts, moved)
     return contacts, tangent.reshape(contacts.shape)
 
@@ -240,22 +308,25 @@ def _refit_all(
     contacts: Float[Array, "contact 3"],
     knots: Int[Array, " place"],
     path: PointsAndBodies,
-    placed: Cylinder,
+    placed: PlacedSurface,
+    kinds: Kinds,
+    numbers: Numbers,
 ) -> tuple[Float[Array, "contact 3"], _Contacts]:
-    """Recompute the contact with every touched cylinder once, each between its neighbors in the path."""
+    """Recompute the contact with every touched surface once, each between its neighbors in the path."""
     points = path.position.shape[0]
+    methods = [SHORTEST[kind] for kind in kinds]
 
     def refit(position, entry):
-        wrap, cylinder = entry
+        wrap, surface = entry
         rows = points + 2 * wrap + jnp.arange(2)
         touched = jnp.any(knots == rows[0])
         place = jnp.argmax(knots == rows[0])
         before = jnp.maximum(knots[place - 1], 0)
         after = jnp.maximum(knots[jnp.minimum(place + 2, knots.size - 1)], 0)
-        start = cylinder.to_cylinder_frame(vector(position[before]))
-        end = cylinder.to_cylinder_frame(vector(position[after]))
-        contact = geodesic_contact(start, end, cylinder, decide_wrapping(start, end, cylinder))
-        ends = (cylinder.to_body_frame(contact.first), cylinder.to_body_frame(contact.last))
+        start = surface.to_surface_frame(vector(position[before]))
+        end = surface.to_surface_frame(vector(position[after]))
+        contact = by_method(methods, wrap, numbers, _touch, start, end, surface)
+        ends = (surface.to_body_frame(contact.first), surface.to_body_frame(contact.last))
         found = jnp.stack([stack_components(end) for end in ends])
         unchanged = jax.lax.stop_gradient(position[rows])
         moved = position.at[rows].set(jnp.where(touched, found, unchanged))
@@ -270,10 +341,19 @@ def _refit_all(
     return position[points:], found
 
 
+def _touch(method: WrapMethod, start: Vector, end: Vector, surface: PlacedSurface) -> Contact:
+    """Compute the contact of a segment that wraps, also where it would not of its own."""
+    decision = method.decide(start, end, surface)
+    return method.find_contact(
+        start, end, surface, replace(decision, possible=jnp.ones_like(decision.possible))
+    )
+
+
 def _wrapped_path(
     route: PathOnCylinders,
     path: PointsAndBodies,
-    placed: Cylinder,
+    placed: PlacedSurface,
+    point_clearances: Float[Array, "wrap point"],
     off_end: Float[Array, " wrap"],
     long_wrap: Float[Array, " wrap"],
 ) -> WrappedPath:
@@ -296,19 +376,22 @@ def _wrapped_path(
         moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
         on_surface=route.on_surface,
         margins=jax.tree.map(jnp.min, route.margins),
-        clearances=jnp.concatenate(
-            [_point_clearances(path, placed).ravel(), off_end, placed.radius * long_wrap]
-        ),
+        clearances=jnp.concatenate([point_clearances.ravel(), off_end, placed.radius * long_wrap]),
     )
 
 
-def _point_clearances(path: PointsAndBodies, placed: Cylinder) -> Float[Array, "wrap point"]:
+def _point_clearances(
+    path: PointsAndBodies, placed: PlacedSurface, kinds: Kinds, numbers: Numbers
+) -> Float[Array, "wrap point"]:
     """Distance of each path point from each surface that it may wrap round (m), negative inside."""
 
-    def of_wrap(cylinder: Cylinder) -> Float[Array, " point"]:
-        local = cylinder.to_cylinder_frame(vector(path.position))
-        return safe_sqrt(local.x**2 + local.y**2) - cylinder.radius
+    def of_wrap(surface: PlacedSurface, kind: str) -> Float[Array, " point"]:
+        return clearance(surface.to_surface_frame(vector(path.position)), surface, kind)
 
     place = jnp.arange(path.position.shape[0])[None]
     in_range = (place >= path.first_point[:, None]) & (place <= path.last_point[:, None])
-    return jnp.where(in_range, jax.vmap(of_wrap)(placed), FREE)
+    different = list(dict.fromkeys(kinds)) if numbers is None else list(kinds)
+    by_kind = [jax.vmap(lambda surface, kind=kind: of_wrap(surface, kind))(placed) for kind in different]
+    places = jnp.asarray([different.index(kind) for kind in kinds]) if numbers is None else numbers
+    found = by_kind[0] if len(different) == 1 else jnp.stack(by_kind)[places, jnp.arange(places.size)]
+    return jnp.where(in_range, found, FREE)

@@ -55,6 +55,11 @@ def vector(values: Float[Array, "*vectors 3"] | Float[np.ndarray, "*vectors 3"])
     return Vector(*(jnp.asarray(values[..., axis]) for axis in range(3)))
 
 
+def stack_components(vectors: Vector) -> Float[Array, "*vectors 3"]:
+    """Array of the vectors, with their components along a last axis."""
+    return jnp.stack([vectors.x, vectors.y, vectors.z], axis=-1)
+
+
 def where(condition: Bool[Array, "*vectors"], one: Vector, other: Vector) -> Vector:
     """Select from two vectors by a condition, as ``jnp.where``."""
     return Vector(

@@ -369,11 +369,11 @@ def _rows_of(tree: _Tree, rows: Int[np.ndarray, " row"]) -> _Tree:
 
 
 def _same_shape(posed: dict[str, PosedPath]) -> list[list[str]]:
-    """Group muscles that share programs: by the number of wraps and, if several, the number of points."""
-    names: dict[tuple[int, ...], list[str]] = {}
+    """Group muscles that share programs: by the number and kinds of wraps and, if several, of points."""
+    names: dict[tuple[int | str, ...], list[str]] = {}
     for name, one in posed.items():
         points = () if isinstance(one.path, StraightPath) else one.path.position.shape[1:2]
-        names.setdefault((one.surfaces.radius.size, *points), []).append(name)
+        names.setdefault((one.surfaces.radius.size, *points, *one.kinds), []).append(name)
     return list(names.values())
 
 

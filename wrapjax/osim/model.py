@@ -373,18 +373,36 @@ def _wraps(opensim: Any, model: Any) -> Iterator[WrapObject]:
             continue
         frame = wrap.getFrame()
         pose = frame.findTransformInBaseFrame().compose(wrap.getTransform())
-        cylinder = opensim.WrapCylinder.safeDownCast(wrap)
+        radius, length, sizes = _extents(opensim, wrap)
         yield WrapObject(
             name=wrap.getName(),
             kind=wrap.getConcreteClassName(),
             body=frame.findBaseFrame().getName(),
             translation=_triple(pose.p()),
             xyz_body_rotation=_triple(pose.R().convertRotationToBodyFixedXYZ()),
-            radius=None if cylinder is None else cylinder.get_radius(),
-            length=None if cylinder is None else cylinder.get_length(),
+            radius=radius,
+            length=length,
             quadrant=wrap.get_quadrant(),
             active=wrap.get_active(),
+            sizes=sizes,
         )
+
+
+def _extents(opensim: Any, wrap: Any) -> tuple[float | None, float | None, tuple[float, ...]]:
+    """Radius, length and other sizes of a wrap object (m), as in `WrapObject`."""
+    cylinder = opensim.WrapCylinder.safeDownCast(wrap)
+    if cylinder is not None:
+        return cylinder.get_radius(), cylinder.get_length(), ()
+    sphere = opensim.WrapSphere.safeDownCast(wrap)
+    if sphere is not None:
+        return sphere.get_radius(), None, ()
+    ellipsoid = opensim.WrapEllipsoid.safeDownCast(wrap)
+    if ellipsoid is not None:
+        return None, None, _triple(ellipsoid.get_dimensions())
+    torus = opensim.WrapTorus.safeDownCast(wrap)
+    if torus is not None:
+        return None, None, (torus.get_outer_radius(), torus.get_inner_radius())
+    return None, None, ()
 
 
 def _read_function(opensim: Any, function: Any) -> Function | None:

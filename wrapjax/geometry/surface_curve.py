@@ -1,0 +1,387 @@
+"""Shortest path from point to point over a curved surface, by minimising the length of a smooth curve.
+
+A chart gives the surface's points by two coordinates. The curve on the surface runs along the first one, an
+angle; the second one is a polynomial of it. Both ends of the curve are points where straight lines from the
+path's ends are tangent to the surface: a family of points with one variable for each end. Every such path is
+outside the surface, if that is convex near it. A damped Newton method minimises the length of the two straight
+lines and the curve, by Gauss-Legendre quadrature, over the variables of both ends and the polynomial's
+coefficients. At the minimum the straight lines continue the curve, which is a geodesic, up to errors of the
+polynomial of which the length is independent to first order. Unlike the roots of conditions of tangency alone,
+minima are told from other stationary paths, by the second derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+#: Number of the polynomial's coefficients, and of nodes of the quadrature.
+COEFFICIENTS, NODES = 6, 16
+#: Number of variables: one for each end, and the coefficients.
+VARIABLES = COEFFICIENTS + 2
+
+# Added to the square of lengths (m), whose root has no derivative at zero.
+_SMALLEST_LENGTH = 1e-9
+# The decrease of length (m) that Newton's method predicts, at which it ends, and the most steps.
+_TOLERANCE, _MAX_STEPS = 1e-22, 25
+# That decrease at which a path counts as stationary.
+_STATIONARY = 1e-14
+# An increase of length (m) up to this size is round-off.
+_ROUND_OFF = 1e-15
+# Largest step of the variables of both ends (rad).
+_LONGEST_STEP = 0.5
+_FIRST_DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
+# Second derivative of length (m) that counts as zero.
+_FLAT = 1e-13
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+
+
+def _bumps(at: Float[np.ndarray, " node"], slope: bool) -> Float[np.ndarray, "node coefficient"]:
+    """Polynomials that are zero at both ends: (1 - x^2) T_k(x), or their slopes."""
+    columns = []
+    for row in np.eye(COEFFICIENTS):
+        polynomial = np.polynomial.Polynomial([1.0, 0.0, -1.0]) * np.polynomial.Chebyshev(row).convert(
+            kind=np.polynomial.Polynomial
+        )
+        columns.append((polynomial.deriv() if slope else polynomial)(at))
+    return np.stack(columns, axis=1)
+
+
+def _shapes() -> Float[np.ndarray, "node 4 shape"]:
+    """Derivatives of both coordinates and their slopes at each node, by their values at the ends (first
+    coordinate, second coordinate) and by the coefficients.
+    """
+    shapes = np.zeros((NODES, 4, 4 + COEFFICIENTS))
+    before, after = 0.5 * (1.0 - _NODES), 0.5 * (1.0 + _NODES)
+    for coordinate in range(2):
+        shapes[:, coordinate, coordinate], shapes[:, coordinate, 2 + coordinate] = before, after
+        shapes[:, 2 + coordinate, coordinate], shapes[:, 2 + coordinate, 2 + coordinate] = -0.5, 0.5
+    shapes[:, 1, 4:], shapes[:, 3, 4:] = _bumps(_NODES, False), _bumps(_NODES, True)
+    return shapes
+
+
+_SHAPES = _shapes()
+_MIDDLE = _bumps(np.zeros(1), False)[0]
+# Pairs of the four numbers that a speed depends on, and the sums over nodes that give the derivatives of length
+# by the curve's shape from those of the speeds.
+_PAIRS = [(one, other) for one in range(4) for other in range(one, 4)]
+_BY_SHAPE = (_WEIGHTS[:, None, None] * _SHAPES).transpose(1, 0, 2).reshape(4 * NODES, -1)
+_TWICE_BY_SHAPE = np.stack(
+    [
+        (0.5 if one == other else 1.0)
+        * _WEIGHTS[:, None, None]
+        * (
+            _SHAPES[:, one, :, None] * _SHAPES[:, other, None, :]
+            + _SHAPES[:, other, :, None] * _SHAPES[:, one, None, :]
+        )
+        for one, other in _PAIRS
+    ]
+).reshape(len(_PAIRS) * NODES, -1)
+
+#: Value and first three derivatives of a function of one coordinate.
+Jet = tuple[Float[Array, "*node"], Float[Array, "*node"], Float[Array, "*node"], Float[Array, "*node"]]
+
+
+class Family(NamedTuple):
+    """A kind of surface: its chart, and the points where lines from a given point are tangent to it.
+
+    The chart is separable: a point is a matrix times three products of a function of the first coordinate and a
+    function of the second one. ``matrix`` computes the matrix (m) from the surface's parameters, ``factors`` the
+    functions from the parameters and both coordinates, as two triples of `Jet`. ``tangent`` computes both
+    coordinates of a tangent point from the surface's parameters, the given point (m), constants that choose among
+    the tangent points, and the variable of this end.
+    """
+
+    matrix: Callable[[Any], Float[Array, "3 3"]]
+    factors: Callable[
+        [Any, Float[Array, "*node"], Float[Array, "*node"]], tuple[tuple[Jet, Jet, Jet], tuple[Jet, Jet, Jet]]
+    ]
+    tangent: Callable[[Any, Float[Array, " 3"], Any, Float[Array, ""]], Float[Array, " 2"]]
+
+    def chart(self, surface: Any, one: Float[Array, ""], other: Float[Array, ""]) -> Float[Array, " 3"]:
+        """Compute a point of the surface (m) from its coordinates."""
+        products = [
+            left[0] * right[0] for left, right in zip(*self.factors(surface, one, other), strict=True)
+        ]
+        return self.matrix(surface) @ jnp.stack(products)
+
+
+class Ends(NamedTuple):
+    """What a path over a surface depends on."""
+
+    #: Ends of the path (m).
+    start: Float[Array, " 3"]
+    end: Float[Array, " 3"]
+    #: Parameters of the surface.
+    surface: Any
+    #: Constants that choose the tangent points of both ends.
+    at_start: Any
+    at_end: Any
+
+
+class Curve(NamedTuple):
+    """A path over a surface from one point to another."""
+
+    #: Points where the path comes to the surface and leaves it (m).
+    first: Float[Array, " 3"]
+    last: Float[Array, " 3"]
+    #: Point of the surface in the curve's middle (m).
+    middle: Float[Array, " 3"]
+    #: Length on the surface (m).
+    on_surface: Float[Array, ""]
+    #: Length from point to point (m).
+    total: Float[Array, ""]
+    #: Whether the path's length is stationary, and whether no path nearby is shorter.
+    stationary: Bool[Array, ""]
+    minimal: Bool[Array, ""]
+
+
+class Search(NamedTuple):
+    """What kind of path is searched for."""
+
+    #: Whether to search a shortest path; otherwise one of stationary length near the initial one.
+    shortest: Bool[Array, ""]
+    #: Whether to search at all; otherwise the result is the initial path.
+    needed: Bool[Array, ""]
+
+
+def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: Search) -> Curve:
+    """Compute a path of stationary length near an initial one.
+
+    If there is none, the result is the initial path, and ``stationary`` is False.
+
+    Parameters
+    ----------
+    family
+        Kind of the surface.
+    ends
+        What the path depends on. The result can be differentiated by it any number of times.
+    initial
+        Variables of both ends of an initial curve, whose polynomial is zero.
+    search
+        Kind of path.
+    """
+    start = jnp.concatenate([jax.lax.stop_gradient(initial), jnp.zeros(COEFFICIENTS)])
+    found = _stationary(family, ends, start, search)
+    _, gradient, hessian = jax.lax.stop_gradient(_expansion(family, ends, found))
+    move, pivots = _eliminated(hessian, gradient)
+    stationary = jnp.abs(jnp.sum(gradient * move)) < _STATIONARY
+    found = jnp.where(stationary, found, start)
+    shape = _shape(family, ends, found)
+    first, last = family.chart(ends.surface, *shape[:2]), family.chart(ends.surface, *shape[2:4])
+    middle = 0.5 * (shape[:2] + shape[2:4]) + jnp.stack([jnp.zeros(()), jnp.asarray(_MIDDLE) @ shape[4:]])
+    on_surface = _curve_length(family, ends, shape)
+    return Curve(
+        first=first,
+        last=last,
+        middle=family.chart(ends.surface, *middle),
+        on_surface=on_surface,
+        total=_distance(first, ends.start) + on_surface + _distance(last, ends.end),
+        stationary=stationary,
+        minimal=stationary & jnp.all(pivots > 0.0),
+    )
+
+
+def _distance(one: Float[Array, " 3"], other: Float[Array, " 3"]) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.sum((one - other) ** 2) + _SMALLEST_LENGTH**2)
+
+
+def _shape(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, " shape"]:
+    """Coordinates of the curve's first and last point, and the coefficients."""
+    return jnp.concatenate(
+        [
+            family.tangent(ends.surface, ends.start, ends.at_start, variables[0]),
+            family.tangent(ends.surface, ends.end, ends.at_end, variables[1]),
+            variables[2:],
+        ]
+    )
+
+
+def _curve_length(family: Family, ends: Ends, shape: Float[Array, " shape"]) -> Float[Array, ""]:
+    one, other, one_slope, other_slope = jnp.moveaxis(jnp.asarray(_SHAPES) @ shape, 1, 0)
+    left, right = family.factors(ends.surface, one, other)
+    velocity = jnp.stack(
+        [
+            left[axis][1] * right[axis][0] * one_slope + left[axis][0] * right[axis][1] * other_slope
+            for axis in range(3)
+        ]
+    )
+    velocity = family.matrix(ends.surface) @ velocity
+    return jnp.asarray(_WEIGHTS) @ jnp.sqrt(jnp.sum(velocity**2, axis=0) + _SMALLEST_LENGTH**2)
+
+
+def _speeds(
+    family: Family, surface: Any, local: Float[Array, "node 4"]
+) -> tuple[Float[Array, " node"], list[Float[Array, " node"]], list[Float[Array, " node"]]]:
+    """Speeds along the curve's parameter, and their first and second (`_PAIRS`) derivatives by the local numbers:
+    both coordinates and their slopes.
+    """
+    one, other, one_slope, other_slope = jnp.moveaxis(local, 1, 0)
+    left, right = family.factors(surface, one, other)
+    matrix = family.matrix(surface)
+    metric = matrix.T @ matrix
+
+    def partial(first: int, second: int) -> list[Float[Array, " node"]]:
+        return [left[axis][first] * right[axis][second] for axis in range(3)]
+
+    def along(first: int, second: int) -> list[Float[Array, " node"]]:
+        """Derivative of the velocity, from orders of differentiation by both coordinates."""
+        ahead, aside = partial(first + 1, second), partial(first, second + 1)
+        return [p * one_slope + q * other_slope for p, q in zip(ahead, aside, strict=True)]
+
+    def weighted(vector: list[Array]) -> list[Array]:
+        return [sum(metric[row, axis] * vector[axis] for axis in range(3)) for row in range(3)]
+
+    def product(one: list[Array], other: list[Array]) -> Array:
+        return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+    velocity = along(0, 0)
+    firsts = [along(1, 0), along(0, 1), partial(1, 0), partial(0, 1)]
+    seconds = {
+        (0, 0): along(2, 0),
+        (0, 1): along(1, 1),
+        (1, 1): along(0, 2),
+        (0, 2): partial(2, 0),
+        (0, 3): partial(1, 1),
+        (1, 2): partial(1, 1),
+        (1, 3): partial(0, 2),
+    }
+    weighted_velocity = weighted(velocity)
+    weighted_firsts = [weighted(vector) for vector in firsts]
+    speed = jnp.sqrt(product(velocity, weighted_velocity) + _SMALLEST_LENGTH**2)
+    inverse = 1.0 / speed
+    slopes = [product(vector, weighted_velocity) * inverse for vector in firsts]
+    bends = []
+    for first, second in _PAIRS:
+        bend = product(firsts[first], weighted_firsts[second])
+        if (first, second) in seconds:
+            bend = bend + product(seconds[first, second], weighted_velocity)
+        bends.append((bend - slopes[first] * slopes[second]) * inverse)
+    return speed, slopes, bends
+
+
+def _length(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, ""]:
+    shape = _shape(family, ends, variables)
+    lines = (
+        _distance(family.chart(ends.surface, *shape[2 * at : 2 * at + 2]), point)
+        for at, point in enumerate((ends.start, ends.end))
+    )
+    return _curve_length(family, ends, shape) + sum(lines)
+
+
+def _gradient(family: Family, ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, " variable"]:
+    return jax.grad(lambda one: _length(family, ends, one))(variables)
+
+
+def _expansion(
+    family: Family, ends: Ends, variables: Float[Array, " variable"]
+) -> tuple[Float[Array, ""], Float[Array, " variable"], Float[Array, "variable variable"]]:
+    """Length of the path, and its first and second derivatives by the variables.
+
+    The speed at a node depends on four numbers, which are linear in the curve's shape. Second derivatives by
+    these few numbers are much cheaper than those by all variables.
+    """
+
+    def at_end(variable: Array, point: Array, choice: Any) -> Array:
+        place = family.tangent(ends.surface, point, choice, variable)
+        return jnp.append(place, _distance(family.chart(ends.surface, *place), point))
+
+    def twice(function: Callable[[Array], Array], at: Array) -> tuple[Array, Array, Array]:
+        def once(one: Array) -> tuple[Array, Array]:
+            return jax.jvp(function, (one,), (jnp.ones(()),))
+
+        (value, slope), (_, bend) = jax.jvp(once, (at,), (jnp.ones(()),))
+        return value, slope, bend
+
+    ends_of = [
+        twice(lambda at, point=point, choice=choice: at_end(at, point, choice), variables[number])
+        for number, (point, choice) in enumerate(((ends.start, ends.at_start), (ends.end, ends.at_end)))
+    ]
+    shape = jnp.concatenate([ends_of[0][0][:2], ends_of[1][0][:2], variables[2:]])
+
+    speed, slopes, bends = _speeds(family, ends.surface, jnp.asarray(_SHAPES) @ shape)
+    by_shape = jnp.concatenate(slopes) @ jnp.asarray(_BY_SHAPE)
+    twice_by_shape = (jnp.concatenate(bends) @ jnp.asarray(_TWICE_BY_SHAPE)).reshape(shape.size, shape.size)
+    # From the shape to the variables: its first four numbers depend on the variables of the ends.
+    chain = jnp.zeros((4 + COEFFICIENTS, VARIABLES)).at[4:, 2:].set(jnp.eye(COEFFICIENTS))
+    chain = chain.at[:2, 0].set(ends_of[0][1][:2]).at[2:4, 1].set(ends_of[1][1][:2])
+    gradient, hessian = by_shape @ chain, chain.T @ twice_by_shape @ chain
+    for number, (_, first, second) in enumerate(ends_of):
+        own = by_shape[2 * number : 2 * number + 2]
+        gradient = gradient.at[number].add(first[2])
+        hessian = hessian.at[number, number].add(second[2] + own @ second[:2])
+    value = jnp.asarray(_WEIGHTS) @ speed + ends_of[0][0][2] + ends_of[1][0][2]
+    return value, gradient, hessian
+
+
+def _eliminated(
+    matrix: Float[Array, "variable variable"], right: Float[Array, " variable"]
+) -> tuple[Float[Array, " variable"], Float[Array, " variable"]]:
+    """Solve a symmetric system by elimination without exchange of rows; return the solution and the pivots.
+
+    The signs of the pivots are those of the eigenvalues. The diagonal is scaled to one, because coefficients of
+    a short curve have a small influence on the length. Library functions for single small matrices would take
+    most of the time of a batch of many.
+    """
+    diagonal = jnp.abs(jnp.diagonal(matrix))
+    scale = 1.0 / jnp.sqrt(jnp.maximum(diagonal, _FLAT))
+    scaled = matrix * scale * scale[:, None] + jnp.diag(jnp.where(diagonal < _FLAT, 1.0, 0.0))
+    rows = jnp.concatenate([scaled, (right * scale)[:, None]], axis=1)
+    pivots = []
+    for column in range(VARIABLES):
+        pivot = rows[column, column]
+        pivots.append(pivot)
+        own = rows[column] / jnp.where(pivot == 0.0, 1.0, pivot)
+        others = rows - rows[:, column : column + 1] * own
+        rows = others.at[column].set(own)
+    return rows[:, -1] * scale, jnp.stack(pivots)
+
+
+@eqx.filter_custom_jvp
+def _stationary(
+    family: Family, ends: Ends, initial: Float[Array, " variable"], search: Search
+) -> Float[Array, " variable"]:
+    """Variables of a path of stationary length, whose derivatives are those of the root of the length's gradient."""
+
+    def unfinished(state: tuple[Array, ...]) -> Array:
+        return ~state[5] & (state[6] < _MAX_STEPS)
+
+    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
+        at, value, gradient, hessian, damping, _, count = state
+        damped = hessian + damping * jnp.diag(jnp.abs(jnp.diagonal(hessian)))
+        move, pivots = _eliminated(damped, -gradient)
+        promised = -jnp.sum(gradient * move)
+        downhill = (jnp.all(pivots > 0.0) | ~search.shortest) & jnp.all(jnp.isfinite(move))
+        move = jnp.where(jnp.isfinite(move), move, 0.0)
+        limit = _LONGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move[:2])), _LONGEST_STEP)
+        trial = at + limit * move
+        found = _expansion(family, ends, trial)
+        better = downhill & ((found[0] <= value + _ROUND_OFF) | ~search.shortest)
+        done = downhill & (jnp.abs(promised) < _TOLERANCE)
+        eased = jnp.where(damping <= _LEAST_DAMPING, 0.0, 0.1 * damping)
+        raised = jnp.maximum(8.0 * damping, _FIRST_DAMPING)
+        at, value, gradient, hessian = jax.tree.map(
+            lambda new, old: jnp.where(better, new, old), (trial, *found), (at, value, gradient, hessian)
+        )
+        return at, value, gradient, hessian, jnp.where(better, eased, raised), done, count + 1
+
+    start = (initial, *_expansion(family, ends, initial))
+    at, *_ = jax.lax.while_loop(unfinished, step, (*start, jnp.asarray(0.0), ~search.needed, jnp.asarray(0)))
+    return at
+
+
+@_stationary.def_jvp
+def _stationary_jvp(primals, tangents):
+    family, ends, _, _ = primals
+    found = _stationary(*primals)
+    ends_tangent = tangents[1]
+    _, moved = eqx.filter_jvp(lambda one: _gradient(family, one, found), (ends,), (ends_tangent,))
+    tangent, _ = _eliminated(_expansion(family, ends, found)[2], -moved)
+    return found, tangent

@@ -1,0 +1,236 @@
+"""Shortest path of one straight segment through the hole of one torus.
+
+All coordinates are in the torus' frame, whose z axis is normal to the ring's plane. As in OpenSim, a path passes
+through the hole. A segment with its ends on both sides of the ring's plane therefore wraps if it crosses that
+plane outside the ring or intersects the tube. A segment with both ends on one side wraps if it intersects the
+tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate, and the ring's angle
+the second one.
+
+From an end inside the tube there is no path: the end then counts as on the surface.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
+from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
+from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
+
+# Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval about it.
+_TRIALS, _HALVINGS = 32, 40
+
+
+class TorusDecision(Decision):
+    """Whether straight path segments wrap round a torus, and where."""
+
+    #: Angle of the ring (rad) near which the path touches the tube.
+    ring_angle: Float[Array, "*segment"]
+    #: Direction of the path about the tube: 1 if its z coordinate decreases on the inner side.
+    direction: Float[Array, "*segment"]
+
+
+def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> TorusDecision:
+    """Decide whether straight segments wrap.
+
+    Parameters
+    ----------
+    start, end
+        Ends of the segments in the torus' frame (m).
+    torus
+        The torus. With a side, only contacts with that half of the ring count.
+    """
+    sizes = torus.sizes
+    assert sizes is not None
+    ring, tube = sizes.x, sizes.y
+    decide = over_segments(lambda *ends: _decided(*ends, ring, tube), start)
+    crosses, hits, ring_angle, direction, increase = decide(stack_components(start), stack_components(end))
+    place = Vector(jnp.cos(ring_angle), jnp.sin(ring_angle), jnp.zeros_like(ring_angle))
+    active = (torus.side == 0) | torus.on_side(place)
+    start_clearance, end_clearance = clearance(start, torus), clearance(end, torus)
+    return TorusDecision(
+        inside=(start_clearance < 0.0) | (end_clearance < 0.0),
+        mandatory=jnp.zeros_like(hits),
+        possible=(crosses | hits) & active,
+        start_clearance=start_clearance,
+        end_clearance=end_clearance,
+        increase=increase,
+        ring_angle=ring_angle,
+        direction=direction,
+    )
+
+
+def clearance(point: Vector, torus: PlacedSurface) -> Float[Array, "*segment"]:
+    """Distance of points from the surface (m), negative inside the tube."""
+    sizes = torus.sizes
+    assert sizes is not None
+    aside = safe_sqrt(point.x**2 + point.y**2) - sizes.x
+    return safe_sqrt(aside**2 + point.z**2) - sizes.y
+
+
+def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision: TorusDecision) -> Contact:
+    """Compute the contact of the shortest path through the hole.
+
+    Parameters
+    ----------
+    start, end
+        Ends of the segments in the torus' frame (m).
+    torus
+        The torus.
+    decision
+        Result of `decide_wrapping`.
+    """
+    sizes = torus.sizes
+    assert sizes is not None
+
+    def one(
+        start: Float[Array, " 3"],
+        end: Float[Array, " 3"],
+        ring_angle: Float[Array, ""],
+        direction: Float[Array, ""],
+        wraps: Array,
+    ) -> Curve:
+        surface = jnp.stack([sizes.x, sizes.y])
+        # In place of segments that do not wrap, whose contact is not used, some segment that does is computed.
+        start = jnp.where(wraps, _outside(start, sizes), jnp.stack([0.3 * sizes.x, sizes.y, 3.0 * sizes.y]))
+        end = jnp.where(wraps, _outside(end, sizes), jnp.stack([2.0 * sizes.x, -sizes.y, -3.0 * sizes.y]))
+        direction = jnp.where(wraps, direction, 1.0)
+        place = jnp.where(wraps, ring_angle, 0.0)
+        always = jnp.asarray(True)
+        ends = Ends(start, end, surface, direction, -direction)
+        return find_curve(_FAMILY, ends, jnp.stack([place, place]), Search(always, always))
+
+    curve = over_segments(one, start)(
+        stack_components(start),
+        stack_components(end),
+        jax.lax.stop_gradient(decision.ring_angle),
+        decision.direction,
+        decision.possible,
+    )
+    first, last = vector(curve.first), vector(curve.last)
+    return Contact(
+        first=first,
+        last=last,
+        length=curve.on_surface,
+        total=curve.total,
+        start_pull=(first - start).unit(),
+        end_pull=(end - last).unit(),
+        valid=jnp.ones_like(decision.inside),
+        turn=jnp.where(curve.minimal, 0.5 * HALF_TURN, 1.5 * HALF_TURN),
+        off_end=jnp.ones_like(curve.total),
+    )
+
+
+def _decided(
+    start: Float[Array, " 3"], end: Float[Array, " 3"], ring: Float[Array, ""], tube: Float[Array, ""]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Whether one segment crosses the plane outside the ring, whether it hits the tube, and where it wraps."""
+    start, end, ring, tube = jax.lax.stop_gradient((start, end, ring, tube))
+    opposite = (start[2] > 0.0) != (end[2] > 0.0)
+    share = start[2] * safe_inverse(start[2] - end[2])
+    crossing = start + share * (end - start)
+    crosses = opposite & (crossing[0] ** 2 + crossing[1] ** 2 >= ring**2)
+    nearest = start + _nearest_share(start, end, ring) * (end - start)
+    aside = safe_sqrt(nearest[0] ** 2 + nearest[1] ** 2) - ring
+    hits = aside**2 + nearest[2] ** 2 < tube**2
+    # The shortest way through the hole by a point of the tube's inner edge.
+    angles = jnp.arange(_TRIALS) * (2.0 * jnp.pi / _TRIALS)
+    inner = (ring - tube) * jnp.stack([jnp.cos(angles), jnp.sin(angles), jnp.zeros(_TRIALS)], axis=1)
+    ways = _norm(inner - start) + _norm(inner - end)
+    best = jnp.argmin(ways)
+    before, at, after = (ways[(best + step) % _TRIALS] for step in (-1, 0, 1))
+    shift = (before - after) * safe_inverse(jnp.maximum(before - 2.0 * at + after, 0.0))
+    through = angles[best] + (jnp.pi / _TRIALS) * jnp.clip(shift, -1.0, 1.0)
+    beside = jnp.arctan2(nearest[1], nearest[0])
+    ring_angle = jnp.where(opposite, through, beside)
+
+    def angle_about_tube(point: Float[Array, " 3"]) -> Float[Array, ""]:
+        outward = point[0] * jnp.cos(ring_angle) + point[1] * jnp.sin(ring_angle) - ring
+        return jnp.arctan2(-point[2], -outward)
+
+    over = jnp.where(angle_about_tube(end) > angle_about_tube(start), 1.0, -1.0)
+    direction = jnp.where(opposite, jnp.where(start[2] > 0.0, 1.0, -1.0), over)
+    increase = jnp.where(opposite, at - _norm(end - start), 0.0)
+    return crosses, hits, ring_angle, direction, increase
+
+
+def _nearest_share(
+    start: Float[Array, " 3"], end: Float[Array, " 3"], ring: Float[Array, ""]
+) -> Float[Array, ""]:
+    """Share of a segment at its point that is nearest to the ring's circle."""
+    way = end - start
+
+    def square(share: Float[Array, "*trial"]) -> Float[Array, "*trial"]:
+        point = start + jnp.asarray(share)[..., None] * way
+        aside = safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2) - ring
+        return aside**2 + point[..., 2] ** 2
+
+    trials = jnp.arange(_TRIALS + 1) / _TRIALS
+    best = trials[jnp.argmin(square(trials))]
+    slope = jax.grad(lambda share: square(share))
+
+    def halve(_: int, interval: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = interval
+        middle = 0.5 * (low + high)
+        rising = slope(middle) > 0.0
+        return jnp.where(rising, low, middle), jnp.where(rising, middle, high)
+
+    around = (jnp.maximum(best - 1.0 / _TRIALS, 0.0), jnp.minimum(best + 1.0 / _TRIALS, 1.0))
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, around)
+    return 0.5 * (low + high)
+
+
+def _outside(point: Float[Array, " 3"], sizes: Vector) -> Float[Array, " 3"]:
+    """Move a point inside the tube to the tube's surface."""
+    distance = safe_sqrt(point[0] ** 2 + point[1] ** 2)
+    middle = jnp.stack([point[0], point[1], jnp.zeros(())]) * (sizes.x * safe_inverse(distance))
+    away = point - middle
+    apart = _norm(away)
+    return jnp.where(apart < sizes.y, middle + away * (sizes.y * safe_inverse(apart)), point)
+
+
+def _norm(vectors: Float[Array, "*vectors 3"]) -> Float[Array, "*vectors"]:
+    return safe_sqrt(jnp.sum(vectors**2, axis=-1))
+
+
+def _matrix(_: Float[Array, " 2"]) -> Float[Array, "3 3"]:
+    return jnp.eye(3)
+
+
+def _factors(
+    surface: Float[Array, " 2"], about_tube: Float[Array, "*node"], ring_angle: Float[Array, "*node"]
+) -> tuple[tuple[Jet, Jet, Jet], tuple[Jet, Jet, Jet]]:
+    """Chart by the angles about the tube, zero at its inner edge, and about the ring."""
+    ring, tube = surface
+    sine, cosine = tube * jnp.sin(about_tube), tube * jnp.cos(about_tube)
+    outward = (ring - cosine, sine, cosine, -sine)
+    upward = (-sine, -cosine, sine, cosine)
+    ring_sine, ring_cosine = jnp.sin(ring_angle), jnp.cos(ring_angle)
+    ones, zeros = jnp.ones_like(ring_angle), jnp.zeros_like(ring_angle)
+    return (
+        (outward, outward, upward),
+        (
+            (ring_cosine, -ring_sine, -ring_cosine, ring_sine),
+            (ring_sine, ring_cosine, -ring_sine, -ring_cosine),
+            (ones, zeros, zeros, zeros),
+        ),
+    )
+
+
+def _tangent(
+    surface: Float[Array, " 2"],
+    point: Float[Array, " 3"],
+    direction: Float[Array, ""],
+    variable: Float[Array, ""],
+) -> Float[Array, " 2"]:
+    """Angles of the point where a line is tangent to the tube's cross section at a ring angle."""
+    ring, tube = surface
+    outward = point[0] * jnp.cos(variable) + point[1] * jnp.sin(variable) - ring
+    toward = jnp.arctan2(-point[2], -outward)
+    apart = jnp.arctan2(safe_sqrt(outward**2 + point[2] ** 2 - tube**2), tube)
+    return jnp.stack([toward + direction * apart, variable])
+
+
+_FAMILY = Family(_matrix, _factors, _tangent)

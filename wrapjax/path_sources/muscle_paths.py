@@ -1,0 +1,301 @@
+"""Muscle paths of an OpenSim model as a library: lengths and moment arms, and their derivatives.
+
+Neither EMG nor recordings are needed. `muscle_paths` reads a model; `MusclePaths.posed` computes all that does
+not depend on wrap parameters, and `PosedMuscles` is a pure function of these, for `jax.jit`, `jax.grad` and
+`jax.vmap`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from wrapjax.errors import InputError, Problem
+from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
+from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.muscle_batches import MuscleBatch, muscle_batches
+from wrapjax.geometry.wrapping import (
+    FURTHER_WRAP_PARAMETERS,
+    NOMINAL_PARAMETERS,
+    WRAP_PARAMETERS,
+    StraightPath,
+    WrappedPath,
+)
+from wrapjax.jax_setup import require_float64
+from wrapjax.osim.model import describe_model, unknown_names
+
+#: Ways to wrap: the shortest path, and OpenSim 4.6's path.
+MODES: dict[str, Wrapping] = {"geodesic": GEODESIC, "parity": PARITY}
+#: Names of the wrap parameters of any surface.
+PARAMETERS = (*WRAP_PARAMETERS, *FURTHER_WRAP_PARAMETERS)
+# Step of central differences by coordinates, rad or m.
+_STEP = 1e-5
+# Most poses in one batch.
+_BATCH = 512
+
+
+class PathValues(eqx.Module):
+    """Lengths and moment arms of muscles in poses."""
+
+    #: m
+    length: Float[Array, "pose muscle"]
+    #: -dL/dq, m (m/rad).
+    moment_arm: Float[Array, "pose coordinate muscle"]
+    #: Whether a muscle touches any of its wraps.
+    touching: Bool[Array, "pose muscle"]
+    #: Whether the path is at a distance from all discontinuities of its length: no point is inside a surface,
+    #: no contact at a cylinder's end or above half a turn.
+    regular: Bool[Array, "pose muscle"]
+
+
+class PosedMuscles(eqx.Module):
+    """Paths of muscles in given poses as a pure function of wrap parameters."""
+
+    batches: tuple[MuscleBatch, ...]
+    muscles: int = eqx.field(static=True)
+    wraps: int = eqx.field(static=True)
+    wrapping: Wrapping = eqx.field(static=True)
+
+    def __call__(self, parameters: Float[Array, "wrap wrap_parameter"] | None = None) -> PathValues:
+        """Compute all paths.
+
+        Parameters
+        ----------
+        parameters
+            Values of `PARAMETERS` of each wrap in the order of `MusclePaths.wraps`; by default nominal.
+        """
+        if parameters is None:
+            parameters = jnp.tile(jnp.asarray(NOMINAL_PARAMETERS), (max(self.wraps, 1), 1))
+        order = jnp.concatenate([jnp.asarray(batch.muscles) for batch in self.batches])
+        values = []
+        for batch in self.batches:
+            own = parameters[batch.wraps]
+            values.append(_values(_batch_paths(batch, own, self.wrapping)))
+        place = jnp.argsort(order)
+        joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[place], *values)
+        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), joined)
+
+
+def _batch_paths(
+    batch: MuscleBatch, parameters: Float[Array, "muscle wrap wrap_parameter"], wrapping: Wrapping
+) -> WrappedPath:
+    if isinstance(batch.posed.path, StraightPath):
+        return jax.vmap(lambda posed, own: posed.wrapped(own, wrapping))(batch.posed, parameters)
+    # One muscle after the other, so that only the methods of its own surfaces are evaluated.
+    return jax.lax.map(lambda one: one[0].wrapped(one[1], wrapping), (batch.posed, parameters))
+
+
+def _values(path: WrappedPath) -> PathValues:
+    margins = jnp.stack([path.margins.inside, path.margins.off_end, path.margins.long_wrap])
+    return PathValues(
+        length=path.length,
+        moment_arm=path.moment_arm,
+        touching=jnp.any(path.on_surface != 0.0, axis=-1),
+        regular=jnp.all(margins > 0.0, axis=0),
+    )
+
+
+@dataclass(frozen=True)
+class MusclePaths:
+    """Muscle paths of a model.
+
+    Parameters
+    ----------
+    engine
+        Engine of the muscles.
+    mode
+        ``geodesic`` or ``parity``.
+    unsupported
+        Reason why the path of a muscle cannot be computed, by the names of such muscles.
+    """
+
+    engine: ExactPaths
+    mode: str
+    unsupported: dict[str, str]
+
+    @property
+    def muscles(self) -> tuple[str, ...]:
+        """Names of the muscles."""
+        return self.engine.muscles
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of poses and moment arms."""
+        return self.engine.coordinates
+
+    @property
+    def wraps(self) -> tuple[str, ...]:
+        """Names of the wraps of all muscles."""
+        names = (wrap for muscle in self.muscles for wrap in self.engine.wraps_of(muscle))
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def nominal(self) -> Float[np.ndarray, "wrap wrap_parameter"]:
+        """Wrap parameters (`PARAMETERS`) as the model has them."""
+        return np.tile(NOMINAL_PARAMETERS, (len(self.wraps), 1))
+
+    def posed(self, poses: Float[np.ndarray, "pose coordinate"]) -> PosedMuscles:
+        """Compute path points in poses, and return the paths as a function of wrap parameters.
+
+        Parameters
+        ----------
+        poses
+            Values of `coordinates`, rad or m.
+        """
+        found = self.engine.posed(np.asarray(poses, dtype=float))
+        wraps_of = {name: self.engine.wraps_of(name) for name in self.muscles}
+        batches = muscle_batches(found, wraps_of, self.wraps)
+        return PosedMuscles(batches, len(self.muscles), len(self.wraps), MODES[self.mode])
+
+    def __call__(
+        self,
+        poses: Float[np.ndarray, "pose coordinate"],
+        parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+    ) -> PathValues:
+        """Compute lengths and moment arms in poses, in batches of a compiled program.
+
+        Parameters
+        ----------
+        poses
+            Values of `coordinates`, rad or m.
+        parameters
+            Wrap parameters (`PARAMETERS`) of `wraps`; by default nominal.
+
+        Returns
+        -------
+        PathValues
+            NumPy arrays.
+        """
+        poses = np.asarray(poses, dtype=float)
+        parameters = self.nominal if parameters is None else parameters
+        size = min(len(poses), _BATCH)
+        parts = []
+        for first in range(0, len(poses), size):
+            part = poses[first : first + size]
+            padded = np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)])
+            values = _evaluated(self.posed(padded), jnp.asarray(parameters))
+            parts.append(jax.tree.map(lambda leaf, count=len(part): np.asarray(leaf)[:count], values))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    def moment_arm_slopes(
+        self,
+        poses: Float[np.ndarray, "pose coordinate"],
+        parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+    ) -> Float[np.ndarray, "pose coordinate coordinate muscle"]:
+        """Derivatives of moment arms by coordinates (m/rad^2), by central differences.
+
+        The second axis is the coordinate to differentiate by. Derivatives of length are minus the moment arms:
+        exactly for shortest paths.
+
+        Parameters
+        ----------
+        poses, parameters
+            As for calling the object.
+        """
+        poses = np.asarray(poses, dtype=float)
+        slopes = []
+        for column in range(poses.shape[1]):
+            step = _STEP * np.eye(poses.shape[1])[column]
+            above, below = (self(poses + sign * step, parameters).moment_arm for sign in (1.0, -1.0))
+            slopes.append((np.asarray(above) - np.asarray(below)) / (2.0 * _STEP))
+        return np.stack(slopes, axis=1)
+
+
+@eqx.filter_jit
+def _evaluated(posed: PosedMuscles, parameters: Float[Array, "wrap wrap_parameter"]) -> PathValues:
+    return posed(parameters)
+
+
+def muscle_paths(
+    model_file: Path | str,
+    *,
+    mode: str = "geodesic",
+    muscles: Sequence[str] | None = None,
+    coordinates: Sequence[str] | None = None,
+    skip_unsupported: bool = False,
+) -> MusclePaths:
+    """Read the muscle paths of an OpenSim model, to compute lengths and moment arms without OpenSim.
+
+    Parameters
+    ----------
+    model_file
+        OpenSim model (.osim).
+    mode
+        ``geodesic``, shortest paths, whose moment arms are exactly -dL/dq; or ``parity``, paths as OpenSim 4.6
+        computes them, defects included.
+    muscles
+        Names of muscles; by default all.
+    coordinates
+        Names of coordinates of poses and moment arms; by default all that any of the muscles spans. Others stay
+        at the model's defaults or follow their couplers.
+    skip_unsupported
+        Whether to leave out muscles whose path cannot be computed, instead of raising an error.
+
+    Returns
+    -------
+    MusclePaths
+        Called with poses it returns lengths (m) and moment arms (m, m/rad).
+
+    Raises
+    ------
+    InputError
+        If OpenSim cannot load the model, it has no such muscle or coordinate, or the path of a muscle cannot be
+        computed and is not to be left out. All such muscles are named.
+    ValueError
+        If the mode is unknown.
+
+    Examples
+    --------
+    >>> paths = wrapjax.muscle_paths("model.osim")  # doctest: +SKIP
+    >>> values = paths(np.zeros((1, len(paths.coordinates))))  # doctest: +SKIP
+    >>> posed = paths.posed(poses)  # doctest: +SKIP
+    >>> misfit = lambda p: jnp.sum((posed(p).moment_arm - measured) ** 2)  # doctest: +SKIP
+    >>> jax.jacfwd(misfit)(jnp.asarray(paths.nominal))  # doctest: +SKIP
+    """
+    require_float64()
+    if mode not in MODES:
+        raise ValueError(f"unknown mode '{mode}': expected one of {', '.join(MODES)}")
+    model = describe_model(model_file)
+    known = [muscle.name for muscle in model.muscles]
+    problems = unknown_names(model_file, "muscle", muscles or (), known)
+    known_coordinates = [coordinate.name for coordinate in model.coordinates]
+    problems += unknown_names(model_file, "coordinate", coordinates or (), known_coordinates)
+    if problems:
+        raise InputError(problems)
+    names = tuple(known if muscles is None else muscles)
+    unsupported = {name: reason for name in names if (reason := unsupported_reason(model, name))}
+    if unsupported and not (skip_unsupported and len(unsupported) < len(names)):
+        raise InputError(
+            [
+                Problem(
+                    str(model_file),
+                    reason,
+                    place=f"muscle {name}",
+                    hint="leave it out with --skip-unsupported",
+                )
+                for name, reason in unsupported.items()
+            ]
+        )
+    names = tuple(name for name in names if name not in unsupported)
+    if coordinates is None:
+        spanned = {coordinate for name in names for coordinate in model.spanned_by(name)}
+        coordinates = [name for name in known_coordinates if name in spanned]
+    return MusclePaths(ExactPaths(model, names, tuple(coordinates)), mode, unsupported)
+
+
+def unsupported_reason(model: ModelDescription, muscle: str) -> str | None:
+    """Say why a muscle's path cannot be computed; None if it can."""
+    try:
+        engine = ExactPaths(model, (muscle,), model.spanned_by(muscle))
+        defaults = [model.coordinate(name).default_value for name in engine.coordinates]
+        engine.posed(np.array([defaults]))
+    except InputError as error:
+        return "; ".join(problem.message for problem in error.problems)
+    return None
