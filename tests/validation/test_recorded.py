@@ -4,6 +4,7 @@ import re
 import shutil
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -259,3 +260,23 @@ def test_excitation_is_compared_with_earlier_emg():
     assert correlations(later, emg)["correlation_delayed"] == pytest.approx(1.0)
     assert correlations(earlier, emg)["correlation_delayed"] < 0.7
     assert correlations(0.0 * emg, emg) == {"correlation": None, "correlation_delayed": None}
+
+
+def test_an_effect_that_is_testable_with_the_error_alone_had_no_evidence_before(monkeypatch):
+    """A channel can be tested for its loss only where it was lost: the rise of that effect is its evidence."""
+    decision = SimpleNamespace(outcome="unknown", accepted=(), family="")
+    monkeypatch.setattr(recorded, "decision_on", lambda case, constants: decision)
+    scored = {
+        "one.untouched": SimpleNamespace(evidence={"emg_drift": 4.0}, detectability={"emg_drift": 3.0}),
+        "one.lost": SimpleNamespace(
+            evidence={"emg_drift": 4.5, "emg_channel_loss": 2.0},
+            detectability={"emg_drift": 2.0, "emg_channel_loss": 1.5},
+        ),
+    }
+    jobs = {
+        name: (Manipulation(name, name, list, effect), None)
+        for name, effect in (("one.untouched", None), ("one.lost", "emg_channel_loss"))
+    }
+    (found,) = recorded._rows("one", jobs, scored)
+    assert found.rise == {"emg_channel_loss": 2.0, "emg_drift": 0.5} and found.right
+    assert found.detectability == 1.5

@@ -48,7 +48,8 @@ class Row:
     person, says, effect
         Name of the person's folder, description of the change, and the effect that should be found.
     detectability
-        d' of the effect at its prior size in the untouched recording; None where it is not testable.
+        d' of the effect at its prior size in the untouched recording, or in the changed one where it is
+        testable there alone; None where it is not testable.
     rise
         Increase of the evidence of each effect over the untouched recording, nats, the largest first.
     outcome, accepted, family
@@ -172,15 +173,15 @@ def _rows(
         if name.split(".")[0] != person or manipulation.effect is None:
             continue
         decision = decision_on(case, constants)
-        rise = {
-            id: value - before.evidence[id] for id, value in case.evidence.items() if id in before.evidence
-        }
+        # An effect that can be tested only with the error, such as a lost channel, had no evidence before.
+        rise = {id: value - before.evidence.get(id, 0.0) for id, value in case.evidence.items()}
+        detectability = {**case.detectability, **before.detectability}
         rows.append(
             Row(
                 person=person,
                 says=manipulation.says,
                 effect=manipulation.effect,
-                detectability=before.detectability.get(manipulation.effect),
+                detectability=detectability.get(manipulation.effect),
                 rise={id: rise[id] for id in sorted(rise, key=lambda id: -rise[id])},
                 outcome=decision.outcome,
                 accepted=decision.accepted,
