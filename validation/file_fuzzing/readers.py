@@ -33,7 +33,7 @@ READING = (
         "wrapjax.calibration.solvers.checkpoints",
         "wrapjax.report.overview",
     ),
-    *("wrapjax.report.evaluation_page", "wrapjax.report.cohort_page"),
+    *("wrapjax.report.evaluation_page", "wrapjax.report.cohort_page", "wrapjax.report.model_view.bones"),
 )
 
 
@@ -149,6 +149,14 @@ def _loads(path: Path) -> None:
     from wrapjax.subject.external_loads import read_external_loads
 
     read_external_loads(path)
+
+
+def _bone(path: Path) -> None:
+    from wrapjax.report.model_view.bones import read_vtp
+
+    vertices, triangles = read_vtp(path)
+    _finite(vertices)
+    assert not triangles.size or triangles.max() < len(vertices), "a triangle has no vertex"
 
 
 def _osimx(path: Path) -> None:
@@ -297,6 +305,7 @@ READERS: dict[str, Reader] = {
         Reader("muscle parameters (.csv)", _plain(".csv", _muscles, seeds.MUSCLE_PARAMETERS), 2.0),
         Reader("model (.osim)", _plain(".osim", _model, seeds.PLAIN_MODEL, seeds.OLD_MODEL), 3.0),
         Reader("external loads (.xml)", _plain(".xml", _loads, seeds.EXTERNAL_LOADS)),
+        Reader("bone (.vtp)", _plain(".vtp", _bone, seeds.BONE)),
         Reader("muscles (.osimx)", _plain(".osimx", _osimx, seeds.OSIMX)),
         Reader("NMSM project (.xml)", _project),
         Reader("laboratory's settings (.toml)", _laboratory, 2.0),

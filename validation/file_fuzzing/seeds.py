@@ -49,6 +49,14 @@ OLD_MODEL = b"""<?xml version="1.0" encoding="UTF-8"?>
 <tendon_slack_length>0.2</tendon_slack_length></Thelen2003Muscle></objects></ForceSet>
 </Model></OpenSimDocument>
 """
+BONE = b"""<?xml version="1.0"?>
+<VTKFile type="PolyData" version="0.1"><PolyData><Piece NumberOfPoints="4" NumberOfPolys="2">
+<Points><DataArray type="Float32" NumberOfComponents="3" format="ascii">
+0 0 0 1 0 0 1 1 0 0 1e-1 0</DataArray></Points>
+<Polys><DataArray type="Int32" Name="connectivity" format="ascii">0 1 2 3 0 1 2</DataArray>
+<DataArray type="Int32" Name="offsets" format="ascii">4 7</DataArray></Polys>
+</Piece></PolyData></VTKFile>
+"""
 EXTERNAL_LOADS = b"""<?xml version="1.0" encoding="UTF-8"?>
 <OpenSimDocument Version="40000"><ExternalLoads name="loads"><objects>
 <ExternalForce name="left"><applied_to_body>/bodyset/calcn_l</applied_to_body>

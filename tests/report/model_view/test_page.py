@@ -155,6 +155,8 @@ def test_page_says_what_stands_for_bones(shown, tmp_path, monkeypatch):
         ("0 1 2 3 0 1 4 1 2 4", "0 1 2 3 0 1 4 1 2 9", "vertices that it does not hold"),
         ("4 7 10", "4 3 10", "ascending ends"),
         ("4 7 10", "4 7 9", "up to the last"),
+        ("4 7 10", "4 7 1e300", "whole numbers"),
+        ("0 1 2 3 0 1 4 1 2 4", "0 1 2 3 0 1 4 1 2.5 4", "whole numbers"),
         ("0 0 1</DataArray></Points>", "0 0 x</DataArray></Points>", "expected numbers"),
         ("0 0 1</DataArray></Points>", "0 0</DataArray></Points>", "three for each vertex"),
         ("0 0 1</DataArray></Points>", "0 0 nan</DataArray></Points>", "finite numbers"),

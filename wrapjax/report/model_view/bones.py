@@ -14,6 +14,9 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.io.xml import read_xml
 from wrapjax.osim.attached_meshes import AttachedMesh
 
+#: Largest number of a vertex or of a polygon's corner.
+_MOST = 2**31 - 1
+
 
 @dataclass(frozen=True)
 class Bone:
@@ -88,8 +91,7 @@ def read_vtp(file: Path) -> tuple[Float[np.ndarray, "vertex 3"], Int[np.ndarray,
     for piece in pieces:
         points = _numbers(piece.find("Points/DataArray"), file, "Points").reshape(-1, 3)
         arrays = {entry.get("Name"): entry for entry in piece.findall("Polys/DataArray")}
-        corners = _numbers(arrays.get("connectivity"), file, "connectivity").astype(int)
-        ends = _numbers(arrays.get("offsets"), file, "offsets").astype(int)
+        corners, ends = (_whole_numbers(arrays.get(name), file, name) for name in ("connectivity", "offsets"))
         fans = _fans(corners, ends, file)
         if fans.size and (fans.min() < 0 or fans.max() >= len(points)):
             raise InputError(Problem(str(file), "has polygons of vertices that it does not hold"))
@@ -114,6 +116,13 @@ def _numbers(array: Element | None, file: Path, name: str) -> Float[np.ndarray, 
     if not np.isfinite(numbers).all() or (name == "Points" and numbers.size % 3):
         raise InputError(Problem(str(file), "expected finite numbers, three for each vertex", name))
     return numbers
+
+
+def _whole_numbers(array: Element | None, file: Path, name: str) -> Int[np.ndarray, " number"]:
+    numbers = _numbers(array, file, name)
+    if np.any((numbers < 0) | (numbers > _MOST) | (numbers != np.floor(numbers))):
+        raise InputError(Problem(str(file), "expected whole numbers from 0 on", name))
+    return numbers.astype(int)
 
 
 def _fans(

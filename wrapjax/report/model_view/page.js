@@ -133,7 +133,9 @@
   }
   function colorOf(muscle, placement) {
     const quantity = coloring();
-    if (placements > 1 && placement === 0 && state.view === "overlaid") return PLAIN.before;
+    // A quantity with one series for all muscles, such as the force, is that of the last placement.
+    const ofLast = quantity && quantity.axes.includes("muscle") && quantity.series.length < placements;
+    if (placements > 1 && placement === 0 && (state.view === "overlaid" || ofLast)) return PLAIN.before;
     if (!quantity) return placements > 1 ? (placement ? PLAIN.after : PLAIN.before) : PLAIN[0];
     return toColor(quantity, colorValue(quantity, muscle, placement));
   }

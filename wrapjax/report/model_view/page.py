@@ -20,6 +20,8 @@ from wrapjax.report.provenance import versions_in_words
 PAGE = "motion.html"
 
 _LARGEST_PAGE = 15 << 20
+# Most bones that are named where their files are missing; a whole body has eighty.
+_LISTED = 6
 _LICENSE_OF_LIBRARY = "three/LICENSE"
 
 
@@ -116,7 +118,8 @@ def _note_on_bones(bones: Sequence[Bone], missing: Sequence[str]) -> list[str]:
     if not missing:
         return []
     if bones:
-        return [f"Bones whose files were not found: {', '.join(missing)}."]
+        others = f" and {len(missing) - _LISTED} others" if len(missing) > _LISTED else ""
+        return [f"Bones whose files were not found: {', '.join(missing[:_LISTED])}{others}."]
     return [
         "The bones' surfaces (Geometry/*.vtp) were not found; lines between joint centers stand for bones."
     ]

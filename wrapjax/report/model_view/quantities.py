@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -148,6 +149,8 @@ def gap_errors(
         for entry in where:
             phase, value = entry.get("phase_percent"), entry.get(key)
             if phase is None or value is None or entry["coordinate"] not in coordinates:
+                continue
+            if not math.isfinite(value):
                 continue
             if entry["speed_m_s"] == speed:
                 # The last bin includes the end of the cycle.

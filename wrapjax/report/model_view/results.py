@@ -110,7 +110,7 @@ def shown_diagnosis(folder: Path, subject: Subject | None) -> Shown:
     file = folder / "gap.json"
     try:
         content = load_json(file)
-        where, trials = content["where"], content["trials"]
+        where, trials, outcome = content["where"], content["trials"], _outcome(content)
         subject = subject_of(folder, "gap.json", subject)
         missing = [name for name in trials if name not in subject.trials.names]
         if missing:
@@ -143,7 +143,7 @@ def shown_diagnosis(folder: Path, subject: Subject | None) -> Shown:
     return replace(
         shown,
         title=f"{subject.name}: diagnosed gap in motion",
-        under=f"{shown.under} {_outcome(content)}",
+        under=f"{shown.under} {outcome}",
         quantities=(
             _moments(shown, coordinates, curves),
             _errors("gap", "Explainable error", errors["explainable_rms_Nm"]),
