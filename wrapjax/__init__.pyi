@@ -15,6 +15,8 @@ from .comparison.comparison import compare as compare
 from .contact_forces.contact_force import Contact as Contact
 from .contact_forces.contact_force import contact as contact
 from .datasets.public_recordings import fetch as fetch
+from .diagnosis.against import ConditionDifference as ConditionDifference
+from .diagnosis.against import diagnose_against as diagnose_against
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings
@@ -33,6 +35,7 @@ from .path_sources.polynomial_fit import load_fit as load_fit
 from .path_sources.wrap_fitting import fit_wraps as fit_wraps
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
+from .subject.conditions import load_conditions as load_conditions
 from .subject.subject import load_subject as load_subject
 
 __version__: str
