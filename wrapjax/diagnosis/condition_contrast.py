@@ -69,7 +69,8 @@ class Contrast:
     Parameters
     ----------
     difference
-        Mean residual of the first condition less that of the second at each common speed, N m.
+        Mean residual of the first condition less that of the second at each common speed, as the calibration
+        of both together left it, N m.
     scores
         Score of each effect in each condition alone, the strongest evidence first.
     directions
@@ -135,7 +136,7 @@ def compute_contrast(
     scores = tuple(test[place] for place in order)
     kinds = tuple(directions[place] for place in order)
     threshold = max(LEAST_THRESHOLD, float(np.quantile(maxima, 1.0 - FALSE_ALARM_RATE)))
-    difference = _apply(rows, linearized.residual)
+    difference = _apply(rows, linearized.fitted_residual)
     predicted = _signal(linearized, rows, is_first, scores[0], kinds[0])
     return Contrast(
         difference=difference,
@@ -297,7 +298,7 @@ def _explained_elsewhere(
         projections = [project(residual, null, (chosen,)) for null in covariances.nulls(rows)]
         (test,) = score_projected(projections, (chosen,))
         predicted = _signal(linearized, other, is_first, test.scores[0], direction)
-        observed = _apply(other, linearized.residual)
+        observed = _apply(other, linearized.fitted_residual)
         before += float(np.sum(observed**2))
         after += float(np.sum((observed - predicted) ** 2))
         expected += float(np.sum(_noise_variance(linearized, other)))
