@@ -17,6 +17,8 @@ from .comparison.comparison import compare as compare
 from .contact_forces.contact_force import Contact as Contact
 from .contact_forces.contact_force import contact as contact
 from .datasets.public_recordings import fetch as fetch
+from .diagnosis.against import ConditionDifference as ConditionDifference
+from .diagnosis.against import diagnose_against as diagnose_against
 from .diagnosis.diagnosis import Diagnosis as Diagnosis
 from .diagnosis.diagnosis import diagnose as diagnose
 from .diagnosis.effects.catalogue import effect_meanings as effect_meanings
@@ -43,6 +45,7 @@ from .preprocessing.inverse_kinematics import inverse_kinematics as inverse_kine
 from .preprocessing.preparation import Preparation as Preparation
 from .preprocessing.preparation import prepare_subject as prepare_subject
 from .report.model_view.show import show as show
+from .subject.conditions import load_conditions as load_conditions
 from .subject.subject import load_subject as load_subject
 
 __version__: str

@@ -22,6 +22,9 @@ from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
     from wrapjax.diagnosis.result import DiagnosisResult
+    from wrapjax.path_sources.exact import ExactGeometry
+    from wrapjax.path_sources.polynomial_fit import Fit
+    from wrapjax.subject.subject import Subject
 
 _WIDTH = 100
 _MOST_EFFECTS = 6
@@ -140,6 +143,12 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         help="folder of polynomial muscle paths from 'wrapjax fit' (default: fitted now and cached)",
     )
     diagnose.add_argument(
+        "--against",
+        metavar="B",
+        help="find what differs from a second condition of the same person: another subject folder, or one "
+        "of two conditions of this one; writes difference.json",
+    )
+    diagnose.add_argument(
         "--starts",
         type=positive_integer,
         default=4,
@@ -157,17 +166,24 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.diagnosis.effects.catalogue import refuse_unknown
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.progress import print_progress
+    from wrapjax.subject.conditions import load_conditions
     from wrapjax.subject.subject import load_subject
 
     check_output_folder(options.out, options.force)
     refuse_unknown(options.without)
-    subject = load_subject(options.subject)
+    conditions: tuple[str, str] | None = None
+    if options.against:
+        subject, conditions = load_conditions(options.subject, options.against)
+    else:
+        subject = load_subject(options.subject)
     if options.fit:
         paths = load_fit(options.fit, subject)
     else:
         paths = fit_for_methods(
             (options.method,), subject, seed=options.seed, processes=options.threads, quiet=options.quiet
         )
+    if conditions is not None:
+        return _run_against(options, subject, conditions, paths)
     done = diagnose(
         subject,
         options.method,
@@ -181,3 +197,29 @@ def run(options: argparse.Namespace) -> int:
     done.save(options.out, force=options.force, motion=True)
     print_result(options, "gap.json", lambda: diagnosis_table(done.result))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
+
+
+def _run_against(
+    options: argparse.Namespace, subject: Subject, conditions: tuple[str, str], paths: Fit | ExactGeometry
+) -> int:
+    """Compare two conditions of a person."""
+    from wrapjax.cli.calibrate import iteration_printer
+    from wrapjax.diagnosis.against import diagnose_against
+    from wrapjax.progress import print_progress
+    from wrapjax.report.difference_page import difference_findings
+
+    done = diagnose_against(
+        subject,
+        conditions,
+        options.method,
+        paths,
+        without=options.without,
+        starts=options.starts,
+        seed=options.seed,
+        callback=iteration_printer(quiet=options.quiet),
+        log=lambda line: print_progress(line, quiet=options.quiet),
+    )
+    done.save(options.out, force=options.force)
+    sentences = [textwrap.fill(sentence, _WIDTH) for sentence in difference_findings(done) if sentence]
+    print_result(options, "difference.json", lambda: "\n".join(sentences))
+    return DONE

@@ -220,6 +220,7 @@ def linearized_model(
     measured: Float[np.ndarray, "trial coordinate frame"],
     context: Context,
     effects: Sequence[Effect],
+    groups: Int[np.ndarray, " cycle"] | None = None,
 ) -> LinearizedModel:
     """Linearise a calibrated model and effects over some cycles.
 
@@ -231,11 +232,13 @@ def linearized_model(
         Inputs of the forward model, measured moments (N m), and context of the cycles.
     effects
         Effects that are testable on these cycles.
+    groups
+        Number of the group of each cycle whose cycles repeat each other, counted from 0; by speed if None.
     """
     parameters = problem.parameters(variables)
     frames = phase_frames(measured.shape[-1])
     curves = problem.curves
-    speeds = speed_numbers(context.speeds)
+    speeds = speed_numbers(context.speeds) if groups is None else groups
     averaged = replace(recording, emg=mean_emg(recording.emg, speeds))
     states = muscle_states(curves, parameters, averaged)
     slopes = moment_slopes(problem, variables, averaged, frames)

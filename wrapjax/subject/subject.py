@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -142,6 +143,14 @@ def load_subject(path: str | Path) -> Subject:
     --------
     >>> subject = wrapjax.load_subject("P07_left")  # doctest: +SKIP
     """
+    folder = settings_folder(path)
+    problems: list[Problem] = []
+    settings = read_settings(folder, problems)
+    return load_from_settings(settings, folder, problems)
+
+
+def settings_folder(path: str | Path) -> Path:
+    """Return the folder of a subject, given it or the ``subject.toml`` in it; an error if there is none."""
     path = Path(path)
     folder = path.parent if path.name == SETTINGS_FILE else path
     if not folder.is_dir():
@@ -149,9 +158,23 @@ def load_subject(path: str | Path) -> Subject:
         raise InputError(
             Problem(str(folder), found, hint=f"a subject is a folder that holds a {SETTINGS_FILE}")
         )
-    problems: list[Problem] = []
+    return folder
+
+
+def load_from_settings(settings: Settings, folder: Path, known: Sequence[Problem] = ()) -> Subject:
+    """Read and check the files that settings name; see `load_subject`.
+
+    Parameters
+    ----------
+    settings
+        Settings of a subject folder.
+    folder
+        Subject folder.
+    known
+        Problems of the settings, which are raised together with those of the files.
+    """
+    problems = list(known)
     notes: list[str] = []
-    settings = read_settings(folder, problems)
     model = _read_model(settings, folder, problems)
     muscles, others = (None, None) if model is None else _read_muscles(settings, model, folder, problems)
 
