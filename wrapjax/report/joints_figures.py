@@ -143,10 +143,12 @@ def change_figure(result: JointPersonalisation) -> Figure:
         panel.hlines(rows, -1.645 * priors, 1.645 * priors, color=LIGHT_GRAY, linewidth=4.0, label="prior")
         panel.hlines(rows, values - 1.645 * sds, values + 1.645 * sds, color=BLUE, linewidth=1.2)
         known = np.array([row[4] for row in group], dtype=bool)
-        panel.plot(values[known], rows[known], "o", color=BLUE, label="determined by markers", **DOT)
-        panel.plot(
-            values[~known], rows[~known], "o", markerfacecolor="white", color=BLUE, label="prior holds", **DOT
-        )
+        # An empty line that is not clipped has no extent, which breaks the layout.
+        for chosen, fill, label in ((known, BLUE, "determined by markers"), (~known, "white", "prior holds")):
+            if chosen.any():
+                panel.plot(
+                    values[chosen], rows[chosen], "o", color=BLUE, markerfacecolor=fill, label=label, **DOT
+                )
         panel.set_xlabel(f"change ({unit})")
         label_rows([panel], [row[0].name.replace("_", " ") for row in group])
     legend_above(figure, *panels)
