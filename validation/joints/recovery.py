@@ -110,12 +110,9 @@ def write_person(
     frames = {}
     for name in JOINTS:
         row = structure.joints.index(name)
-        frames[name] = tuple(
-            (
-                np.asarray(getattr(changed, f"{side}_rotation"))[row],
-                np.asarray(getattr(changed, f"{side}_origin"))[row],
-            )
-            for side in ("parent", "child")
+        frames[name] = (
+            (np.asarray(changed.parent_rotation)[row], np.asarray(changed.parent_origin)[row]),
+            (np.asarray(changed.child_rotation)[row], np.asarray(changed.child_origin)[row]),
         )
     factors = {body: scales[structure.bodies.index(body)] for body in BODIES}
     write_model_with_joints(model, true_model, JointChanges(scales=factors, frames=frames))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,6 @@ from jaxtyping import Float
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.skeleton import SkeletonStructure, body_poses, build_skeleton
 from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
-from wrapjax.joints.result import JointPersonalisation, TrialErrors
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 from wrapjax.report.style import (
     BLACK,
@@ -26,6 +26,9 @@ from wrapjax.report.style import (
     legend_above,
     new_figure,
 )
+
+if TYPE_CHECKING:
+    from wrapjax.joints.result import JointPersonalisation, TrialErrors
 
 #: Half the drawn length of a joint's axis, m.
 AXIS_LENGTH = 0.06
