@@ -179,7 +179,7 @@ class JointProblem(AbstractLeastSquares):
         """Compute cost, residuals, their Jacobian J, and C with ``C'C = J'K inverse(K'K) K'J``."""
         model = self._skeleton(variables, frame)
         fit = fit_frame(model, frame.goals, self.pose_bounds, frame.starts)
-        pose = jax.lax.stop_gradient(fit.poses)
+        pose = jnp.asarray(jax.lax.stop_gradient(fit.poses))
         root = jnp.sqrt(frame.goals.weights * frame.precision)[:, None]
         by_variable = self._marker_jacobian(variables, frame, pose) * root[..., None]
         positions, rates, _ = model.motion(pose)
@@ -197,7 +197,7 @@ class JointProblem(AbstractLeastSquares):
         scale = _RIDGE * jnp.maximum(jnp.diagonal(information).max(), 1e-30)
         factor = jnp.linalg.cholesky(information + jnp.diag(scale + held))
         crossed = jsp.linalg.solve_triangular(factor, free @ flat, lower=True)
-        return fit.cost * frame.precision, residuals, flat, crossed
+        return jnp.asarray(fit.cost * frame.precision), residuals, flat, crossed
 
     def _marker_jacobian(
         self, variables: Float[Array, " variable"], frame: Frames, pose: Float[Array, " coordinate"]

@@ -51,7 +51,9 @@ INITIAL_NOISE = 0.005
 #: Lowest standard deviation that is estimated, m: cameras are hardly better.
 MIN_NOISE = 0.0005
 #: Rounds of estimation; each begins with the noise of the one before.
-ROUNDS = 2
+ROUNDS = 3
+#: Coordinates that spread less are taken to rest, rad or m.
+MIN_SPREAD = np.radians(1.0)
 #: Solver: the posterior is far wider than these tolerances.
 SOLVER = ProjectedLevenbergMarquardt(gtol=1e-5, ftol=1e-8, max_iterations=80)
 
@@ -119,7 +121,7 @@ def personalize_joints(
     ]
     log(f"estimating {len(parameters)} parameters")
     problem, counts = build_problem(settings, description, solved, names, parameters)
-    variables = np.zeros(problem.lower.size)
+    first, variables = problem, np.zeros(problem.lower.size)
     for number in range(ROUNDS):
         solution = SOLVER.solve(problem, variables)
         log(f"{solution.iterations} iterations, {time.perf_counter() - began:.1f} s")
@@ -127,7 +129,7 @@ def personalize_joints(
         noise, independent = _noise(problem, variables, counts)
         log(f"round {number + 1}: noise {1e3 * noise:.2f} mm, {independent:.0f} independent frames")
         if number + 1 < ROUNDS:
-            problem = _with_noise(problem, noise, independent)
+            problem = _next_round(first, problem, variables, noise, independent)
     changes = joint_changes(problem, parameters, names, variables)
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         written = Path(folder) / "model_joints.osim"
@@ -320,7 +322,6 @@ def _skin(
 ) -> tuple[SkinMovement, Float[np.ndarray, "frame feature"]]:
     """Build the movements of skin: of markers on bodies at freed joints, with the angles of these joints."""
     spread = poses.std(axis=0)
-    features = (poses - poses.mean(axis=0)) / np.where(spread > np.radians(1.0), spread, 1.0)
     freed = {parameter.owner for parameter in parameters if parameter.kind in FRAME_KINDS}
     bodies: dict[str, list[int]] = {}
     for joint in description.joints:
@@ -328,7 +329,7 @@ def _skin(
             columns = [coordinates.index(name) for name in joint.coordinates if name in coordinates]
             for body in (joint.parent_body, joint.child_body):
                 bodies.setdefault(body, []).extend(
-                    column for column in columns if spread[column] > np.radians(1.0)
+                    column for column in columns if spread[column] > MIN_SPREAD
                 )
     rows = [
         (marker, axis, column, settings.skin_movement / np.sqrt(3.0 * len(bodies[body])))
@@ -338,7 +339,8 @@ def _skin(
         for axis in range(3)
     ]
     markers, axes, columns_of, sds = zip(*rows, strict=True) if rows else ((), (), (), ())
-    return SkinMovement(tuple(markers), tuple(axes), tuple(columns_of), np.array(sds)), features
+    skin = SkinMovement(tuple(markers), tuple(axes), tuple(columns_of), np.array(sds))
+    return skin, _standardised(poses, poses)
 
 
 def _noise(
@@ -389,21 +391,35 @@ def _independent_frames(residuals: Float[np.ndarray, "frame marker 3"]) -> float
     return count / max(1.0, 2.0 * float(correlation[:end].sum()) - 1.0)
 
 
-def _with_noise(problem: JointProblem, noise: float, independent: float) -> JointProblem:
-    """Weight frames by the estimated noise and the number of independent frames."""
-    precision = np.asarray(problem.frames.precision)
-    count = (precision > 0.0).sum()
-    factor = INITIAL_NOISE**2 / noise**2 * min(1.0, independent / count)
-    frames = problem.frames._replace(precision=precision * factor)
-    return JointProblem(
-        problem.model,
-        problem.change,
-        problem.skin,
-        frames,
-        problem.pose_bounds,
-        problem.sd,
-        problem.limits,
+def _next_round(
+    first: JointProblem,
+    last: JointProblem,
+    variables: Float[np.ndarray, " variable"],
+    noise: float,
+    independent: float,
+) -> JointProblem:
+    """Weight frames by estimated noise and independence, and take poses and angles of the last round.
+
+    Angles about the starting model's axes explain the movement of skin less well than those about better axes.
+    """
+    precision = np.asarray(first.frames.precision)
+    used = precision > 0.0
+    factor = INITIAL_NOISE**2 / noise**2 * min(1.0, independent / used.sum())
+    poses = np.asarray(fit_poses(last, variables).poses)
+    frames = first.frames._replace(
+        precision=precision * factor, starts=poses, features=_standardised(poses, poses[used])
     )
+    return JointProblem(
+        first.model, first.change, first.skin, frames, first.pose_bounds, first.sd, first.limits
+    )
+
+
+def _standardised(
+    poses: Float[np.ndarray, "... coordinate"], among: Float[np.ndarray, "frame coordinate"]
+) -> Float[np.ndarray, "... coordinate"]:
+    """Subtract the mean of coordinates and divide by their spread among some frames, if they move at all."""
+    spread = among.std(axis=0)
+    return (poses - among.mean(axis=0)) / np.where(spread > MIN_SPREAD, spread, 1.0)
 
 
 def joint_changes(
