@@ -398,9 +398,9 @@ def _next_round(
     noise: float,
     independent: float,
 ) -> JointProblem:
-    """Weight frames by estimated noise and independence, and take poses and angles of the last round.
+    """Weight frames by noise and independence, and take poses and angles of the last round.
 
-    Angles about the starting model's axes explain the movement of skin less well than those about better axes.
+    Angles about the starting model's axes explain the movement of skin less well than about better axes.
     """
     precision = np.asarray(first.frames.precision)
     used = precision > 0.0
