@@ -50,6 +50,17 @@ def test_the_motion_behind_markers_is_found(legs_model, walk):
     assert found.rms < 1e-10
 
 
+@pytest.mark.parametrize("turn", [2.0, np.pi])
+def test_people_who_walk_in_other_directions_are_found(legs_model, walk, turn):
+    rotation = np.array(
+        [[np.cos(turn), 0.0, np.sin(turn)], [0.0, 1.0, 0.0], [-np.sin(turn), 0.0, np.cos(turn)]]
+    )
+    found = inverse_kinematics(legs_model, walk[2].rotated(rotation))
+    assert found.rms < 1e-10
+    joints = [not name.startswith("pelvis") for name in found.coordinates]
+    np.testing.assert_allclose(found.values[joints].T, walk[1][:, joints], atol=1e-9)
+
+
 def test_poses_and_distances_equal_opensim(legs_model, noisy, tmp_path):
     file = tmp_path / "noisy.trc"
     write_trc(file, noisy)

@@ -6,10 +6,11 @@ up to 20 mm off along each axis, hinge axes up to 10 degrees, and body scales up
 the recorded running and one of each joint alone. OpenSim computes the markers of the true model.
 
 Skin moves each marker on its body by 4.5 mm (root mean square), in proportion to the angles of the joints at
-the body (continuous and in phase, the size of Reinbolt et al. 2005, J Biomech 38), and by a slow sinusoid of
-about half that size. Errors are those of the joint's centre against the body's markers: the estimated body is
-laid on the true one by the markers that it carries, in the parent and in the child body where these carry
-three or more; of a hinge, the distance from the true axis, and the angle between the axes.
+the body (continuous and in phase, the same per angle in all trials; of the size of Reinbolt et al. 2005,
+J Biomech 38), and by a slow sinusoid of about half that size. Errors are those of the joint's centre against
+the body's markers: the estimated body is laid on the true one by the markers that it carries, in the parent
+and in the child body where these carry three or more; of a hinge, the distance from the true axis, and the
+angle between the axes.
 """
 
 from __future__ import annotations
@@ -47,8 +48,10 @@ HINGES = ("knee_r", "ankle_r")
 BODIES = ("pelvis", "femur_r", "tibia_r", "calcn_r")
 #: Largest true changes: m, rad, share.
 CENTRE, AXIS, SCALE = 0.02, np.radians(10.0), 0.1
-#: Root mean square movement of skin, m.
-SKIN = 0.0045
+#: Root mean square movement of skin, m, and size of its slow part against that of one angle.
+SKIN, SLOW = 0.0045, 0.5
+#: Frames a second.
+RATE = 100.0
 
 
 def freed() -> list[FreedParameter]:
@@ -107,15 +110,32 @@ def write_person(
     frames = {}
     for name in JOINTS:
         row = structure.joints.index(name)
-        frames[name] = tuple(
-            (
-                np.asarray(getattr(changed, f"{side}_rotation"))[row],
-                np.asarray(getattr(changed, f"{side}_origin"))[row],
-            )
-            for side in ("parent", "child")
+        frames[name] = (
+            (np.asarray(changed.parent_rotation)[row], np.asarray(changed.parent_origin)[row]),
+            (np.asarray(changed.child_rotation)[row], np.asarray(changed.child_origin)[row]),
         )
     factors = {body: scales[structure.bodies.index(body)] for body in BODIES}
     write_model_with_joints(model, true_model, JointChanges(scales=factors, frames=frames))
+
+
+def moved_skin(
+    motion_of: dict[str, Float[np.ndarray, "frame coordinate"]],
+    gains: Float[np.ndarray, "marker 3 coordinate"],
+    skin: float,
+    rng: np.random.Generator,
+) -> dict[str, Float[np.ndarray, "frame marker 3"]]:
+    """Movements of markers on their bodies, m, by trial: the same per angle in all trials."""
+    joined = np.concatenate(list(motion_of.values()))
+    mean, spread = joined.mean(axis=0), joined.std(axis=0)
+    moved = {}
+    for name, motion in motion_of.items():
+        angles = (motion - mean) / np.where(spread > np.radians(1.0), spread, np.inf)
+        phase = rng.uniform(0.0, 2.0 * np.pi, (1, len(gains), 3))
+        time = np.arange(len(motion))[:, None, None] / RATE
+        slow = np.sin(2.0 * np.pi * 0.7 * time + phase) * rng.normal(size=(1, len(gains), 3))
+        moved[name] = np.einsum("mkc,fc->fmk", gains, angles) + SLOW * slow
+    size = np.sqrt(np.mean(np.sum(np.concatenate(list(moved.values())) ** 2, axis=-1)))
+    return {name: skin / size * values for name, values in moved.items()}
 
 
 def recorded(
@@ -123,25 +143,15 @@ def recorded(
     coordinates: list[str],
     motion: Float[np.ndarray, "frame coordinate"],
     names: tuple[str, ...],
-    skin: float,
-    gains: Float[np.ndarray, "marker 3 coordinate"],
-    rng: np.random.Generator,
+    moved: Float[np.ndarray, "frame marker 3"],
 ) -> Markers:
     """Markers of a motion by OpenSim, moved with the skin on their bodies."""
     frames = pose_bodies(true_model, coordinates, motion)
-    description = describe_model(true_model)
-    carriers = {marker.name: marker.body for marker in description.markers}
+    carriers = {marker.name: marker.body for marker in describe_model(true_model).markers}
     order = [frames.markers.index(name) for name in names]
     rotation = frames.rotation[:, [frames.bodies.index(carriers[name]) for name in names]]
-    spread = motion.std(axis=0)
-    angles = (motion - motion.mean(axis=0)) / np.where(spread > np.radians(1.0), spread, np.inf)
-    phase = rng.uniform(0.0, 2.0 * np.pi, (1, len(names), 3))
-    time = np.arange(len(motion)) / 100.0
-    slow = np.sin(2.0 * np.pi * 0.7 * time[:, None, None] + phase) * rng.normal(size=(1, len(names), 3))
-    moved = np.einsum("mkc,fc->fmk", gains, angles) + 0.5 / np.sqrt(0.5 * 3.0) * slow
-    moved *= skin / np.sqrt(np.mean(np.sum(moved**2, axis=-1))) if skin else 0.0
     positions = frames.positions[:, order] + np.einsum("fmij,fmj->fmi", rotation, moved)
-    return Markers(names, time, np.moveaxis(positions, 0, 1))
+    return Markers(names, np.arange(len(motion)) / RATE, np.moveaxis(positions, 0, 1))
 
 
 def skin_gains(
@@ -215,10 +225,12 @@ def recover(
     coordinates = [entry.name for entry in description.coordinates if not entry.coupled_to]
     names = tuple(marker.name for marker in description.markers if marker.body in BODIES)
     gains = skin_gains(description, names, coordinates, rng)
+    made = motions(data, coordinates)
+    moved = moved_skin(made, gains, skin, rng)
     trials = []
-    for name, motion in motions(data, coordinates).items():
+    for name, motion in made.items():
         file = folder / f"{name}{seed}.trc"
-        write_trc(file, recorded(true_model, coordinates, motion, names, skin, gains, rng))
+        write_trc(file, recorded(true_model, coordinates, motion, names, moved[name]))
         trials.append(MarkerTrial(name, file))
     settings = JointSettings(
         file=folder / "joints.toml",

@@ -73,11 +73,11 @@ class PoseFit(NamedTuple):
         Whether each frame met `TOLERANCE`.
     """
 
-    poses: Float[Array, "frame coordinate"]
-    cost: Float[Array, " frame"]
-    matrix: Float[Array, "frame coordinate coordinate"]
-    steps: Float[Array, " frame"]
-    converged: Bool[Array, " frame"]
+    poses: Float[Array | np.ndarray, "frame coordinate"]
+    cost: Float[Array | np.ndarray, " frame"]
+    matrix: Float[Array | np.ndarray, "frame coordinate coordinate"]
+    steps: Float[Array | np.ndarray, " frame"]
+    converged: Bool[Array | np.ndarray, " frame"]
 
 
 class Expansion(NamedTuple):
@@ -140,7 +140,10 @@ def expand(model: MarkerModel, goal: MarkerGoals, pose: Float[Array, " coordinat
 
 
 def fit_frame(
-    model: MarkerModel, goal: MarkerGoals, bounds: Bounds, start: Float[Array, " coordinate"]
+    model: MarkerModel,
+    goal: MarkerGoals,
+    bounds: Bounds,
+    start: Float[Array | np.ndarray, " coordinate"],
 ) -> PoseFit:
     """Solve one frame from a starting pose; arguments and result are without the axis ``frame``."""
     lower, upper = jnp.asarray(bounds.lower), jnp.asarray(bounds.upper)
@@ -200,7 +203,10 @@ def fit_frame(
 
 @eqx.filter_jit
 def fit_block(
-    model: MarkerModel, goals: MarkerGoals, bounds: Bounds, starts: Float[Array, "frame coordinate"]
+    model: MarkerModel,
+    goals: MarkerGoals,
+    bounds: Bounds,
+    starts: Float[Array | np.ndarray, "frame coordinate"],
 ) -> PoseFit:
     """Solve several frames at once, each from its own starting pose."""
     return jax.vmap(lambda goal, start: fit_frame(model, goal, bounds, start))(goals, starts)

@@ -127,7 +127,7 @@ class JointProblem(AbstractLeastSquares):
             # One product of tall matrices is far quicker than one a frame.
             tall, wide = (array.reshape(-1, variables.shape[0]) for array in (rows, followed))
             terms = (cost.sum(), tall.T @ residuals.reshape(-1), tall.T @ tall - wide.T @ wide)
-            return tuple(old + new for old, new in zip(total, terms, strict=True)), None
+            return (total[0] + terms[0], total[1] + terms[1], total[2] + terms[2]), None
 
         count = variables.shape[0]
         start = (jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)))
@@ -155,7 +155,7 @@ class JointProblem(AbstractLeastSquares):
             lambda block: jax.vmap(lambda frame: self._fit(variables, frame))(block), self.frames
         )
 
-    def _skeleton(self, variables: Float[Array, " variable"], frame: Frames) -> MarkerModel:
+    def _skeleton(self, variables: Float[Array | np.ndarray, " variable"], frame: Frames) -> MarkerModel:
         """Skeleton of a frame: changed by the parameters, and markers moved with the skin."""
         changed = self.change.apply(self.model, self.parameters(variables))
         moved = (
@@ -170,7 +170,7 @@ class JointProblem(AbstractLeastSquares):
         locations = jnp.asarray(changed.locations).at[places].add(moved)
         return MarkerModel(changed.structure, changed.carriers, changed.skeleton, locations)
 
-    def _fit(self, variables: Float[Array, " variable"], frame: Frames) -> PoseFit:
+    def _fit(self, variables: Float[Array | np.ndarray, " variable"], frame: Frames) -> PoseFit:
         return fit_frame(self._skeleton(variables, frame), frame.goals, self.pose_bounds, frame.starts)
 
     def _frame_terms(
@@ -179,7 +179,7 @@ class JointProblem(AbstractLeastSquares):
         """Compute cost, residuals, their Jacobian J, and C with ``C'C = J'K inverse(K'K) K'J``."""
         model = self._skeleton(variables, frame)
         fit = fit_frame(model, frame.goals, self.pose_bounds, frame.starts)
-        pose = jax.lax.stop_gradient(fit.poses)
+        pose = jnp.asarray(jax.lax.stop_gradient(fit.poses))
         root = jnp.sqrt(frame.goals.weights * frame.precision)[:, None]
         by_variable = self._marker_jacobian(variables, frame, pose) * root[..., None]
         positions, rates, _ = model.motion(pose)
@@ -197,7 +197,7 @@ class JointProblem(AbstractLeastSquares):
         scale = _RIDGE * jnp.maximum(jnp.diagonal(information).max(), 1e-30)
         factor = jnp.linalg.cholesky(information + jnp.diag(scale + held))
         crossed = jsp.linalg.solve_triangular(factor, free @ flat, lower=True)
-        return fit.cost * frame.precision, residuals, flat, crossed
+        return jnp.asarray(fit.cost * frame.precision), residuals, flat, crossed
 
     def _marker_jacobian(
         self, variables: Float[Array, " variable"], frame: Frames, pose: Float[Array, " coordinate"]
@@ -226,8 +226,8 @@ def fit_poses(problem: JointProblem, variables: Float[Array | np.ndarray, " vari
     return problem.fit(variables)
 
 
-def in_blocks(array: Float[np.ndarray, "frame ..."]) -> Float[np.ndarray, "block frame_in_block ..."]:
+def in_blocks(array: Float[Array | np.ndarray, "frame ..."]) -> Float[np.ndarray, "block frame_in_block ..."]:
     """Cut frames into blocks of `FRAME_BLOCK`; the last frame is repeated to fill the last block."""
     count = len(array)
     rows = np.minimum(np.arange(count + -count % FRAME_BLOCK), count - 1)
-    return array[rows].reshape(-1, FRAME_BLOCK, *array.shape[1:])
+    return np.asarray(array)[rows].reshape(-1, FRAME_BLOCK, *array.shape[1:])

@@ -66,5 +66,5 @@ def pose_bodies(
             origin[row, place] = transform.p().to_numpy()
         for place, marker in enumerate(markers):
             positions[row, place] = marker.getLocationInGround(state).to_numpy()
-    names = (tuple(part.getName() for part in parts) for parts in (bodies, markers))
-    return BodyFrames(*names, rotation, origin, positions)
+    body_names, marker_names = (tuple(part.getName() for part in parts) for parts in (bodies, markers))
+    return BodyFrames(body_names, marker_names, rotation, origin, positions)

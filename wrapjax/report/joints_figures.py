@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -10,7 +11,6 @@ from jaxtyping import Float
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.skeleton import SkeletonStructure, body_poses, build_skeleton
 from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
-from wrapjax.joints.result import JointPersonalisation, TrialErrors
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 from wrapjax.report.style import (
     BLACK,
@@ -26,6 +26,9 @@ from wrapjax.report.style import (
     legend_above,
     new_figure,
 )
+
+if TYPE_CHECKING:
+    from wrapjax.joints.result import JointPersonalisation, TrialErrors
 
 #: Half the drawn length of a joint's axis, m.
 AXIS_LENGTH = 0.06
@@ -143,10 +146,12 @@ def change_figure(result: JointPersonalisation) -> Figure:
         panel.hlines(rows, -1.645 * priors, 1.645 * priors, color=LIGHT_GRAY, linewidth=4.0, label="prior")
         panel.hlines(rows, values - 1.645 * sds, values + 1.645 * sds, color=BLUE, linewidth=1.2)
         known = np.array([row[4] for row in group], dtype=bool)
-        panel.plot(values[known], rows[known], "o", color=BLUE, label="determined by markers", **DOT)
-        panel.plot(
-            values[~known], rows[~known], "o", markerfacecolor="white", color=BLUE, label="prior holds", **DOT
-        )
+        # An empty line that is not clipped has no extent, which breaks the layout.
+        for chosen, fill, label in ((known, BLUE, "determined by markers"), (~known, "white", "prior holds")):
+            if chosen.any():
+                panel.plot(
+                    values[chosen], rows[chosen], "o", color=BLUE, markerfacecolor=fill, label=label, **DOT
+                )
         panel.set_xlabel(f"change ({unit})")
         label_rows([panel], [row[0].name.replace("_", " ") for row in group])
     legend_above(figure, *panels)

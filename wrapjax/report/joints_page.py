@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from wrapjax.joints.result import JointPersonalisation
 from wrapjax.report import markup
 from wrapjax.report.formatting import counted
 from wrapjax.report.joints_figures import change_figure, marker_figure, skeleton_figure
 from wrapjax.report.provenance import versions_in_words
+
+if TYPE_CHECKING:
+    from wrapjax.joints.result import JointPersonalisation
 
 
 def render_joints(result: JointPersonalisation) -> str:
