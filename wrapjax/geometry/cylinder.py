@@ -95,7 +95,9 @@ def decide_wrapping(start: Vector, end: Vector, cylinder: PlacedSurface) -> Cyli
     )
 
 
-def spiral_contact(start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision) -> Contact:
+def spiral_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact as OpenSim 4.6 does for a path with a single wrap object.
 
     Parameters
@@ -113,7 +115,9 @@ def spiral_contact(start: Vector, end: Vector, cylinder: PlacedSurface, decision
     return _on_spiral(start, first, last, end, cylinder, decision)
 
 
-def iterated_spiral_contact(start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision) -> Contact:
+def iterated_spiral_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact as OpenSim 4.6 does for a path with several wrap objects.
 
     Starting from `spiral_contact`, both points of contact are moved along the cylinder's axis, up to a
@@ -178,7 +182,9 @@ def iterated_spiral_contact(start: Vector, end: Vector, cylinder: PlacedSurface,
     )
 
 
-def geodesic_contact(start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision) -> Contact:
+def geodesic_contact(
+    start: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+) -> Contact:
     """Compute the contact of the shortest path that passes the cylinder on the chosen side.
 
     From an end inside the cylinder there is no such path. The end then counts as on the surface, so that the
@@ -282,7 +288,12 @@ def _slide_into_plane(
 
 
 def _on_spiral(
-    start: Vector, first: Vector, last: Vector, end: Vector, cylinder: PlacedSurface, decision: CylinderDecision
+    start: Vector,
+    first: Vector,
+    last: Vector,
+    end: Vector,
+    cylinder: PlacedSurface,
+    decision: CylinderDecision,
 ) -> Contact:
     """Compute the contact along the spiral between two given points of contact."""
     angle = _angle_between(first, last)

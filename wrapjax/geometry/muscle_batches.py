@@ -1,8 +1,8 @@
 """Posed paths of many muscles, stacked so that all paths of a kind share one compiled program.
 
 Paths round one surface are stacked by the surface's kind. Paths round several surfaces are padded to the same
-numbers of points and surfaces, whatever the kinds. A padding surface can be touched by no segment, and a padding
-point coincides with the path's last point.
+numbers of points and surfaces, whatever the kinds. A padding surface can be touched by no segment, and a
+padding point coincides with the path's last point.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Path of one straight segment through one torus as OpenSim 4.6 computes it, defects included.
 
-OpenSim replaces the torus by a straight cylinder of the tube's radius, tangent to the ring at its point that is
-nearest to the segment, on whose side towards the ring's center paths pass. It searches this point from both ends
-of the segment with MINPACK's ``lmdif``, at a relative tolerance of 1e-4. A factor of two in the residual makes it
-the nearest point to a ring of twice the radius.
+OpenSim replaces the torus by a straight cylinder of the tube's radius, tangent to the ring at its point that
+is nearest to the segment, on whose side towards the ring's center paths pass. It searches this point from
+both ends of the segment with MINPACK's ``lmdif``, at a relative tolerance of 1e-4. A factor of two in the
+residual makes it the nearest point to a ring of twice the radius.
 """
 
 from __future__ import annotations
@@ -99,9 +99,7 @@ def find_contact(on_cylinder: Callable[..., Contact]) -> FindContact:
 
 
 def _contact_by(on_cylinder: Callable[..., Contact]) -> FindContact:
-    def contact(
-        start: Vector, end: Vector, torus: PlacedSurface, decision: OpenSimTorusDecision
-    ) -> Contact:
+    def contact(start: Vector, end: Vector, torus: PlacedSurface, decision: OpenSimTorusDecision) -> Contact:
         placed = decision.cylinder
         found = on_cylinder(
             placed.to_surface_frame(start), placed.to_surface_frame(end), placed, decision.on_cylinder
@@ -161,13 +159,17 @@ def _searched(start: Vector, direction: Vector, ring: Float[Array, ""]) -> Float
         small = _DIFFERENCE * jnp.abs(at)
         small = jnp.where(small == 0.0, _DIFFERENCE, small)
         slope = (residual(at + small) - value) / small
-        scale = jnp.where(count == 0, jnp.where(slope == 0.0, 1.0, jnp.abs(slope)), jnp.maximum(scale, jnp.abs(slope)))
+        scale = jnp.where(
+            count == 0, jnp.where(slope == 0.0, 1.0, jnp.abs(slope)), jnp.maximum(scale, jnp.abs(slope))
+        )
         newton = -value * safe_inverse(slope)
         longest = bound / scale
         # A step up to a tenth beyond the bound is accepted.
         full = scale * jnp.abs(newton) <= 1.1 * bound
         move = jnp.where(full, newton, jnp.sign(newton) * longest)
-        damping = jnp.where(full, 0.0, jnp.abs(slope * value) * safe_inverse(longest) / scale**2 - (slope / scale) ** 2)
+        damping = jnp.where(
+            full, 0.0, jnp.abs(slope * value) * safe_inverse(longest) / scale**2 - (slope / scale) ** 2
+        )
         length = scale * jnp.abs(move)
         bound = jnp.where(count == 0, jnp.minimum(bound, length), bound)
         trial = at + move
@@ -199,7 +201,14 @@ def _searched(start: Vector, direction: Vector, ring: Float[Array, ""]) -> Float
         )
 
     zeros = jnp.zeros_like(fixed[0].x)
-    begin = (zeros, residual(zeros), zeros, jnp.full_like(zeros, _BOUND), zeros > 0.0, jnp.asarray(0))
+    begin: tuple[Array, ...] = (
+        zeros,
+        residual(zeros),
+        zeros,
+        jnp.full_like(zeros, _BOUND),
+        zeros > 0.0,
+        jnp.asarray(0),
+    )
     at, *_ = jax.lax.while_loop(unfinished, step, begin)
     at = jax.lax.stop_gradient(at)
     slope = jax.jvp(residual, (at,), (jnp.ones_like(at),))[1]

@@ -126,8 +126,8 @@ def refit_wrap(
     route
         Path before this step.
     methods
-        How segments wrap round each surface, at least up to the largest value of ``wrap``. With ``numbers``, the
-        methods in any order.
+        How segments wrap round each surface, at least up to the largest value of ``wrap``. With ``numbers``,
+        the methods in any order.
     numbers
         Number of each surface's method.
 
@@ -165,9 +165,7 @@ def refit_wrap(
         knots=jnp.where(fitted.touched, inserted, knots),
         position=position,
         on_surface=route.on_surface.at[wrap].set(jnp.where(fitted.touched, fitted.length, 0.0)),
-        margins=jax.tree.map(
-            lambda values, value: values.at[wrap].set(value), route.margins, fitted.margins
-        ),
+        margins=jax.tree.map(lambda values, value: values.at[wrap].set(value), route.margins, fitted.margins),
     )
     return found, fitted.code
 
@@ -181,8 +179,8 @@ def by_method(
 ) -> _Result:
     """Call a function, whose first argument is a method, with the method of a surface.
 
-    Arguments are those of `refit_wrap`. Only this method is evaluated, unless ``wrap`` or ``numbers`` differ in a
-    batch.
+    Arguments are those of `refit_wrap`. Only this method is evaluated, unless ``wrap`` or ``numbers`` differ
+    in a batch.
     """
     if numbers is not None:
         branches = [partial(function, method) for method in methods]
@@ -207,7 +205,8 @@ def _fit(
 ) -> _Fitted:
     """Find the segment that wraps round a surface, and its contact.
 
-    ``start`` and ``end`` are in the surface's frame, ``straight_start`` and ``straight_end`` in ground's frame.
+    ``start`` and ``end`` are in the surface's frame, ``straight_start`` and ``straight_end`` in ground's
+    frame.
     """
     place = jnp.arange(eligible.size)
     decision = method.decide(start, end, surface)
@@ -217,7 +216,7 @@ def _fit(
         rank = jnp.where(crossing, jnp.where(decision.mandatory, place - 1e6, decision.increase), jnp.inf)
         best = jnp.argmin(rank)
         own = jax.tree.map(lambda leaf: leaf[best], (start, end, decision))
-        contact = method.find_contact(*own[:2], surface, own[2])
+        contact = method.find_contact(own[0], own[1], surface, own[2])
         wraps = crossing & contact.valid
         touched = wraps[best]
     else:
@@ -301,7 +300,7 @@ def path_length(route: PathOnCylinders, points: int) -> Float[Array, ""]:
     return jnp.sum(jnp.where(present & straight, distance, 0.0)) + jnp.sum(route.on_surface)
 
 
-def _removed(knots: Int[Array, " place"], first: Int[Array, ""]) -> Int[Array, " place"]:
+def _removed(knots: Int[Array, " place"], first: Int[Array, ""] | int) -> Int[Array, " place"]:
     """Remove two consecutive knots from the path, if they are in it."""
     place = jnp.arange(knots.size)
     here = jnp.where(jnp.any(knots == first), jnp.argmax(knots == first), knots.size)
@@ -310,7 +309,7 @@ def _removed(knots: Int[Array, " place"], first: Int[Array, ""]) -> Int[Array, "
 
 
 def _inserted(
-    knots: Int[Array, " place"], after: Int[Array, ""], first: Int[Array, ""]
+    knots: Int[Array, " place"], after: Int[Array, ""], first: Int[Array, ""] | int
 ) -> Int[Array, " place"]:
     """Insert two consecutive knots into the path, after a place."""
     place = jnp.arange(knots.size)

@@ -137,8 +137,8 @@ def wrap_in_parity(
     def refit_by_numbers(route, cached, order):
         """Refit all surfaces in their order, by a loop over constant numbers of surfaces.
 
-        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces are
-        refitted in both of their places.
+        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces
+        are refitted in both of their places.
         """
         turns, surfaces_in_turn = (jnp.asarray(values) for values in _turns(wraps))
 
@@ -196,7 +196,7 @@ class _Contacts(NamedTuple):
 
 
 def _turns(wraps: int) -> tuple[list[int], list[int]]:
-    """Turns and surfaces to refit in them: of the first two turns both surfaces, later only the turn's own."""
+    """List turns, and the surfaces to refit in them: both in the first two turns, later the turn's own."""
     pairs = [(0, 0), (0, 1), (1, 1), (1, 0), *((turn, turn) for turn in range(2, wraps))]
     return [turn for turn, _ in pairs], [wrap for _, wrap in pairs]
 
@@ -344,7 +344,9 @@ def _refit_all(
 def _touch(method: WrapMethod, start: Vector, end: Vector, surface: PlacedSurface) -> Contact:
     """Compute the contact of a segment that wraps, also where it would not of its own."""
     decision = method.decide(start, end, surface)
-    return method.find_contact(start, end, surface, replace(decision, possible=jnp.ones_like(decision.possible)))
+    return method.find_contact(
+        start, end, surface, replace(decision, possible=jnp.ones_like(decision.possible))
+    )
 
 
 def _wrapped_path(
@@ -374,9 +376,7 @@ def _wrapped_path(
         moment_arm=-jnp.sum(jnp.where(pulls[None], rate, 0.0), axis=-1),
         on_surface=route.on_surface,
         margins=jax.tree.map(jnp.min, route.margins),
-        clearances=jnp.concatenate(
-            [point_clearances.ravel(), off_end, placed.radius * long_wrap]
-        ),
+        clearances=jnp.concatenate([point_clearances.ravel(), off_end, placed.radius * long_wrap]),
     )
 
 

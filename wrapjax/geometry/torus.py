@@ -1,10 +1,10 @@
 """Shortest path of one straight segment through the hole of one torus.
 
-All coordinates are in the torus' frame, whose z axis is normal to the ring's plane. As in OpenSim, a path passes
-through the hole. A segment with its ends on both sides of the ring's plane therefore wraps if it crosses that
-plane outside the ring or intersects the tube. A segment with both ends on one side wraps if it intersects the
-tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate, and the ring's angle
-the second one.
+All coordinates are in the torus' frame, whose z axis is normal to the ring's plane. As in OpenSim, a path
+passes through the hole. A segment with its ends on both sides of the ring's plane therefore wraps if it
+crosses that plane outside the ring or intersects the tube. A segment with both ends on one side wraps if it
+intersects the tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate,
+and the ring's angle the second one.
 
 From an end inside the tube there is no path: the end then counts as on the surface.
 """
@@ -19,7 +19,8 @@ from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, Placed
 from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
-# Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval about it.
+# Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
+# about it.
 _TRIALS, _HALVINGS = 32, 40
 
 
@@ -45,7 +46,7 @@ def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> TorusDe
     sizes = torus.sizes
     assert sizes is not None
     ring, tube = sizes.x, sizes.y
-    decide = over_segments(lambda *ends: _decided(*ends, ring, tube), start)
+    decide = over_segments(lambda start, end: _decided(start, end, ring, tube), start)
     crosses, hits, ring_angle, direction, increase = decide(stack_components(start), stack_components(end))
     place = Vector(jnp.cos(ring_angle), jnp.sin(ring_angle), jnp.zeros_like(ring_angle))
     active = (torus.side == 0) | torus.on_side(place)
@@ -93,7 +94,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         wraps: Array,
     ) -> Curve:
         surface = jnp.stack([sizes.x, sizes.y])
-        # In place of segments that do not wrap, whose contact is not used, some segment that does is computed.
+        # In place of segments that do not wrap, whose contact is not used, some segment that does is
+        # computed.
         start = jnp.where(wraps, _outside(start, sizes), jnp.stack([0.3 * sizes.x, sizes.y, 3.0 * sizes.y]))
         end = jnp.where(wraps, _outside(end, sizes), jnp.stack([2.0 * sizes.x, -sizes.y, -3.0 * sizes.y]))
         direction = jnp.where(wraps, direction, 1.0)
@@ -126,7 +128,7 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
 def _decided(
     start: Float[Array, " 3"], end: Float[Array, " 3"], ring: Float[Array, ""], tube: Float[Array, ""]
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Whether one segment crosses the plane outside the ring, whether it hits the tube, and where it wraps."""
+    """Decide whether one segment crosses the plane outside the ring or hits the tube, and where it wraps."""
     start, end, ring, tube = jax.lax.stop_gradient((start, end, ring, tube))
     opposite = (start[2] > 0.0) != (end[2] > 0.0)
     share = start[2] * safe_inverse(start[2] - end[2])
@@ -138,7 +140,7 @@ def _decided(
     # The shortest way through the hole by a point of the tube's inner edge.
     angles = jnp.arange(_TRIALS) * (2.0 * jnp.pi / _TRIALS)
     inner = (ring - tube) * jnp.stack([jnp.cos(angles), jnp.sin(angles), jnp.zeros(_TRIALS)], axis=1)
-    ways = _norm(inner - start) + _norm(inner - end)
+    ways = _norm(inner - start[None]) + _norm(inner - end[None])
     best = jnp.argmin(ways)
     before, at, after = (ways[(best + step) % _TRIALS] for step in (-1, 0, 1))
     shift = (before - after) * safe_inverse(jnp.maximum(before - 2.0 * at + after, 0.0))
@@ -163,7 +165,8 @@ def _nearest_share(
     way = end - start
 
     def square(share: Float[Array, "*trial"]) -> Float[Array, "*trial"]:
-        point = start + jnp.asarray(share)[..., None] * way
+        point = jnp.multiply.outer(jnp.asarray(share), way)
+        point = point + jnp.broadcast_to(start, point.shape)
         aside = safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2) - ring
         return aside**2 + point[..., 2] ** 2
 
