@@ -173,8 +173,8 @@ def _plane_point(
 ) -> tuple[Float[Array, " 3"], Float[Array, ""], Bool[Array, ""]]:
     """Find the point of the surface that determines the plane.
 
-    Returned are the point, the weight by which a reflected point is moved back to the border, and whether points of
-    contact are searched from where the segment enters and leaves.
+    Returned are the point, the weight by which a reflected point is moved back to the border, and whether
+    points of contact are searched from where the segment enters and leaves.
     """
     cosines = jnp.abs(way) * safe_inverse(_norm(way))
     best = jnp.argmax(cosines)

@@ -172,8 +172,8 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
     start = jnp.concatenate([jax.lax.stop_gradient(initial), jnp.zeros(COEFFICIENTS)])
     found = _stationary(family, ends, start, search)
     _, gradient, hessian = jax.lax.stop_gradient(_expansion(family, ends, found))
-    move, pivots = _eliminated(hessian, gradient)
-    stationary = jnp.abs(jnp.sum(gradient * move)) < _STATIONARY
+    move, pivots = _eliminated(hessian, gradient[:, None])
+    stationary = jnp.abs(jnp.sum(gradient * move[:, 0])) < _STATIONARY
     found = jnp.where(stationary, found, start)
     shape = _shape(family, ends, found)
     first, last = family.chart(ends.surface, *shape[:2]), family.chart(ends.surface, *shape[2:4])
@@ -324,9 +324,9 @@ def _expansion(
 
 
 def _eliminated(
-    matrix: Float[Array, "variable variable"], right: Float[Array, " variable"]
-) -> tuple[Float[Array, " variable"], Float[Array, " variable"]]:
-    """Solve a symmetric system by elimination without exchange of rows; return the solution and the pivots.
+    matrix: Float[Array, "variable variable"], right: Float[Array, "variable column"]
+) -> tuple[Float[Array, "variable column"], Float[Array, " variable"]]:
+    """Solve symmetric systems by elimination without exchange of rows; return solutions and pivots.
 
     The signs of the pivots are those of the eigenvalues. The diagonal is scaled to one, because coefficients
     of a short curve have a small influence on the length. Library functions for single small matrices would
@@ -335,7 +335,7 @@ def _eliminated(
     diagonal = jnp.abs(jnp.diagonal(matrix))
     scale = 1.0 / jnp.sqrt(jnp.maximum(diagonal, _FLAT))
     scaled = matrix * scale[None] * scale[:, None] + jnp.diag(jnp.where(diagonal < _FLAT, 1.0, 0.0))
-    rows = jnp.concatenate([scaled, (right * scale)[:, None]], axis=1)
+    rows = jnp.concatenate([scaled, right * scale[:, None]], axis=1)
     pivots = []
     for column in range(VARIABLES):
         pivot = rows[column, column]
@@ -343,7 +343,7 @@ def _eliminated(
         own = rows[column] / jnp.where(pivot == 0.0, 1.0, pivot)
         others = rows - rows[:, column : column + 1] * own[None]
         rows = others.at[column].set(own)
-    return rows[:, -1] * scale, jnp.stack(pivots)
+    return rows[:, VARIABLES:] * scale[:, None], jnp.stack(pivots)
 
 
 @eqx.filter_custom_jvp
@@ -358,7 +358,8 @@ def _stationary(
     def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
         at, value, gradient, hessian, damping, _, count = state
         damped = hessian + damping * jnp.diag(jnp.abs(jnp.diagonal(hessian)))
-        move, pivots = _eliminated(damped, -gradient)
+        moves, pivots = _eliminated(damped, -gradient[:, None])
+        move = moves[:, 0]
         promised = -jnp.sum(gradient * move)
         downhill = (jnp.all(pivots > 0.0) | ~search.shortest) & jnp.all(jnp.isfinite(move))
         move = jnp.where(jnp.isfinite(move), move, 0.0)
@@ -389,5 +390,6 @@ def _stationary_jvp(primals, tangents):
         return _gradient(family, ends, found)
 
     _, moved = eqx.filter_jvp(gradient, (ends,), (ends_tangent,))
-    tangent, _ = _eliminated(_expansion(family, ends, found)[2], -moved)
-    return found, tangent
+    # Reverse mode transposes the rule, which must be visibly linear in the tangents.
+    inverse, _ = _eliminated(_expansion(family, ends, found)[2], jnp.eye(VARIABLES))
+    return found, -inverse @ moved

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
 from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
@@ -174,7 +174,7 @@ def _nearest_share(
     best = trials[jnp.argmin(square(trials))]
     slope = jax.grad(lambda share: square(share))
 
-    def halve(_: int, interval: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], interval: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = interval
         middle = 0.5 * (low + high)
         rising = slope(middle) > 0.0
