@@ -293,7 +293,9 @@ def test_surfaces_without_extent_and_unknown_classes_are_named(odd_model):
     flat = tuple(
         replace(wrap, sizes=(0.03, 0.0, 0.05)) if wrap.name == "brim" else wrap for wrap in model.wraps
     )
-    with pytest.raises(InputError, match=r"'brim' of muscle 'hip_flexor' has no extent.* 0.03, 0, 0.05 found"):
+    with pytest.raises(
+        InputError, match=r"'brim' of muscle 'hip_flexor' has no extent.* 0.03, 0, 0.05 found"
+    ):
         ExactPaths(replace(model, wraps=flat), ["hip_flexor"], ("hip", "knee"))
     other = tuple(replace(wrap, kind="WrapMeshObst") if wrap.name == "brim" else wrap for wrap in model.wraps)
     with pytest.raises(InputError, match="wrap object 'brim' is a WrapMeshObst"):

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from wrapjax.geometry import cylinder
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
 from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
@@ -22,6 +23,8 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_comp
 # Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
 # about it.
 _TRIALS, _HALVINGS = 32, 40
+# Length of OpenSim's cylinder (m).
+_LENGTH = 10_000.0
 
 
 class TorusDecision(Decision):
@@ -47,19 +50,48 @@ def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> TorusDe
     assert sizes is not None
     ring, tube = sizes.x, sizes.y
     decide = over_segments(lambda start, end: _decided(start, end, ring, tube), start)
-    crosses, hits, ring_angle, direction, increase = decide(stack_components(start), stack_components(end))
+    crosses, hits, nearest, ring_angle, direction, increase = decide(
+        stack_components(start), stack_components(end)
+    )
+    straight = tangent_cylinder(vector(nearest), torus)
+    rule = cylinder.decide_wrapping(
+        straight.to_surface_frame(start), straight.to_surface_frame(end), straight
+    )
     place = Vector(jnp.cos(ring_angle), jnp.sin(ring_angle), jnp.zeros_like(ring_angle))
     active = (torus.side == 0) | torus.on_side(place)
     start_clearance, end_clearance = clearance(start, torus), clearance(end, torus)
     return TorusDecision(
         inside=(start_clearance < 0.0) | (end_clearance < 0.0),
         mandatory=jnp.zeros_like(hits),
-        possible=(crosses | hits) & active,
+        possible=((crosses & (rule.mandatory | rule.possible)) | hits) & active,
         start_clearance=start_clearance,
         end_clearance=end_clearance,
         increase=increase,
         ring_angle=ring_angle,
         direction=direction,
+    )
+
+
+def tangent_cylinder(near: Vector, torus: PlacedSurface) -> PlacedSurface:
+    """Return the cylinder that replaces a torus in OpenSim, in the torus' frame.
+
+    It has the tube's radius and touches the ring at its point nearest to ``near``. Its x axis points to the
+    ring's center, and paths pass on that side.
+    """
+    sizes = torus.sizes
+    assert sizes is not None
+    zeros, ones = jnp.zeros_like(near.x), jnp.ones_like(near.x)
+    outward = Vector(near.x, near.y, zeros).unit()
+    x_axis, y_axis = outward * -1.0, Vector(zeros, zeros, -ones)
+    return PlacedSurface(
+        x_axis=x_axis,
+        y_axis=y_axis,
+        z_axis=x_axis.cross(y_axis),
+        center=outward * sizes.x,
+        radius=sizes.y * ones,
+        half_length=0.5 * _LENGTH * ones,
+        side_axis=jnp.zeros_like(near.x, dtype=int),
+        side=jnp.ones_like(near.x, dtype=int),
     )
 
 
@@ -127,7 +159,7 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
 
 def _decided(
     start: Float[Array, " 3"], end: Float[Array, " 3"], ring: Float[Array, ""], tube: Float[Array, ""]
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Decide whether one segment crosses the plane outside the ring or hits the tube, and where it wraps."""
     start, end, ring, tube = jax.lax.stop_gradient((start, end, ring, tube))
     opposite = (start[2] > 0.0) != (end[2] > 0.0)
@@ -155,7 +187,7 @@ def _decided(
     over = jnp.where(angle_about_tube(end) > angle_about_tube(start), 1.0, -1.0)
     direction = jnp.where(opposite, jnp.where(start[2] > 0.0, 1.0, -1.0), over)
     increase = jnp.where(opposite, at - _norm(end - start), 0.0)
-    return crosses, hits, ring_angle, direction, increase
+    return crosses, hits, nearest, ring_angle, direction, increase
 
 
 def _nearest_share(
