@@ -319,6 +319,7 @@ def points_and_bodies(
     numbers = {name: number for number, name in enumerate(names)}
     ranges = [_wrapping_range(muscle, wrap) for wrap in wraps]
     merged = _with_inactive_merged(points)
+    moving = [point.motion is not None for point in muscle.points]
 
     def repeated(values: list[int]) -> Int[Array, "pose entry"]:
         return jnp.tile(jnp.asarray(values), (poses, 1))
@@ -344,6 +345,7 @@ def points_and_bodies(
         wrap_body=repeated([numbers[name] for name, _ in carriers]),
         first_point=active_ends("first"),
         last_point=active_ends("last"),
+        moving=jnp.tile(jnp.asarray(moving), (poses, 1)) if any(moving) else None,
     )
 
 

@@ -48,6 +48,8 @@ class PointsAndBodies(eqx.Module):
     #: First and last active point of the part of the path that may wrap round each surface.
     first_point: Int[Array, "*pose wrap"]
     last_point: Int[Array, "*pose wrap"]
+    #: Whether each point moves relative to its body; None if no point does.
+    moving: Bool[Array, "*pose point"] | None = None
 
 
 class PathOnCylinders(NamedTuple):
