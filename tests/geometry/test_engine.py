@@ -290,15 +290,8 @@ def test_opensims_path_jumps_where_a_margin_is_zero(leg):
     assert jumped > 0
 
 
-def test_unsupported_surfaces_are_named_in_errors(odd_model):
+def test_unsupported_paths_are_named_in_errors(odd_model):
     model = describe_model(odd_model)
-    with pytest.raises(InputError, match="wrap object 'brim' is a WrapEllipsoid"):
-        ExactPaths(model, ["hip_flexor", "flexor"], ("hip", "knee"))
-    wraps = tuple(replace(wrap, quadrant="-z") if wrap.name == "condyles" else wrap for wrap in model.wraps)
-    with pytest.raises(InputError, match="cylinder 'condyles' is restricted along its own axis"):
-        ExactPaths(replace(model, wraps=wraps), ["flexor"], ("hip", "knee"))
     muscles = tuple(replace(entry, path_kind="FunctionBasedPath") for entry in model.muscles)
     with pytest.raises(InputError, match="muscle 'flexor' has a FunctionBasedPath"):
         ExactPaths(replace(model, muscles=muscles), ["flexor"], ("hip", "knee"))
-    off = tuple(replace(wrap, active=False) for wrap in model.wraps)
-    assert ExactPaths(replace(model, wraps=off), ["hip_flexor"], ("hip",)).wraps_of("hip_flexor") == ()

@@ -28,8 +28,8 @@ class SurfaceDraw:
     kind
         ``cylinder``, ``sphere``, ``ellipsoid`` or ``torus``.
     sizes
-        Radius and length of a cylinder, radius of a sphere, semi-axes of an ellipsoid, ring and tube radius of a
-        torus, m.
+        Radius and length of a cylinder, radius of a sphere, semi-axes of an ellipsoid, ring and tube radius
+        of a torus, m.
     quadrant
         OpenSim's quadrant.
     method

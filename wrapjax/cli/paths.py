@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def path_table(tables: PathTables) -> str:
     """Tabulate the muscles: shares of poses in which they touch a wrap, and range of length."""
     lines = [
-        f"{len(tables.time)} poses, {tables.paths.mode} paths. Shares of poses in which the path touches a wrap,",
-        "and in which it is beyond a discontinuity of its length (a point inside a wrap, off a cylinder's end,",
-        "more than half a turn)",
+        f"{len(tables.time)} poses, {tables.paths.mode} paths. Shares of poses in which the path touches",
+        "a wrap, and in which it is beyond a discontinuity of its length (a point inside a wrap, off",
+        "a cylinder's end, more than half a turn)",
         f"{'muscle':20s}{'wraps':>7s}{'touches':>10s}{'beyond':>10s}{'shortest, m':>14s}{'longest, m':>13s}",
     ]
     muscles = tables.summary()["muscles"]
@@ -36,12 +36,8 @@ def path_table(tables: PathTables) -> str:
 
 def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
-    paths = command(
-        "paths",
-        run,
-        "Compute muscle lengths and moment arms of an OpenSim model in poses, without OpenSim.",
-        writing,
-    )
+    about = "Compute muscle lengths and moment arms of an OpenSim model in poses, without OpenSim."
+    paths = command("paths", run, about, writing)
     paths.add_argument("model", type=Path, metavar="MODEL", help="OpenSim model (.osim)")
     paths.add_argument(
         "--poses",
@@ -56,7 +52,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "--mode",
         choices=["parity", "geodesic"],
         default="geodesic",
-        help="geodesic: shortest paths (default); parity: paths as OpenSim 4.6 computes them, defects included",
+        help="geodesic, shortest paths (default); parity, paths as OpenSim 4.6 has them, defects included",
     )
     paths.add_argument(
         "--skip-unsupported",

@@ -221,7 +221,7 @@ def geodesic_contact(
 
 
 def _tangent_points(
-    point: Vector, radius: Float[Array, ""]
+    point: Vector, radius: Float[Array, "*surface"]
 ) -> tuple[Float[Array, "*segment"], Vector, Vector]:
     """Compute a point's distance from the axis, and its left and right tangent points at its height."""
     square = point.x**2 + point.y**2

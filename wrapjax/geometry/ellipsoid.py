@@ -1,14 +1,14 @@
 """Shortest path of one straight segment round one ellipsoid.
 
 All coordinates are in the ellipsoid's frame. Scaled by the semi-axes, the ellipsoid is a unit sphere, and
-planes, straight lines and tangency stay what they are. A plane through the segment cuts the sphere in a circle,
-so that the path within the plane has a closed form up to its length, an integral over the arc. The shortest of
-such paths in planes at all angles about the segment is the initial path of `find_curve`, which leaves the
-plane. Paths on both sides of the ellipsoid are computed and the shorter one is taken.
+planes, straight lines and tangency stay what they are. A plane through the segment cuts the sphere in a
+circle, so that the path within the plane has a closed form up to its length, an integral over the arc. The
+shortest of such paths in planes at all angles about the segment is the initial path of `find_curve`, which
+leaves the plane. Paths on both sides of the ellipsoid are computed and the shorter one is taken.
 
-A quadrant requires that the middle of the contact is on the active side. If the shortest path is not, the path
-on the opposite side is taken, which need not be locally shortest; the margin that `Contact.turn` leaves to half
-a turn is then negative. From an end inside there is no path: the end then counts as on the surface.
+A quadrant requires that the middle of the contact is on the active side. If the shortest path is not, the
+path on the opposite side is taken, which need not be locally shortest; the margin that `Contact.turn` leaves
+to half a turn is then negative. From an end inside there is no path: the end then counts as on the surface.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_comp
 # Angles about the segment of the planes that are compared, and nodes of the quadrature of their paths.
 _PLANES, _PLANE_NODES = 16, 12
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_PLANE_NODES)
-# The path on the opposite side is computed if its plane's path is longer by less than this share of the detour.
+# The path on the opposite side is computed if its plane's path is longer by less than this share of the
+# detour.
 _CLOSE = 0.3
 # Distance from the center, in units of the sphere's radius, to which a segment is moved that passes outside.
 _HIGHEST = 0.9999
-# Least share of a segment on either side of its point nearest to the center. In place of other segments, whose
-# contact is not used, some segment is computed that has one.
+# Least share of a segment on either side of its point nearest to the center. In place of other segments,
+# whose contact is not used, some segment is computed that has one.
 _LEAST_SHARE = 1e-6
 _ANYWHERE = np.array([[-2.0, 0.3, 0.1], [2.0, 0.4, -0.2]])
 
@@ -57,8 +58,11 @@ class Plane(NamedTuple):
     def points(self, angle: Float[Array, "*angle"]) -> Float[Array, "*angle 3"]:
         """Compute points of the circle at angles (rad)."""
         radius = safe_sqrt(1.0 - self.height**2)
-        around = jnp.cos(angle)[..., None] * self.backward + jnp.sin(angle)[..., None] * self.aside
-        return self.height * self.normal + radius * around
+        around = jnp.multiply.outer(jnp.cos(angle), self.backward) + jnp.multiply.outer(
+            jnp.sin(angle), self.aside
+        )
+        center = jnp.broadcast_to(self.height * self.normal, around.shape)
+        return center + radius * around
 
 
 def decide_wrapping(start: Vector, end: Vector, ellipsoid: PlacedSurface) -> Decision:
@@ -189,7 +193,7 @@ def _shortest(
 def _crossing_segment(
     start: Float[Array, " 3"], end: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"]]:
-    """Ends of a segment that intersects the unit sphere, from ends that may be inside or beside it."""
+    """Return ends of a segment that intersects the unit sphere, from ends that may be inside or beside it."""
 
     def outside(point: Float[Array, " 3"]) -> Float[Array, " 3"]:
         distance = safe_sqrt(jnp.sum(point**2))
@@ -249,8 +253,8 @@ def planar_length(
     half, middle = 0.5 * (plane.last - plane.first), 0.5 * (plane.last + plane.first)
     angle = middle + half * jnp.asarray(_NODES)
     radius = safe_sqrt(1.0 - plane.height**2)
-    along = jnp.cos(angle)[:, None] * plane.aside - jnp.sin(angle)[:, None] * plane.backward
-    arc = half * radius * jnp.sum(jnp.asarray(_WEIGHTS) * _norm(along * sizes))
+    along = jnp.outer(jnp.cos(angle), plane.aside) - jnp.outer(jnp.sin(angle), plane.backward)
+    arc = half * radius * jnp.sum(jnp.asarray(_WEIGHTS) * _norm(along * sizes[None]))
     points = plane.points(jnp.stack([plane.first, plane.last]))
     return _norm((points[0] - start) * sizes) + arc + _norm((points[1] - end) * sizes)
 
@@ -298,8 +302,9 @@ def _factors(
 def _horizon(
     point: Float[Array, " 3"], reference: Float[Array, " 3"]
 ) -> tuple[Float[Array, " 3"], Float[Array, " 3"], Float[Array, " 3"]]:
-    """Circle of the points where lines from a point are tangent to the unit sphere: center, radii at 0 and 90
-    degrees. The angle is counted from the direction ``reference``.
+    """Compute the circle on which lines from a point are tangent to the unit sphere.
+
+    Returned are its center and its radii at 0 and 90 degrees, counted from the direction ``reference``.
     """
     square = jnp.sum(point**2)
     center = point * safe_inverse(square)

@@ -1,10 +1,10 @@
 """Exact path engine: lengths and moment arms of muscle paths that wrap round surfaces, without OpenSim.
 
 Surfaces are cylinders, spheres, ellipsoids and tori. Paths are computed in one of two ways. `GEODESIC` gives
-shortest paths, whose moment arms are exactly -dL/dq. Calibrations that change wraps use it, directly or through
-surrogates. `PARITY` reproduces OpenSim 4.6, defects included: to round-off, except round ellipsoids, for which
-OpenSim's own tolerance is of the order of micrometers. It predicts the behavior of a model in OpenSim and
-validates the engine.
+shortest paths, whose moment arms are exactly -dL/dq. Calibrations that change wraps use it, directly or
+through surrogates. `PARITY` reproduces OpenSim 4.6, defects included: to round-off, except round ellipsoids,
+for which OpenSim's own tolerance is of the order of micrometers. It predicts the behavior of a model in
+OpenSim and validates the engine.
 
 Both can be differentiated by poses and wrap parameters in forward mode. Reverse mode works too, except for
 `PARITY` round several surfaces or round an ellipsoid, which contains a loop of unknown length.
@@ -248,8 +248,8 @@ def _unsupported_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]
             problems.append(
                 Problem(
                     model.name,
-                    f"wrap object '{wrap.name}' of muscle '{muscle.name}' has no extent: sizes above 0 m were "
-                    f"expected, and {', '.join(f'{size:g}' for size in extents_of(wrap))} found",
+                    f"wrap object '{wrap.name}' of muscle '{muscle.name}' has no extent: sizes above 0 m "
+                    f"were expected, and {', '.join(f'{size:g}' for size in extents_of(wrap))} found",
                 )
             )
     return problems
@@ -319,6 +319,7 @@ def points_and_bodies(
     numbers = {name: number for number, name in enumerate(names)}
     ranges = [_wrapping_range(muscle, wrap) for wrap in wraps]
     merged = _with_inactive_merged(points)
+    moving = [point.motion is not None for point in muscle.points]
 
     def repeated(values: list[int]) -> Int[Array, "pose entry"]:
         return jnp.tile(jnp.asarray(values), (poses, 1))
@@ -344,6 +345,7 @@ def points_and_bodies(
         wrap_body=repeated([numbers[name] for name, _ in carriers]),
         first_point=active_ends("first"),
         last_point=active_ends("last"),
+        moving=jnp.tile(jnp.asarray(moving), (poses, 1)) if any(moving) else None,
     )
 
 

@@ -203,7 +203,7 @@ def _point(
                 Problem(
                     values.model.name,
                     f"point '{point.name}' moves with {coordinate} by a function of an unknown kind",
-                    hint="supported are constants, lines, polynomials, piecewise linear functions and SIMM splines",
+                    hint="supported are constants, polynomials, piecewise linear functions and SIMM splines",
                 )
             )
         value, derivative = values.value_and_derivative(coordinate)

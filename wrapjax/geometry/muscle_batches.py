@@ -1,8 +1,8 @@
 """Posed paths of many muscles, stacked so that all paths of a kind share one compiled program.
 
 Paths round one surface are stacked by the surface's kind. Paths round several surfaces are padded to the same
-numbers of points and surfaces, whatever the kinds. A padding surface can be touched by no segment, and a padding
-point coincides with the path's last point.
+numbers of points and surfaces, whatever the kinds. A padding surface can be touched by no segment, and a
+padding point coincides with the path's last point.
 """
 
 from __future__ import annotations
@@ -101,6 +101,7 @@ def _repeated(leaf: Array, axis: int, size: int) -> Array:
 
 def _padded_path(path: PointsAndBodies, points: int, wraps: int) -> PointsAndBodies:
     known = path.first_point.shape[1]
+    moving = jnp.zeros(path.point_body.shape, bool) if path.moving is None else path.moving
     first = _repeated(path.first_point, 1, wraps)
     last = _repeated(path.last_point, 1, wraps)
     # From a point to itself there is no segment that could wrap.
@@ -115,6 +116,7 @@ def _padded_path(path: PointsAndBodies, points: int, wraps: int) -> PointsAndBod
         wrap_body=_repeated(path.wrap_body, 1, wraps),
         first_point=first,
         last_point=last.at[:, known:].set(first[:, known:]),
+        moving=_repeated(moving, 1, points),
     )
 
 

@@ -1,8 +1,8 @@
 """Nearest point of an ellipsoid, or of its section by a plane of symmetry, by OpenSim's iteration.
 
-OpenSim solves a polynomial equation for one number by at most 64 steps of Newton's method, and accepts a value of
-the polynomial of 1e-9. Near the ellipsoid's center this determines the point only roughly. The same iteration is
-therefore made here, from the same start. Lengths are scaled so that the mean semi-axis is one.
+OpenSim solves a polynomial equation for one number by at most 64 steps of Newton's method, and accepts a
+value of the polynomial of 1e-9. Near the ellipsoid's center this determines the point only roughly. The same
+iteration is therefore made here, from the same start. Lengths are scaled so that the mean semi-axis is one.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def nearest_on_ellipsoid(point: Float[Array, " 3"], axes: Float[Array, " 3"]) ->
 def nearest_in_section(
     point: Float[Array, " 3"], axes: Float[Array, " 3"], normal: Int[Array, ""]
 ) -> Float[Array, " 3"]:
-    """Compute the point of an ellipsoid's section by a plane of symmetry that is nearest to a point of the plane.
+    """Compute the nearest point of an ellipsoid's section by a plane of symmetry to a point of the plane.
 
     Parameters
     ----------

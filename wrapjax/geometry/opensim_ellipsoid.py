@@ -1,14 +1,14 @@
 """Path of one straight segment round one ellipsoid as OpenSim 4.6 computes it.
 
-OpenSim keeps the path in one plane, through the segment and a point of the surface. That point is nearest to the
-middle of the part of the segment within the ellipsoid (``midpoint``), nearest to the point of the segment on a
-plane of symmetry (``axial``), or a mixture of the latter and of a mean over many points of the segment
-(``hybrid``). Points of contact have a closed form where the ellipsoid is scaled to a sphere; OpenSim finds them
-by iteration to about 1e-4 of the mean semi-axis, so that lengths differ by micrometers. The length on the surface
-is the sum of chords of about 1 mm, as in OpenSim.
+OpenSim keeps the path in one plane, through the segment and a point of the surface. That point is nearest to
+the middle of the part of the segment within the ellipsoid (``midpoint``), nearest to the point of the
+segment on a plane of symmetry (``axial``), or a mixture of the latter and of a mean over many points of the
+segment (``hybrid``). Points of contact have a closed form where the ellipsoid is scaled to a sphere; OpenSim
+finds them by iteration to about 1e-4 of the mean semi-axis, so that lengths differ by micrometers. The
+length on the surface is the sum of chords of about 1 mm, as in OpenSim.
 
-OpenSim's algorithm was read in its source, and its results are what it is tested against. Not reproduced is what
-depends on the path's history.
+OpenSim's algorithm was read in its source, and its results are what it is tested against. Not reproduced is
+what depends on the path's history.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.geometry.ellipsoid import decide_wrapping as decide_shortest
 from wrapjax.geometry.nearest_on_ellipsoid import nearest_in_section, nearest_on_ellipsoid
@@ -37,7 +37,8 @@ from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_comp
 METHODS = ("hybrid", "midpoint", "axial")
 
 # OpenSim's constants: inside and nearly collinear ends, cosines between which methods are mixed, share of the
-# segment near its ends where the axial method fades, points of the mean, length of a chord (m) and most chords.
+# segment near its ends where the axial method fades, points of the mean, length of a chord (m) and most
+# chords.
 _INSIDE, _COLLINEAR = 1e-4, 1e-4
 _FAN_BELOW, _AXIAL_ABOVE = 0.7073, 0.9
 _FADE = 0.3
@@ -88,7 +89,8 @@ def _contact(
 
     def one(start: Float[Array, " 3"], end: Float[Array, " 3"], wraps: Array) -> tuple[Array, ...]:
         dimensions = stack_components(sizes)
-        # In place of segments that do not wrap, whose contact is not used, some segment that does is computed.
+        # In place of segments that do not wrap, whose contact is not used, some segment that does is
+        # computed.
         scale = 3.0 / jnp.sum(dimensions)
         start = jnp.where(wraps, start, jnp.asarray([-2.0, 0.3, 0.1]) * dimensions)
         end = jnp.where(wraps, end, jnp.asarray([2.0, 0.4, -0.2]) * dimensions)
@@ -121,7 +123,7 @@ def _wrapped(
     ellipsoid: PlacedSurface,
     method: str,
 ) -> tuple[Array, Array, Array]:
-    """First and last point of contact and length on the surface (m), from ends and semi-axes times ``scale``."""
+    """Compute the points of contact and the length on the surface (m); ends and axes are times ``scale``."""
     way = start - end
     quadratic, linear = jnp.sum((way / axes) ** 2), 2.0 * jnp.sum(way * end / axes**2)
     constant = jnp.sum((end / axes) ** 2) - 1.0
@@ -130,7 +132,8 @@ def _wrapped(
     through = -root / quadratic * way
     point, weight, from_entry = _plane_point(entry, through, way, axes, method)
     point, begin, reflected = _on_active_side(point, weight, axes, ellipsoid)
-    # OpenSim's iteration for the points of contact begins at this point or where the segment enters and leaves.
+    # OpenSim's iteration for the points of contact begins at this point or where the segment enters and
+    # leaves.
     from_entry &= ~reflected
     begins = [jnp.where(from_entry, other, begin) for other in (entry, entry + through)]
 
@@ -168,8 +171,10 @@ def _plane_point(
     axes: Float[Array, " 3"],
     method: str,
 ) -> tuple[Float[Array, " 3"], Float[Array, ""], Bool[Array, ""]]:
-    """Point of the surface that determines the plane, the weight by which a reflected point is moved back to the
-    border, and whether points of contact are searched from where the segment enters and leaves.
+    """Find the point of the surface that determines the plane.
+
+    Returned are the point, the weight by which a reflected point is moved back to the border, and whether
+    points of contact are searched from where the segment enters and leaves.
     """
     cosines = jnp.abs(way) * safe_inverse(_norm(way))
     best = jnp.argmax(cosines)
@@ -186,7 +191,7 @@ def _plane_point(
     faded = _FAN_BELOW + fade * (cosine - _FAN_BELOW)
     cosine = jnp.where((cosine > _FAN_BELOW) & (fade < 1.0), faded, cosine)
     # The mean direction from points of the segment to the surface.
-    points = entry + jnp.asarray(_FAN)[:, None] * through
+    points = entry[None] + jnp.outer(jnp.asarray(_FAN), through)
     blades = jax.vmap(lambda one: nearest_on_ellipsoid(one, axes))(points) - points
     mean = jnp.sum(blades * safe_inverse(_norm(blades))[:, None], axis=0)
     mean = mean * safe_inverse(_norm(mean))
@@ -238,7 +243,7 @@ def _surface_length(
     up = jnp.cross(up * safe_inverse(_norm(up)), to_first)
     angle = jnp.arctan2(jnp.sum(to_last * up), jnp.sum(to_last * to_first))
 
-    def point(number: Int[Array, ""] | Float[Array, ""], step: Float[Array, ""]) -> Float[Array, " 3"]:
+    def point(number: Float[Array, ""] | float, step: Float[Array, ""]) -> Float[Array, " 3"]:
         direction = jnp.cos(number * step) * to_first + jnp.sin(number * step) * up
         quadratic = jnp.sum((direction / axes) ** 2)
         linear = 2.0 * jnp.sum(direction * middle / axes**2)

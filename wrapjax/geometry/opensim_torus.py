@@ -1,9 +1,9 @@
 """Path of one straight segment through one torus as OpenSim 4.6 computes it, defects included.
 
-OpenSim replaces the torus by a straight cylinder of the tube's radius, tangent to the ring at its point that is
-nearest to the segment, on whose side towards the ring's center paths pass. It searches this point from both ends
-of the segment with MINPACK's ``lmdif``, at a relative tolerance of 1e-4. A factor of two in the residual makes it
-the nearest point to a ring of twice the radius.
+OpenSim replaces the torus by a straight cylinder of the tube's radius, tangent to the ring at its point that
+is nearest to the segment, on whose side towards the ring's center paths pass. It searches this point from
+both ends of the segment with MINPACK's ``lmdif``, at a relative tolerance of 1e-4. A factor of two in the
+residual makes it the nearest point to a ring of twice the radius.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from jaxtyping import Array, Bool, Float
 from wrapjax.geometry import cylinder
 from wrapjax.geometry.cylinder import CylinderDecision
 from wrapjax.geometry.placed_surface import Contact, Decision, FindContact, PlacedSurface
-from wrapjax.geometry.torus import clearance
+from wrapjax.geometry.torus import clearance, tangent_cylinder
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, where
 
-# Length of OpenSim's cylinder (m). Residual's ring over the torus' ring.
-_LENGTH, _RING_FACTOR = 10_000.0, 2.0
+# Residual's ring over the torus' ring.
+_RING_FACTOR = 2.0
 # Constants of the search: tolerances of residual and solution, step bound, step of differences, most steps.
 _TOLERANCE, _BOUND, _DIFFERENCE, _MOST_STEPS = 1e-4, 0.2, 1.4901161193847656e-08, 100
 
@@ -47,7 +47,7 @@ def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> OpenSim
     """
     sizes = torus.sizes
     assert sizes is not None
-    ring, tube = sizes.x, sizes.y
+    ring = sizes.x
     one, one_distance = _nearest_on_line(start, end, ring)
     other, other_distance = _nearest_on_line(end, start, ring)
     restricted = torus.side != 0
@@ -55,20 +55,7 @@ def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> OpenSim
     both = ~restricted | (one_on == other_on)
     take_one = jnp.where(both, one_distance < other_distance, one_on)
     nearest = where(take_one, one, other)
-    flat = Vector(nearest.x, nearest.y, jnp.zeros_like(nearest.z))
-    outward = flat.unit()
-    zeros, ones = jnp.zeros_like(flat.x), jnp.ones_like(flat.x)
-    x_axis, y_axis = outward * -1.0, Vector(zeros, zeros, -ones)
-    placed = PlacedSurface(
-        x_axis=x_axis,
-        y_axis=y_axis,
-        z_axis=x_axis.cross(y_axis),
-        center=outward * ring,
-        radius=tube * ones,
-        half_length=0.5 * _LENGTH * ones,
-        side_axis=jnp.zeros_like(flat.x, dtype=int),
-        side=jnp.ones_like(flat.x, dtype=int),
-    )
+    placed = tangent_cylinder(nearest, torus)
     on_cylinder = cylinder.decide_wrapping(
         placed.to_surface_frame(start), placed.to_surface_frame(end), placed
     )
@@ -201,7 +188,14 @@ def _searched(start: Vector, direction: Vector, ring: Float[Array, ""]) -> Float
         )
 
     zeros = jnp.zeros_like(fixed[0].x)
-    begin = (zeros, residual(zeros), zeros, jnp.full_like(zeros, _BOUND), zeros > 0.0, jnp.asarray(0))
+    begin: tuple[Array, ...] = (
+        zeros,
+        residual(zeros),
+        zeros,
+        jnp.full_like(zeros, _BOUND),
+        zeros > 0.0,
+        jnp.asarray(0),
+    )
     at, *_ = jax.lax.while_loop(unfinished, step, begin)
     at = jax.lax.stop_gradient(at)
     slope = jax.jvp(residual, (at,), (jnp.ones_like(at),))[1]

@@ -48,6 +48,8 @@ class PointsAndBodies(eqx.Module):
     #: First and last active point of the part of the path that may wrap round each surface.
     first_point: Int[Array, "*pose wrap"]
     last_point: Int[Array, "*pose wrap"]
+    #: Whether each point moves relative to its body; None if no point does.
+    moving: Bool[Array, "*pose point"] | None = None
 
 
 class PathOnCylinders(NamedTuple):
@@ -126,8 +128,8 @@ def refit_wrap(
     route
         Path before this step.
     methods
-        How segments wrap round each surface, at least up to the largest value of ``wrap``. With ``numbers``, the
-        methods in any order.
+        How segments wrap round each surface, at least up to the largest value of ``wrap``. With ``numbers``,
+        the methods in any order.
     numbers
         Number of each surface's method.
 
@@ -179,8 +181,8 @@ def by_method(
 ) -> _Result:
     """Call a function, whose first argument is a method, with the method of a surface.
 
-    Arguments are those of `refit_wrap`. Only this method is evaluated, unless ``wrap`` or ``numbers`` differ in a
-    batch.
+    Arguments are those of `refit_wrap`. Only this method is evaluated, unless ``wrap`` or ``numbers`` differ
+    in a batch.
     """
     if numbers is not None:
         branches = [partial(function, method) for method in methods]
@@ -205,7 +207,8 @@ def _fit(
 ) -> _Fitted:
     """Find the segment that wraps round a surface, and its contact.
 
-    ``start`` and ``end`` are in the surface's frame, ``straight_start`` and ``straight_end`` in ground's frame.
+    ``start`` and ``end`` are in the surface's frame, ``straight_start`` and ``straight_end`` in ground's
+    frame.
     """
     place = jnp.arange(eligible.size)
     decision = method.decide(start, end, surface)
@@ -215,7 +218,7 @@ def _fit(
         rank = jnp.where(crossing, jnp.where(decision.mandatory, place - 1e6, decision.increase), jnp.inf)
         best = jnp.argmin(rank)
         own = jax.tree.map(lambda leaf: leaf[best], (start, end, decision))
-        contact = method.find_contact(*own[:2], surface, own[2])
+        contact = method.find_contact(own[0], own[1], surface, own[2])
         wraps = crossing & contact.valid
         touched = wraps[best]
     else:
@@ -299,7 +302,7 @@ def path_length(route: PathOnCylinders, points: int) -> Float[Array, ""]:
     return jnp.sum(jnp.where(present & straight, distance, 0.0)) + jnp.sum(route.on_surface)
 
 
-def _removed(knots: Int[Array, " place"], first: Int[Array, ""]) -> Int[Array, " place"]:
+def _removed(knots: Int[Array, " place"], first: Int[Array, ""] | int) -> Int[Array, " place"]:
     """Remove two consecutive knots from the path, if they are in it."""
     place = jnp.arange(knots.size)
     here = jnp.where(jnp.any(knots == first), jnp.argmax(knots == first), knots.size)
@@ -308,7 +311,7 @@ def _removed(knots: Int[Array, " place"], first: Int[Array, ""]) -> Int[Array, "
 
 
 def _inserted(
-    knots: Int[Array, " place"], after: Int[Array, ""], first: Int[Array, ""]
+    knots: Int[Array, " place"], after: Int[Array, ""], first: Int[Array, ""] | int
 ) -> Int[Array, " place"]:
     """Insert two consecutive knots into the path, after a place."""
     place = jnp.arange(knots.size)

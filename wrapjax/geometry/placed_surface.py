@@ -1,4 +1,4 @@
-"""Wrap surfaces in the frame of the body that carries them, and what wrapping a path segment round one gives."""
+"""Wrap surfaces in the frames of the bodies that carry them, and the contact of path segments with them."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _Result = TypeVar("_Result")
 class PlacedSurface(eqx.Module):
     """A wrap surface with its pose in the frame of the body that carries it.
 
-    ``x_axis``, ``y_axis`` and ``z_axis`` are unit vectors; ``center``, ``radius`` and ``half_length`` are in m.
-    ``side_axis`` and ``side`` are OpenSim's quadrant: paths pass on the side where the coordinate ``side_axis``
-    (0: x, 1: y, 2: z) of the surface's frame has the sign ``side``; ``side`` zero means unrestricted.
+    ``x_axis``, ``y_axis`` and ``z_axis`` are unit vectors; ``center``, ``radius`` and ``half_length`` are in
+    m. ``side_axis`` and ``side`` are OpenSim's quadrant: paths pass on the side where the coordinate
+    ``side_axis`` (0: x, 1: y, 2: z) of the surface's frame has the sign ``side``; ``side`` zero means
+    unrestricted.
     """
 
     x_axis: Vector
@@ -37,8 +38,8 @@ class PlacedSurface(eqx.Module):
     half_length: Float[Array, "*surface"]
     side_axis: Int[Array, "*surface"]
     side: Int[Array, "*surface"]
-    #: Semi-axes of an ellipsoid; ring and tube radius of a torus, and the tube radius again. None on paths round
-    #: cylinders alone.
+    #: Semi-axes of an ellipsoid; ring and tube radius of a torus, and the tube radius again. None on paths
+    #: round cylinders alone.
     sizes: Vector | None = None
 
     def to_surface_frame(self, point: Vector) -> Vector:
@@ -105,8 +106,9 @@ class Contact(eqx.Module):
 
 #: Function that decides whether segments wrap, and on which side.
 Decide = Callable[[Vector, Vector, PlacedSurface], Decision]
-#: Function that computes the contact of segments from their decision.
-FindContact = Callable[[Vector, Vector, PlacedSurface, Decision], Contact]
+#: Function that computes the contact of segments: from their ends, the surface and their decision, whose
+#: class is that of the surface's kind.
+FindContact = Callable[..., Contact]
 
 
 class WrapMethod(NamedTuple):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.path_on_cylinders import (
     INSIDE,
@@ -87,7 +87,8 @@ def wrap_shortest(
     route, contacts = _shortest_path(path, surfaces, kinds, numbers)
     placed = surfaces_in_ground(path, surfaces)
     clearances = _point_clearances(path, placed, kinds, numbers)
-    return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap)
+    moving = None if path.moving is None else jnp.append(path.moving, jnp.zeros(2 * len(placed.radius), bool))
+    return _wrapped_path(route, path, placed, clearances, contacts.off_end, contacts.long_wrap, moving)
 
 
 def shortest_route(path: PointsAndBodies, surfaces: PlacedSurface, kinds: Kinds = ()) -> Route:
@@ -137,8 +138,8 @@ def wrap_in_parity(
     def refit_by_numbers(route, cached, order):
         """Refit all surfaces in their order, by a loop over constant numbers of surfaces.
 
-        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces are
-        refitted in both of their places.
+        A number that differs in a batch would evaluate all methods. Therefore both of the first two surfaces
+        are refitted in both of their places.
         """
         turns, surfaces_in_turn = (jnp.asarray(values) for values in _turns(wraps))
 
@@ -196,7 +197,7 @@ class _Contacts(NamedTuple):
 
 
 def _turns(wraps: int) -> tuple[list[int], list[int]]:
-    """Turns and surfaces to refit in them: of the first two turns both surfaces, later only the turn's own."""
+    """List turns, and the surfaces to refit in them: both in the first two turns, later the turn's own."""
     pairs = [(0, 0), (0, 1), (1, 1), (1, 0), *((turn, turn) for turn in range(2, wraps))]
     return [turn for turn, _ in pairs], [wrap for _, wrap in pairs]
 
@@ -356,13 +357,21 @@ def _wrapped_path(
     point_clearances: Float[Array, "wrap point"],
     off_end: Float[Array, " wrap"],
     long_wrap: Float[Array, " wrap"],
+    moving: Bool[Array, " knot"] | None = None,
 ) -> WrappedPath:
-    """Compute length, moment arms (of unit tension along the path) and clearances of a path."""
+    """Compute length, moment arms (of unit tension along the path) and clearances of a path.
+
+    Moment arms include the motion of ``moving`` points relative to their bodies, which OpenSim leaves out of
+    segments with both ends on one body.
+    """
     points, wraps = path.position.shape[0], placed.radius.size
     before, after, present, _ = path_segments(route, points)
     body = knot_owners(path, wraps).body
     # A segment with both ends on one body exerts no moment about any joint.
-    pulls = present & (body[before] != body[after])
+    pulls = body[before] != body[after]
+    if moving is not None:
+        pulls |= moving[before] | moving[after]
+    pulls &= present
     along = route.straight_ends[after] - route.straight_ends[before]
     along = along * safe_inverse(safe_sqrt(jnp.sum(along**2, axis=-1)))[:, None]
     # Velocities of the points of contact are those of the body's material there.

@@ -1,14 +1,14 @@
 """Wrapping of one straight path segment round one sphere: decision, side and points of contact.
 
-All coordinates are in the sphere's frame. The path lies in the plane of its two ends and the center, on either
-side of the center. The shorter side is the shortest path. A quadrant can make the path pass on the longer one,
-which is a path of stationary length but not a shortest one; the margin `Contact.turn` leaves to half a turn is
-then negative.
+All coordinates are in the sphere's frame. The path lies in the plane of its two ends and the center, on
+either side of the center. The shorter side is the shortest path. A quadrant can make the path pass on the
+longer one, which is a path of stationary length but not a shortest one; the margin `Contact.turn` leaves to
+half a turn is then negative.
 
 From an end inside the sphere there is no path. Shortest paths then count the end as on the surface, so that
 length is continuous as an end moves into the sphere; OpenSim does not wrap. If the segment passes through the
-center, the plane is undetermined; the path then passes on the side of the quadrant or, without one, on the side
-of the coordinate axis that is most nearly normal to the segment.
+center, the plane is undetermined; the path then passes on the side of the quadrant or, without one, on the
+side of the coordinate axis that is most nearly normal to the segment.
 """
 
 from __future__ import annotations

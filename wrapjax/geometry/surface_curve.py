@@ -3,11 +3,11 @@
 A chart gives the surface's points by two coordinates. The curve on the surface runs along the first one, an
 angle; the second one is a polynomial of it. Both ends of the curve are points where straight lines from the
 path's ends are tangent to the surface: a family of points with one variable for each end. Every such path is
-outside the surface, if that is convex near it. A damped Newton method minimises the length of the two straight
-lines and the curve, by Gauss-Legendre quadrature, over the variables of both ends and the polynomial's
-coefficients. At the minimum the straight lines continue the curve, which is a geodesic, up to errors of the
-polynomial of which the length is independent to first order. Unlike the roots of conditions of tangency alone,
-minima are told from other stationary paths, by the second derivatives.
+outside the surface, if that is convex near it. A damped Newton method minimises the length of the two
+straight lines and the curve, by Gauss-Legendre quadrature, over the variables of both ends and the
+polynomial's coefficients. At the minimum the straight lines continue the curve, which is a geodesic, up to
+errors of the polynomial of which the length is independent to first order. Unlike the roots of conditions of
+tangency alone, minima are told from other stationary paths, by the second derivatives.
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ def _bumps(at: Float[np.ndarray, " node"], slope: bool) -> Float[np.ndarray, "no
 
 
 def _shapes() -> Float[np.ndarray, "node 4 shape"]:
-    """Derivatives of both coordinates and their slopes at each node, by their values at the ends (first
-    coordinate, second coordinate) and by the coefficients.
+    """Differentiate both coordinates and their slopes at each node by the curve's shape.
+
+    The shape is both coordinates of the first and of the last point, and the coefficients.
     """
     shapes = np.zeros((NODES, 4, 4 + COEFFICIENTS))
     before, after = 0.5 * (1.0 - _NODES), 0.5 * (1.0 + _NODES)
@@ -69,8 +70,8 @@ def _shapes() -> Float[np.ndarray, "node 4 shape"]:
 
 _SHAPES = _shapes()
 _MIDDLE = _bumps(np.zeros(1), False)[0]
-# Pairs of the four numbers that a speed depends on, and the sums over nodes that give the derivatives of length
-# by the curve's shape from those of the speeds.
+# Pairs of the four numbers that a speed depends on, and the sums over nodes that give the derivatives of
+# length by the curve's shape from those of the speeds.
 _PAIRS = [(one, other) for one in range(4) for other in range(one, 4)]
 _BY_SHAPE = (_WEIGHTS[:, None, None] * _SHAPES).transpose(1, 0, 2).reshape(4 * NODES, -1)
 _TWICE_BY_SHAPE = np.stack(
@@ -92,11 +93,11 @@ Jet = tuple[Float[Array, "*node"], Float[Array, "*node"], Float[Array, "*node"],
 class Family(NamedTuple):
     """A kind of surface: its chart, and the points where lines from a given point are tangent to it.
 
-    The chart is separable: a point is a matrix times three products of a function of the first coordinate and a
-    function of the second one. ``matrix`` computes the matrix (m) from the surface's parameters, ``factors`` the
-    functions from the parameters and both coordinates, as two triples of `Jet`. ``tangent`` computes both
-    coordinates of a tangent point from the surface's parameters, the given point (m), constants that choose among
-    the tangent points, and the variable of this end.
+    The chart is separable: a point is a matrix times three products of a function of the first coordinate
+    and a function of the second one. ``matrix`` computes the matrix (m) from the surface's parameters,
+    ``factors`` the functions from the parameters and both coordinates, as two triples of `Jet`. ``tangent``
+    computes both coordinates of a tangent point from the surface's parameters, the given point (m),
+    constants that choose among the tangent points, and the variable of this end.
     """
 
     matrix: Callable[[Any], Float[Array, "3 3"]]
@@ -171,8 +172,8 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
     start = jnp.concatenate([jax.lax.stop_gradient(initial), jnp.zeros(COEFFICIENTS)])
     found = _stationary(family, ends, start, search)
     _, gradient, hessian = jax.lax.stop_gradient(_expansion(family, ends, found))
-    move, pivots = _eliminated(hessian, gradient)
-    stationary = jnp.abs(jnp.sum(gradient * move)) < _STATIONARY
+    move, pivots = _eliminated(hessian, gradient[:, None])
+    stationary = jnp.abs(jnp.sum(gradient * move[:, 0])) < _STATIONARY
     found = jnp.where(stationary, found, start)
     shape = _shape(family, ends, found)
     first, last = family.chart(ends.surface, *shape[:2]), family.chart(ends.surface, *shape[2:4])
@@ -220,8 +221,9 @@ def _curve_length(family: Family, ends: Ends, shape: Float[Array, " shape"]) -> 
 def _speeds(
     family: Family, surface: Any, local: Float[Array, "node 4"]
 ) -> tuple[Float[Array, " node"], list[Float[Array, " node"]], list[Float[Array, " node"]]]:
-    """Speeds along the curve's parameter, and their first and second (`_PAIRS`) derivatives by the local numbers:
-    both coordinates and their slopes.
+    """Compute speeds along the curve's parameter, and their first and second (`_PAIRS`) derivatives.
+
+    Derivatives are by the local numbers: both coordinates and their slopes.
     """
     one, other, one_slope, other_slope = jnp.moveaxis(local, 1, 0)
     left, right = family.factors(surface, one, other)
@@ -232,15 +234,15 @@ def _speeds(
         return [left[axis][first] * right[axis][second] for axis in range(3)]
 
     def along(first: int, second: int) -> list[Float[Array, " node"]]:
-        """Derivative of the velocity, from orders of differentiation by both coordinates."""
+        """Differentiate the velocity, from orders of differentiation by both coordinates."""
         ahead, aside = partial(first + 1, second), partial(first, second + 1)
         return [p * one_slope + q * other_slope for p, q in zip(ahead, aside, strict=True)]
 
-    def weighted(vector: list[Array]) -> list[Array]:
-        return [sum(metric[row, axis] * vector[axis] for axis in range(3)) for row in range(3)]
-
     def product(one: list[Array], other: list[Array]) -> Array:
         return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+    def weighted(vector: list[Array]) -> list[Array]:
+        return [product(list(metric[row]), vector) for row in range(3)]
 
     velocity = along(0, 0)
     firsts = [along(1, 0), along(0, 1), partial(1, 0), partial(0, 1)]
@@ -300,10 +302,10 @@ def _expansion(
         (value, slope), (_, bend) = jax.jvp(once, (at,), (jnp.ones(()),))
         return value, slope, bend
 
-    ends_of = [
-        twice(lambda at, point=point, choice=choice: at_end(at, point, choice), variables[number])
-        for number, (point, choice) in enumerate(((ends.start, ends.at_start), (ends.end, ends.at_end)))
-    ]
+    def of_end(number: int, point: Array, choice: Any) -> tuple[Array, Array, Array]:
+        return twice(lambda at: at_end(at, point, choice), variables[number])
+
+    ends_of = [of_end(0, ends.start, ends.at_start), of_end(1, ends.end, ends.at_end)]
     shape = jnp.concatenate([ends_of[0][0][:2], ends_of[1][0][:2], variables[2:]])
 
     speed, slopes, bends = _speeds(family, ends.surface, jnp.asarray(_SHAPES) @ shape)
@@ -322,33 +324,33 @@ def _expansion(
 
 
 def _eliminated(
-    matrix: Float[Array, "variable variable"], right: Float[Array, " variable"]
-) -> tuple[Float[Array, " variable"], Float[Array, " variable"]]:
-    """Solve a symmetric system by elimination without exchange of rows; return the solution and the pivots.
+    matrix: Float[Array, "variable variable"], right: Float[Array, "variable column"]
+) -> tuple[Float[Array, "variable column"], Float[Array, " variable"]]:
+    """Solve symmetric systems by elimination without exchange of rows; return solutions and pivots.
 
-    The signs of the pivots are those of the eigenvalues. The diagonal is scaled to one, because coefficients of
-    a short curve have a small influence on the length. Library functions for single small matrices would take
-    most of the time of a batch of many.
+    The signs of the pivots are those of the eigenvalues. The diagonal is scaled to one, because coefficients
+    of a short curve have a small influence on the length. Library functions for single small matrices would
+    take most of the time of a batch of many.
     """
     diagonal = jnp.abs(jnp.diagonal(matrix))
     scale = 1.0 / jnp.sqrt(jnp.maximum(diagonal, _FLAT))
-    scaled = matrix * scale * scale[:, None] + jnp.diag(jnp.where(diagonal < _FLAT, 1.0, 0.0))
-    rows = jnp.concatenate([scaled, (right * scale)[:, None]], axis=1)
+    scaled = matrix * scale[None] * scale[:, None] + jnp.diag(jnp.where(diagonal < _FLAT, 1.0, 0.0))
+    rows = jnp.concatenate([scaled, right * scale[:, None]], axis=1)
     pivots = []
     for column in range(VARIABLES):
         pivot = rows[column, column]
         pivots.append(pivot)
         own = rows[column] / jnp.where(pivot == 0.0, 1.0, pivot)
-        others = rows - rows[:, column : column + 1] * own
+        others = rows - rows[:, column : column + 1] * own[None]
         rows = others.at[column].set(own)
-    return rows[:, -1] * scale, jnp.stack(pivots)
+    return rows[:, VARIABLES:] * scale[:, None], jnp.stack(pivots)
 
 
 @eqx.filter_custom_jvp
 def _stationary(
     family: Family, ends: Ends, initial: Float[Array, " variable"], search: Search
 ) -> Float[Array, " variable"]:
-    """Variables of a path of stationary length, whose derivatives are those of the root of the length's gradient."""
+    """Variables of a path of stationary length, with the derivatives of a root of the length's gradient."""
 
     def unfinished(state: tuple[Array, ...]) -> Array:
         return ~state[5] & (state[6] < _MAX_STEPS)
@@ -356,7 +358,8 @@ def _stationary(
     def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
         at, value, gradient, hessian, damping, _, count = state
         damped = hessian + damping * jnp.diag(jnp.abs(jnp.diagonal(hessian)))
-        move, pivots = _eliminated(damped, -gradient)
+        moves, pivots = _eliminated(damped, -gradient[:, None])
+        move = moves[:, 0]
         promised = -jnp.sum(gradient * move)
         downhill = (jnp.all(pivots > 0.0) | ~search.shortest) & jnp.all(jnp.isfinite(move))
         move = jnp.where(jnp.isfinite(move), move, 0.0)
@@ -372,9 +375,9 @@ def _stationary(
         )
         return at, value, gradient, hessian, jnp.where(better, eased, raised), done, count + 1
 
-    start = (initial, *_expansion(family, ends, initial))
-    at, *_ = jax.lax.while_loop(unfinished, step, (*start, jnp.asarray(0.0), ~search.needed, jnp.asarray(0)))
-    return at
+    expansion = _expansion(family, ends, initial)
+    start: tuple[Array, ...] = (initial, *expansion, jnp.asarray(0.0), ~search.needed, jnp.asarray(0))
+    return jax.lax.while_loop(unfinished, step, start)[0]
 
 
 @_stationary.def_jvp
@@ -382,6 +385,11 @@ def _stationary_jvp(primals, tangents):
     family, ends, _, _ = primals
     found = _stationary(*primals)
     ends_tangent = tangents[1]
-    _, moved = eqx.filter_jvp(lambda one: _gradient(family, one, found), (ends,), (ends_tangent,))
-    tangent, _ = _eliminated(_expansion(family, ends, found)[2], -moved)
-    return found, tangent
+
+    def gradient(ends: Ends) -> Float[Array, " variable"]:
+        return _gradient(family, ends, found)
+
+    _, moved = eqx.filter_jvp(gradient, (ends,), (ends_tangent,))
+    # Reverse mode transposes the rule, which must be visibly linear in the tangents.
+    inverse, _ = _eliminated(_expansion(family, ends, found)[2], jnp.eye(VARIABLES))
+    return found, -inverse @ moved

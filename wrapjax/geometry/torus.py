@@ -1,10 +1,10 @@
 """Shortest path of one straight segment through the hole of one torus.
 
-All coordinates are in the torus' frame, whose z axis is normal to the ring's plane. As in OpenSim, a path passes
-through the hole. A segment with its ends on both sides of the ring's plane therefore wraps if it crosses that
-plane outside the ring or intersects the tube. A segment with both ends on one side wraps if it intersects the
-tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate, and the ring's angle
-the second one.
+All coordinates are in the torus' frame, whose z axis is normal to the ring's plane. As in OpenSim, a path
+passes through the hole. A segment with its ends on both sides of the ring's plane therefore wraps if it
+crosses that plane outside the ring or intersects the tube. A segment with both ends on one side wraps if it
+intersects the tube. Its contact is that of `find_curve`: the tube's angle is the curve's first coordinate,
+and the ring's angle the second one.
 
 From an end inside the tube there is no path: the end then counts as on the surface.
 """
@@ -13,14 +13,18 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from wrapjax.geometry import cylinder
 from wrapjax.geometry.placed_surface import HALF_TURN, Contact, Decision, PlacedSurface, over_segments
 from wrapjax.geometry.surface_curve import Curve, Ends, Family, Jet, Search, find_curve
 from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt, stack_components, vector
 
-# Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval about it.
+# Points of a segment, or of the ring, among which the nearest is searched, and halvings of the interval
+# about it.
 _TRIALS, _HALVINGS = 32, 40
+# Length of OpenSim's cylinder (m).
+_LENGTH = 10_000.0
 
 
 class TorusDecision(Decision):
@@ -45,20 +49,49 @@ def decide_wrapping(start: Vector, end: Vector, torus: PlacedSurface) -> TorusDe
     sizes = torus.sizes
     assert sizes is not None
     ring, tube = sizes.x, sizes.y
-    decide = over_segments(lambda *ends: _decided(*ends, ring, tube), start)
-    crosses, hits, ring_angle, direction, increase = decide(stack_components(start), stack_components(end))
+    decide = over_segments(lambda start, end: _decided(start, end, ring, tube), start)
+    crosses, hits, nearest, ring_angle, direction, increase = decide(
+        stack_components(start), stack_components(end)
+    )
+    straight = tangent_cylinder(vector(nearest), torus)
+    rule = cylinder.decide_wrapping(
+        straight.to_surface_frame(start), straight.to_surface_frame(end), straight
+    )
     place = Vector(jnp.cos(ring_angle), jnp.sin(ring_angle), jnp.zeros_like(ring_angle))
     active = (torus.side == 0) | torus.on_side(place)
     start_clearance, end_clearance = clearance(start, torus), clearance(end, torus)
     return TorusDecision(
         inside=(start_clearance < 0.0) | (end_clearance < 0.0),
         mandatory=jnp.zeros_like(hits),
-        possible=(crosses | hits) & active,
+        possible=((crosses & (rule.mandatory | rule.possible)) | hits) & active,
         start_clearance=start_clearance,
         end_clearance=end_clearance,
         increase=increase,
         ring_angle=ring_angle,
         direction=direction,
+    )
+
+
+def tangent_cylinder(near: Vector, torus: PlacedSurface) -> PlacedSurface:
+    """Return the cylinder that replaces a torus in OpenSim, in the torus' frame.
+
+    It has the tube's radius and touches the ring at its point nearest to ``near``. Its x axis points to the
+    ring's center, and paths pass on that side.
+    """
+    sizes = torus.sizes
+    assert sizes is not None
+    zeros, ones = jnp.zeros_like(near.x), jnp.ones_like(near.x)
+    outward = Vector(near.x, near.y, zeros).unit()
+    x_axis, y_axis = outward * -1.0, Vector(zeros, zeros, -ones)
+    return PlacedSurface(
+        x_axis=x_axis,
+        y_axis=y_axis,
+        z_axis=x_axis.cross(y_axis),
+        center=outward * sizes.x,
+        radius=sizes.y * ones,
+        half_length=0.5 * _LENGTH * ones,
+        side_axis=jnp.zeros_like(near.x, dtype=int),
+        side=jnp.ones_like(near.x, dtype=int),
     )
 
 
@@ -93,7 +126,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
         wraps: Array,
     ) -> Curve:
         surface = jnp.stack([sizes.x, sizes.y])
-        # In place of segments that do not wrap, whose contact is not used, some segment that does is computed.
+        # In place of segments that do not wrap, whose contact is not used, some segment that does is
+        # computed.
         start = jnp.where(wraps, _outside(start, sizes), jnp.stack([0.3 * sizes.x, sizes.y, 3.0 * sizes.y]))
         end = jnp.where(wraps, _outside(end, sizes), jnp.stack([2.0 * sizes.x, -sizes.y, -3.0 * sizes.y]))
         direction = jnp.where(wraps, direction, 1.0)
@@ -125,8 +159,8 @@ def geodesic_contact(start: Vector, end: Vector, torus: PlacedSurface, decision:
 
 def _decided(
     start: Float[Array, " 3"], end: Float[Array, " 3"], ring: Float[Array, ""], tube: Float[Array, ""]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Whether one segment crosses the plane outside the ring, whether it hits the tube, and where it wraps."""
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Decide whether one segment crosses the plane outside the ring or hits the tube, and where it wraps."""
     start, end, ring, tube = jax.lax.stop_gradient((start, end, ring, tube))
     opposite = (start[2] > 0.0) != (end[2] > 0.0)
     share = start[2] * safe_inverse(start[2] - end[2])
@@ -138,7 +172,7 @@ def _decided(
     # The shortest way through the hole by a point of the tube's inner edge.
     angles = jnp.arange(_TRIALS) * (2.0 * jnp.pi / _TRIALS)
     inner = (ring - tube) * jnp.stack([jnp.cos(angles), jnp.sin(angles), jnp.zeros(_TRIALS)], axis=1)
-    ways = _norm(inner - start) + _norm(inner - end)
+    ways = _norm(inner - start[None]) + _norm(inner - end[None])
     best = jnp.argmin(ways)
     before, at, after = (ways[(best + step) % _TRIALS] for step in (-1, 0, 1))
     shift = (before - after) * safe_inverse(jnp.maximum(before - 2.0 * at + after, 0.0))
@@ -153,7 +187,7 @@ def _decided(
     over = jnp.where(angle_about_tube(end) > angle_about_tube(start), 1.0, -1.0)
     direction = jnp.where(opposite, jnp.where(start[2] > 0.0, 1.0, -1.0), over)
     increase = jnp.where(opposite, at - _norm(end - start), 0.0)
-    return crosses, hits, ring_angle, direction, increase
+    return crosses, hits, nearest, ring_angle, direction, increase
 
 
 def _nearest_share(
@@ -163,7 +197,8 @@ def _nearest_share(
     way = end - start
 
     def square(share: Float[Array, "*trial"]) -> Float[Array, "*trial"]:
-        point = start + jnp.asarray(share)[..., None] * way
+        point = jnp.multiply.outer(jnp.asarray(share), way)
+        point = point + jnp.broadcast_to(start, point.shape)
         aside = safe_sqrt(point[..., 0] ** 2 + point[..., 1] ** 2) - ring
         return aside**2 + point[..., 2] ** 2
 
@@ -171,7 +206,7 @@ def _nearest_share(
     best = trials[jnp.argmin(square(trials))]
     slope = jax.grad(lambda share: square(share))
 
-    def halve(_: int, interval: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], interval: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = interval
         middle = 0.5 * (low + high)
         rising = slope(middle) > 0.0

@@ -11,8 +11,8 @@ from wrapjax.geometry.vectors import Vector, safe_sqrt
 #: Kind of a cylinder, the most common one.
 CYLINDER = "cylinder"
 _ELLIPSOIDS = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
-#: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's path
-#: depends on.
+#: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's
+#: path depends on.
 _KINDS = {"WrapCylinder": CYLINDER, "WrapSphere": "sphere", "WrapTorus": "torus"}
 #: OpenSim's classes of wrap objects that paths wrap round.
 SUPPORTED_CLASSES = (*_KINDS, "WrapEllipsoid")

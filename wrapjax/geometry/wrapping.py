@@ -1,8 +1,9 @@
 """Wrap parameters of surfaces, and length and moment arms of a path that may wrap round one surface.
 
 The six wrap parameters of a cylinder, after Ao, Fregly et al., translate, rotate and scale it relative to its
-nominal pose; other surfaces have three more. Paths round a single surface are computed in the frame of the body
-that carries the surface, where only the path's points move. Paths round several surfaces are in `several_wraps`.
+nominal pose; other surfaces have three more. Paths round a single surface are computed in the frame of the
+body that carries the surface, where only the path's points move. Paths round several surfaces are in
+`several_wraps`.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ WRAP_PARAMETERS = (
 #: Wrap parameters of a cylinder as the model has it.
 NOMINAL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
-#: Further wrap parameters of surfaces other than cylinders: rotation about the axis z as rotated by those before,
-#: and factors of the second and third size in addition to ``radius_factor``, which multiplies all sizes. Sizes
-#: are the semi-axes of an ellipsoid along x, y and z, and the radii of a torus' ring and tube.
+#: Further wrap parameters of surfaces other than cylinders: rotation about the axis z as rotated by those
+#: before, and factors of the second and third size in addition to ``radius_factor``, which multiplies all
+#: sizes. Sizes are the semi-axes of an ellipsoid along x, y and z, and the radii of a torus' ring and tube.
 FURTHER_WRAP_PARAMETERS = ("rotation_z_rad", "second_size_factor", "third_size_factor")
 #: All wrap parameters of a surface as the model has it.
 NOMINAL_PARAMETERS = np.append(NOMINAL, [0.0, 1.0, 1.0])

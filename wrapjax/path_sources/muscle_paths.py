@@ -1,8 +1,8 @@
 """Muscle paths of an OpenSim model as a library: lengths and moment arms, and their derivatives.
 
-Neither EMG nor recordings are needed. `muscle_paths` reads a model; `MusclePaths.posed` computes all that does
-not depend on wrap parameters, and `PosedMuscles` is a pure function of these, for `jax.jit`, `jax.grad` and
-`jax.vmap`.
+Neither EMG nor recordings are needed. `muscle_paths` reads a model; `MusclePaths.posed` computes all that
+does not depend on wrap parameters, and `PosedMuscles` is a pure function of these, for `jax.jit`, `jax.grad`
+and `jax.vmap`.
 """
 
 from __future__ import annotations
@@ -181,18 +181,18 @@ class MusclePaths:
             part = poses[first : first + size]
             padded = np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)])
             values = _evaluated(self.posed(padded), jnp.asarray(parameters))
-            parts.append(jax.tree.map(lambda leaf, count=len(part): np.asarray(leaf)[:count], values))
-        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+            parts.append(jax.tree.map(np.asarray, values))
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(poses)], *parts)
 
     def moment_arm_slopes(
         self,
         poses: Float[np.ndarray, "pose coordinate"],
         parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
     ) -> Float[np.ndarray, "pose coordinate coordinate muscle"]:
-        """Derivatives of moment arms by coordinates (m/rad^2), by central differences.
+        """Compute derivatives of moment arms by coordinates (m/rad^2), by central differences.
 
-        The second axis is the coordinate to differentiate by. Derivatives of length are minus the moment arms:
-        exactly for shortest paths.
+        The second axis is the coordinate to differentiate by. Derivatives of length are minus the moment
+        arms: exactly for shortest paths.
 
         Parameters
         ----------
@@ -228,13 +228,13 @@ def muscle_paths(
     model_file
         OpenSim model (.osim).
     mode
-        ``geodesic``, shortest paths, whose moment arms are exactly -dL/dq; or ``parity``, paths as OpenSim 4.6
-        computes them, defects included.
+        ``geodesic``, shortest paths, whose moment arms are exactly -dL/dq; or ``parity``, paths as OpenSim
+        4.6 computes them, defects included.
     muscles
         Names of muscles; by default all.
     coordinates
-        Names of coordinates of poses and moment arms; by default all that any of the muscles spans. Others stay
-        at the model's defaults or follow their couplers.
+        Names of coordinates of poses and moment arms; by default all that any of the muscles spans. Others
+        stay at the model's defaults or follow their couplers.
     skip_unsupported
         Whether to leave out muscles whose path cannot be computed, instead of raising an error.
 
@@ -246,8 +246,8 @@ def muscle_paths(
     Raises
     ------
     InputError
-        If OpenSim cannot load the model, it has no such muscle or coordinate, or the path of a muscle cannot be
-        computed and is not to be left out. All such muscles are named.
+        If OpenSim cannot load the model, it has no such muscle or coordinate, or the path of a muscle cannot
+        be computed and is not to be left out. All such muscles are named.
     ValueError
         If the mode is unknown.
 

@@ -100,14 +100,14 @@ def path_tables(paths: MusclePaths, poses_file: Path | str) -> PathTables:
     paths
         Muscle paths from `muscle_paths`.
     poses_file
-        Table with a row for each pose and a column for each coordinate; the header's ``inDegrees`` is honoured.
-        Other columns are ignored, and coordinates without a column stay at the model's defaults.
+        Table with a row for each pose and a column for each coordinate; the header's ``inDegrees`` is
+        honoured. Other columns are ignored, and coordinates without a column stay at the model's defaults.
 
     Raises
     ------
     InputError
-        If the file is not such a table, has no coordinate of the muscles, or has angles that must be in degrees
-        although its header says that they are not.
+        If the file is not such a table, has no coordinate of the muscles, or has angles that must be in
+        degrees although its header says that they are not.
     """
     file = str(poses_file)
     table = read_storage(poses_file)

@@ -1,0 +1,245 @@
+"""Shortest paths of the exact engine against polylines that SciPy minimises.
+
+``python -m validation.wrapping.shortest_paths`` draws 200 paths round spheres, ellipsoids and tori each
+(``--count N``, ``--kinds KIND ...``). The oracle's path is a straight line to a tangent point, a polyline of
+40 or 80 chords with its nodes on the surface, and a straight line from another tangent point. L-BFGS-B
+minimises its length over both tangent points and all nodes, from paths on several sides; the shortest result
+is extrapolated to infinitely many chords, of which the length's error is proportional to the inverse square.
+Printed are the differences in length, and differences of moment arms from central differences of the
+engine's own length.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from benchmarks.machine import pin_threads
+from validation.wrapping.differences import HEAD, Differences
+from validation.wrapping.draws import draws
+from validation.wrapping.single_path import SurfaceDraw
+from wrapjax.jax_setup import set_up_jax
+
+#: Largest difference of length that counts as agreement, m.
+LIMIT = 1e-6
+_KINDS = ("sphere", "ellipsoid", "torus")
+_CHORDS = (40, 80)
+# Angles about the segment at which searches begin.
+_STARTS = np.arange(4) * 0.5 * np.pi
+# Step of central differences, m.
+_STEP = 1e-6
+_Points = Float[np.ndarray, "point 3"]
+
+
+def _on_ellipsoid(chords: int) -> Callable[..., object]:
+    """Length of a polyline over an ellipsoid as a function of its variables, with the gradient."""
+    import jax
+    import jax.numpy as jnp
+
+    def tangent(angle, point):
+        """Point of the unit sphere whose tangent plane contains a point."""
+        square = jnp.sum(point**2)
+        toward = point / jnp.sqrt(square)
+        one = jnp.cross(toward, jnp.eye(3)[jnp.argmin(jnp.abs(toward))])
+        one = one / jnp.linalg.norm(one)
+        other = jnp.cross(toward, one)
+        around = jnp.cos(angle) * one + jnp.sin(angle) * other
+        return point / square + jnp.sqrt(1.0 - 1.0 / square) * around
+
+    def length(variables, start, end, sizes):
+        nodes = variables[2:].reshape(chords - 1, 3)
+        nodes = nodes / jnp.linalg.norm(nodes, axis=1)[:, None]
+        first, last = tangent(variables[0], start / sizes), tangent(variables[1], end / sizes)
+        points = jnp.concatenate([first[None], nodes, last[None]]) * sizes
+        curve = jnp.sqrt(chords * jnp.sum(jnp.diff(points, axis=0) ** 2))
+        return jnp.linalg.norm(points[0] - start) + curve + jnp.linalg.norm(points[-1] - end)
+
+    return jax.jit(jax.value_and_grad(length))
+
+
+def _through_torus(chords: int) -> Callable[..., object]:
+    """Length of a polyline over a torus, from angles about the tube (zero at its inner edge) and the ring."""
+    import jax
+    import jax.numpy as jnp
+
+    def length(variables, start, end, sizes):
+        ring, tube = sizes[0], sizes[1]
+
+        def tangent(angle, point, sign):
+            outward = point[0] * jnp.cos(angle) + point[1] * jnp.sin(angle) - ring
+            apart = jnp.arccos(jnp.clip(tube / jnp.hypot(outward, point[2]), -1.0, 1.0))
+            return jnp.stack([jnp.arctan2(-point[2], -outward) + sign * apart, angle])
+
+        sign = jnp.sign(start[2])
+        ends = tangent(variables[0], start, sign), tangent(variables[1], end, -sign)
+        angles = jnp.concatenate([ends[0][None], variables[2:].reshape(-1, 2), ends[1][None]])
+        outward = ring - tube * jnp.cos(angles[:, 0])
+        points = jnp.stack(
+            [outward * jnp.cos(angles[:, 1]), outward * jnp.sin(angles[:, 1]), -tube * jnp.sin(angles[:, 0])],
+            axis=1,
+        )
+        curve = jnp.sqrt(chords * jnp.sum(jnp.diff(points, axis=0) ** 2))
+        return jnp.linalg.norm(points[0] - start) + curve + jnp.linalg.norm(points[-1] - end)
+
+    return jax.jit(jax.value_and_grad(length))
+
+
+def _minimum(
+    function: Callable[..., object], initial: np.ndarray, *given: np.ndarray
+) -> tuple[float, np.ndarray]:
+    from scipy.optimize import minimize
+
+    def value_and_slope(variables: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = function(variables, *given)
+        return float(value), np.asarray(slope)
+
+    settings = {"maxiter": 3000, "maxfun": 6000, "ftol": 1e-16, "gtol": 1e-11, "maxcor": 30}
+    found = minimize(value_and_slope, initial, jac=True, method="L-BFGS-B", options=settings)
+    return float(found.fun), found.x
+
+
+def ellipsoid_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, functions: Sequence) -> float:
+    """Length of the shortest path (m) between two points outside an ellipsoid whose segment intersects it."""
+    scaled = start / sizes, end / sizes
+    along = scaled[1] - scaled[0]
+    along /= np.linalg.norm(along)
+    one = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    one /= np.linalg.norm(one)
+    other = np.cross(along, one)
+    lengths = []
+    for begin in _STARTS:
+        aside = np.cos(begin) * one + np.sin(begin) * other
+        by_chords = []
+        for chords, function in zip(_CHORDS, functions, strict=True):
+            share = np.linspace(0.0, 1.0, chords + 1)[1:-1, None]
+            nodes = scaled[0] + share * (scaled[1] - scaled[0]) + 2.0 * np.sin(np.pi * share) * aside
+            angles = [_angle_towards(point, aside) for point in scaled]
+            initial = np.concatenate([angles, nodes.ravel()])
+            by_chords.append(_minimum(function, initial, start, end, sizes)[0])
+        lengths.append(by_chords[1] + (by_chords[1] - by_chords[0]) / 3.0)
+    return min(lengths)
+
+
+def _angle_towards(point: np.ndarray, aside: np.ndarray) -> float:
+    toward = point / np.linalg.norm(point)
+    one = np.cross(toward, np.eye(3)[np.argmin(np.abs(toward))])
+    one /= np.linalg.norm(one)
+    return float(np.arctan2(aside @ np.cross(toward, one), aside @ one))
+
+
+def torus_oracle(start: np.ndarray, end: np.ndarray, sizes: np.ndarray, functions: Sequence) -> float:
+    """Length of the shortest path (m) through a torus' hole along the tube."""
+    lengths = []
+    inner = sizes[0] - sizes[1]
+    ring = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+    points = inner * np.stack([np.cos(ring), np.sin(ring), 0.0 * ring], axis=1)
+    ways = np.linalg.norm(points - start, axis=1) + np.linalg.norm(points - end, axis=1)
+    for angle in ring[np.argsort(ways)[[0, 3]]]:
+        by_chords = []
+        for chords, function in zip(_CHORDS, functions, strict=True):
+            share = np.linspace(-1.0, 1.0, chords + 1)[1:-1]
+            nodes = np.stack([-0.3 * np.sign(start[2]) * -share, np.full_like(share, angle)], axis=1)
+            initial = np.concatenate([[angle, angle], nodes.ravel()])
+            by_chords.append(_minimum(function, initial, start, end, sizes)[0])
+        lengths.append(by_chords[1] + (by_chords[1] - by_chords[0]) / 3.0)
+    return min(lengths)
+
+
+def engine_paths(
+    surface: SurfaceDraw, ends: Float[np.ndarray, "pose 6"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, derivatives by the ends' positions and contact lengths of shortest paths round one surface."""
+    import jax
+    import jax.numpy as jnp
+
+    from wrapjax.geometry.placed_surface import PlacedSurface
+    from wrapjax.geometry.vectors import vector
+    from wrapjax.geometry.wrap_methods import SHORTEST, kind_of
+
+    method = SHORTEST[kind_of(f"Wrap{surface.kind.capitalize()}", surface.method)]
+    sizes = np.array((*surface.sizes, surface.sizes[-1], surface.sizes[-1])[:3])
+    axes = [vector(jnp.eye(3)[axis]) for axis in range(3)]
+    radius = jnp.asarray(surface.sizes[1] if surface.kind == "torus" else float(np.mean(sizes)))
+    none = jnp.asarray(0)
+    placed = PlacedSurface(
+        *axes, vector(jnp.zeros(3)), radius, radius, none, none, vector(jnp.asarray(sizes))
+    )
+
+    @jax.jit
+    @jax.vmap
+    def path(ends):
+        start, end = vector(ends[:3]), vector(ends[3:])
+        decision = method.decide(start, end, placed)
+        contact = method.find_contact(start, end, placed, decision)
+        wraps = decision.mandatory | decision.possible
+        straight = (end - start).norm()
+        pull = [
+            jnp.where(wraps, one, other)
+            for one, other in (
+                (_stack(contact.start_pull), _stack((end - start).unit())),
+                (_stack(contact.end_pull), _stack((end - start).unit())),
+            )
+        ]
+        slope = jnp.concatenate([-pull[0], pull[1]])
+        return jnp.where(wraps, contact.total, straight), slope, jnp.where(wraps, contact.length, 0.0)
+
+    def _stack(one):
+        return jnp.stack([one.x, one.y, one.z])
+
+    return tuple(np.asarray(part) for part in path(jnp.asarray(ends)))
+
+
+def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:
+    """Compare the paths that touch among random ones; return also the share of paths that touch."""
+    per_surface = 20
+    lengths, arms, touched = [], [], 0
+    maker = _through_torus if kind == "torus" else _on_ellipsoid
+    oracle = torus_oracle if kind == "torus" else ellipsoid_oracle
+    functions = [maker(chords) for chords in _CHORDS]
+    for surface, poses in draws(kind, count // per_surface, per_surface, seed, "all"):
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_euler("XYZ", surface.angles).as_matrix()
+        ends = (poses.reshape(-1, 2, 3) @ turn).reshape(-1, 6)
+        length, slope, on_surface = engine_paths(surface, ends)
+        sizes = np.array((*surface.sizes, surface.sizes[-1], surface.sizes[-1])[:3])
+        differences = np.stack(
+            [
+                (engine_paths(surface, ends + step)[0] - engine_paths(surface, ends - step)[0])
+                / (2.0 * _STEP)
+                for step in _STEP * np.eye(6)
+            ],
+            axis=1,
+        )
+        for row in np.flatnonzero(on_surface > 1e-6):
+            expected = oracle(ends[row, :3], ends[row, 3:], sizes, functions)
+            lengths.append(abs(length[row] - expected))
+            arms.append(np.abs(slope[row] - differences[row]).max())
+        touched += int((on_surface > 1e-6).sum())
+    share = touched / (count // per_surface * per_surface)
+    return Differences(f"{kind}, shortest path", np.array(lengths), np.array(arms), LIMIT), share
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="compare shortest paths with minimised polylines")
+    parser.add_argument("--kinds", nargs="+", default=list(_KINDS), choices=_KINDS, metavar="KIND")
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    pin_threads()
+    set_up_jax()
+    print(HEAD)
+    for kind in options.kinds:
+        found, share = compare(kind, options.count, options.seed)
+        print(found.row(), flush=True)
+        print(f"share of {kind} paths that touch: {share:.2f}", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
