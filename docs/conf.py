@@ -28,10 +28,11 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "command_help",
-    "mathml_equations",
+    "drawn_equations",
 ]
 exclude_patterns = ["_build"]
-nitpicky = False
+# Names in single backquotes are links where they can be.
+default_role = "py:obj"
 
 # Pages are Markdown; notebooks are shown with the outputs that they have.
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "amsmath"]
@@ -44,7 +45,7 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
-autodoc_class_signature = "separated"
+autodoc_class_signature = "mixed"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 88
 napoleon_google_docstring = False
@@ -64,7 +65,7 @@ html_theme = "furo"
 html_title = f"wrapjax {release}"
 html_static_path = ["_static"]
 html_css_files = ["wrapjax.css"]
-html_math_renderer = "mathml"
+html_math_renderer = "drawn"
 html_copy_source = False
 html_show_sourcelink = False
 html_theme_options = {"navigation_with_keys": True}
@@ -109,6 +110,17 @@ def _read_included(app, path, page, content):
     content[0] = _link_to(_PAGES_OF_INCLUDED, content[0])
 
 
+#: Public classes that users make themselves; the others are results.
+_MADE_BY_USERS = {"PhysiologicalThresholds", "BoundedLevenbergMarquardt", "OptimistixSolver", "InputError"}
+
+
+def _hide_signatures_of_results(app, what, name, obj, options, signature, annotation):
+    """Leave out what a result is made of: its fields are documented below."""
+    if what == "class" and name.rsplit(".", 1)[-1] not in _MADE_BY_USERS:
+        return "", None
+    return None
+
+
 def _copy_notebooks(app, config):
     """Copy the notebooks into this folder, as pages have to lie in it."""
     folder = Path(__file__).parent / "notebooks"
@@ -120,5 +132,6 @@ def _copy_notebooks(app, config):
 def setup(app):
     """Connect what this file defines."""
     app.connect("config-inited", _copy_notebooks)
+    app.connect("autodoc-process-signature", _hide_signatures_of_results)
     app.connect("source-read", _read_page)
     app.connect("include-read", _read_included)

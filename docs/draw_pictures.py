@@ -24,8 +24,10 @@ from wrapjax.osim.model import describe_model
 from wrapjax.report.style import BLACK, BLUE, GRAY, VERMILION, Axes, in_style, new_figure
 
 IMAGES = Path(__file__).parent / "images"
-#: Cycle that no calibration has seen, the muscle whose moment arm is drawn, and its coordinate.
-CYCLE, MUSCLE, ABOUT = "walk_0p8_4", "iliacus_r", "hip_flexion_r"
+#: Cycle that no calibration has seen.
+CYCLE = "walk_0p8_4"
+#: Muscle and coordinate of the moment arm that is drawn: that with the largest error before calibration.
+MUSCLE, ABOUT = "bfsh_r", "knee_angle_r"
 
 
 def _read_json(file: Path) -> Any:
@@ -73,45 +75,60 @@ def draw_moment_arm(panel: Axes, demo: Path) -> None:
         panel.plot(percent, arm, style, color=color, label=label)
 
 
-def draw_map(panel: Axes, demo: Path) -> None:
-    """Draw the repeatable error at the faster speed of the person with a hidden effect."""
+def draw_map(panel: Axes, demo: Path, speed: float) -> Any:
+    """Draw the repeatable error at one speed of the person with a hidden effect; return the drawn cells."""
     rows = _read_json(demo / "gap" / "gap.json")["where"]
-    fastest = max(row["speed_m_s"] for row in rows)
-    names = list(dict.fromkeys(sorted(row["coordinate"] for row in rows)))
+    names = sorted({row["coordinate"] for row in rows}, reverse=True)
     bins = sorted({tuple(row["phase_percent"]) for row in rows})
     values = np.zeros((len(names), len(bins)))
     for row in rows:
-        if row["speed_m_s"] == fastest:
+        if row["speed_m_s"] == speed:
             place = names.index(row["coordinate"]), bins.index(tuple(row["phase_percent"]))
             values[place] = row["explainable_rms_Nm"]
-    image = panel.pcolormesh(
-        [*(first for first, _ in bins), bins[-1][1]],
-        np.arange(len(names) + 1),
-        values,
-        cmap="YlGnBu",
-        vmin=0.0,
-    )
-    panel.set_yticks(np.arange(len(names)) + 0.5, [name.rsplit("_", 1)[0] for name in names])
+    edges = [*(first for first, _ in bins), bins[-1][1]]
+    highest = max(row["explainable_rms_Nm"] for row in rows)
+    panel.set_yticks(np.arange(len(names)) + 0.5, names, parse_math=False)
     panel.tick_params(axis="y", length=0)
-    panel.figure.colorbar(image, ax=panel, label="repeatable error (N m)", pad=0.02)
+    panel.set_xlabel("gait cycle (%)")
+    rows_edges = np.arange(len(names) + 1)
+    return panel.pcolormesh(edges, rows_edges, values, cmap="YlGnBu", vmin=0.0, vmax=highest)
+
+
+def speeds_of_map(demo: Path) -> list[float]:
+    """List the walking speeds of the diagnosed person."""
+    return sorted({row["speed_m_s"] for row in _read_json(demo / "gap" / "gap.json")["where"]})
 
 
 @in_style
 def draw_overview(demo: Path) -> None:
     """Draw the README's picture: a moment arm, a joint moment, and the map of the remaining error."""
-    figure = new_figure(10.0, 2.7)
-    arm, moment, where = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.25))
+    figure = new_figure(10.0, 2.6)
+    arm, moment, where = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.1))
     draw_moment_arm(arm, demo)
-    arm.set_title(f"moment arm, {MUSCLE} about {ABOUT} (mm)", loc="left", parse_math=False)
-    draw_moments(moment, demo, "ankle_angle_r")
-    moment.set_title("ankle moment, a cycle kept back (N m)", loc="left")
-    draw_map(where, demo)
-    where.set_title("where an error is left, another person", loc="left")
-    for panel in (arm, moment, where):
+    arm.set_title(f"moment arm, {MUSCLE}, knee (mm)", loc="left", parse_math=False)
+    draw_moments(moment, demo, "hip_adduction_r")
+    moment.set_title("hip adduction moment (N m)", loc="left")
+    image = draw_map(where, demo, speeds_of_map(demo)[-1])
+    figure.colorbar(image, ax=where, label="repeatable error (N m)", pad=0.02)
+    where.set_title("what is left in another person", loc="left")
+    for panel in (arm, moment):
         panel.set_xlabel("gait cycle (%)")
-    arm.legend()
+    arm.legend(loc=(0.02, 0.1))
     moment.legend()
     figure.savefig(IMAGES / "overview.png", dpi=110)
+
+
+@in_style
+def draw_both_maps(demo: Path) -> None:
+    """Draw the map of the remaining error at all speeds."""
+    speeds = speeds_of_map(demo)
+    figure = new_figure(10.0, 2.3)
+    panels = figure.subplots(1, len(speeds), sharey=True)
+    for panel, speed in zip(panels, speeds, strict=True):
+        image = draw_map(panel, demo, speed)
+        panel.set_title(f"{speed:g} m/s", loc="left")
+    figure.colorbar(image, ax=panels, label="repeatable error (N m)", pad=0.01)
+    figure.savefig(IMAGES / "gap_map.png", dpi=100)
 
 
 @in_style
@@ -158,8 +175,9 @@ def main(demo: Path, browser: str | None) -> None:
     IMAGES.mkdir(exist_ok=True)
     draw_overview(demo)
     draw_all_moments(demo)
+    draw_both_maps(demo)
     Image.open(demo / "wrap_recovery.png").save(IMAGES / "moment_arms.png")
-    for name in ("overview", "moments", "moment_arms"):
+    for name in ("overview", "moments", "gap_map", "moment_arms"):
         shrink(IMAGES / f"{name}.png")
     if browser:
         take_pictures(demo, browser)

@@ -1,8 +1,8 @@
 """Execute the notebooks, and store them with their outputs.
 
 ``python docs/execute_notebooks.py [NAME.py ...]`` reads the text of each notebook (`notebooks/*.py`) and
-writes the `.ipynb` of the same name beside it. The documentation shows the stored outputs; building it executes
-nothing.
+writes the `.ipynb` of the same name beside it. The documentation shows the stored outputs; building it
+executes nothing.
 """
 
 from __future__ import annotations

@@ -27,8 +27,9 @@ class CommandHelp(SphinxDirective):
             section = nodes.section(ids=[identifier], names=[f"command {name}"])
             self.state.document.note_explicit_target(section)
             section += nodes.title(text=f"wrapjax {name}")
-            section += nodes.paragraph(text=parser.description or "")
-            help_text = parser.format_help().replace(f"{parser.description}\n", "", 1)
+            parser.description, description = None, parser.description or ""
+            help_text = parser.format_help()
+            section += nodes.paragraph(text=description)
             section += nodes.literal_block(help_text, help_text, language="text")
             sections.append(section)
         return sections
