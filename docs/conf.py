@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shutil
@@ -12,6 +13,7 @@ from pathlib import Path
 import wrapjax
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+logging.getLogger("jax").setLevel(logging.WARNING)
 # Results that the examples keep, and compiled programs.
 os.environ.setdefault("WRAPJAX_CACHE", str(Path(tempfile.gettempdir()) / "wrapjax-docs"))
 
