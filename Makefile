@@ -11,7 +11,7 @@ PYTEST := $(RUN)/python -m pytest --numprocesses $(JOBS) --dist loadfile --no-lo
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all lint bench bench-gate blind blind-quick validation validation-quick setup clean
+.PHONY: demo docs notebooks wheel test test-all lint bench bench-gate blind blind-quick validation validation-quick setup clean
 .DEFAULT_GOAL := test
 
 setup: $(VENV)/.ready
@@ -25,8 +25,26 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	$(RUN)/python -m pip install --quiet -c constraints.txt -e '.[jaxopt]' --group test --group lint
 	@touch $@
 
+$(VENV)/.docs-ready: $(VENV)/.ready
+	$(RUN)/python -m pip install --quiet -c constraints.txt --group docs
+	@touch $@
+
 demo: setup
 	$(RUN)/wrapjax demo --out $(OUT) --force
+
+# Pages in out/docs/html; warnings are errors, and the examples of all pages are run. Nothing is downloaded.
+SPHINX := $(RUN)/python -m sphinx --fail-on-warning --keep-going --quiet -d out/docs/doctrees
+docs: $(VENV)/.docs-ready
+	$(SPHINX) --builder html docs out/docs/html
+	$(SPHINX) --builder doctest docs out/docs/doctest
+	@echo "open out/docs/html/index.html in a browser"
+
+# Executes the notebooks (minutes), and stores them with what they print and draw.
+notebooks: $(VENV)/.docs-ready
+	$(RUN)/python docs/execute_notebooks.py
+
+wheel: setup
+	$(RUN)/python -m pip wheel --quiet --no-deps --wheel-dir dist .
 
 test: setup
 	$(PYTEST) -m "not slow and not gpu"

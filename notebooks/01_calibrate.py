@@ -5,9 +5,10 @@
 # joint moments during walking. Then we compute the gradient of the objective by automatic
 # differentiation and compare it with finite differences.
 #
-# Run this file as a script, or cell by cell in an editor that supports the percent format.
+# This notebook is kept as a script, too: `notebooks/01_calibrate.py`.
 
 # %%
+# %matplotlib inline
 import tempfile
 from pathlib import Path
 
@@ -19,6 +20,7 @@ set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 
 import wrapjax
 from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
@@ -71,6 +73,28 @@ for name, old, new in zip(result.coordinates, before, after, strict=True):
     print(f"{name:20s} {old:6.1f} -> {new:5.2f} N m")
 
 # %% [markdown]
+# One calibration cycle: the measured moments, those of the model before calibration, and after.
+
+# %%
+phase = np.linspace(0.0, 100.0, result.measured.shape[-1])
+figure = Figure(figsize=(9.0, 2.6), layout="constrained")
+for axes, name, measured, first, last in zip(
+    figure.subplots(1, len(result.coordinates)),
+    result.coordinates,
+    result.measured[0],
+    result.initial_modelled[0],
+    result.modelled[0],
+    strict=True,
+):
+    axes.plot(phase, measured, "k", label="measured")
+    axes.plot(phase, first, "C1:", label="before")
+    axes.plot(phase, last, "C0", label="after")
+    axes.set(title=name, xlabel="gait cycle (%)")
+figure.axes[0].set_ylabel("joint moment (N m)")
+figure.axes[0].legend(frameon=False)
+figure
+
+# %% [markdown]
 # ## The objective is a pure function
 #
 # `wrapjax.objective` returns the cost as a function of the parameter tree, to which `jax.grad`,
@@ -107,4 +131,4 @@ assert abs(slope - difference) <= 1e-6 * abs(slope)
 
 # %%
 calibration.save(folder.parent / "run")
-print(f"open {folder.parent / 'run' / 'report.html'} in a browser")
+print(sorted(path.name for path in (folder.parent / "run").iterdir()))

@@ -11,6 +11,7 @@
 # including its inaccuracies. This notebook compares them.
 
 # %%
+# %matplotlib inline
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -109,6 +110,7 @@ for one in compared:
     assert one.shortest.disagreement < 1e-7
 figure = wrapping_modes_figure(compared)
 figure.savefig(folder.parent / "wrapping_modes.png", dpi=120)
+figure
 
 # %% [markdown]
 # ## Derivatives with respect to wrap parameters
@@ -168,7 +170,9 @@ move = MovedPath(
 for pair in move.touched:
     print(describe_move(*pair))
 print(f"moment arm about {move.coordinate}: {1e3 * move.arm_before:.1f} to {1e3 * move.arm_after:.1f} mm")
-path_view_figure([move]).savefig(folder.parent / "moved_cylinder.png", dpi=120)
+figure = path_view_figure([move])
+figure.savefig(folder.parent / "moved_cylinder.png", dpi=120)
+figure
 
 # %% [markdown]
 # ## When to use which
@@ -183,6 +187,3 @@ path_view_figure([move]).savefig(folder.parent / "moved_cylinder.png", dpi=120)
 #
 # Where both differ, as for paths round two cylinders, OpenSim shows other lengths for a calibrated
 # model than the calibration used; moment arms differ less.
-
-# %%
-print(f"figures are in {folder.parent}")

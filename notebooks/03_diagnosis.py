@@ -11,6 +11,7 @@
 # about accuracy.
 
 # %%
+# %matplotlib inline
 import tempfile
 from pathlib import Path
 
@@ -23,6 +24,7 @@ import numpy as np
 import wrapjax
 from wrapjax.cli.diagnose import diagnosis_table
 from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
+from wrapjax.report.diagnosis_location import map_figure
 
 folder = Path(tempfile.mkdtemp())
 write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")
@@ -54,6 +56,12 @@ print(diagnosis_table(found))
 # %%
 for part, values in found.budget.pooled().items():
     print(f"{part:9s}", dict(zip(found.coordinates, np.round(values, 1).tolist(), strict=True)))
+
+# %% [markdown]
+# Where in the gait cycle the error is, by coordinate and walking speed.
+
+# %%
+map_figure(found, found.budget)
 
 # %% [markdown]
 # ## Evidence

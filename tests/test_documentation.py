@@ -10,7 +10,7 @@ import wrapjax
 
 ROOT = Path(__file__).parents[1]
 FUNCTIONS = [name for name in wrapjax.__all__ if inspect.isfunction(getattr(wrapjax, name))]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def _sections(text: str) -> dict[str, str]:
@@ -29,6 +29,16 @@ def test_public_functions_document_every_argument_and_the_result(name):
     assert documented == set(signature.parameters)
     if signature.return_annotation not in (None, "None"):
         assert sections.get("Returns", "").strip()
+
+
+def test_the_reference_lists_every_public_name():
+    text = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\.\. auto(?:function|class):: (\w+)$", text, flags=re.M)
+    assert sorted(listed) == sorted(name for name in wrapjax.__all__ if name != "__version__")
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
 
 @pytest.mark.parametrize("name", wrapjax.__all__)

@@ -6,7 +6,7 @@ import pytest
 
 import wrapjax.cli.evaluate
 import wrapjax.cli.initialise
-from wrapjax.cli.command_line import _parser
+from wrapjax.cli.command_line import build_parser
 from wrapjax.cli.common import DONE
 
 #: Those whose folder is a subject's or an index: their settings are not those of a command.
@@ -14,7 +14,7 @@ WITHOUT = {"prepare", "fetch", "report", "check"}
 
 
 def test_all_commands_that_write_take_settings():
-    _, commands = _parser()
+    _, commands = build_parser()
     writing = {
         name
         for name, parser in commands.items()

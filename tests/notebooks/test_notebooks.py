@@ -1,6 +1,8 @@
-"""Every notebook runs without errors, including its own assertions."""
+"""Every notebook runs without errors, including its own assertions, and is stored as it is written."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -39,3 +41,26 @@ def test_notebook_runs(name, tmp_path):
     text, files = EXPECTED_OUTPUT[name]
     assert text in done.stdout
     assert [file for file in files if not list(tmp_path.glob(f"*/{file}"))] == [], "not written"
+
+
+def _cells(text: str) -> list[tuple[bool, str]]:
+    """Whether each cell of a script in the percent format is code, and its text."""
+    parts = re.split(r"^# %%(.*)\n", text, flags=re.M)[1:]
+    cells = []
+    for title, body in zip(parts[::2], parts[1::2], strict=True):
+        code = "[markdown]" not in title
+        prefix = r"^# (?=%)" if code else r"^# ?"
+        cells.append((code, re.sub(prefix, "", body.strip(), flags=re.M)))
+    return cells
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED_OUTPUT))
+def test_stored_notebook_is_that_of_the_script(name):
+    """``make notebooks`` stores it anew, with its outputs."""
+    stored = json.loads((NOTEBOOKS / name).with_suffix(".ipynb").read_text(encoding="utf-8"))["cells"]
+    cells = [(cell["cell_type"] == "code", "".join(cell["source"])) for cell in stored]
+    assert cells == _cells((NOTEBOOKS / name).read_text(encoding="utf-8"))
+    outputs = [output for cell in stored for output in cell.get("outputs", [])]
+    assert {output["output_type"] for output in outputs} <= {"stream", "execute_result", "display_data"}
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert EXPECTED_OUTPUT[name][0] in "".join("".join(output.get("text", "")) for output in outputs)

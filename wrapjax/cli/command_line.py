@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A character that the terminal's encoding lacks is printed as its code instead of raising an error.
         sys.stdout.reconfigure(errors="backslashreplace")
     words = list(sys.argv[1:] if arguments is None else arguments)
-    parser, commands = _parser()
+    parser, commands = build_parser()
     try:
         name = words[0] if words else ""
         if name in commands:
@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return NOT_CONVERGED
 
 
-def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+def build_parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
     """Build the parser, and return it with the parsers of the commands by name."""
     parser = argparse.ArgumentParser(
         prog="wrapjax",
