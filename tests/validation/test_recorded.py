@@ -263,7 +263,7 @@ def test_excitation_is_compared_with_earlier_emg():
 
 
 def test_an_effect_that_is_testable_with_the_error_alone_had_no_evidence_before(monkeypatch):
-    """A channel can be tested for its loss only where it was lost: the rise of that effect is its evidence."""
+    """A channel is tested for its loss only where it was lost: the rise of that effect is its evidence."""
     decision = SimpleNamespace(outcome="unknown", accepted=(), family="")
     monkeypatch.setattr(recorded, "decision_on", lambda case, constants: decision)
     scored = {
