@@ -42,6 +42,8 @@ LEAST_THRESHOLD = 3.0
 REASSIGNMENTS = 60
 #: Correlation between the conditions of a smooth repeatable error without a name.
 ACROSS_CONDITIONS = 0.95
+#: Least power of the difference, in standard deviations by noise of independent phases, for a share of it.
+LEAST_POWER = 3.0
 #: Parts into which the cycles of each condition are divided, to predict each part from the others.
 FOLDS = 4
 
@@ -125,7 +127,8 @@ def compute_contrast(
     generator = np.random.default_rng(seed)
     rows = contrast_rows(speeds, is_first)
     candidates, directions = _candidates(linearized, rows, is_first)
-    deviations = _deviations(linearized.residual, linearized.speeds)
+    # As the calibration left them: the distance from the prior mean is a part of the null covariance.
+    deviations = _deviations(linearized.fitted_residual, linearized.speeds)
     residuals = [_apply(rows, linearized.residual).ravel()]
     for _ in range(REASSIGNMENTS):
         assigned = contrast_rows(speeds, _reassigned(speeds, is_first, generator))
@@ -291,7 +294,7 @@ def _explained_elsewhere(
 ) -> float:
     """Compute the share of the difference that the effect explains on cycles left out of its fit."""
     part = _parts(speeds, is_first, generator)
-    before = after = expected = 0.0
+    removed = common = noise = 0.0
     for fold in np.unique(part):
         train, held = part != fold, part == fold
         rows, other = (_rows_of(speeds, is_first, keep) for keep in (train, held))
@@ -306,10 +309,13 @@ def _explained_elsewhere(
         (test,) = score_projected(projections, (chosen,))
         predicted = _signal(linearized, other, is_first, test.scores[0], direction)
         observed = _apply(other, linearized.fitted_residual)
-        before += float(np.sum(observed**2))
-        after += float(np.sum((observed - predicted) ** 2))
-        expected += float(np.sum(_noise_variance(linearized, other)))
-    return (before - after) / (before - expected) if before > expected > 0.0 else float("nan")
+        fitted = _apply(rows, linearized.fitted_residual)
+        removed += float(np.sum(observed**2) - np.sum((observed - predicted) ** 2))
+        # Noise of the two parts is independent, so that their product is the power of the difference alone.
+        common += float(np.sum(observed * fitted))
+        variances = _noise_variance(linearized, other) * _noise_variance(linearized, rows)
+        noise += float(np.sqrt(np.sum(variances)))
+    return removed / common if common > LEAST_POWER * noise else float("nan")
 
 
 def _parts(
