@@ -216,11 +216,11 @@ def prepare_subject(
             log("scaling the model")
             path = Path(folder) / "scaled.osim"
             scale_model(settings.model_file, settings.scaling, settings.mass_kg, path)
-        notes: tuple[str, ...] = ()
+        on_model: tuple[str, ...] = ()
         if settings.scales_masses:
             path = Path(folder) / "scaled.osim"
             factor = scale_masses(settings.model_file, settings.mass_kg, path)
-            notes = (
+            on_model = (
                 f"masses and inertias of all bodies were multiplied by {factor:.4g}, to "
                 f"{settings.mass_kg:g} kg; lengths, joint centers, muscle paths and muscle strengths are "
                 "those of the generic model, so that moments are of a person of the model's size",
@@ -233,7 +233,7 @@ def prepare_subject(
                 trials.append(prepare_trial(trial, settings, model, log))
         if problems:
             raise InputError(dict.fromkeys(problems))
-        return Preparation(settings, path.read_bytes(), tuple(trials), notes)
+        return Preparation(settings, path.read_bytes(), tuple(trials), on_model)
 
 
 def _read_model(path: Path, settings: LaboratorySettings) -> PreparationModel:
