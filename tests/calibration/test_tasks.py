@@ -19,6 +19,7 @@ from wrapjax.errors import InputError
 from wrapjax.evaluation.evaluation import evaluate
 from wrapjax.evaluation.left_out_tasks import LeftOutTasks, leave_out_tasks
 from wrapjax.evaluation.metrics import LeftOutTask, errors_by_task
+from wrapjax.evaluation.stored_run import read_curves
 from wrapjax.path_sources.exact import exact_geometry
 from wrapjax.report.evaluation_page import redraw_evaluation
 from wrapjax.subject.subject import load_subject
@@ -132,6 +133,8 @@ def test_a_run_of_several_tasks_is_written_and_read_again(mixed, calibrated, tmp
     assert len(table) == 1 + 2 * len(left_out.rows)
     page = (tmp_path / "run" / "report.html").read_text()
     assert "Tasks left out in turn" in page and "Muscle activations" in page
+    with pytest.raises(InputError, match="other tasks than gait"):
+        read_curves(tmp_path / "run", mixed)
     evaluated = evaluate(tmp_path / "run", mixed)
     np.testing.assert_allclose(evaluated.modelled, calibrated.result.modelled, rtol=1e-6, atol=1e-6)
     evaluated.save(tmp_path / "evaluation")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.preprocessing import walker
+from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage, write_storage
 from wrapjax.subject.subject import load_subject
 
@@ -167,3 +168,23 @@ def test_recorded_running_is_prepared(run, data_folder, tmp_path):
     assert len(trials) >= 11 and np.all((durations > 0.7) & (durations < 0.85))
     # Every cycle begins where the one before ends: none is missing.
     np.testing.assert_allclose(trials.time[1:, 0], trials.time[:-1, -1], atol=1e-9)
+
+
+def test_masses_alone_are_scaled_and_it_is_said_what_stays_generic(run, laboratory, tmp_path):
+    changes = (
+        ('file = "scaled.osim"', 'file = "scaled.osim"\nscale_masses = true'),
+        (f"mass_kg = {walker.MASS}", f"mass_kg = {1.2 * walker.MASS}"),
+        ('forces = "forces.mot"', 'moments = "id.sto"\ncycles = [[0.5, 1.6], [1.6, 2.7]]'),
+    )
+    time = np.linspace(0.0, walker.DURATION, 431)
+    labels = tuple(f"{name}_moment" for name in walker.COORDINATES)
+    moments = np.array([30.0 * np.sin(6.0 * time + place) for place in range(3)])
+    write_storage(laboratory.parent / "id.sto", walker.Storage("moments", labels, time, moments.T))
+    outcome = prepare(run, laboratory, tmp_path / "heavier", *changes)
+    assert outcome.status == 0, outcome.progress
+    assert "multiplied by 1.2, to 84 kg" in outcome.output and "generic" in outcome.output
+    models = [
+        read_model_file(file) for file in (laboratory.parent / "scaled.osim", tmp_path / "heavier/model.osim")
+    ]
+    assert models[1].mass_kg == pytest.approx(1.2 * models[0].mass_kg)
+    assert models[1].muscles.names == models[0].muscles.names

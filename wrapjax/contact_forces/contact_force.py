@@ -146,9 +146,6 @@ def contact(
     if other is not None:
         runs.append(read_curves(other, subject))
         _check_same_subject(*runs)
-    if not runs[0].subject.trials.is_gait_only:
-        message = "has trials of other tasks than gait, whose contact forces are not computed"
-        raise InputError(Problem(str(runs[0].run.folder), message, hint="calibrate the gait trials alone"))
     models = [_model_file(entry) for entry in runs]
     leg = runs[0].subject
     joints = _joints(models[0], leg.trials.moment_coordinates)

@@ -315,12 +315,16 @@ def read_curves(run: Run | Path | str, subject: Subject | Path | str | None = No
     Raises
     ------
     InputError
-        If the folder is not that of a run or lacks a file, or the subject is not found or has other cycles.
+        If the folder is not that of a run or lacks a file, or the subject is not found, has other cycles, or
+        has trials of other tasks than gait.
     """
     run = as_run(run)
     folder, muscles = run.folder, run.muscles
     if not isinstance(subject, Subject):
         subject = _load_subject_of(folder, subject or folder / run.subject_folder, stored=subject is None)
+    if not subject.trials.is_gait_only:
+        message = "has trials of other tasks than gait, of which no curves over whole cycles are stored"
+        raise InputError(Problem(str(folder), message, hint="calibrate the gait trials alone"))
     stems = {trial: entry["file"] for trial, entry in run.summary["trials"].items()}
     _check_same_cycles(folder, subject, tuple(stems), run.coordinates)
     labels = [f"{name}_moment" for name in run.coordinates]

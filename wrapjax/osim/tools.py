@@ -74,6 +74,45 @@ def scale_model(generic: Path | str, setup: Path | str, mass_kg: float, scaled: 
         scaled.write_bytes(result.read_bytes())
 
 
+def scale_masses(generic: Path | str, mass_kg: float, scaled: Path) -> float:
+    """Scale masses and inertias of all bodies to a person's mass; geometry and muscles stay as they are.
+
+    Parameters
+    ----------
+    generic
+        Model to scale (.osim).
+    mass_kg
+        Mass of the person, kg.
+    scaled
+        File of the scaled model to write.
+
+    Returns
+    -------
+    float
+        Factor by which masses and inertias were multiplied.
+
+    Raises
+    ------
+    InputError
+        If the model cannot be loaded or has no mass.
+    """
+    model, _ = load_model(generic)
+    bodies = list(elements(model.updBodySet()))
+    total = sum(body.getMass() for body in bodies)
+    if not total > 0.0:
+        raise InputError(Problem(str(generic), "expected bodies with a mass, found none"))
+    factor = mass_kg / total
+    for body in bodies:
+        inertia = body.get_inertia()
+        scaled_inertia = type(inertia)(inertia)
+        for place in range(6):
+            scaled_inertia.set(place, factor * inertia.get(place))
+        body.setMass(factor * body.getMass())
+        body.set_inertia(scaled_inertia)
+    model.printToXML(str(scaled))
+    return float(factor)
+
+
 @dataclass(frozen=True)
 class Kinematics:
     """Result of inverse kinematics: the motion of a model that fits recorded markers.

@@ -114,6 +114,8 @@ class LaboratorySettings:
         CSV file of muscle parameters, None if those of the model are used.
     scaling
         Setup file of OpenSim's scale tool, None if the model is scaled already.
+    scales_masses
+        Whether only the masses of the model are scaled to the person's.
     forward, up
         Axes of the laboratory, for ``.trc`` and ``.c3d`` files.
     ignored_markers
@@ -146,6 +148,7 @@ class LaboratorySettings:
     coordinates: tuple[str, ...]
     muscle_parameters: Path | None
     scaling: Path | None
+    scales_masses: bool
     forward: str
     up: str
     ignored_markers: tuple[str, ...]
@@ -184,6 +187,9 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     coordinates = model.names("coordinates") or ()
     muscle_parameters = _file(model, "muscle_parameters", required=False)
     scaling = _file(model, "scaling", required=False)
+    masses = model.boolean("scale_masses") or False
+    if masses and scaling is not None:
+        model.add_problem("scale_masses", "expected either scaling or scale_masses, found both")
     model.report_unknown_keys()
 
     laboratory = TableReader(top.raw("laboratory") or {}, file, "[laboratory]", problems)
@@ -232,6 +238,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         coordinates=coordinates,
         muscle_parameters=muscle_parameters,
         scaling=scaling,
+        scales_masses=masses,
         forward=forward,
         up=up,
         ignored_markers=ignored or (),

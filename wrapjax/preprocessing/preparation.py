@@ -14,7 +14,7 @@ from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.toml import collect_problems
 from wrapjax.osim.model import describe_model
-from wrapjax.osim.tools import marker_names, scale_model
+from wrapjax.osim.tools import marker_names, scale_masses, scale_model
 from wrapjax.preprocessing.force_plates import SIDES
 from wrapjax.preprocessing.joint_angles import find_coupled_coordinates
 from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, read_laboratory_settings
@@ -45,11 +45,14 @@ class Preparation:
         Scaled model: bytes of its ``.osim`` file.
     trials
         Prepared trials, in the order of the settings.
+    notes
+        Remarks on the model.
     """
 
     settings: LaboratorySettings
     model: bytes
     trials: tuple[PreparedTrial, ...]
+    notes: tuple[str, ...] = ()
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
         """Write the subject folder atomically, provided that `load_subject` can read it.
@@ -80,6 +83,7 @@ class Preparation:
         return {
             "schema": 1,
             "subject": self.settings.name,
+            **({"notes": self.notes} if self.notes else {}),
             "trials": {
                 prepared.trial.name: {
                     "motion_and_force_low_pass_hz": prepared.cutoff_hz,
@@ -100,7 +104,10 @@ class Preparation:
         checks = tuple(
             (prepared.trial.name, check.found) for prepared in self.trials for check in prepared.checks
         )
-        notes = tuple((prepared.trial.name, note) for prepared in self.trials for note in prepared.notes)
+        notes = (
+            *(("model", note) for note in self.notes),
+            *((prepared.trial.name, note) for prepared in self.trials for note in prepared.notes),
+        )
         return (
             Table("Trials", ("trial", "use", "cycles", "low-pass (Hz)"), trials),
             Table("Checks", ("trial", "found"), checks),
@@ -209,6 +216,15 @@ def prepare_subject(
             log("scaling the model")
             path = Path(folder) / "scaled.osim"
             scale_model(settings.model_file, settings.scaling, settings.mass_kg, path)
+        on_model: tuple[str, ...] = ()
+        if settings.scales_masses:
+            path = Path(folder) / "scaled.osim"
+            factor = scale_masses(settings.model_file, settings.mass_kg, path)
+            on_model = (
+                f"masses and inertias of all bodies were multiplied by {factor:.4g}, to "
+                f"{settings.mass_kg:g} kg; lengths, joint centers, muscle paths and muscle strengths are "
+                "those of the generic model, so that moments are of a person of the model's size",
+            )
         model = _read_model(path, settings)
         problems: list[Problem] = []
         trials = []
@@ -217,7 +233,7 @@ def prepare_subject(
                 trials.append(prepare_trial(trial, settings, model, log))
         if problems:
             raise InputError(dict.fromkeys(problems))
-        return Preparation(settings, path.read_bytes(), tuple(trials))
+        return Preparation(settings, path.read_bytes(), tuple(trials), on_model)
 
 
 def _read_model(path: Path, settings: LaboratorySettings) -> PreparationModel:

@@ -169,7 +169,8 @@ def render_preparation(
     ]
     if forces:
         parts.append(_forces_section(forces))
-    parts += [_cycles_section(trials), _notes_section(subject)]
+    gait = trials.only_gait()
+    parts += [*([_cycles_section(gait)] if len(gait) else []), _notes_section(subject)]
     return markup.page(title, parts)
 
 
