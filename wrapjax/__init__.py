@@ -1,7 +1,8 @@
 """Calibrate EMG-driven musculoskeletal models with exact gradients, and diagnose the remaining error.
 
 ``load_subject`` reads a subject folder, which ``prepare_subject`` makes from a laboratory's raw files and
-``fetch`` from public recordings. ``fit`` replaces the subject's muscle paths by polynomials
+``fetch`` from public recordings. ``inverse_kinematics`` computes joint angles from markers, and
+``personalize_joints`` finds the joint centers and axes of the person from them. ``fit`` replaces the subject's muscle paths by polynomials
 (``fit_wraps`` makes these depend on the wrapping cylinders), ``initialise`` finds initial muscle lengths,
 ``calibrate`` fits the model to the person, ``compare`` does so by several methods, ``uncertainty`` gives
 intervals of the calibrated parameters, ``diagnose`` finds the effect that best explains the remaining error

@@ -52,16 +52,21 @@ def _residuals(
 
 
 def _independent_frames(residuals: Float[np.ndarray, "frame marker 3"]) -> float:
-    """Divide the number of frames by the correlation time of the residuals, up to its first zero."""
-    centred = np.nan_to_num(residuals)
-    count = len(centred)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * count, axis=0)) ** 2
-    correlation = np.fft.irfft(spectrum.sum(axis=(1, 2)))[:count]
-    if correlation[0] <= 0.0:
+    """Divide the number of frames by the correlation time of residuals, up to its first zero.
+
+    The result is the mean over markers: one that is wrong throughout says nothing of the others.
+    """
+    filled = np.nan_to_num(residuals)
+    count = len(filled)
+    spectrum = np.abs(np.fft.rfft(filled, 2 * count, axis=0)) ** 2
+    correlation = np.fft.irfft(spectrum.sum(axis=2), axis=0)[:count]
+    correlation = correlation[:, correlation[0] > 0.0]
+    if not correlation.size:
         return float(count)
     correlation = correlation / correlation[0]
-    end = int(np.argmax(correlation <= 0.0)) or count
-    return count / max(1.0, 2.0 * float(correlation[:end].sum()) - 1.0)
+    positive = np.cumprod(correlation > 0.0, axis=0)
+    times = 2.0 * (correlation * positive).sum(axis=0) - 1.0
+    return float(np.mean(count / np.maximum(times, 1.0)))
 
 
 def next_round(
