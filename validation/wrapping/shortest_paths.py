@@ -167,7 +167,15 @@ def engine_paths(
     radius = jnp.asarray(surface.sizes[1] if surface.kind == "torus" else float(np.mean(sizes)))
     none = jnp.asarray(0)
     placed = PlacedSurface(
-        *axes, vector(jnp.zeros(3)), radius, radius, none, none, vector(jnp.asarray(sizes))
+        x_axis=axes[0],
+        y_axis=axes[1],
+        z_axis=axes[2],
+        center=vector(jnp.zeros(3)),
+        radius=radius,
+        half_length=radius,
+        side_axis=none,
+        side=none,
+        sizes=vector(jnp.asarray(sizes)),
     )
 
     @jax.jit
