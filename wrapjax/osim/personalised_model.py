@@ -65,7 +65,8 @@ def write_personalised_model(
         folder, and may not find them if this is another one.
     wraps
         Wrap parameters by wrap name: translation (m) along the nominal frame's axes, rotation (rad) about its
-        x axis and then about the rotated y axis, and a factor of all sizes; optionally more (`NominalSurface`).
+        x axis and then about the rotated y axis, and a factor of all sizes; optionally more
+        (`NominalSurface`).
     muscles
         Constants by muscle name; other muscles are unchanged.
 
