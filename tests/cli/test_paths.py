@@ -52,11 +52,7 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
 def test_paths_are_a_function_of_wrap_parameters(odd_model):
     """Derivatives by the parameters of a cylinder, and moment arms as derivatives of length."""
     paths = muscle_paths(odd_model, muscles=["flexor"])
-    assert (
-        (paths.wraps == ("condyles",)
-        and paths.coordinates == ("hip", "knee"))
-        or paths.coordinates == ("knee",)
-    )
+    assert paths.wraps == ("condyles",) and "knee" in paths.coordinates
     poses = np.full((3, len(paths.coordinates)), 0.6) + 0.1 * np.arange(3)[:, None]
     posed = paths.posed(poses)
     slopes = jax.jit(jax.jacfwd(lambda parameters: posed(parameters).length))(

@@ -3,8 +3,8 @@
 ``python -m validation.wrapping.models MODEL.osim ...`` draws 200 poses of each model (``--poses N``): all
 coordinates that a muscle spans, within their ranges and 1 rad of their defaults. It prints a row for each
 kind of path (straight, round one surface of a kind, round several) and the muscles with the largest
-differences. ``--mode geodesic`` compares shortest paths, which differ from OpenSim's by its approximations, and
-their moment arms with central differences of their own lengths.
+differences. ``--mode geodesic`` compares shortest paths, which differ from OpenSim's by its approximations,
+and their moment arms with central differences of their own lengths.
 """
 
 from __future__ import annotations
