@@ -41,7 +41,9 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
     for column, name in enumerate(("hip", "knee")):
         table = read_storage(out / f"moment_arm_{name}.sto")
         assert table.columns == lengths.columns
-        np.testing.assert_allclose(table.values, arms[:, column], atol=1e-5)
+        # OpenSim leaves the motion of a moving point out of segments with both ends on one body.
+        fixed = [number for number, muscle in enumerate(lengths.columns) if muscle != "moving"]
+        np.testing.assert_allclose(table.values[:, fixed], arms[:, column, fixed], atol=1e-5)
     summary = json.loads((out / "paths.json").read_text())
     assert summary["schema"] == 1 and summary["poses"] == 6 and summary["unsupported"] == {}
     assert summary["muscles"]["hip_flexor"]["wraps"] == ["brim"]
@@ -52,11 +54,7 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
 def test_paths_are_a_function_of_wrap_parameters(odd_model):
     """Derivatives by the parameters of a cylinder, and moment arms as derivatives of length."""
     paths = muscle_paths(odd_model, muscles=["flexor"])
-    assert (
-        (paths.wraps == ("condyles",)
-        and paths.coordinates == ("hip", "knee"))
-        or paths.coordinates == ("knee",)
-    )
+    assert paths.wraps == ("condyles",) and "knee" in paths.coordinates
     poses = np.full((3, len(paths.coordinates)), 0.6) + 0.1 * np.arange(3)[:, None]
     posed = paths.posed(poses)
     slopes = jax.jit(jax.jacfwd(lambda parameters: posed(parameters).length))(

@@ -19,6 +19,7 @@ from wrapjax.geometry.vectors import stack_components, vector
 from wrapjax.geometry.wrap_methods import SHORTEST
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 from wrapjax.osim.model import describe_model
+from wrapjax.osim.path_engine import PathEngine
 
 #: Surfaces that are compared with OpenSim, and the largest difference of length that is allowed (m). Where a
 #: quadrant makes paths go the long way round an ellipsoid, OpenSim's iteration does not always converge.
@@ -79,6 +80,21 @@ def test_parity_round_several_kinds_equals_opensim(tmp_path):
     difference = np.abs(found.length - length)
     assert np.median(difference) < 1e-6 and np.mean(difference < 1e-5) > 0.95
     assert np.median(np.abs(found.moment_arm - arms).max(axis=-1)) < 1e-4
+
+
+def test_placed_surfaces_equal_opensims(tmp_path):
+    """Center, orientation and both radii of a torus by its wrap parameters, in OpenSim and in the engine."""
+    draw = SurfaceDraw("torus", (0.03, 0.008), angles=(0.3, -0.5, 1.0))
+    poses = draw_poses(draw, 40, np.random.default_rng(8))
+    engine, file = engine_of([draw], tmp_path)
+    parameters = np.array([0.004, -0.003, 0.002, 0.1, -0.15, 1.1, 0.3, 0.8, 1.0])
+    reference = PathEngine(file, COORDINATES, {MUSCLE: COORDINATES})
+    nominal = reference.analyse(poses)[0][:, 0]
+    reference.place({"surface_0": parameters})
+    length = reference.analyse(poses)[0][:, 0]
+    assert np.abs(length - nominal).max() > 1e-3
+    found = paths(engine, poses, PARITY, parameters[None])
+    np.testing.assert_allclose(found.length, length, atol=1e-6, rtol=0)
 
 
 @pytest.fixture(scope="module")

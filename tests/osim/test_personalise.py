@@ -147,7 +147,11 @@ def test_properties_missing_in_the_file_are_added(odd_model, tmp_path):
         np.testing.assert_allclose(found, expected_value, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("wraps", [MOVED, {"condyles": NOMINAL}])
+#: Parameters of an ellipsoid: all sizes by 1.1, the second and third by factors of their own.
+MOVED_ELLIPSOID = {"brim": (0.002, 0.001, -0.001, 0.1, 0.05, 1.1, -0.2, 0.95, 1.2)}
+
+
+@pytest.mark.parametrize("wraps", [MOVED, MOVED_ELLIPSOID, {"condyles": NOMINAL}])
 def test_paths_equal_those_of_placed_cylinders(odd_model, tmp_path, wraps):
     write_personalised_model(odd_model, tmp_path / "new.osim", wraps, {})
     coordinates = ("hip", "knee")
@@ -200,13 +204,12 @@ def test_all_errors_are_reported_together(odd_model, tmp_path):
         write_personalised_model(odd_model, tmp_path / "new.osim", wraps, muscles)
     problems = caught.value.problems
     assert [problem.place for problem in problems] == [
-        *("condyle", "brim", "Flexor", "condyles", "extensor", "moving", "hip_flexor")
+        *("condyle", "Flexor", "condyles", "extensor", "moving", "hip_flexor")
     ]
     assert problems[0].hint == "did you mean 'condyles'?"
-    assert problems[2].hint == "did you mean 'flexor'?"
-    # An ellipsoid is not a cylinder.
-    assert "no such wrap cylinder" in problems[1].message
-    assert "positive" in problems[3].message and "0.1 nan" in problems[4].message
+    assert problems[1].hint == "did you mean 'flexor'?"
+    assert "no such wrap object" in problems[0].message
+    assert "positive" in problems[2].message and "0.1 nan" in problems[3].message
     assert list(tmp_path.iterdir()) == []
 
 

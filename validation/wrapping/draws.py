@@ -48,11 +48,10 @@ def draw_poses(
 ) -> Float[np.ndarray, "pose coordinate"]:
     """Draw positions of the path's start and end, most of them on opposite sides of the surface (m)."""
     if surface.kind == "torus":
-        reach = surface.sizes[0]
-        across = generator.uniform(-1.5 * reach, 1.5 * reach, (2, count, 2))
-        along = (
-            generator.uniform(0.3 * reach, 3.0 * reach, (2, count, 1)) * np.array([1.0, -1.0])[:, None, None]
-        )
+        ring = surface.sizes[0]
+        across = generator.uniform(-1.5 * ring, 1.5 * ring, (2, count, 2))
+        above = generator.uniform(0.3 * ring, 3.0 * ring, (2, count, 1))
+        along = above * np.array([1.0, -1.0])[:, None, None]
         ends = np.concatenate([across, along], axis=2)
     else:
         extents = np.array(surface.sizes if surface.kind == "ellipsoid" else (surface.sizes[0],) * 3)

@@ -1,10 +1,10 @@
 """Every muscle path of OpenSim models, by the exact engine in parity mode and by OpenSim 4.6.
 
 ``python -m validation.wrapping.models MODEL.osim ...`` draws 200 poses of each model (``--poses N``): all
-coordinates that a muscle spans, within their ranges and 1 rad of their defaults. It prints a row for each kind
-of path (straight, round one surface of a kind, round several) and the muscles with the largest differences.
-``--mode geodesic`` compares shortest paths, which differ from OpenSim's by its approximations, and their moment
-arms with central differences of their own lengths.
+coordinates that a muscle spans, within their ranges and 1 rad of their defaults. It prints a row for each
+kind of path (straight, round one surface of a kind, round several) and the muscles with the largest
+differences. ``--mode geodesic`` compares shortest paths, which differ from OpenSim's by its approximations,
+and their moment arms with central differences of their own lengths.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from wrapjax.jax_setup import set_up_jax
 if TYPE_CHECKING:
     from wrapjax.path_sources.muscle_paths import MusclePaths
 
-#: Largest differences of length that count as agreement (m): of paths with an ellipsoid, with several surfaces,
-#: of which OpenSim's sweeps are unfinished, and of others.
+#: Largest differences of length that count as agreement (m): of paths with an ellipsoid, with several
+#: surfaces, of which OpenSim's sweeps are unfinished, and of others.
 ELLIPSOID_LIMIT, SEVERAL_LIMIT, LIMIT = 5e-6, 5e-4, 1e-9
 # Step of central differences, rad or m.
 _STEP = 2e-6
@@ -93,7 +93,8 @@ def compare(file: Path, mode: str, count: int, seed: int) -> list[str]:
             rows.append(f"{name} ({kinds[name][0]}): {beyond} of {count} poses beyond, worst {largest:.1e} m")
     rows += [f"left out, {name}: {reason}" for name, reason in paths.unsupported.items()]
     if mode == "geodesic":
-        rows.append(_own_differences(paths, poses, found.length, found.moment_arm, found.regular))
+        values = (np.asarray(part) for part in (found.length, found.moment_arm, found.regular))
+        rows.append(_own_differences(paths, poses, *values))
     return rows
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -35,7 +36,7 @@ _STEP = 1e-6
 _Points = Float[np.ndarray, "point 3"]
 
 
-def _on_ellipsoid(chords: int) -> Callable[..., object]:
+def _on_ellipsoid(chords: int) -> Callable[..., Any]:
     """Length of a polyline over an ellipsoid as a function of its variables, with the gradient."""
     import jax
     import jax.numpy as jnp
@@ -61,7 +62,7 @@ def _on_ellipsoid(chords: int) -> Callable[..., object]:
     return jax.jit(jax.value_and_grad(length))
 
 
-def _through_torus(chords: int) -> Callable[..., object]:
+def _through_torus(chords: int) -> Callable[..., Any]:
     """Length of a polyline over a torus, from angles about the tube (zero at its inner edge) and the ring."""
     import jax
     import jax.numpy as jnp
@@ -89,7 +90,7 @@ def _through_torus(chords: int) -> Callable[..., object]:
 
 
 def _minimum(
-    function: Callable[..., object], initial: np.ndarray, *given: np.ndarray
+    function: Callable[..., Any], initial: np.ndarray, *given: np.ndarray
 ) -> tuple[float, np.ndarray]:
     from scipy.optimize import minimize
 
@@ -166,7 +167,15 @@ def engine_paths(
     radius = jnp.asarray(surface.sizes[1] if surface.kind == "torus" else float(np.mean(sizes)))
     none = jnp.asarray(0)
     placed = PlacedSurface(
-        *axes, vector(jnp.zeros(3)), radius, radius, none, none, vector(jnp.asarray(sizes))
+        x_axis=axes[0],
+        y_axis=axes[1],
+        z_axis=axes[2],
+        center=vector(jnp.zeros(3)),
+        radius=radius,
+        half_length=radius,
+        side_axis=none,
+        side=none,
+        sizes=vector(jnp.asarray(sizes)),
     )
 
     @jax.jit
@@ -190,7 +199,8 @@ def engine_paths(
     def _stack(one):
         return jnp.stack([one.x, one.y, one.z])
 
-    return tuple(np.asarray(part) for part in path(jnp.asarray(ends)))
+    length, slope, on_surface = path(jnp.asarray(ends))
+    return np.asarray(length), np.asarray(slope), np.asarray(on_surface)
 
 
 def compare(kind: str, count: int, seed: int) -> tuple[Differences, float]:

@@ -1,4 +1,4 @@
-"""Muscle lengths and moment arms of a loaded OpenSim model, with wrap cylinders as in its file or changed.
+"""Muscle lengths and moment arms of a loaded OpenSim model, with wraps as in its file or changed.
 
 Two shortcuts give the same numbers as the usual calls of OpenSim in much less time:
 
@@ -24,33 +24,49 @@ from jaxtyping import Float
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import couplers_of, elements, independent_names
 
-#: Six wrap parameters of a cylinder, in the order of `NominalCylinder.place`.
+#: Six or nine wrap parameters of a surface, in the order of `NominalSurface.place`.
 WrapParameters = Sequence[float] | Float[np.ndarray, " wrap_parameter"]
 
-#: Wrap parameters of a cylinder as the model has it.
+#: Wrap parameters of a surface as the model has it.
 NOMINAL = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+# Wrap parameters of surfaces other than cylinders beyond these six.
+_FURTHER = (0.0, 1.0, 1.0)
+
+# Properties that hold the sizes of each class of wrap object.
+_SIZES = {
+    "WrapCylinder": ("radius",),
+    "WrapSphere": ("radius",),
+    "WrapEllipsoid": ("dimensions",),
+    "WrapTorus": ("outer_radius", "inner_radius"),
+}
 
 
 @dataclass(frozen=True)
-class NominalCylinder:
-    """Cylinder of a loaded OpenSim model with its nominal pose and radius.
+class NominalSurface:
+    """Wrap object of a loaded OpenSim model with its nominal pose and sizes.
 
     Parameters
     ----------
-    cylinder
-        ``opensim.WrapCylinder``, valid as long as its model exists.
+    surface
+        ``opensim.WrapObject`` of its own class, valid as long as its model exists.
     pose
-        Nominal ``opensim.Transform`` in the frame that carries the cylinder, a body or an offset frame.
-    radius
-        Nominal radius, m.
+        Nominal ``opensim.Transform`` in the frame that carries the surface, a body or an offset frame.
+    sizes
+        Nominal sizes, m: radius of a cylinder or sphere, semi-axes of an ellipsoid, radii of a torus' ring
+        and tube.
     """
 
-    cylinder: Any
+    surface: Any
     pose: Any
-    radius: float
+    sizes: tuple[float, ...]
+
+    @property
+    def size_properties(self) -> tuple[str, ...]:
+        """Names of the properties that hold the sizes."""
+        return _SIZES[self.surface.getConcreteClassName()]
 
     def place(self, opensim: Any, parameters: WrapParameters) -> None:
-        """Set pose and radius by wrap parameters, relative to the nominal pose and radius.
+        """Set pose and sizes by wrap parameters, relative to the nominal pose and sizes.
 
         Parameters
         ----------
@@ -58,33 +74,43 @@ class NominalCylinder:
             The imported package.
         parameters
             Translation (m) along the nominal frame's axes, rotation (rad) about its x axis and then about the
-            rotated y axis, and radius as a multiple of the nominal radius.
+            rotated y axis, and a factor of all sizes; optionally rotation (rad) about the z axis after these,
+            and further factors of the second and third size.
         """
-        x, y, z, turn_x, turn_y, factor = map(float, parameters)
-        rotation = opensim.Rotation(
-            opensim.BodyRotationSequence,
-            turn_x,
-            opensim.CoordinateAxis(0),
-            turn_y,
-            opensim.CoordinateAxis(1),
-        )
+        x, y, z, turn_x, turn_y, factor = map(float, parameters[:6])
+        turn_z, *factors = map(float, parameters[6:]) if len(parameters) > len(NOMINAL) else _FURTHER
+        turns = [(turn, opensim.CoordinateAxis(axis)) for axis, turn in enumerate((turn_x, turn_y, turn_z))]
+        if turn_z == 0.0:
+            turns.pop()
+        rotation = opensim.Rotation(opensim.BodyRotationSequence, *(part for turn in turns for part in turn))
         moved = self.pose.compose(opensim.Transform(rotation, opensim.Vec3(x, y, z)))
-        self.cylinder.set_translation(moved.p())
-        self.cylinder.set_xyz_body_rotation(moved.R().convertRotationToBodyFixedXYZ())
-        self.cylinder.set_radius(self.radius * factor)
+        self.surface.set_translation(moved.p())
+        self.surface.set_xyz_body_rotation(moved.R().convertRotationToBodyFixedXYZ())
+        scaled = [size * factor * own for size, own in zip(self.sizes, (1.0, *factors), strict=False)]
+        if self.size_properties == ("dimensions",):
+            self.surface.set_dimensions(opensim.Vec3(*scaled))
+            return
+        for name, size in zip(self.size_properties, scaled, strict=True):
+            getattr(self.surface, f"set_{name}")(size)
 
 
-def nominal_cylinders(opensim: Any, model: Any) -> dict[str, NominalCylinder]:
-    """Find the wrap cylinders of a newly loaded model, by name."""
-    cylinders = {}
+def nominal_surfaces(opensim: Any, model: Any) -> dict[str, NominalSurface]:
+    """Find the wrap objects of a newly loaded model, by name."""
+    surfaces = {}
     for component in model.getComponentsList():
-        cylinder = opensim.WrapCylinder.safeDownCast(component)
-        if cylinder is not None:
-            nominal = cylinder.getTransform()
-            # Copied, because the cylinder's own transform changes with the cylinder.
-            pose = opensim.Transform(nominal.R(), nominal.p())
-            cylinders[cylinder.getName()] = NominalCylinder(cylinder, pose, cylinder.get_radius())
-    return cylinders
+        wrap = opensim.WrapObject.safeDownCast(component)
+        if wrap is None or wrap.getConcreteClassName() not in _SIZES:
+            continue
+        kind = wrap.getConcreteClassName()
+        surface = getattr(opensim, kind).safeDownCast(wrap)
+        nominal = surface.getTransform()
+        # Copied, because the surface's own transform changes with the surface.
+        pose = opensim.Transform(nominal.R(), nominal.p())
+        values = [getattr(surface, f"get_{name}")() for name in _SIZES[kind]]
+        if kind == "WrapEllipsoid":
+            values = [values[0].get(axis) for axis in range(3)]
+        surfaces[surface.getName()] = NominalSurface(surface, pose, tuple(map(float, values)))
+    return surfaces
 
 
 class PathEngine:
@@ -118,7 +144,7 @@ class PathEngine:
             for coupler in couplers_of(opensim, self._model)
         ]
         self._muscles = [self._model.getMuscles().get(name) for name in spans]
-        self._cylinders = nominal_cylinders(opensim, self._model)
+        self._surfaces = nominal_surfaces(opensim, self._model)
         # For each coordinate the numbers of the muscles that span it, by the method for their moment arms.
         by_speed = [_has_simple_path(muscle) for muscle in self._muscles]
         spanning = [[i for i, span in enumerate(spans.values()) if name in span] for name in coordinates]
@@ -166,16 +192,15 @@ class PathEngine:
         return np.stack(length), np.stack(moment_arm)
 
     def place(self, wraps: Mapping[str, WrapParameters]) -> None:
-        """Set the parameters of cylinders.
+        """Set the parameters of wrap objects.
 
         Parameters
         ----------
         wraps
-            Wrap parameters by cylinder name, in the order of `NominalCylinder.place`. Other cylinders become
-            nominal.
+            Wrap parameters by wrap name, in the order of `NominalSurface.place`. Others become nominal.
         """
-        for name, cylinder in self._cylinders.items():
-            cylinder.place(self._opensim, wraps.get(name, NOMINAL))
+        for name, surface in self._surfaces.items():
+            surface.place(self._opensim, wraps.get(name, NOMINAL))
         self._state = self._model.initSystem()
         for coordinate in elements(self._model.getCoordinateSet()):
             coordinate.setValue(self._state, coordinate.getDefaultValue(), False)

@@ -1,6 +1,6 @@
-"""Writer of personalized models: a model's file with changed wrap cylinders and muscle constants.
+"""Writer of personalized models: a model's file with changed wraps and muscle constants.
 
-OpenSim computes the cylinders' new poses, but the file is edited as XML, so that nothing else in it changes.
+OpenSim computes the wraps' new poses, but the file is edited as XML, so that nothing else in it changes.
 A file written by OpenSim would contain all defaults, a newer document version and other comments.
 """
 
@@ -17,7 +17,7 @@ from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_atomically
 from wrapjax.osim.loading import import_opensim, load_model
 from wrapjax.osim.model import elements, unknown_names
-from wrapjax.osim.path_engine import NOMINAL, NominalCylinder, WrapParameters, nominal_cylinders
+from wrapjax.osim.path_engine import NOMINAL, NominalSurface, WrapParameters, nominal_surfaces
 
 # Class and name of an element, and new texts of its properties.
 _Edit = tuple[str, str, dict[str, str]]
@@ -54,18 +54,19 @@ def write_personalised_model(
     wraps: Mapping[str, WrapParameters],
     muscles: Mapping[str, MuscleConstants],
 ) -> None:
-    """Write a copy of a model's file with changed wrap cylinders and muscle constants.
+    """Write a copy of a model's file with changed wraps and muscle constants.
 
     Parameters
     ----------
     model_file
-        OpenSim model (.osim), in which cylinders are nominal.
+        OpenSim model (.osim), in which wraps are nominal.
     out_file
         File to write, atomically. May be ``model_file`` itself. OpenSim looks for bone meshes in the model's
         folder, and may not find them if this is another one.
     wraps
-        Wrap parameters by cylinder name: translation (m) along the nominal frame's axes, rotation (rad) about
-        its x axis and then about the rotated y axis, and radius as a multiple of the nominal radius.
+        Wrap parameters by wrap name: translation (m) along the nominal frame's axes, rotation (rad) about its
+        x axis and then about the rotated y axis, and a factor of all sizes; optionally more
+        (`NominalSurface`).
     muscles
         Constants by muscle name; other muscles are unchanged.
 
@@ -87,15 +88,15 @@ def write_personalised_model(
     opensim = import_opensim()
     model, _ = load_model(model_file)
     file = str(model_file)
-    cylinders = nominal_cylinders(opensim, model)
+    surfaces = nominal_surfaces(opensim, model)
     kinds = {muscle.getName(): muscle.getConcreteClassName() for muscle in elements(model.getMuscles())}
-    problems = unknown_names(file, "wrap cylinder", wraps, list(cylinders))
+    problems = unknown_names(file, "wrap object", wraps, list(surfaces))
     problems += unknown_names(file, "muscle", muscles, list(kinds))
     problems += _invalid_values(file, wraps, muscles)
     if problems:
         raise InputError(problems)
 
-    edits = [_cylinder_edit(opensim, cylinders[name], parameters) for name, parameters in wraps.items()]
+    edits = [_surface_edit(opensim, surfaces[name], parameters) for name, parameters in wraps.items()]
     edits += [_muscle_edit(kinds[name], name, constants) for name, constants in muscles.items()]
     document = minidom.parse(file)
     problems = [problem for edit in edits for problem in _apply(file, document, edit)]
@@ -113,8 +114,10 @@ def _invalid_values(
     file: str, wraps: Mapping[str, WrapParameters], muscles: Mapping[str, MuscleConstants]
 ) -> Iterator[Problem]:
     for name, parameters in wraps.items():
-        if not (len(parameters) == len(NOMINAL) and np.isfinite(parameters).all() and parameters[-1] > 0.0):
-            message = "six finite wrap parameters, the last one positive, were expected"
+        values = np.asarray(parameters, dtype=float)
+        counted = values.size in (len(NOMINAL), len(NOMINAL) + 3)
+        if not (counted and np.isfinite(values).all() and min(values[5], *values[7:], np.inf) > 0.0):
+            message = "six finite wrap parameters (or nine), with positive factors of sizes, were expected"
             yield Problem(file, f"{message}, and '{_text(parameters)}' found", place=name)
     for name, constants in muscles.items():
         if not constants.valid:
@@ -125,16 +128,18 @@ def _invalid_values(
             yield Problem(file, f"{message}, and '{_text(constants)}' found", place=name)
 
 
-def _cylinder_edit(opensim: Any, nominal: NominalCylinder, parameters: WrapParameters) -> _Edit:
+def _surface_edit(opensim: Any, nominal: NominalSurface, parameters: WrapParameters) -> _Edit:
     nominal.place(opensim, parameters)
-    cylinder = nominal.cylinder
-    angles, center = cylinder.get_xyz_body_rotation(), cylinder.get_translation()
+    surface = nominal.surface
+    angles, center = surface.get_xyz_body_rotation(), surface.get_translation()
     texts = {
         "xyz_body_rotation": _text(angles.get(axis) for axis in range(3)),
         "translation": _text(center.get(axis) for axis in range(3)),
-        "radius": _text([cylinder.get_radius()]),
     }
-    return cylinder.getConcreteClassName(), cylinder.getName(), texts
+    for name in nominal.size_properties:
+        value = getattr(surface, f"get_{name}")()
+        texts[name] = _text([value] if isinstance(value, float) else [value.get(axis) for axis in range(3)])
+    return surface.getConcreteClassName(), surface.getName(), texts
 
 
 def _muscle_edit(kind: str, name: str, constants: MuscleConstants) -> _Edit:

@@ -45,14 +45,14 @@ class PathValues(eqx.Module):
     """Lengths and moment arms of muscles in poses."""
 
     #: m
-    length: Float[Array, "pose muscle"]
+    length: Float[Array | np.ndarray, "pose muscle"]
     #: -dL/dq, m (m/rad).
-    moment_arm: Float[Array, "pose coordinate muscle"]
+    moment_arm: Float[Array | np.ndarray, "pose coordinate muscle"]
     #: Whether a muscle touches any of its wraps.
-    touching: Bool[Array, "pose muscle"]
+    touching: Bool[Array | np.ndarray, "pose muscle"]
     #: Whether the path is at a distance from all discontinuities of its length: no point is inside a surface,
     #: no contact at a cylinder's end or above half a turn.
-    regular: Bool[Array, "pose muscle"]
+    regular: Bool[Array | np.ndarray, "pose muscle"]
 
 
 class PosedMuscles(eqx.Module):
@@ -79,8 +79,8 @@ class PosedMuscles(eqx.Module):
             own = parameters[batch.wraps]
             values.append(_values(_batch_paths(batch, own, self.wrapping)))
         place = jnp.argsort(order)
-        joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[place], *values)
-        return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), joined)
+        joined = (jnp.concatenate(leaves)[place] for leaves in zip(*values, strict=True))
+        return PathValues(*(jnp.moveaxis(leaf, 0, -1) for leaf in joined))
 
 
 def _batch_paths(
@@ -92,14 +92,11 @@ def _batch_paths(
     return jax.lax.map(lambda one: one[0].wrapped(one[1], wrapping), (batch.posed, parameters))
 
 
-def _values(path: WrappedPath) -> PathValues:
+def _values(path: WrappedPath) -> tuple[Array, Array, Array, Array]:
+    """Fields of `PathValues` of some muscles; the first axis of all is ``muscle``."""
     margins = jnp.stack([path.margins.inside, path.margins.off_end, path.margins.long_wrap])
-    return PathValues(
-        length=path.length,
-        moment_arm=path.moment_arm,
-        touching=jnp.any(path.on_surface != 0.0, axis=-1),
-        regular=jnp.all(margins > 0.0, axis=0),
-    )
+    touching = jnp.any(path.on_surface != 0.0, axis=-1)
+    return path.length, path.moment_arm, touching, jnp.all(margins > 0.0, axis=0)
 
 
 @dataclass(frozen=True)
