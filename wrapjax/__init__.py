@@ -2,14 +2,16 @@
 
 ``load_subject`` reads a subject folder, which ``prepare_subject`` makes from a laboratory's raw files and
 ``fetch`` from public recordings. ``inverse_kinematics`` computes joint angles from markers, and
-``personalize_joints`` finds the joint centers and axes of the person from them. ``fit`` replaces the subject's muscle paths by polynomials
-(``fit_wraps`` makes these depend on the wrapping cylinders), ``initialise`` finds initial muscle lengths,
-``calibrate`` fits the model to the person, ``compare`` does so by several methods, ``uncertainty`` gives
-intervals of the calibrated parameters, ``diagnose`` finds the effect that best explains the remaining error
-(of those in ``effect_meanings``), ``contact`` computes joint contact forces, ``evaluate`` tests a finished
-calibration (``load_run``) on other trials, and ``cohort`` calibrates many subjects. ``objective`` returns
-the calibration's cost as a pure function for `jax.grad`, and ``build_objective`` the object behind it.
-``muscle_paths`` computes muscle lengths and moment arms of any OpenSim model, without recordings.
+``personalize_joints`` finds the joint centers and axes of the person from them. ``fit`` replaces the
+subject's muscle paths by polynomials (``fit_wraps`` makes these depend on the wrapping surfaces),
+``initialise`` finds initial muscle lengths, ``calibrate`` fits the model to the person, ``compare`` does so
+by several methods, ``uncertainty`` gives intervals of the calibrated parameters, ``diagnose`` finds the
+effect that best explains the remaining error (of those in ``effect_meanings``), ``diagnose_against`` what
+differs between two conditions of one person, ``contact`` computes joint contact forces, ``evaluate`` tests a
+finished calibration (``load_run``) on other trials, and ``cohort`` calibrates many subjects. ``show`` writes
+a page with the model in motion. ``objective`` returns the calibration's cost as a pure function for
+`jax.grad`, and ``build_objective`` the object behind it. ``muscle_paths`` computes muscle lengths and moment
+arms of any OpenSim model, without recordings.
 
 All numbers are in SI units and radians; JAX must be in 64-bit mode::
 
