@@ -27,8 +27,8 @@ class PriorWidths:
     """Prior standard deviations and bounds of freed parameters.
 
     The widths describe models that were scaled to a person by markers. Translations and markers on bony
-    landmarks: errors of joint centres and of palpation, about 5 to 20 mm (Leardini et al. 1999,
-    doi:10.1016/S0021-9290(98)00148-8; Della Croce et al. 2005, doi:10.1016/j.gaitpost.2004.05.003).
+    landmarks: errors of joint centres and of palpation, about 5 to 20 mm (Leardini et al. 1999, J Biomech
+    32:99; Della Croce et al. 2005, doi:10.1016/j.gaitpost.2004.05.003).
     Orientations: errors of axes from landmarks, 5 to 10 degrees (Della Croce et al. 2005). Scales: spread of
     segment lengths about regressions on stature, about 5 % (de Leva 1996, doi:10.1016/0021-9290(95)00178-6).
     Bounds are those of the NMSM Pipeline's reference settings, 0.05 m and 0.5 rad; scales and markers have

@@ -23,7 +23,7 @@ SETTINGS_FILE = "joints.toml"
 _AXES = ("x", "-x", "y", "-y", "z", "-z")
 #: Default root mean square of the movement of a marker with the joint angles, m. Skin moves by 3 to 30 mm
 #: against the bone, most on the thigh (Leardini et al. 2005, doi:10.1016/j.gaitpost.2004.05.002; Peters et
-#: al. 2010, doi:10.1016/j.gaitpost.2009.09.003); clusters move together, and less.
+#: al. 2010, Gait Posture 31:1); clusters move together, and less.
 SKIN_MOVEMENT = 0.005
 #: Default number of frames that take part in the estimation; all frames take part in the errors.
 FRAMES = 100
