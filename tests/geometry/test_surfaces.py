@@ -278,6 +278,7 @@ def test_degenerate_paths_have_a_stated_answer_and_finite_derivatives():
     assert values[0] > 0.2 + 1e-4
 
 
+@pytest.mark.slow
 def test_derivatives_by_wrap_parameters_equal_differences(tmp_path):
     """Center, orientation and all sizes of an ellipsoid, for length and moment arms in forward mode."""
     draw = replace(draw_surface("ellipsoid", np.random.default_rng(6), "all"), sizes=(0.03, 0.045, 0.025))
