@@ -329,7 +329,10 @@ def _displacements(structure: SkeletonStructure, skeleton: Skeleton, given: Any)
     values, slopes = all_coordinate_values(structure, skeleton, given)
     # A last entry, zero, stands for displacements that no coordinate drives.
     nothing = xp.zeros((*given.shape[:-1], 1))
-    moved_by = np.array(structure.moved_by, dtype=int)
+    # Without bodies to move, in a model of paths on the ground alone, the list of joints is empty.
+    translations = skeleton.translation_factors.shape[1]
+    slots = (len(structure.moved_by), structure.rotations + translations)
+    moved_by = np.array(structure.moved_by, dtype=int).reshape(slots)
     flat = moved_by.reshape(-1)
     at = xp.concatenate([values, nothing], axis=-1)[..., flat]
     displaced, rates = evaluate(skeleton.displacements, at)
