@@ -111,6 +111,7 @@ def mixed(tmp_path_factory):
     return engine, np.concatenate([start, end], axis=1)
 
 
+@pytest.mark.slow
 def test_shortest_paths_have_exact_moment_arms(mixed):
     """Round two surfaces of different kinds: -dL/dq for the positions of both ends."""
     engine, poses = mixed
@@ -124,8 +125,9 @@ def test_shortest_paths_have_exact_moment_arms(mixed):
         np.testing.assert_allclose(-here.moment_arm[~kink, column], slope[~kink], atol=1e-7)
 
 
-def test_parity_paths_are_no_shorter_where_they_go_the_same_way(mixed):
-    """OpenSim's planar path round the ellipsoid cannot be shorter than the shortest, up to its chords."""
+@pytest.mark.slow
+def test_shortest_paths_are_no_shorter_than_straight_lines(mixed):
+    """Compiled with the test before, which defends more."""
     engine, poses = mixed
     shortest = paths(engine, poses, GEODESIC)
     assert np.isfinite(shortest.length).all()
