@@ -162,7 +162,7 @@ def other_muscles(folder):
 BROKEN = {
     "same side": (same_side, ["left/subject.toml: [subject] other_leg", "same side 'l'"]),
     "points elsewhere": (points_elsewhere, ["right/subject.toml: [subject] other_leg", "stranger"]),
-    "no calibration trial": (no_calibration_trial, ["right/subject.toml: [[trial]] use"]),
+    "no calibration trial": (no_calibration_trial, ["right/subject.toml: no trial is marked use"]),
     "nothing to share": (other_muscles, ["left/subject.toml: [subject] other_leg", "share no parameter"]),
     "all at once": (
         lambda folder: (same_side(folder), points_elsewhere(folder)),

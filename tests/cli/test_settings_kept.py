@@ -9,8 +9,8 @@ import wrapjax.cli.initialise
 from wrapjax.cli.command_line import build_parser
 from wrapjax.cli.common import DONE
 
-#: Those whose folder is a subject's or an index: their settings are not those of a command.
-WITHOUT = {"prepare", "fetch", "report", "check"}
+#: Those that write a subject's folder, an index or a page: their settings are not those of a command.
+WITHOUT = {"prepare", "fetch", "report", "check", "show"}
 
 
 def test_all_commands_that_write_take_settings():

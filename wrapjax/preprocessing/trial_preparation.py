@@ -253,7 +253,7 @@ def _finish(
     motion: Motion,
     moments: dict[str, Float[np.ndarray, " frame"]],
     forces: FootForces | None,
-    required: tuple[Float[np.ndarray, " frame"], Float[np.ndarray, " frame"]] | None,
+    required: tuple[Float[np.ndarray, " required_frame"], Float[np.ndarray, " required_frame"]] | None,
     checks: Sequence[Check],
     notes: Sequence[str],
 ) -> PreparedTrial:

@@ -1,6 +1,6 @@
 """Wrapping surfaces as small triangle meshes for drawing: the one place that knows the kinds of surfaces.
 
-Another kind of surface is a function in `_SHAPES` that returns its mesh in the surface's own frame.
+Another kind of surface is a function in `SHAPES` that returns its mesh in the surface's own frame.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class WrapShape:
 
 def wrap_shape(wrap: WrapObject, parameters: Float[np.ndarray, " wrap_parameter"]) -> WrapShape | None:
     """Make the mesh of a wrap with given wrap parameters (`WRAP_PARAMETERS`); None for unknown kinds."""
-    shape = _SHAPES.get(wrap.kind)
+    shape = SHAPES.get(wrap.kind)
     if shape is None:
         return None
     vertices, triangles, lines = shape(wrap, parameters)
@@ -85,6 +85,6 @@ def _leaves(surfaces: Surface) -> list[Surface]:
     return [jax.tree.map(lambda leaf: leaf[row], surfaces) for row in range(count)]  # noqa: B023
 
 
-_SHAPES: dict[str, Callable[[WrapObject, Float[np.ndarray, " wrap_parameter"]], Mesh]] = {
+SHAPES: dict[str, Callable[[WrapObject, Float[np.ndarray, " wrap_parameter"]], Mesh]] = {
     "WrapCylinder": _cylinder,
 }
