@@ -65,6 +65,10 @@ def test_paths_are_a_function_of_wrap_parameters(odd_model):
     above, below = (paths(poses + sign * step * np.eye(poses.shape[1])[-1]) for sign in (1.0, -1.0))
     slope = (above.length - below.length) / (2.0 * step)
     np.testing.assert_allclose(found.moment_arm[:, -1], -slope, atol=1e-7)
+    # Slopes of moment arms are minus second derivatives of length, which do not depend on their order.
+    bends = paths.moment_arm_slopes(poses)
+    assert np.abs(bends).max() > 1e-4
+    np.testing.assert_allclose(bends, bends.swapaxes(1, 2), atol=1e-6)
 
 
 def test_a_muscle_without_points_is_named_and_left_out_on_request(odd_model, monkeypatch):

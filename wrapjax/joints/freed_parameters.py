@@ -11,7 +11,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.geometry.model_description import Joint, ModelDescription
@@ -290,8 +289,3 @@ def _next_marked_below(description: ModelDescription, body: str, counts: dict[st
         return [body]
     children = [joint.child_body for joint in description.joints if joint.parent_body == body]
     return [found for child in children for found in _next_marked_below(description, child, counts)]
-
-
-def starting_values(parameters: Sequence[FreedParameter]) -> Float[np.ndarray, " parameter"]:
-    """Values at the starting model: zero."""
-    return np.zeros(len(parameters))
