@@ -315,7 +315,7 @@ def test_short_range_stiffness_changes_nothing_in_gait(slopes):
         ({"speeds": np.full(4, 0.8)}, "speed_dependent_delay", "one speed"),
         ({"order": np.zeros(4)}, "emg_drift", "one cycle"),
         ({}, "emg_channel_loss", "next to nothing"),
-        ({"muscle_channels": (0,) * 6}, "emg_channel_swap", "one channel"),
+        ({"muscle_channels": (0,) * 6}, "emg_channel_swap", "usual phases"),
         ({"paths_by_angle": None}, "soft_tissue_artifact", "joint angles"),
         ({"wraps": None}, "wrap_surface", "cylinders"),
         ({"attachments": None}, "muscle_attachment", "ends"),

@@ -107,6 +107,17 @@ def test_a_baseline_of_one_recording_is_named(folder):
     assert "16 of 16 cycles" in found[0].sentence
 
 
+@pytest.mark.parametrize(("late", "found"), [("recfem", ()), ("semiten", (("RecFem", "SemiTen"),))])
+def test_channels_exchanged_in_all_cycles_are_named(folder, monkeypatch, late, found):
+    """The rectus femoris channel of the folder is active at 88 % of the cycle, the other at 28 %."""
+    early = "semiten" if late == "recfem" else "recfem"
+    usual = {late: ((80.0, 96.0),), early: ((20.0, 36.0),)}
+    monkeypatch.setattr("wrapjax.subject.gait_activity.USUAL_ACTIVITY", usual)
+    findings = recording_findings(load_subject(folder))
+    assert tuple(one.subjects for one in findings) == found
+    assert all("in all cycles" in one.sentence for one in findings)
+
+
 @pytest.mark.parametrize(("force", "expected"), [(30.0, []), (90.0, ["pelvis residual"])])
 def test_residuals_of_inverse_dynamics_are_compared_with_weight(folder, force, expected):
     file = folder / "trials" / "walk_a" / "moments.sto"

@@ -16,6 +16,7 @@ from scipy.signal import welch
 from wrapjax.io.storage import Storage, component_name, find_columns, read_storage
 from wrapjax.preprocessing.consistency_checks import check_calf_emg_against_moment
 from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sampling_rate
+from wrapjax.subject.gait_activity import exchanged_channels
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trial_settings import TrialSettings
 from wrapjax.subject.trials import GAIT, Trials
@@ -83,6 +84,7 @@ def recording_findings(subject: Subject) -> tuple[Finding, ...]:
     found: list[Finding] = []
     if len(with_emg):
         found += [*_baselines(with_emg), *_lost_channels(with_emg), *_swapped_channels(with_emg)]
+        found += _exchanged_channels(with_emg, subject)
     for recording in subject.recordings:
         emg = None if recording.emg is None else read_storage(recording.emg)
         moments = read_storage(recording.moments)
@@ -192,6 +194,24 @@ def _swapped_channels(trials: Trials) -> Iterator[Finding]:
                     f"{np.median(swapped[rows]):.2g} if exchanged"
                 )
                 yield Finding("swapped channels", name, pair, sentence)
+
+
+def _exchanged_channels(trials: Trials, subject: Subject) -> Iterator[Finding]:
+    """Find channels that have each other's usual phases of activity in all gait cycles."""
+    gait = trials.only_gait()
+    if not len(gait):
+        return
+    typical = dict(zip(gait.channels, np.median(_inside(gait), axis=0), strict=True))
+    muscles: dict[str, list[str]] = {}
+    for muscle, channel in subject.channel_of.items():
+        muscles.setdefault(channel, []).append(muscle)
+    driving = {name: typical[name] for name in gait.channels if name in muscles}
+    for pair, gain in exchanged_channels(driving, muscles).items():
+        sentence = (
+            f"EMG channels '{pair[0]}' and '{pair[1]}' look swapped in all cycles: they fit each other's "
+            f"usual phases of activity in walking better than their own ({gain:.2g} gained in correlation)"
+        )
+        yield Finding("swapped channels", gait.recordings[0], pair, sentence)
 
 
 def _persistent(ratio: Float[np.ndarray, " trial"], trials: Trials) -> Bool[np.ndarray, " trial"]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -23,6 +22,7 @@ from wrapjax.diagnosis.effects.emg import (
 from wrapjax.diagnosis.effects.experiments import REPEATED_FIRST_TRIAL, SINGLE_MUSCLE_CONTRACTIONS
 from wrapjax.model.alteration import Alteration
 from wrapjax.muscle.excitation import EmgSpline
+from wrapjax.subject.gait_activity import exchanged_channels
 
 #: Effect size of an exchanged or lost channel is one; smaller ones let the fit move towards it.
 _PRIOR_SD, _LIMIT = 0.5, 1.25
@@ -33,7 +33,20 @@ _LOST = 0.1
 
 
 def _pairs(context: Context) -> list[tuple[str, str]]:
-    return list(itertools.combinations(driving_channels(context), 2))
+    """List the pairs of channels whose envelopes have each other's usual phases of activity in walking.
+
+    Moments alone do not show an exchange, to which the calibration has adapted before the effect is scored;
+    and a share of an exchange, of any pair, resembles much that is amiss in a recording.
+    """
+    every = context.reference
+    frames = slice(every.padding, every.padding + every.angles.shape[-1])
+    first = first_muscles(every)
+    typical = np.median(np.asarray(every.envelopes)[:, :, CONSTANT_TERM, frames], axis=1)
+    channels = driving_channels(every)
+    muscles: dict[str, list[str]] = {name: [] for name in channels}
+    for muscle, number in zip(every.muscles, every.muscle_channels, strict=True):
+        muscles[every.channels[number]].append(muscle)
+    return list(exchanged_channels({name: typical[first[name]] for name in channels}, muscles))
 
 
 def _emg_channel_swap(context: Context) -> tuple[Variant, ...]:
@@ -64,8 +77,12 @@ EMG_CHANNEL_SWAP = EffectDefinition(
     family="emg",
     requirements=(
         Requirement(
-            "two channels that drive muscles",
-            lambda context: "" if _pairs(context) else "one channel alone cannot be exchanged",
+            "two channels with each other's usual phases of activity in walking",
+            lambda context: (
+                ""
+                if _pairs(context)
+                else "no two channels have each other's usual phases of activity in walking"
+            ),
         ),
     ),
     parameters=(
