@@ -10,6 +10,8 @@ from wrapjax.geometry.vectors import Vector, safe_sqrt
 
 #: Kind of a cylinder, the most common one.
 CYLINDER = "cylinder"
+#: Kinds of surfaces whose shortest paths have a closed form.
+CLOSED_FORMS = {CYLINDER, "sphere"}
 _ELLIPSOIDS = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
 #: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's
 #: path depends on.

@@ -8,6 +8,8 @@ body that carries the surface, where only the path's points move. Paths round se
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -35,8 +37,25 @@ NOMINAL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 #: before, and factors of the second and third size in addition to ``radius_factor``, which multiplies all
 #: sizes. Sizes are the semi-axes of an ellipsoid along x, y and z, and the radii of a torus' ring and tube.
 FURTHER_WRAP_PARAMETERS = ("rotation_z_rad", "second_size_factor", "third_size_factor")
+#: Names of all wrap parameters of any surface.
+PARAMETERS = (*WRAP_PARAMETERS, *FURTHER_WRAP_PARAMETERS)
 #: All wrap parameters of a surface as the model has it.
 NOMINAL_PARAMETERS = np.append(NOMINAL, [0.0, 1.0, 1.0])
+
+#: Wrap parameters on which a path round a surface depends, by OpenSim's class. Rotations of a sphere, and of
+#: a torus about its axis, only turn its quadrant.
+PARAMETERS_OF = {
+    "WrapCylinder": WRAP_PARAMETERS,
+    "WrapSphere": (*WRAP_PARAMETERS[:3], "radius_factor"),
+    "WrapEllipsoid": PARAMETERS,
+    "WrapTorus": (*WRAP_PARAMETERS, "second_size_factor"),
+}
+
+
+def parameter_names(classes: Iterable[str]) -> tuple[str, ...]:
+    """Names of the wrap parameters of surfaces of OpenSim's classes: six or, if any depends on more, all."""
+    own = {name for one in classes for name in PARAMETERS_OF.get(one, ())}
+    return WRAP_PARAMETERS if own <= set(WRAP_PARAMETERS) else PARAMETERS
 
 
 class Surface(eqx.Module):

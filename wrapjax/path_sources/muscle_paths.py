@@ -22,9 +22,7 @@ from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.muscle_batches import MuscleBatch, muscle_batches
 from wrapjax.geometry.wrapping import (
-    FURTHER_WRAP_PARAMETERS,
     NOMINAL_PARAMETERS,
-    WRAP_PARAMETERS,
     StraightPath,
     WrappedPath,
 )
@@ -33,8 +31,6 @@ from wrapjax.osim.model import describe_model, unknown_names
 
 #: Ways to wrap: the shortest path, and OpenSim 4.6's path.
 MODES: dict[str, Wrapping] = {"geodesic": GEODESIC, "parity": PARITY}
-#: Names of the wrap parameters of any surface.
-PARAMETERS = (*WRAP_PARAMETERS, *FURTHER_WRAP_PARAMETERS)
 # Step of central differences by coordinates, rad or m.
 _STEP = 1e-5
 # Most poses in one batch.

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath, route_path
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def _wrap_parameters(result: CalibrationResult, names: list[str]) -> Float[np.nd
     changes = dict(
         zip(wraps.names, wraps.changes_of(np.asarray(result.parameters.path_changes)), strict=True)
     )
-    return np.stack([NOMINAL + changes.get(name, 0.0) for name in names])
+    return np.stack([wraps.nominal + changes.get(name, 0.0) for name in names])
 
 
 def _arms(result: CalibrationResult, *, after: bool) -> Float[np.ndarray, "muscle trial coordinate frame"]:
