@@ -26,29 +26,36 @@ from benchmarks.machine import pin_threads
 from validation.wrapping.single_path import SurfaceDraw, wrap_object
 from wrapjax.jax_setup import set_up_jax
 
-#: Surfaces at the joint, by kind; m and rad.
-SURFACES = {
-    "cylinder": SurfaceDraw("cylinder", (0.025, 0.4), angles=(0.2, 0.1, 0.0)),
-    "sphere": SurfaceDraw("sphere", (0.03,), center=(0.004, -0.003, 0.0)),
-    "ellipsoid": SurfaceDraw("ellipsoid", (0.028, 0.036, 0.024), angles=(0.2, 0.1, 0.3)),
-    "torus": SurfaceDraw("torus", (0.02, 0.006), center=(0.0, 0.0, 0.0), angles=(1.5, 0.1, 0.0)),
-}
-#: Origins on ground and insertions on the moving body of the three muscles (m), by whether the surface is a
-#: torus, through whose hole they pass.
-MUSCLES = {
-    False: (
-        ((-0.01, 0.12, 0.01), (0.005, -0.11, -0.01)),
-        ((0.01, 0.11, 0.015), (-0.01, -0.12, 0.01)),
-        ((0.012, 0.1, -0.012), (0.008, -0.1, 0.015)),
+_AROUND = (
+    ((0.022, 0.12, 0.0), (0.022, -0.11, -0.004)),
+    ((-0.014, 0.11, 0.018), (-0.012, -0.12, 0.018)),
+    ((-0.01, 0.1, -0.02), (-0.014, -0.1, -0.018)),
+)
+#: Surface at the joint, and origins on ground and insertions on the moving body of three muscles, by kind; m
+#: and rad. Straight lines pass the center at a distance, so that surfaces within the bounds are passed on one
+#: side; those through a torus touch its ring at three places.
+CASES = {
+    "cylinder": (
+        SurfaceDraw("cylinder", (0.03, 0.4), "x", angles=(0.2, 0.1, 0.0)),
+        (
+            ((0.022, 0.12, -0.03), (0.02, -0.11, -0.02)),
+            ((0.018, 0.11, 0.0), (0.024, -0.12, 0.01)),
+            ((0.022, 0.1, 0.03), (0.018, -0.1, 0.02)),
+        ),
     ),
-    True: (
-        ((-0.05, 0.1, 0.01), (-0.04, -0.1, 0.0)),
-        ((0.05, 0.1, -0.01), (0.04, -0.11, 0.01)),
-        ((0.01, 0.09, 0.05), (0.0, -0.1, 0.05)),
+    "sphere": (SurfaceDraw("sphere", (0.032,), center=(0.002, -0.003, 0.0)), _AROUND),
+    "ellipsoid": (SurfaceDraw("ellipsoid", (0.03, 0.036, 0.033), angles=(0.2, 0.1, 0.3)), _AROUND),
+    "torus": (
+        SurfaceDraw("torus", (0.02, 0.006), angles=(1.5, 0.1, 0.0)),
+        (
+            ((-0.06, 0.1, 0.01), (-0.06, -0.1, 0.0)),
+            ((0.06, 0.1, -0.01), (0.06, -0.11, 0.01)),
+            ((0.01, 0.09, 0.06), (0.0, -0.1, 0.06)),
+        ),
     ),
 }
 #: Poses of the measured moment arms, and largest angle of each rotation (rad).
-POSES, _REACH = 60, 0.5
+POSES, _REACH = 60, 0.3
 #: Largest error that counts as recovered, and standard deviation of the noise (m).
 LIMIT, NOISE = 1e-4, 2e-3
 _DISPLACEMENT = 0.5
@@ -88,9 +95,10 @@ def write_joint(surface: SurfaceDraw, file: Path) -> None:
     wrap = wrap_object(opensim, surface)
     wrap.setName("surface")
     wrap.set_translation(opensim.Vec3(*surface.center))
+    wrap.set_quadrant(surface.quadrant)
     wrap.set_xyz_body_rotation(opensim.Vec3(*surface.angles))
     model.updGround().addWrapObject(wrap)
-    for number, (origin, insertion) in enumerate(MUSCLES[surface.kind == "torus"]):
+    for number, (origin, insertion) in enumerate(CASES[surface.kind][1]):
         muscle = opensim.Millard2012EquilibriumMuscle(f"muscle_{number}", 100.0, 0.1, 0.1, 0.0)
         muscle.addNewPathPoint("origin", model.updGround(), opensim.Vec3(*origin))
         muscle.addNewPathPoint("insertion", body, opensim.Vec3(*insertion))
@@ -110,7 +118,7 @@ def recover(kind: str, draws: int, seed: int) -> list[Recovery]:
     from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
     from wrapjax.path_sources.muscle_paths import muscle_paths
 
-    surface, wrap_class = SURFACES[kind], f"Wrap{kind.capitalize()}"
+    surface, wrap_class = CASES[kind][0], f"Wrap{kind.capitalize()}"
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "ball.osim"
         write_joint(surface, file)
@@ -182,7 +190,7 @@ def row(kind: str, found: Sequence[Recovery]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(description="recover displaced wrap surfaces from moment arms")
-    parser.add_argument("--kinds", nargs="+", default=list(SURFACES), choices=SURFACES, metavar="KIND")
+    parser.add_argument("--kinds", nargs="+", default=list(CASES), choices=CASES, metavar="KIND")
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
