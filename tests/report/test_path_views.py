@@ -137,7 +137,7 @@ def test_figure(move):
 def test_report_of_a_run_shows_moved_paths(move, moved, walking, model, tmp_path):
     page = path_section(moved, [move])
     assert page.count("<img") == path_section(moved).count("<img") + 1
-    assert re.search(r'alt="Paths and cylinders in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
+    assert re.search(r'alt="Paths and surfaces in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
     asked = []
 
     def describe(file):
@@ -159,7 +159,7 @@ def test_comparison_shows_moved_paths_of_the_method_with_freed_cylinders(walking
     results = {"NGA": replace(result, initial_states=result.states), "PGA": moved}
     leg = ComparedLeg("left leg", walking, results, dict.fromkeys(methods, "folder"), model)
     page = render_comparison([leg], methods, comparison_rows([leg], methods))
-    assert page.count("Paths and cylinders of left leg by PGA in space") == 1
+    assert page.count("Paths and surfaces of left leg by PGA in space") == 1
     assert "of left leg by NGA in space" not in page
     without = replace(leg, model=None)
     assert "in space" not in render_comparison([without], methods, comparison_rows([without], methods))
