@@ -105,7 +105,7 @@ class TestRefused:
         [
             (("--methods", "NGA,SGB"), "'SGB' is not known; did you mean 'SGA'?"),
             (("--methods", "NGA"), "expected two or more"),
-            (("--methods", "NGA,PGA", "--geometry", "engine"), "no driven muscle touches a cylinder"),
+            (("--methods", "NGA,PGA", "--geometry", "engine"), "no driven muscle touches a wrapping surface"),
             ((), "LSGA frees nothing"),
         ],
     )

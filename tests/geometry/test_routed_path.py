@@ -46,14 +46,14 @@ def test_line_is_the_engines_path(model, poses, muscle):
                 continue
             touched += len(route.contacts)
             assert route.length == pytest.approx(float(wrapped.length[0, number]), abs=1e-6)
-            for cylinder in route.cylinders:
+            for cylinder in route.wraps:
                 for line in (route.line, route.points):
-                    distance = np.linalg.norm(cylinder.to_cylinder_frame(line)[:, :2], axis=1)
+                    distance = np.linalg.norm(cylinder.to_surface_frame(line)[:, :2], axis=1)
                     if cylinder.name in route.contacts:
                         assert distance.min() > cylinder.radius - 1e-9
                 if cylinder.name in route.contacts:
                     ends = np.linalg.norm(
-                        cylinder.to_cylinder_frame(route.contacts[cylinder.name])[:, :2], axis=1
+                        cylinder.to_surface_frame(route.contacts[cylinder.name])[:, :2], axis=1
                     )
                     np.testing.assert_allclose(ends, cylinder.radius, atol=1e-12)
     assert touched, "the path wraps in no pose, nothing was tested"
@@ -76,7 +76,7 @@ def test_line_without_wraps_connects_the_active_path_points(model, poses):
     """Without wraps the line is straight between path points, and inactive points are not on it."""
     path = model.muscle("tibant_l")
     route = route_path(model, "tibant_l", COORDINATES, poses[0])
-    assert not path.wraps and route.cylinders == () and route.contacts == {}
+    assert not path.wraps and route.wraps == () and route.contacts == {}
     np.testing.assert_array_equal(route.line, route.points)
     conditional = replace(
         path.points[1], kind="ConditionalPathPoint", active_range=("ankle_angle_l", 2.0, 3.0)
@@ -92,8 +92,8 @@ def test_cylinders_have_the_pose_and_radius_of_the_parameters(model, poses):
         route_path(model, "psoas_l", COORDINATES, poses[0], own)
         for own in (None, np.array([[0.003, -0.004, 0.012, 0.3, 0.0, 1.1]]))
     )
-    (old,), (new,) = before.cylinders, after.cylinders
-    np.testing.assert_allclose(old.to_cylinder_frame(new.center[None])[0], [0.003, -0.004, 0.012], atol=1e-12)
+    (old,), (new,) = before.wraps, after.wraps
+    np.testing.assert_allclose(old.to_surface_frame(new.center[None])[0], [0.003, -0.004, 0.012], atol=1e-12)
     assert new.radius == pytest.approx(1.1 * old.radius)
     assert old.axes[:, 2] @ new.axes[:, 2] == pytest.approx(np.cos(0.3))
-    np.testing.assert_allclose(new.to_ground_frame(new.to_cylinder_frame(after.line)), after.line, atol=1e-12)
+    np.testing.assert_allclose(new.to_ground_frame(new.to_surface_frame(after.line)), after.line, atol=1e-12)

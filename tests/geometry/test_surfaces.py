@@ -97,6 +97,15 @@ def test_placed_surfaces_equal_opensims(tmp_path):
     np.testing.assert_allclose(found.length, length, atol=1e-6, rtol=0)
 
 
+def test_a_barrier_keeps_paths_on_their_side_of_a_sphere(tmp_path):
+    """The distance of the straight line from the center, unless a quadrant determines the side."""
+    poses = np.array([[-0.1, 0.004, 0.0, 0.1, 0.004, 0.0], [-0.1, 0.0, 0.0, 0.1, 0.0, 0.03]])
+    for quadrant, expected in (("all", [0.004, 0.03 / np.sqrt(4.0 + 0.09)]), ("y", [1.0, 1.0])):
+        engine, _ = engine_of([SurfaceDraw("sphere", (0.02,), quadrant)], tmp_path)
+        found = paths(engine, poses, GEODESIC).clearances
+        np.testing.assert_allclose(found[:, 2], expected, atol=1e-12)
+
+
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory):
     """Engine of a path round an ellipsoid and through a torus, and poses in which it touches both."""

@@ -1,5 +1,7 @@
 """Tests of samples of wrap parameters and of their bounds."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -79,4 +81,6 @@ def test_translation_bound_depends_on_the_share_of_usable_samples(monkeypatch, r
         lambda engine, posed, wrap, samples: np.abs(samples[:, 0]) <= reach,
     )
     engine = object.__new__(ExactPaths)
+    brim = SimpleNamespace(name="brim", kind="WrapCylinder", active=True)
+    engine.model = SimpleNamespace(wrap=lambda name: brim, wraps=(brim,))
     assert wrap_bounds.translation_bounds(engine, {}, ["brim"]) == {"brim": expected}

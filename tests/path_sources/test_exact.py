@@ -184,14 +184,14 @@ def test_methods_that_adjust_polynomials_are_refused(subject, geometry):
 
 def test_missing_wraps_are_reported(tmp_path):
     plain = load_subject(write_subject(tmp_path / "plain"))
-    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+    with pytest.raises(InputError, match="no driven muscle touches a wrapping surface"):
         exact_geometry(plain).freedom("PGA", plain)
 
 
 def test_untouched_wraps_are_free_on_request(subject, geometry):
     """Bounds of touched wraps are unchanged."""
     untouched = replace(geometry, translations={})
-    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+    with pytest.raises(InputError, match="no driven muscle touches a wrapping surface"):
         untouched.freedom("PGA", subject)
     touched, everything = (one.freedom("PGA", subject, "all").wraps for one in (geometry, untouched))
     assert everything.names == touched.names

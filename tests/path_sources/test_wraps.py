@@ -172,7 +172,7 @@ def test_pga_requires_sampled_wraps(person):
 
 def test_all_sampled_wraps_can_be_free(person, sampled):
     untouched = replace(sampled, wraps=replace(sampled.wraps, touched=()))
-    with pytest.raises(InputError, match="no driven muscle touches a cylinder"):
+    with pytest.raises(InputError, match="no driven muscle touches a wrapping surface"):
         untouched.freedom("PGA", person)
     assert untouched.freedom("PGA", person, "all").wraps.names == ("knee_front_l",)
 

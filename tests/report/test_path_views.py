@@ -105,7 +105,7 @@ class TestCamera:
         camera = look_at(move, 0.0)
         np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
         assert np.linalg.det(camera.axes) == pytest.approx(1.0)
-        cylinder = move.before.cylinders[0]
+        cylinder = move.before.wraps[0]
         angles = np.linspace(0.0, 2.0 * np.pi, 9)
         ring = cylinder.radius * np.stack([np.cos(angles), np.sin(angles), 0.7 + 0.0 * angles], axis=1)
         across = (
@@ -116,7 +116,7 @@ class TestCamera:
 
     def test_muscle_is_on_the_near_side_in_the_side_view(self, move):
         camera = look_at(move, np.deg2rad(68.0))
-        cylinder = move.before.cylinders[0]
+        cylinder = move.before.wraps[0]
         contacts = np.concatenate([move.before.contacts[cylinder.name], move.after.contacts[cylinder.name]])
         depth = camera.project(contacts)[:, 2].mean() - camera.project(cylinder.center[None])[0, 2]
         assert depth > 0.0
@@ -137,7 +137,7 @@ def test_figure(move):
 def test_report_of_a_run_shows_moved_paths(move, moved, walking, model, tmp_path):
     page = path_section(moved, [move])
     assert page.count("<img") == path_section(moved).count("<img") + 1
-    assert re.search(r'alt="Paths and cylinders in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
+    assert re.search(r'alt="Paths and surfaces in space.*IL_at_brim_l: moved 5\.0 mm, turned 10\.0', page)
     asked = []
 
     def describe(file):
@@ -159,7 +159,7 @@ def test_comparison_shows_moved_paths_of_the_method_with_freed_cylinders(walking
     results = {"NGA": replace(result, initial_states=result.states), "PGA": moved}
     leg = ComparedLeg("left leg", walking, results, dict.fromkeys(methods, "folder"), model)
     page = render_comparison([leg], methods, comparison_rows([leg], methods))
-    assert page.count("Paths and cylinders of left leg by PGA in space") == 1
+    assert page.count("Paths and surfaces of left leg by PGA in space") == 1
     assert "of left leg by NGA in space" not in page
     without = replace(leg, model=None)
     assert "in space" not in render_comparison([without], methods, comparison_rows([without], methods))
@@ -167,13 +167,13 @@ def test_comparison_shows_moved_paths_of_the_method_with_freed_cylinders(walking
 
 def test_view_of_a_path_over_half_the_circumference(move):
     """The two contacts are then opposite each other, and their midpoint is on the axis."""
-    cylinder = replace(move.before.cylinders[0], name="half")
+    cylinder = replace(move.before.wraps[0], name="half")
     angle = np.linspace(0.0, np.pi, 50)
     arc = cylinder.to_ground_frame(
         cylinder.radius * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     )
     route = replace(
-        move.before, line=arc, points=arc[[0, -1]], contacts={"half": arc[[0, -1]]}, cylinders=(cylinder,)
+        move.before, line=arc, points=arc[[0, -1]], contacts={"half": arc[[0, -1]]}, wraps=(cylinder,)
     )
     camera = look_at(replace(move, before=route, after=route), np.pi / 2)
     np.testing.assert_allclose(camera.axes[2], cylinder.axes[:, 1], atol=1e-6)

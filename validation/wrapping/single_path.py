@@ -58,7 +58,7 @@ def write_model(surfaces: Sequence[SurfaceDraw], file: Path) -> None:
     for name, body in zip(("start", "end"), ends, strict=True):
         muscle.addNewPathPoint(f"{name}_point", body, opensim.Vec3(0))
     for number, surface in enumerate(surfaces):
-        wrap = _wrap_object(opensim, surface)
+        wrap = wrap_object(opensim, surface)
         wrap.setName(f"surface_{number}")
         wrap.set_quadrant(surface.quadrant)
         wrap.set_translation(opensim.Vec3(*surface.center))
@@ -87,7 +87,8 @@ def _translating_body(opensim: Any, model: Any, name: str) -> Any:
     return parent
 
 
-def _wrap_object(opensim: Any, surface: SurfaceDraw) -> Any:
+def wrap_object(opensim: Any, surface: SurfaceDraw) -> Any:
+    """Make a wrap object with the sizes of a surface."""
     sizes = surface.sizes
     if surface.kind == "cylinder":
         wrap = opensim.WrapCylinder()

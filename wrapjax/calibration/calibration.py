@@ -37,7 +37,6 @@ from wrapjax.calibration.solvers.multistart import (
     starting_points,
 )
 from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.files import cache_folder
 from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.model.forward import muscle_states
@@ -383,7 +382,7 @@ def write_calibrated_model(subject: Subject, result: CalibrationResult, file: Pa
     """
     wraps = {}
     if result.freedom.wraps is not None:
-        values = NOMINAL + result.freedom.wraps.changes_of(np.asarray(result.parameters.path_changes))
+        values = result.freedom.wraps.values_of(np.asarray(result.parameters.path_changes))
         wraps = dict(zip(result.freedom.wraps.names, map(tuple, values.tolist()), strict=True))
     muscles = dict(_undriven_constants(subject)) | dict(_constants(_calibrated_parameters(result)))
     write_personalised_model(subject.model_file, file, wraps, muscles)

@@ -159,7 +159,7 @@ def wrap_recovery(
         deviation=deviation[moving].mean(axis=(1, 3)),
         wraps=freed.names,
         true_wraps=np.stack([true_parameters.wraps.get(name, NOMINAL) for name in freed.names]),
-        calibrated_wraps=NOMINAL + freed.changes_of(np.asarray(result.parameters.path_changes)),
+        calibrated_wraps=freed.values_of(np.asarray(result.parameters.path_changes)),
     )
 
 

@@ -199,17 +199,18 @@ def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
         return None
     # The feasible range of each wrap takes long to find, and effects need usual sizes only.
     usual = dict.fromkeys(touched, USUAL_TRANSLATION)
-    freed = freed_wraps([engine.wraps_of(name) for name in engine.muscles], usual)
+    wraps_of = [engine.wraps_of(name) for name in engine.muscles]
+    freed = freed_wraps(wraps_of, usual, engine.wrap_classes, engine.parameters)
     moving = np.asarray((freed.places >= 0).any(axis=1))
-    count = len(freed.quantities)
-    places = freed.places[:, :, None] * count + np.arange(count)
+    number = np.where(freed.free, np.cumsum(freed.free.ravel()).reshape(freed.free.shape) - 1, -1)
+    entries = np.argwhere(freed.free)
     derivatives = derivatives_by_wrap_parameters(engine, *engine_motion(engine, subject), moving)
     return PathChanges(
         paths=Partial(_linear_paths, derivatives),
-        places=np.where(freed.places[:, :, None] < 0, -1, places).reshape(len(engine.muscles), -1),
-        names=tuple(f"{wrap}.{quantity}" for wrap in freed.names for quantity in freed.quantities),
-        units=freed.units * len(freed.names),
-        prior_sd=tuple(freed.prior_sd.ravel().tolist()),
+        places=np.where(freed.places[:, :, None] < 0, -1, number[freed.places]).reshape(len(wraps_of), -1),
+        names=tuple(f"{freed.names[wrap]}.{freed.quantities[place]}" for wrap, place in entries),
+        units=tuple(freed.units[place] for _, place in entries),
+        prior_sd=tuple(freed.prior_sd[freed.free].tolist()),
     )
 
 

@@ -13,10 +13,10 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.evaluation.stored_run import Run, as_run
+from wrapjax.geometry.engine import nominal_parameters
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.files import content_hash, new_folder
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
@@ -184,11 +184,12 @@ def _exact_paths(run: Run, subject: Subject) -> tuple[AbstractPath, ModelParamet
         tuple(run.wraps),
         WRAPPINGS[run.geometry],
     )
-    changes = np.zeros((len(engine.muscles), paths.modes_count // len(NOMINAL), len(NOMINAL)))
+    changes = np.zeros((len(engine.muscles), paths.wraps, paths.per_wrap))
+    nominal = nominal_parameters(1, paths.per_wrap)[0]
     for row, muscle in enumerate(engine.muscles):
         for place, wrap in enumerate(engine.wraps_of(muscle)):
             if wrap in run.wraps:
-                changes[row, place] = run.wraps[wrap] - NOMINAL
+                changes[row, place] = run.wraps[wrap][: paths.per_wrap] - nominal
     flat = jnp.asarray(changes.reshape(len(engine.muscles), -1))
     parameters = run.parameters(engine.muscles, paths.modes_count)
     return paths, eqx.tree_at(lambda tree: tree.path_changes, parameters, flat)

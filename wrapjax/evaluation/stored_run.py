@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.surrogate import PathSurrogate, surrogate_from_arrays
-from wrapjax.geometry.wrapping import WRAP_PARAMETERS
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF
 from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.storage import Storage, read_storage
 from wrapjax.model.freedom import synergy_labels
@@ -57,7 +57,7 @@ class Run:
     values
         Values of all muscles by quantity (`QUANTITIES`), SI units.
     wraps
-        Parameters (`WRAP_PARAMETERS`) of the cylinders that were changed, by wrap.
+        Parameters (`PARAMETERS`) of the surfaces that were changed, by wrap.
     paths
         Calibrated polynomial paths; None for exact paths.
     geometry
@@ -223,7 +223,7 @@ def _read_parameters(
     dict[str, Float[np.ndarray, " wrap_parameter"]],
     dict[str, Float[np.ndarray, " command"]],
 ]:
-    """Read the values of muscles, cylinders and synergies; path coefficients are also in ``paths.npz``."""
+    """Read the values of muscles, wraps and synergies; path coefficients are also in ``paths.npz``."""
     try:
         text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -250,10 +250,19 @@ def _read_parameters(
         return stored[owner, kind, name]
 
     values = {name: np.array([value_of(muscle, "muscle", name) for muscle in muscles]) for name in QUANTITIES}
-    cylinders = dict.fromkeys(owner for owner, kind, _ in stored if kind == "wrap")
-    wraps = {
-        owner: np.array([value_of(owner, "wrap", name) for name in WRAP_PARAMETERS]) for owner in cylinders
-    }
+    wraps = {}
+    for wrap in dict.fromkeys(owner for owner, kind, _ in stored if kind == "wrap"):
+        own = {name for owner, kind, name in stored if (owner, kind) == (wrap, "wrap")}
+        # The fewest parameters that a kind of surface has and that include these.
+        expected = min(
+            (set(names) for names in PARAMETERS_OF.values() if own <= set(names)), key=len, default=own
+        )
+        wraps[wrap] = np.array(
+            [
+                value_of(wrap, "wrap", name) if name in expected else nominal
+                for name, nominal in zip(PARAMETERS, NOMINAL_PARAMETERS, strict=True)
+            ]
+        )
     excitations = {} if synergies is None else synergies.groups
     count = 0 if synergies is None else synergies.basis.count
     weights = {

@@ -38,10 +38,12 @@ from wrapjax.geometry.wrap_methods import (
     kind_of,
 )
 from wrapjax.geometry.wrapping import (
-    NOMINAL,
+    NOMINAL_PARAMETERS,
+    WRAP_PARAMETERS,
     StraightPath,
     Surface,
     WrappedPath,
+    parameter_names,
     unwrapped,
     wrap_once,
 )
@@ -139,6 +141,16 @@ class ExactPaths:
             entry.wrap for entry in self.model.muscle(muscle).wraps if self.model.wrap(entry.wrap).active
         )
 
+    @property
+    def wrap_classes(self) -> dict[str, str]:
+        """OpenSim's class of each active wrap of the muscles, by name."""
+        return {wrap: self.model.wrap(wrap).kind for name in self.muscles for wrap in self.wraps_of(name)}
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the wrap parameters of the model's surfaces, whichever of them the muscles have."""
+        return parameter_names(wrap.kind for wrap in self.model.wraps if wrap.active)
+
     def posed(self, poses: Float[np.ndarray, "pose coordinate"]) -> dict[str, PosedPath]:
         """Compute the path points of each muscle in poses.
 
@@ -229,9 +241,11 @@ def _at_samples(
     return jax.vmap(lambda one: posed.wrapped(one, wrapping))(parameters)
 
 
-def nominal_parameters(wraps: int) -> Float[np.ndarray, "wrap wrap_parameter"]:
-    """Wrap parameters (`WRAP_PARAMETERS`) of a number of surfaces as the model has them."""
-    return np.tile(NOMINAL, (wraps, 1))
+def nominal_parameters(
+    wraps: int, count: int = len(WRAP_PARAMETERS)
+) -> Float[np.ndarray, "wrap wrap_parameter"]:
+    """First ``count`` wrap parameters (`PARAMETERS`) of a number of surfaces as the model has them."""
+    return np.tile(NOMINAL_PARAMETERS[:count], (wraps, 1))
 
 
 def _unsupported_parts(model: ModelDescription, muscle: Muscle) -> list[Problem]:

@@ -172,18 +172,20 @@ def fit_feasibility(
     Raises
     ------
     ValueError
-        If the box is empty.
+        If the box is empty. Parameters that are held have equal bounds.
 
     Notes
     -----
     A fit takes about a second for 1000 samples, and some seconds where the classes overlap much.
     """
-    if not np.all(lower < upper):
+    if not np.all(lower <= upper):
         raise ValueError(f"the box is empty: lower {lower}, upper {upper}")
     fewest = min(physiological.sum(), (~physiological).sum())
     if fewest < FOLDS or has_rare_class(physiological):
         return None
     center, half_range = 0.5 * (upper + lower), 0.5 * (upper - lower)
+    # Parameters that are held are at the center.
+    half_range = np.where(half_range > 0.0, half_range, 1.0)
     scaled = (samples - center) / half_range
     penalty, gamma, scores = _cross_validated(
         scaled, physiological, np.ones_like(physiological) if usable is None else usable, seed, threads

@@ -20,7 +20,7 @@ from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.paths import PathState
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 
 # Step of central differences: ends (m), joints (m, rad) and wrap parameters (m, rad, 1).
 _STEP = 1e-4
@@ -155,11 +155,12 @@ def derivatives_by_wrap_parameters(
     Returns
     -------
     PathState
-        Derivatives per unit of each parameter (`WRAP_PARAMETERS`); the first axes of all leaves are ``muscle
-        mode``. Modes are the parameters of a muscle's wraps, one wrap after the other in the order of its
-        path.
+        Derivatives per unit of each parameter (`ExactPaths.parameters`); the first axes of all leaves are
+        ``muscle mode``. Modes are the parameters of a muscle's wraps, one wrap after the other in the order
+        of its path.
     """
-    parameters = len(NOMINAL)
+    parameters = len(engine.parameters)
+    nominal = NOMINAL_PARAMETERS[:parameters]
     trials, _, frames = angles.shape
     most = max((len(engine.wraps_of(name)) for name in engine.muscles), default=0)
     posed = engine.posed(np.moveaxis(angles, 1, -1).reshape(-1, len(engine.coordinates)))
@@ -173,7 +174,7 @@ def derivatives_by_wrap_parameters(
         name = engine.muscles[row]
         count = len(engine.wraps_of(name)) * parameters
         steps = _STEP * np.eye(count).reshape(count, -1, parameters)
-        found = wrap_at_samples(posed[name], NOMINAL + np.concatenate([steps, -steps]))
+        found = wrap_at_samples(posed[name], nominal + np.concatenate([steps, -steps]))
 
         def difference(values: Array | np.ndarray, count: int = count) -> np.ndarray:
             by_pose = np.asarray(values[:count] - values[count:]) / (2.0 * _STEP)

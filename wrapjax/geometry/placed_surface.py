@@ -12,6 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.vectors import Vector
 
+#: Value of a margin or clearance to which no discontinuity applies.
+FREE = 1.0
 #: Half a turn (rad), above which a contact is not the shortest round its surface.
 HALF_TURN = jnp.pi
 
@@ -120,6 +122,9 @@ class WrapMethod(NamedTuple):
     decided_first: bool = False
     #: OpenSim's outcome is that of a segment that wraps, whether one does or not.
     always_wrapped: bool = False
+    #: Distance (m) of segments from where an unrestricted path changes to the other side of the surface, if
+    #: that is to be kept from. `FREE` where a quadrant determines the side.
+    side_clearance: Callable[[Vector, Vector, PlacedSurface], Float[Array, "*segment"]] | None = None
 
 
 def over_segments(function: Callable[..., _Result], segments: Vector) -> Callable[..., _Result]:

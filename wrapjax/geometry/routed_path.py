@@ -16,12 +16,13 @@ from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_poin
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
-from wrapjax.geometry.wrap_methods import Kinds
+from wrapjax.geometry.surface_arc import geodesic_arc
+from wrapjax.geometry.wrap_methods import CYLINDER, Kinds
 from wrapjax.geometry.wrapping import NOMINAL, Surface
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
 _STEP = np.deg2rad(0.5)
-# Paths are padded to this number of points, so that all with as many cylinders share a compiled program.
+# Paths are padded to this number of points, so that all with as many surfaces share a compiled program.
 _POINTS = 8
 # Poses of one batch: all batches of several poses share a compiled program.
 _BATCH = 101
@@ -30,19 +31,24 @@ Points = Float[np.ndarray, "vertex 3"]
 
 
 @dataclass(frozen=True)
-class PlacedCylinder:
-    """A wrap cylinder in ground's frame.
+class PlacedWrap:
+    """A wrap surface in ground's frame.
 
     Parameters
     ----------
     name
         Name of the wrap.
     axes
-        Columns are the axes of the cylinder's frame; the third is the cylinder's axis.
+        Columns are the axes of the surface's frame; the third is the axis of a cylinder or a torus.
     center
-        Center of the cylinder, m.
+        Center of the surface, m.
     radius, half_length
-        m.
+        Radius of a cylinder, a sphere or a torus' tube, mean semi-axis of an ellipsoid; half the length of a
+        cylinder, m.
+    kind
+        ``cylinder``, ``sphere``, ``ellipsoid`` or ``torus``.
+    sizes
+        Semi-axes of an ellipsoid; radii of a torus' ring and tube, m. A sphere has its radius three times.
     """
 
     name: str
@@ -50,13 +56,15 @@ class PlacedCylinder:
     center: Float[np.ndarray, " 3"]
     radius: float
     half_length: float
+    kind: str = CYLINDER
+    sizes: tuple[float, ...] = ()
 
-    def to_cylinder_frame(self, points: Points) -> Points:
-        """Transform points from ground's frame to the cylinder's frame (m)."""
+    def to_surface_frame(self, points: Points) -> Points:
+        """Transform points from ground's frame to the surface's frame (m)."""
         return (points - self.center) @ self.axes
 
     def to_ground_frame(self, points: Points) -> Points:
-        """Transform points from the cylinder's frame to ground's frame (m)."""
+        """Transform points from the surface's frame to ground's frame (m)."""
         return self.center + points @ self.axes.T
 
 
@@ -67,19 +75,19 @@ class RoutedPath:
     Parameters
     ----------
     line
-        Vertices from origin to insertion; arcs on cylinders are sampled every 0.5 degrees.
+        Vertices from origin to insertion; arcs on surfaces are sampled every 0.5 degrees.
     points
         Active path points of the model.
     contacts
-        First and last point of the contact with each cylinder that the path touches, by the wrap's name.
-    cylinders
-        All cylinders that the path may wrap round, in its order, touched or not.
+        First and last point of the contact with each surface that the path touches, by the wrap's name.
+    wraps
+        All surfaces that the path may wrap round, in its order, touched or not.
     """
 
     line: Points
     points: Float[np.ndarray, "point 3"]
     contacts: dict[str, Float[np.ndarray, "2 3"]]
-    cylinders: tuple[PlacedCylinder, ...]
+    wraps: tuple[PlacedWrap, ...]
 
     @property
     def length(self) -> float:
@@ -106,8 +114,8 @@ def route_path(
         Names and values (rad or m) of coordinates. The model's other coordinates follow their couplers or
         stay at their defaults.
     parameters
-        Wrap parameters (`WRAP_PARAMETERS`) of the muscle's cylinders in the order of its path; by default
-        nominal.
+        Wrap parameters (`PARAMETERS`, at least the first six) of the muscle's surfaces in the order of its
+        path; by default nominal.
 
     Raises
     ------
@@ -116,7 +124,7 @@ def route_path(
 
     Notes
     -----
-    From a path point inside a cylinder there is no shortest path. The engine then treats the point as on the
+    From a path point inside a surface there is no shortest path. The engine then treats the point as on the
     surface, and the line has a gap there.
     """
     return route_paths(model, muscle, coordinates, np.asarray(pose)[None], parameters)[0]
@@ -143,17 +151,19 @@ def route_paths(
     entries = [entry for entry in path.wraps if entry.wrap in wraps]
     if parameters is None:
         parameters = np.tile(NOMINAL, (len(wraps), 1))
+    kinds = kinds_of(objects, entries)
     routes = _routes(
         _padded(points_and_bodies(path, points, carriers, entries)),
         surfaces_of(objects),
         jnp.asarray(parameters),
-        kinds_of(objects, entries),
+        kinds,
     )
     routed = []
     for pose, active in enumerate(points.active):
         route = jax.tree.map(lambda leaf: leaf[pose], routes)  # noqa: B023
-        cylinders = tuple(_placed_cylinder(route, number, name) for number, name in enumerate(wraps))
-        routed.append(_routed(route, active, cylinders))
+        named = zip(wraps, kinds, strict=True)
+        placed = tuple(_placed_wrap(route, number, *one) for number, one in enumerate(named))
+        routed.append(_routed(route, active, placed))
     return routed
 
 
@@ -195,19 +205,21 @@ def _padded(path: PointsAndBodies) -> PointsAndBodies:
     )
 
 
-def _placed_cylinder(route: Route, number: int, name: str) -> PlacedCylinder:
+def _placed_wrap(route: Route, number: int, name: str, kind: str) -> PlacedWrap:
     one = jax.tree.map(lambda leaf: leaf[number], route.surfaces)
     axes = [np.array([axis.x, axis.y, axis.z]) for axis in (one.x_axis, one.y_axis, one.z_axis)]
     center = np.array([one.center.x, one.center.y, one.center.z])
-    return PlacedCylinder(name, np.stack(axes, axis=1), center, float(one.radius), float(one.half_length))
+    sizes = () if one.sizes is None else (float(one.sizes.x), float(one.sizes.y), float(one.sizes.z))
+    # The kind of an ellipsoid includes OpenSim's method.
+    shape = kind.partition("_")[0]
+    axes_of = np.stack(axes, axis=1)
+    return PlacedWrap(name, axes_of, center, float(one.radius), float(one.half_length), shape, sizes)
 
 
-def _routed(
-    route: Route, active: Bool[np.ndarray, " point"], cylinders: tuple[PlacedCylinder, ...]
-) -> RoutedPath:
+def _routed(route: Route, active: Bool[np.ndarray, " point"], wraps: tuple[PlacedWrap, ...]) -> RoutedPath:
     """Join the knots to a line, with an arc between the two knots of one contact."""
     position = np.asarray(route.position)
-    first_contact = len(position) - 2 * len(cylinders)
+    first_contact = len(position) - 2 * len(wraps)
     pieces, contacts = [], {}
     for knot in route.knots[route.knots >= 0].tolist():
         wrap, leaving = divmod(knot - first_contact, 2)
@@ -215,17 +227,21 @@ def _routed(
             if knot < active.size and active[knot]:
                 pieces.append(position[knot : knot + 1])
         elif not leaving:
-            cylinder = cylinders[wrap]
+            surface = wraps[wrap]
             ends = position[knot : knot + 2]
-            contacts[cylinder.name] = ends
-            pieces.append(_arc(cylinder, ends, float(route.on_surface[wrap])))
+            contacts[surface.name] = ends
+            length = float(route.on_surface[wrap])
+            if surface.kind == CYLINDER:
+                pieces.append(_arc(surface, ends, length))
+            else:
+                pieces.append(_geodesic(surface, ends, length, pieces[-1][-1]))
     points = position[: active.size][active]
-    return RoutedPath(np.concatenate(pieces), points, contacts, cylinders)
+    return RoutedPath(np.concatenate(pieces), points, contacts, wraps)
 
 
-def _arc(cylinder: PlacedCylinder, ends: Float[np.ndarray, "2 3"], length: float) -> Points:
+def _arc(cylinder: PlacedWrap, ends: Float[np.ndarray, "2 3"], length: float) -> Points:
     """Sample the helix of given length (m) between the first and the last point of a contact."""
-    first, last = cylinder.to_cylinder_frame(ends)
+    first, last = cylinder.to_surface_frame(ends)
     rise = last[2] - first[2]
     turn = np.sqrt(max(length**2 - rise**2, 0.0)) / cylinder.radius
     begin, end = (np.arctan2(point[1], point[0]) for point in (first, last))
@@ -236,3 +252,13 @@ def _arc(cylinder: PlacedCylinder, ends: Float[np.ndarray, "2 3"], length: float
     angle = begin + share * turn
     on_surface = [cylinder.radius * np.cos(angle), cylinder.radius * np.sin(angle), first[2] + share * rise]
     return cylinder.to_ground_frame(np.stack(on_surface, axis=1))
+
+
+def _geodesic(
+    surface: PlacedWrap, ends: Float[np.ndarray, "2 3"], length: float, before: Float[np.ndarray, " 3"]
+) -> Points:
+    """Sample the arc of a contact with another surface, which continues the straight line from ``before``."""
+    first, last, start = surface.to_surface_frame(np.stack([*ends, before]))
+    steps = max(1, int(np.ceil(length / (surface.radius * _STEP))))
+    arc = geodesic_arc(surface.kind, surface.sizes, np.stack([first, last]), first - start, length, steps)
+    return surface.to_ground_frame(arc)

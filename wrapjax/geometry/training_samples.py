@@ -7,14 +7,15 @@ non-physiological. The wraps of muscles with several are therefore also changed 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.engine import nominal_parameters
-from wrapjax.geometry.wrap_bounds import hammersley, parameter_box
+from wrapjax.geometry.wrap_bounds import CYLINDER, hammersley, parameter_box
+from wrapjax.geometry.wrapping import WRAP_PARAMETERS
 
 #: Smallest range of a coordinate at a frame (rad). With a single recorded cycle the range would be zero, and
 #: a polynomial fitted to one curve is undetermined elsewhere.
@@ -24,6 +25,8 @@ MINIMUM_ANGLE_RANGE = np.radians(5.0)
 TRAINING_SAMPLES, VALIDATION_SAMPLES = 1000, 250
 
 Samples = Float[np.ndarray, "sample wrap_parameter"]
+#: Lower and upper bounds of wrap parameters.
+Box = tuple[Float[np.ndarray, " wrap_parameter"], Float[np.ndarray, " wrap_parameter"]]
 
 
 def angle_ranges(
@@ -117,7 +120,8 @@ class SampleSet:
         wraps
             Names of the muscle's wraps, in the order of its path.
         """
-        parameters = np.tile(nominal_parameters(len(wraps)), (self.count, 1, 1))
+        own = next(iter(self.moved.values()))
+        parameters = np.tile(nominal_parameters(len(wraps), own.shape[1]), (self.count, 1, 1))
         for place, wrap in enumerate(wraps):
             if wrap in self.moved:
                 parameters[:, place] = self.moved[wrap]
@@ -141,7 +145,7 @@ class SamplePlan:
 
     together: SampleSet
     alone: tuple[SampleSet, ...]
-    boxes: dict[str, tuple[Float[np.ndarray, " wrap_parameter"], Float[np.ndarray, " wrap_parameter"]]]
+    boxes: dict[str, Box]
 
     def samples_for(self, muscle: str, wrap: str, wraps: tuple[str, ...]) -> SampleSet:
         """Select the samples that change one wrap of a muscle, but none of its other wraps.
@@ -159,7 +163,11 @@ class SamplePlan:
 
 
 def plan_samples(
-    wraps_of: Mapping[str, tuple[str, ...]], translations: Mapping[str, float], seed: int = 0
+    wraps_of: Mapping[str, tuple[str, ...]],
+    translations: Mapping[str, float],
+    seed: int = 0,
+    classes: Mapping[str, str] | None = None,
+    names: Sequence[str] = WRAP_PARAMETERS,
 ) -> tuple[SamplePlan, SamplePlan]:
     """Draw samples of wrap parameters for training, and different ones for validation.
 
@@ -171,26 +179,34 @@ def plan_samples(
         Largest translation of each wrap along each axis, m.
     seed
         Seed of the random order in which samples of different wraps are combined.
+    classes
+        OpenSim's class of each wrap; by default all are cylinders.
+    names
+        Names of the wrap parameters.
 
     Returns
     -------
     training, validation
         Samples of both sets.
     """
-    generator = np.random.default_rng(seed)
+    generator, count = np.random.default_rng(seed), len(names)
+    boxes = {
+        wrap: parameter_box(translation, CYLINDER if classes is None else classes[wrap], names)
+        for wrap, translation in translations.items()
+    }
     return (
-        _plan(wraps_of, translations, hammersley(TRAINING_SAMPLES), generator),
-        _plan(wraps_of, translations, hammersley(VALIDATION_SAMPLES, TRAINING_SAMPLES), generator),
+        _plan(wraps_of, boxes, hammersley(TRAINING_SAMPLES, 0, count), generator),
+        _plan(wraps_of, boxes, hammersley(VALIDATION_SAMPLES, TRAINING_SAMPLES, count), generator),
     )
 
 
 def _plan(
     wraps_of: Mapping[str, tuple[str, ...]],
-    translations: Mapping[str, float],
+    boxes: dict[str, Box],
     unit: Samples,
     generator: np.random.Generator,
 ) -> SamplePlan:
-    moved, boxes = {}, {wrap: parameter_box(translation) for wrap, translation in translations.items()}
+    moved = {}
     for wrap, (lower, upper) in boxes.items():
         # In a random order for each wrap, so that the parameters of two wraps of one muscle are uncorrelated.
         moved[wrap] = (lower + (upper - lower) * unit)[generator.permutation(len(unit))]

@@ -1,15 +1,16 @@
 """Two-level surrogate of muscle paths after Ao, Fregly et al.: paths that depend on wrap parameters.
 
 The outer level gives paths over joint coordinates (`PathSurrogate`). At the inner level each coefficient of
-the outer level is a cubic polynomial of the six parameters of a wrap. Here its variables are the differences
-from nominal parameters and it has no constant, so that nominal parameters give the nominal coefficients
-exactly. The contributions of several wraps of one muscle are added.
+the outer level is a cubic polynomial of the six or nine parameters of a wrap. Here its variables are the
+differences from nominal parameters and it has no constant, so that nominal parameters give the nominal
+coefficients exactly. The contributions of several wraps of one muscle are added.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -20,20 +21,22 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.geometry.feasibility import Feasibility
 from wrapjax.geometry.paths import AbstractPath, PathState
 from wrapjax.geometry.surrogate import monomial_exponents, monomials
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 
 #: Highest total degree of the inner level.
 DEGREE = 3
-_PER_WRAP = len(WRAP_PARAMETERS)
-_EXPONENTS = monomial_exponents(_PER_WRAP, DEGREE)[1:]
-#: Number of monomials of one wrap's parameters, without the constant.
-MONOMIALS = len(_EXPONENTS)
 #: Ridge penalties among which leave-one-out validation chooses.
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0)
 # Smallest value of one less a sample's leverage, by which its leave-one-out residual is divided.
 _MIN_DENOMINATOR = 1e-6
 # Feasibility score of wraps without a limit: well within it.
 _WITHIN_LIMIT = -1.0
+
+
+@cache
+def wrap_exponents(parameters: int) -> Int[np.ndarray, "monomial wrap_parameter"]:
+    """Exponents of the monomials of one wrap's parameters, without the constant."""
+    return monomial_exponents(parameters, DEGREE)[1:]
 
 
 class InnerLevel(eqx.Module):
@@ -75,7 +78,8 @@ class InnerLevel(eqx.Module):
     def for_one_muscle(self, changes: Float[Array, " mode"]) -> Float[Array, " term"]:
         """Compute the differences of coefficients (m) of one muscle, whose level has no axis ``muscle``."""
         scaled = changes.reshape(self.half_range.shape) / self.half_range
-        return jnp.einsum("wk,wkt->t", monomials(jnp.asarray(_EXPONENTS), scaled), self.weights)
+        exponents = jnp.asarray(wrap_exponents(scaled.shape[1]))
+        return jnp.einsum("wk,wkt->t", monomials(exponents, scaled), self.weights)
 
 
 def fit_inner_level(
@@ -108,9 +112,10 @@ def fit_inner_level(
     Array
         Weights of the monomials, m. They have minimum norm if there are fewer samples than monomials.
     """
-    scaled = (changes / half_range).reshape(-1, _PER_WRAP)
-    count, wraps = changes.shape[:2]
-    design = np.asarray(monomials(jnp.asarray(_EXPONENTS), jnp.asarray(scaled))).reshape(count, -1)[used]
+    count, wraps, parameters = changes.shape
+    scaled = (changes / half_range).reshape(-1, parameters)
+    exponents = jnp.asarray(wrap_exponents(parameters))
+    design = np.asarray(monomials(exponents, jnp.asarray(scaled))).reshape(count, -1)[used]
     left, singular_values, right = np.linalg.svd(design, full_matrices=False)
     nonzero = singular_values > singular_values.max(initial=0.0) * max(design.shape) * np.finfo(float).eps
     left, singular_values, right = left[:, nonzero], singular_values[nonzero], right[nonzero]
@@ -125,7 +130,7 @@ def fit_inner_level(
 
     ridge = min(RIDGES, key=leave_one_out_error)
     weights = right.T @ ((singular_values / (singular_values**2 + ridge))[:, None] * along)
-    return weights.reshape(wraps, len(_EXPONENTS), -1)
+    return weights.reshape(wraps, len(exponents), -1)
 
 
 class FeasibilityLimits(eqx.Module):
@@ -147,8 +152,7 @@ class FeasibilityLimits(eqx.Module):
         wraps
             Largest number of wraps of a muscle.
         """
-        changed = changes.reshape(-1, wraps, _PER_WRAP)
-        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
+        changed, own = self._of_wraps(changes, wraps)
         excess = jax.vmap(Feasibility.excess)(self.feasibility, own)
         return jnp.full(changed.shape[:2], _WITHIN_LIMIT).at[self.muscles, self.places].set(excess)
 
@@ -156,8 +160,7 @@ class FeasibilityLimits(eqx.Module):
         self, changes: Float[Array, "muscle mode"], wraps: int
     ) -> Float[Array, "muscle mode wrap"]:
         """Compute the derivatives of `excess` by the wrap parameters of each muscle."""
-        changed = changes.reshape(-1, wraps, _PER_WRAP)
-        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
+        changed, own = self._of_wraps(changes, wraps)
         gradients = jax.vmap(jax.grad(Feasibility.excess, argnums=1))(self.feasibility, own)
         zeros = jnp.zeros((*changed.shape, wraps))
         placed = zeros.at[self.muscles, self.places, :, self.places].set(gradients)
@@ -168,20 +171,28 @@ class FeasibilityLimits(eqx.Module):
     ) -> Float[Array, "muscle mode mode"]:
         """Compute the weighted sum of the second derivatives of `excess`."""
         wraps = weights.shape[1]
-        changed = changes.reshape(-1, wraps, _PER_WRAP)
-        own = changed[self.muscles, self.places] + jnp.asarray(NOMINAL)[None]
+        changed, own = self._of_wraps(changes, wraps)
         hessians = jax.vmap(jax.hessian(Feasibility.excess, argnums=1))(self.feasibility, own)
         weighted = weights[self.muscles, self.places, None, None] * hessians
-        zeros = jnp.zeros((len(changed), wraps, wraps, _PER_WRAP, _PER_WRAP))
+        count = changed.shape[-1]
+        zeros = jnp.zeros((len(changed), wraps, wraps, count, count))
         placed = zeros.at[self.muscles, self.places, self.places].set(weighted)
         return jnp.swapaxes(placed, 2, 3).reshape(*changes.shape, changes.shape[1])
+
+    def _of_wraps(
+        self, changes: Float[Array, "muscle mode"], wraps: int
+    ) -> tuple[Float[Array, "muscle wrap wrap_parameter"], Float[Array, "limit wrap_parameter"]]:
+        """Arrange changes by wrap, and return also the parameters of the limited wraps."""
+        count = self.feasibility.center.shape[-1]
+        changed = changes.reshape(-1, wraps, count)
+        return changed, changed[self.muscles, self.places] + jnp.asarray(NOMINAL_PARAMETERS)[None, :count]
 
 
 class TwoLevelPaths(AbstractPath):
     """Paths over recorded cycles as two-level surrogates of wrap parameters.
 
-    The changes of a muscle are the differences of its wraps' parameters (`WRAP_PARAMETERS`, in their units)
-    from nominal, one wrap after the other in the order of its path.
+    The changes of a muscle are the differences of its wraps' parameters (in their units) from nominal, one
+    wrap after the other in the order of its path.
     """
 
     nominal: PathState
@@ -200,7 +211,7 @@ class TwoLevelPaths(AbstractPath):
     @property
     def modes_count(self) -> int:
         """Largest number of changes of a muscle."""
-        return self.wraps * _PER_WRAP
+        return self.wraps * self.inner.half_range.shape[-1]
 
     def at(self, changes: Float[Array, "muscle mode"]) -> PathState:
         """Compute all paths at given changes of wrap parameters."""
@@ -272,12 +283,12 @@ def two_level_paths(
         Number of a muscle, number of the wrap in the order of its path, and the wrap's feasibility; one entry
         for each limited wrap.
     """
-    wraps = inner.half_range.shape[1]
+    wraps, per_wrap = inner.half_range.shape[1:]
     placed = None
     if limits:
         muscles, places, feasibility = zip(*limits, strict=True)
         placed = FeasibilityLimits(np.array(muscles), np.array(places), _stacked(feasibility))
-        unchanged = jnp.zeros((nominal.length.shape[0], wraps * _PER_WRAP))
+        unchanged = jnp.zeros((nominal.length.shape[0], wraps * per_wrap))
         nominal = replace(nominal, infeasibility=placed.excess(unchanged, wraps))
     return TwoLevelPaths(nominal, np.array(moving), inner, by_coefficient, placed, wraps)
 

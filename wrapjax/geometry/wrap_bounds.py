@@ -6,37 +6,53 @@ tenths are. Samples are usable if in no pose a path is beyond a discontinuity of
 is not, and if every path still touches the wrap in some pose. The narrowest box is used even if under half of
 its samples are usable: narrower boxes help little, because path points get inside by rotations and larger
 radii.
+
+The bounds of rotations and of ``radius_factor``, which Ao, Fregly et al. published for cylinders, apply to
+the parameters of the same names of all surfaces, and that of rotations to ``rotation_z_rad`` of ellipsoids.
+No bounds are published for shapes of ellipsoids and tori. Factors of their second and third size are here
+within half the range of ``radius_factor``, so that the surface keeps the shape that the model's authors chose
+more closely than its size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import qmc
 
 from wrapjax.geometry.engine import ExactPaths, PosedPath, nominal_parameters, wrap_at_samples
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS, PARAMETERS_OF, WRAP_PARAMETERS
 
 #: Largest rotation about x and y (rad) in either direction, after Ao, Fregly et al.
 MAX_ROTATION = np.radians(20.0)
 #: Smallest and largest radius as multiples of the nominal radius, after Ao, Fregly et al.
 RADIUS_FACTORS = (0.8, 1.2)
+#: Smallest and largest further factor of the second and third size.
+SHAPE_FACTORS = (0.9, 1.1)
 #: Largest translation along each axis (m) that is tried first.
 USUAL_TRANSLATION = 0.01
 #: Smaller bounds, from the usual one on, and larger bounds that are tried next (m).
 NARROWER_TRANSLATIONS, WIDER_TRANSLATIONS = (USUAL_TRANSLATION, 0.0075, 0.005), (0.015, 0.02)
 #: Shares of usable samples below and above which another bound is tried.
 MIN_USABLE_SHARE, MAX_USABLE_SHARE = 0.5, 0.9
+#: OpenSim's class of cylinders.
+CYLINDER = "WrapCylinder"
+# Places of moved samples and of the nominal path in one array.
+_NOMINAL, _MOVED = slice(0, 1), slice(1, None)
 # Samples by which the share is estimated.
 _SAMPLES = 96
 
 
-def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_parameter"]:
-    """Compute evenly distributed points of the unit cube of six wrap parameters (Hammersley set).
+def hammersley(
+    count: int, skipped: int = 0, dimensions: int = len(WRAP_PARAMETERS)
+) -> Float[np.ndarray, "sample wrap_parameter"]:
+    """Compute evenly distributed points of the unit cube of wrap parameters (Hammersley set).
 
     The first coordinate of point i is ``(i + 1/2) / count``; the others are van der Corput sequences in the
-    first five prime bases.
+    first prime bases.
 
     Parameters
     ----------
@@ -44,8 +60,10 @@ def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_p
         Number of points.
     skipped
         Number of elements of the van der Corput sequences to skip, by which sets become different.
+    dimensions
+        Number of wrap parameters.
     """
-    sequence = qmc.Halton(d=5, scramble=False)
+    sequence = qmc.Halton(d=dimensions - 1, scramble=False)
     if skipped:
         sequence.fast_forward(skipped)
     halton = sequence.random(count)
@@ -53,7 +71,7 @@ def hammersley(count: int, skipped: int = 0) -> Float[np.ndarray, "sample wrap_p
 
 
 def parameter_box(
-    translation: float,
+    translation: float, wrap_class: str = CYLINDER, names: Sequence[str] = WRAP_PARAMETERS
 ) -> tuple[Float[np.ndarray, " wrap_parameter"], Float[np.ndarray, " wrap_parameter"]]:
     """Compute lower and upper bounds of wrap parameters.
 
@@ -61,9 +79,23 @@ def parameter_box(
     ----------
     translation
         Largest translation along each axis, m.
+    wrap_class
+        OpenSim's class of the surface.
+    names
+        Names of the parameters. Those on which paths do not depend (`PARAMETERS_OF`) are held: both of their
+        bounds are the nominal value.
     """
-    lower = np.array([*[-translation] * 3, -MAX_ROTATION, -MAX_ROTATION, RADIUS_FACTORS[0]])
-    upper = np.array([*[translation] * 3, MAX_ROTATION, MAX_ROTATION, RADIUS_FACTORS[1]])
+    limits = {
+        **dict.fromkeys(WRAP_PARAMETERS[:3], (-translation, translation)),
+        **dict.fromkeys(
+            ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad"), (-MAX_ROTATION, MAX_ROTATION)
+        ),
+        "radius_factor": RADIUS_FACTORS,
+        **dict.fromkeys(("second_size_factor", "third_size_factor"), SHAPE_FACTORS),
+    }
+    nominal = dict(zip(PARAMETERS, NOMINAL_PARAMETERS, strict=True))
+    freed = PARAMETERS_OF[wrap_class]
+    lower, upper = np.array([limits[name] if name in freed else (nominal[name],) * 2 for name in names]).T
     return lower, upper
 
 
@@ -85,9 +117,11 @@ def translation_bounds(
 
 
 def _translation_bound(engine: ExactPaths, posed: dict[str, PosedPath], wrap: str) -> float:
+    wrap_class, names = engine.model.wrap(wrap).kind, engine.parameters
+
     def usable_share(translation: float) -> float:
-        lower, upper = parameter_box(translation)
-        samples = lower + (upper - lower) * hammersley(_SAMPLES)
+        lower, upper = parameter_box(translation, wrap_class, names)
+        samples = lower + (upper - lower) * hammersley(_SAMPLES, dimensions=len(names))
         return float(usable_for_all_muscles(engine, posed, wrap, samples).mean())
 
     if usable_share(NARROWER_TRANSLATIONS[0]) > MAX_USABLE_SHARE:
@@ -151,10 +185,12 @@ def usable_samples(
     samples
         Parameters of the wrap.
     """
-    nominal = nominal_parameters(posed.surfaces.radius.shape[0])
-    moved = np.tile(nominal, (len(samples), 1, 1))
-    moved[:, place] = samples
-    found, unchanged = wrap_at_samples(posed, moved), wrap_at_samples(posed, nominal[None])
+    nominal = nominal_parameters(posed.surfaces.radius.shape[0], samples.shape[1])
+    moved = np.tile(nominal, (len(samples) + 1, 1, 1))
+    moved[1:, place] = samples
+    # In one array: another number of samples would require another compilation.
+    both = wrap_at_samples(posed, moved)
+    found, unchanged = (jax.tree.map(lambda leaf, part=part: leaf[part], both) for part in (_MOVED, _NOMINAL))
     jumps = np.zeros(len(samples), dtype=bool)
     for name in ("inside", "off_end", "long_wrap"):
         margin, nominal_margin = getattr(found.margins, name), getattr(unchanged.margins, name)

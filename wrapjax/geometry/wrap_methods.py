@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from wrapjax.geometry import cylinder, ellipsoid, opensim_ellipsoid, opensim_torus, sphere, torus
-from wrapjax.geometry.placed_surface import PlacedSurface, WrapMethod
-from wrapjax.geometry.vectors import Vector, safe_sqrt
+from wrapjax.geometry.placed_surface import FREE, PlacedSurface, WrapMethod
+from wrapjax.geometry.vectors import Vector, safe_inverse, safe_sqrt
 
 #: Kind of a cylinder, the most common one.
 CYLINDER = "cylinder"
+#: Kinds of surfaces whose shortest paths have a closed form.
+CLOSED_FORMS = {CYLINDER, "sphere"}
 _ELLIPSOIDS = {method: f"ellipsoid_{method}" for method in opensim_ellipsoid.METHODS}
 #: Kinds of surfaces by OpenSim's classes. An ellipsoid's kind includes the path's method, which OpenSim's
 #: path depends on.
@@ -20,8 +23,29 @@ SUPPORTED_CLASSES = (*_KINDS, "WrapEllipsoid")
 #: Kinds of the surfaces of a path, in its order.
 Kinds = tuple[str, ...]
 
-_SPHERE = WrapMethod(sphere.decide_wrapping, sphere.geodesic_contact)
-_ELLIPSOID = WrapMethod(ellipsoid.decide_wrapping, ellipsoid.geodesic_contact, decided_first=True)
+
+def _distance_from_center(start: Vector, end: Vector, surface: PlacedSurface) -> Float[Array, "*segment"]:
+    """Distance of segments from the center of a sphere (m), or of an ellipsoid along its radius there.
+
+    As a segment passes through the center, the shortest path changes from one side to the other: there the
+    moment arm jumps. Round an ellipsoid this happens only near the center.
+    """
+    sizes = surface.sizes
+    assert sizes is not None, "only cylinders have none"
+    scaled = [Vector(one.x / sizes.x, one.y / sizes.y, one.z / sizes.z) for one in (start, end)]
+    way = scaled[1] - scaled[0]
+    along = jnp.clip(-scaled[0].dot(way) * safe_inverse(way.dot(way)), 0.0, 1.0)
+    distance = surface.radius * (scaled[0] + way * along).norm()
+    return jnp.where(surface.side == 0, distance, FREE)
+
+
+_SPHERE = WrapMethod(sphere.decide_wrapping, sphere.geodesic_contact, side_clearance=_distance_from_center)
+_ELLIPSOID = WrapMethod(
+    ellipsoid.decide_wrapping,
+    ellipsoid.geodesic_contact,
+    decided_first=True,
+    side_clearance=_distance_from_center,
+)
 
 #: Methods for shortest paths, by the surface's kind.
 SHORTEST = {

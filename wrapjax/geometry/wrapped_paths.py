@@ -1,6 +1,6 @@
 """Paths of the exact engine as a function of wrap parameters, with barriers at their discontinuities.
 
-A path's length is discontinuous where a path point enters a cylinder, where the contact leaves the cylinder's
+A path's length is discontinuous where a path point enters a surface, where the contact leaves a cylinder's
 end, and where the wrap angle exceeds half a turn. A path that loses contact with a wrap in all poses is not
 discontinuous, but no longer depends on the wrap. The proximity of a path to these barriers is zero far from
 all of them and infinite beyond one. A penalty on the proximity keeps a solver where paths are smooth.
@@ -19,7 +19,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath, Wrapping
 from wrapjax.geometry.paths import AbstractPath, PathState
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS, StraightPath, WrappedPath
+from wrapjax.geometry.wrap_methods import CLOSED_FORMS
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, StraightPath, WrappedPath
 
 # Largest clearance beyond a barrier (m) at which its proximity is one; less where nominal paths have less.
 _UNIT_CLEARANCE = 1e-3
@@ -34,7 +35,6 @@ _BARRIER_DISTANCE = 1e-3
 _UNIT_CONTACT = 2e-3
 # Added to a sum of squares to keep the derivative of its root finite far from all barriers.
 _TINY = 1e-24
-_PER_WRAP = len(WRAP_PARAMETERS)
 # Relative deviation of paths from their linearization, because of kinks at lift-off.
 _RESOLUTION = 1e-6
 _Tree = TypeVar("_Tree")
@@ -155,8 +155,8 @@ class _MuscleGroup(eqx.Module):
 class WrappedPaths(AbstractPath):
     """Paths of the exact engine over recorded cycles, as a function of wrap parameters.
 
-    The changes of a muscle are the differences of its wraps' parameters (`WRAP_PARAMETERS`, in their units)
-    from nominal, one wrap after the other in the order of its path.
+    The changes of a muscle are the differences of its wraps' parameters (the first ``per_wrap`` of
+    `PARAMETERS`, in their units) from nominal, one wrap after the other in the order of its path.
     """
 
     nominal: PathState
@@ -168,12 +168,14 @@ class WrappedPaths(AbstractPath):
     columns: Int[np.ndarray, " moment_coordinate"]
     #: Largest number of wraps of a muscle.
     wraps: int = eqx.field(static=True)
+    #: Number of parameters of a wrap.
+    per_wrap: int = eqx.field(static=True)
     wrapping: Wrapping = eqx.field(static=True)
 
     @property
     def modes_count(self) -> int:
         """Largest number of changes of a muscle."""
-        return self.wraps * _PER_WRAP
+        return self.wraps * self.per_wrap
 
     @property
     def resolution(self) -> float:
@@ -184,7 +186,7 @@ class WrappedPaths(AbstractPath):
         """Compute all paths at given changes of wrap parameters."""
         state = self.nominal
         for group in self.groups:
-            own = changes[group.muscles, : _changes_count(group)]
+            own = changes[group.muscles, : self._changes_count(group)]
             moved = jax.vmap(self._path)(group.posed, group.barriers, own)
             state = jax.tree.map(lambda leaf, part, rows=group.muscles: leaf.at[rows].set(part), state, moved)
         return state
@@ -194,7 +196,7 @@ class WrappedPaths(AbstractPath):
         state, count = self.nominal, changes.shape[1]
         derivatives = jax.tree.map(lambda leaf: jnp.zeros((leaf.shape[0], count, *leaf.shape[1:])), state)
         for group in self.groups:
-            rows, size = group.muscles, _changes_count(group)
+            rows, size = group.muscles, self._changes_count(group)
             moved, by_change = jax.vmap(self._linearized_path)(
                 group.posed, group.barriers, changes[rows, :size]
             )
@@ -214,9 +216,9 @@ class WrappedPaths(AbstractPath):
     ) -> Float[Array, "muscle mode mode"]:
         """Compute the weighted sum of the second derivatives of each path by its own changes.
 
-        Of paths round several cylinders only the second derivatives of the proximity are included, and these
-        are approximate (`proximity_curvature`), because programs of second derivatives take minutes to
-        compile.
+        Of paths round several surfaces, an ellipsoid or a torus only the second derivatives of the proximity
+        are included, and these are approximate (`proximity_curvature`), because programs of second
+        derivatives take minutes to compile.
         """
 
         def of_muscle(
@@ -235,17 +237,23 @@ class WrappedPaths(AbstractPath):
         count = changes.shape[1]
         curvature = jnp.zeros((changes.shape[0], count, count))
         for group in self.groups:
-            rows, size = group.muscles, _changes_count(group)
+            rows, size = group.muscles, self._changes_count(group)
             own, state, derivatives = jax.tree.map(lambda leaf, rows=rows: leaf[rows], (weights, *expansion))
-            if isinstance(group.posed.path, StraightPath):
+            if isinstance(group.posed.path, StraightPath) and set(group.posed.kinds) <= CLOSED_FORMS:
                 found = jax.vmap(of_muscle)(group.posed, group.barriers, changes[rows, :size], own)
             else:
                 found = proximity_curvature(own.proximity, state.proximity, derivatives.proximity[:, :size])
             curvature = curvature.at[rows, :size, :size].set(found)
         return curvature
 
+    def _changes_count(self, group: _MuscleGroup) -> int:
+        """Count the changes of each muscle of a group."""
+        return self.per_wrap * group.posed.surfaces.radius.shape[1]
+
     def _path(self, posed: PosedPath, barriers: Barriers, changes: Float[Array, " mode"]) -> PathState:
-        parameters = changes.reshape(-1, _PER_WRAP) + jnp.asarray(NOMINAL)[None]
+        parameters = (
+            changes.reshape(-1, self.per_wrap) + jnp.asarray(NOMINAL_PARAMETERS)[None, : self.per_wrap]
+        )
         path = posed.wrapped(parameters, self.wrapping)
         return _over_cycles(path, barriers, self.velocities, self.columns)
 
@@ -256,11 +264,6 @@ class WrappedPaths(AbstractPath):
             return jax.jvp(lambda at: self._path(posed, barriers, at), (changes,), (direction,))
 
         return jax.vmap(along, out_axes=(None, 0))(jnp.eye(changes.size))
-
-
-def _changes_count(group: _MuscleGroup) -> int:
-    """Count the changes of each muscle of a group."""
-    return _PER_WRAP * group.posed.surfaces.radius.shape[1]
 
 
 def _over_cycles(
@@ -348,6 +351,7 @@ def wrapped_paths(
         velocities=jnp.asarray(velocities),
         columns=columns,
         wraps=most,
+        per_wrap=len(engine.parameters),
         wrapping=wrapping,
     )
     return paths, touching
@@ -380,5 +384,5 @@ def _same_shape(posed: dict[str, PosedPath]) -> list[list[str]]:
 @eqx.filter_jit
 def _wrapped(posed: PosedPath, wrapping: Wrapping) -> WrappedPath:
     """Compute paths of several muscles round nominal wraps."""
-    parameters = jnp.tile(jnp.asarray(NOMINAL), (posed.surfaces.radius.shape[1], 1))
+    parameters = jnp.tile(jnp.asarray(NOMINAL_PARAMETERS), (posed.surfaces.radius.shape[1], 1))
     return jax.vmap(lambda one: one.wrapped(parameters, wrapping))(posed)

@@ -8,13 +8,16 @@ body that carries the surface, where only the path's points move. Paths round se
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.placed_surface import HALF_TURN, PlacedSurface, WrapMethod
+from wrapjax.geometry.placed_surface import FREE as FREE
+from wrapjax.geometry.placed_surface import HALF_TURN, Decision, PlacedSurface, WrapMethod
 from wrapjax.geometry.vectors import Vector, vector
 
 #: Wrap parameters in their order: translation along the nominal frame's axes, rotation about its x axis and
@@ -35,8 +38,25 @@ NOMINAL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 #: before, and factors of the second and third size in addition to ``radius_factor``, which multiplies all
 #: sizes. Sizes are the semi-axes of an ellipsoid along x, y and z, and the radii of a torus' ring and tube.
 FURTHER_WRAP_PARAMETERS = ("rotation_z_rad", "second_size_factor", "third_size_factor")
+#: Names of all wrap parameters of any surface.
+PARAMETERS = (*WRAP_PARAMETERS, *FURTHER_WRAP_PARAMETERS)
 #: All wrap parameters of a surface as the model has it.
 NOMINAL_PARAMETERS = np.append(NOMINAL, [0.0, 1.0, 1.0])
+
+#: Wrap parameters on which a path round a surface depends, by OpenSim's class. Rotations of a sphere, and of
+#: a torus about its axis, only turn its quadrant.
+PARAMETERS_OF = {
+    "WrapCylinder": WRAP_PARAMETERS,
+    "WrapSphere": (*WRAP_PARAMETERS[:3], "radius_factor"),
+    "WrapEllipsoid": PARAMETERS,
+    "WrapTorus": (*WRAP_PARAMETERS, "second_size_factor"),
+}
+
+
+def parameter_names(classes: Iterable[str]) -> tuple[str, ...]:
+    """Names of the wrap parameters of surfaces of OpenSim's classes: six or, if any depends on more, all."""
+    own = {name for one in classes for name in PARAMETERS_OF.get(one, ())}
+    return WRAP_PARAMETERS if own <= set(WRAP_PARAMETERS) else PARAMETERS
 
 
 class Surface(eqx.Module):
@@ -94,10 +114,6 @@ class Surface(eqx.Module):
             side=self.side,
             sizes=sizes,
         )
-
-
-#: Value of a margin or clearance to which no discontinuity applies.
-FREE = 1.0
 
 
 class Margins(eqx.Module):
@@ -204,6 +220,10 @@ def wrap_once(path: StraightPath, surface: PlacedSurface, method: WrapMethod) ->
             lambda leaf: jnp.take(leaf, order, axis=-1),
             (own_ends, decision, start_velocity, end_velocity, crossing),
         )
+    clearances = _point_clearances(path, decision)
+    if method.side_clearance is not None:
+        side = jnp.where(path.eligible, method.side_clearance(start, end, surface), FREE)
+        clearances.append(jnp.min(side, axis=-1, keepdims=True))
     start, end = own_ends
     contact = method.find_contact(start, end, surface, own_decision)
     wraps = crossing & contact.valid
@@ -225,16 +245,21 @@ def wrap_once(path: StraightPath, surface: PlacedSurface, method: WrapMethod) ->
         off_end=jnp.min(jnp.where(crossing, contact.off_end, FREE), axis=-1),
         long_wrap=jnp.min(jnp.where(wraps, HALF_TURN - jnp.abs(contact.turn), FREE), axis=-1),
     )
-    at_starts = jnp.where(path.eligible, decision.start_clearance, FREE)
-    at_last = jnp.where(jnp.any(path.eligible, axis=-1), decision.end_clearance[..., -1], FREE)
-    others = jnp.stack([at_last, margins.off_end, surface.radius * margins.long_wrap], axis=-1)
+    clearances.append(jnp.stack([margins.off_end, surface.radius * margins.long_wrap], axis=-1))
     return WrappedPath(
         length=path.length + jnp.sum(jnp.where(chosen, longer, 0.0), axis=-1),
         moment_arm=path.moment_arm + jnp.sum(jnp.where(chosen[None], change, 0.0), axis=-1),
         on_surface=jnp.sum(jnp.where(chosen, contact.length, 0.0), axis=-1, keepdims=True),
         margins=margins,
-        clearances=jnp.concatenate([at_starts, others], axis=-1),
+        clearances=jnp.concatenate(clearances, axis=-1),
     )
+
+
+def _point_clearances(path: StraightPath, decision: Decision) -> list[Float[Array, "*pose barrier"]]:
+    """Distances of all path points from the surface (m)."""
+    at_starts = jnp.where(path.eligible, decision.start_clearance, FREE)
+    at_last = jnp.where(jnp.any(path.eligible, axis=-1), decision.end_clearance[..., -1], FREE)
+    return [at_starts, at_last[..., None]]
 
 
 def unwrapped(path: StraightPath) -> WrappedPath:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS
 from wrapjax.model.parameters import QUANTITIES, ModelParameters
 from wrapjax.muscle.personal_law import LAW_NAMES, LAW_PARAMETERS
 
@@ -80,12 +81,13 @@ class FreedWraps:
     names
         Names of the wraps.
     quantities, units
-        Names and units of the wrap parameters.
+        Names and units of the wrap parameters, the first of `PARAMETERS`.
     places
         Index in ``names`` of each wrap of each muscle's path; -1 for a wrap that is held, and where a muscle
         has fewer wraps than others.
     lower, upper
-        Bounds of the difference of each wrap parameter from its nominal value, in its unit.
+        Bounds of the difference of each wrap parameter from its nominal value, in its unit. Both are zero
+        for a parameter that is held, because paths do not depend on it.
     scale
         Size of one solver unit, in the unit of the wrap parameter.
     prior_sd
@@ -100,6 +102,22 @@ class FreedWraps:
     upper: Float[np.ndarray, "wrap wrap_parameter"]
     scale: Float[np.ndarray, "wrap wrap_parameter"]
     prior_sd: Float[np.ndarray, "wrap wrap_parameter"]
+
+    @property
+    def free(self) -> Bool[np.ndarray, "wrap wrap_parameter"]:
+        """Whether each wrap parameter is free; others are held."""
+        return np.asarray(self.upper > self.lower)
+
+    @property
+    def nominal(self) -> Float[np.ndarray, " wrap_parameter"]:
+        """Parameters of a wrap as the model has it."""
+        return NOMINAL_PARAMETERS[: len(self.quantities)]
+
+    def values_of(
+        self, path_changes: Float[np.ndarray, "muscle mode"]
+    ) -> Float[np.ndarray, "wrap wrap_parameter"]:
+        """Compute each wrap's parameters from the path changes of its muscles."""
+        return self.nominal + self.changes_of(path_changes)
 
     def changes_of(
         self, path_changes: Float[np.ndarray, "muscle mode"]

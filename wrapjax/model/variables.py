@@ -207,7 +207,7 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
     prior_precision = (scale / per_muscle_values("prior_sd", mode_sd))[free]
     total = offset + laws + (0 if synergies is None else len(synergies.names) * weights)
     if wraps is not None:
-        total += wraps.lower.size
+        total += int(wraps.free.sum())
     index[index == offset] = total
     if synergies is not None:
         # After the variables of single muscles: several muscles may share an excitation.
@@ -232,15 +232,19 @@ def free_variables(base: ModelParameters, freedom: Freedom, muscles: Sequence[st
         offset += laws
     if wraps is not None:
         # Last: several muscles may share a wrap.
-        held = wraps.places[:, :, None] < 0
-        number = offset + wraps.places[:, :, None] * len(wraps.quantities) + np.arange(len(wraps.quantities))
-        index[:, first_mode:] = np.where(held, total, number).reshape(count, -1)
+        freed_entries = wraps.free
+        held = (wraps.places[:, :, None] < 0) | ~freed_entries[wraps.places]
+        number = offset + np.cumsum(freed_entries.ravel()).reshape(freed_entries.shape) - 1
+        index[:, first_mode:] = np.where(held, total, number[wraps.places]).reshape(count, -1)
         scale[:, first_mode:] = np.where(held, 1.0, wraps.scale[wraps.places]).reshape(count, -1)
-        labels += [f"{name}.{quantity}" for name in wraps.names for quantity in wraps.quantities]
+        labels += [
+            f"{wraps.names[wrap]}.{wraps.quantities[quantity]}"
+            for wrap, quantity in np.argwhere(freed_entries)
+        ]
         for name in bounds:
-            bounds[name] = np.append(bounds[name], getattr(wraps, name) / wraps.scale)
-        prior_mean = np.append(prior_mean, np.zeros(wraps.lower.size))
-        prior_precision = np.append(prior_precision, wraps.scale / wraps.prior_sd)
+            bounds[name] = np.append(bounds[name], (getattr(wraps, name) / wraps.scale)[freed_entries])
+        prior_mean = np.append(prior_mean, np.zeros(freed_entries.sum()))
+        prior_precision = np.append(prior_precision, (wraps.scale / wraps.prior_sd)[freed_entries])
     return Variables(
         base=base,
         names=tuple(parameter.name for parameter in freed),

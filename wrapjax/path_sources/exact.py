@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.paths import AbstractPath, fixed_path
-from wrapjax.geometry.wrap_bounds import parameter_box, translation_bounds
+from wrapjax.geometry.wrap_bounds import CYLINDER, parameter_box, translation_bounds
 from wrapjax.geometry.wrapped_paths import wrapped_paths
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS
 from wrapjax.io.files import content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_wraps
@@ -26,14 +26,12 @@ from wrapjax.subject.trials import Trials
 WRAPPINGS: dict[str, Wrapping] = {"engine": GEODESIC, "engine-parity": PARITY}
 # Step of the recorded frames in which bounds on translations are determined.
 _FRAME_STEP = 4
-# Units of `WRAP_PARAMETERS`.
-_UNITS = ("m", "m", "m", "rad", "rad", "1")
 #: Choices of the wraps that PGA frees: those that some muscle touches in a recorded frame, or all.
 SURFACES = ("touched", "all")
 #: Error messages by this choice where there is no such wrap.
 NO_WRAPS_TO_FREE = {
-    "touched": "no driven muscle touches a cylinder in the recorded cycles: PGA frees nothing",
-    "all": "no driven muscle has a cylinder that could be moved: PGA frees nothing",
+    "touched": "no driven muscle touches a wrapping surface in the recorded cycles: PGA frees nothing",
+    "all": "no driven muscle has a wrapping surface that could be moved: PGA frees nothing",
 }
 # Prior standard deviation in half widths of the bounds: wide, because the bounds limit the parameters.
 _PRIOR_WIDTH = 2.0
@@ -113,7 +111,8 @@ class ExactGeometry:
                 )
             )
         wraps_of = [self.engine.wraps_of(name) for name in self.engine.muscles]
-        return with_wraps(freedom, method, freed_wraps(wraps_of, translations))
+        classes, names = self.engine.wrap_classes, self.engine.parameters
+        return with_wraps(freedom, method, freed_wraps(wraps_of, translations, classes, names))
 
     def _all_translations(self, subject: Subject) -> dict[str, float]:
         """Determine the largest translation of each wrap, touched or not, m."""
@@ -243,7 +242,12 @@ def recorded_motion(
     return trials.angles[:, columns], trials.angular_velocities[:, columns]
 
 
-def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, float]) -> FreedWraps:
+def freed_wraps(
+    wraps_of: Sequence[Sequence[str]],
+    translations: Mapping[str, float],
+    classes: Mapping[str, str] | None = None,
+    quantities: Sequence[str] = WRAP_PARAMETERS,
+) -> FreedWraps:
     """Free wraps within the bounds of their parameters (see `parameter_box`), with nominal prior means.
 
     Parameters
@@ -252,6 +256,10 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         Names of the wraps of each muscle, in the order of its path.
     translations
         Largest translation along each axis of each freed wrap, m.
+    classes
+        OpenSim's class of each wrap; by default all are cylinders.
+    quantities
+        Names of the wrap parameters.
 
     Returns
     -------
@@ -264,13 +272,18 @@ def freed_wraps(wraps_of: Sequence[Sequence[str]], translations: Mapping[str, fl
         for place, wrap in enumerate(wraps):
             if wrap in names:
                 places[row, place] = names.index(wrap)
-    bounds = np.reshape([parameter_box(translations[name]) for name in names], (-1, 2, len(NOMINAL)))
-    lower, upper = bounds[:, 0] - NOMINAL, bounds[:, 1] - NOMINAL
-    half_width = 0.5 * (upper - lower)
+    boxes = [
+        parameter_box(translations[name], CYLINDER if classes is None else classes[name], quantities)
+        for name in names
+    ]
+    nominal = NOMINAL_PARAMETERS[: len(quantities)]
+    lower, upper = np.moveaxis(np.reshape(boxes, (-1, 2, len(quantities))) - nominal, 1, 0)
+    half_width = np.where(upper > lower, 0.5 * (upper - lower), 1.0)
+    suffixes = (name.rpartition("_")[2] for name in quantities)
     return FreedWraps(
         names=names,
-        quantities=WRAP_PARAMETERS,
-        units=_UNITS,
+        quantities=tuple(quantities),
+        units=tuple(suffix if suffix in ("m", "rad") else "1" for suffix in suffixes),
         places=places,
         lower=lower,
         upper=upper,

@@ -137,7 +137,8 @@ def _with_nominal_first(
     samples: SampleSet, wraps: tuple[str, ...]
 ) -> Float[np.ndarray, "sample wrap wrap_parameter"]:
     # In one array: another number of samples would require another compilation.
-    return np.concatenate([nominal_parameters(len(wraps))[None], samples.parameters(wraps)])
+    parameters = samples.parameters(wraps)
+    return np.concatenate([nominal_parameters(*parameters.shape[1:])[None], parameters])
 
 
 class FitPoses(NamedTuple):
@@ -245,10 +246,12 @@ def sampled_paths(
     wraps_of = {} if fit.wraps is None else {name: own for name, own in fit.wraps.wraps_of.items() if own}
     for muscle in muscles:
         if muscle not in wraps_of:
-            raise InputError(Problem(str(subject.folder), "has no sampled cylinders to draw", place=muscle))
+            raise InputError(Problem(str(subject.folder), "has no sampled wraps to draw", place=muscle))
     if fit.wraps is None or not muscles:
         return
-    training, _ = plan_samples(wraps_of, fit.wraps.translations, fit.seed)
+    training, _ = plan_samples(
+        wraps_of, fit.wraps.translations, fit.seed, fit.wraps.classes, fit.wraps.parameters
+    )
     moved = training.together.moved
     samples = replace(training.together, moved={wrap: own[:count] for wrap, own in moved.items()})
     # All muscles and poses, as in the fit, so that compiled functions are reused.

@@ -16,7 +16,9 @@ from wrapjax.geometry.paths import AdjustablePath, PathState
 from wrapjax.geometry.physiological import PhysiologicalThresholds
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.two_level import InnerLevel, TwoLevelPaths, two_level_paths
+from wrapjax.geometry.wrap_bounds import CYLINDER
 from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.geometry.wrapping import PARAMETERS
 from wrapjax.model.freedom import Freedom, FreedWraps, nga_freedom, with_paths
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.exact import angles_of_other_trials, build_engine, freed_wraps, recorded_motion
@@ -74,6 +76,8 @@ class WrapFit:
         Names of the wraps of each muscle, in the order of its path.
     translations
         Largest translation of each wrap along its axes, m.
+    classes
+        OpenSim's class of each wrap.
     touched
         Names of the wraps that some muscle touches in a recorded frame.
     inner
@@ -88,6 +92,7 @@ class WrapFit:
 
     wraps_of: dict[str, tuple[str, ...]]
     translations: dict[str, float]
+    classes: dict[str, str]
     touched: tuple[str, ...]
     inner: InnerLevel
     feasibility: dict[str, Feasibility | None]
@@ -103,7 +108,14 @@ class WrapFit:
         """Free the movable wraps of muscles, listed by name."""
         own = {wrap for name in muscles for wrap in self.wraps_of[name]}
         translations = {name: self.translations[name] for name in self.movable(surfaces) if name in own}
-        return freed_wraps([self.wraps_of[name] for name in muscles], translations)
+        return freed_wraps(
+            [self.wraps_of[name] for name in muscles], translations, self.classes, self.parameters
+        )
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the wrap parameters."""
+        return PARAMETERS[: self.inner.half_range.shape[-1]]
 
     def inner_of(self, muscles: Sequence[str], wraps: int) -> InnerLevel:
         """Select the inner level of muscles by name, for the first ``wraps`` wraps of each."""
@@ -133,6 +145,7 @@ class WrapFit:
         return {
             name: {
                 **vars(quality),
+                "surface": self.classes[name],
                 "translation_m": self.translations[name],
                 "touched": name in self.touched,
             }
@@ -160,6 +173,8 @@ def wrap_fit_from(
     return WrapFit(
         wraps_of={muscle: tuple(wraps) for muscle, wraps in wraps_of.items()},
         translations={wrap: float(entry["translation_m"]) for wrap, entry in content.items()},
+        # Earlier fits are of cylinders.
+        classes={wrap: entry.get("surface", CYLINDER) for wrap, entry in content.items()},
         touched=tuple(wrap for wrap, entry in content.items() if entry["touched"]),
         inner=inner,
         feasibility=feasibility,

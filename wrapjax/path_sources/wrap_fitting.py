@@ -17,9 +17,9 @@ from wrapjax.geometry.feasibility import Feasibility, feasibility_quality, fit_f
 from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS, PhysiologicalThresholds, measure_paths
 from wrapjax.geometry.surrogate import PathSurrogate
 from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_samples
-from wrapjax.geometry.two_level import MONOMIALS, InnerLevel, fit_inner_level
+from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, wrap_exponents
 from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
-from wrapjax.geometry.wrapping import NOMINAL, WrappedPath
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
 from wrapjax.io.files import cache_folder, content_hash
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model
@@ -119,7 +119,7 @@ class MuscleWrapFitter:
         design = self.surrogate.design(muscle, self.source.poses["training"])
         to_coefficients = np.linalg.pinv(design)
         change = self._rows(muscle, paths) - self._rows(muscle, nominal)
-        moved = samples.parameters(wraps) - NOMINAL
+        moved = _changes(samples, wraps)
         coefficients = change @ to_coefficients.T
         half_range = self._half_range(wraps)
         inner = fit_inner_level(moved, half_range, coefficients, physiological, design.T @ design)
@@ -134,7 +134,7 @@ class MuscleWrapFitter:
         physiological = self._labels(muscle, samples) & self._physiological(paths, nominal, "validation")
         if not physiological.any():
             return None, physiological
-        moved = samples.parameters(wraps) - NOMINAL
+        moved = _changes(samples, wraps)
         level = InnerLevel(jnp.asarray(inner), jnp.asarray(self._half_range(wraps)))
         nominal_coefficients = np.asarray(self.surrogate.coefficients[row])[
             np.asarray(self.surrogate.used[row])
@@ -165,17 +165,30 @@ class MuscleWrapFitter:
         return np.concatenate([path.length, *arms], axis=1)
 
     def _half_range(self, wraps: tuple[str, ...]) -> Float[np.ndarray, "wrap wrap_parameter"]:
-        return np.array([0.5 * np.subtract(*self.training.boxes[wrap][::-1]) for wrap in wraps])
+        half = np.array([0.5 * np.subtract(*self.training.boxes[wrap][::-1]) for wrap in wraps])
+        # Parameters that are held never change.
+        return np.where(half > 0.0, half, 1.0)
+
+
+def _changes(samples: SampleSet, wraps: tuple[str, ...]) -> Float[np.ndarray, "sample wrap wrap_parameter"]:
+    parameters = samples.parameters(wraps)
+    return parameters - NOMINAL_PARAMETERS[: parameters.shape[-1]]
 
 
 def stack_inner_levels(
     surrogate: PathSurrogate,
     fitted: Mapping[str, MuscleWrapFit],
+    parameters: int = len(WRAP_PARAMETERS),
 ) -> InnerLevel:
-    """Combine the inner levels of all muscles into arrays, padded with zeros."""
+    """Combine the inner levels of all muscles into arrays, padded with zeros.
+
+    The number of parameters is that of one wrap.
+    """
     most = max((len(one.inner) for one in fitted.values()), default=0)
-    weights = np.zeros((len(surrogate.muscles), most, MONOMIALS, surrogate.used.shape[1]))
-    half_range = np.ones((len(surrogate.muscles), most, len(NOMINAL)))
+    weights = np.zeros(
+        (len(surrogate.muscles), most, len(wrap_exponents(parameters)), surrogate.used.shape[1])
+    )
+    half_range = np.ones((len(surrogate.muscles), most, parameters))
     for muscle, one in fitted.items():
         row = surrogate.muscles.index(muscle)
         used = np.flatnonzero(np.asarray(surrogate.used[row]))
@@ -266,11 +279,13 @@ def _fit_wraps(
         for wrap, touches in zip(own, _touched_wraps(recorded[name]), strict=True)
         if touches
     }
-    print_progress(f"determining bounds of {len(wraps)} cylinders", quiet=quiet)
+    print_progress(f"determining bounds of {len(wraps)} wraps", quiet=quiet)
     near = engine.posed(poses.recorded[::_FRAME_STEP])
     translations = translation_bounds(engine, near, wraps)
     boxed = time.perf_counter()
-    training, validation = plan_samples(wraps_of, translations, fit.seed)
+    training, validation = plan_samples(
+        wraps_of, translations, fit.seed, engine.wrap_classes, engine.parameters
+    )
     by_name = {"training": poses.training, "validation": poses.validation}
     posed = {name: engine.posed(own) for name, own in by_name.items()}
     by_engine = EngineAnalyzer(engine, by_name, posed, WRAPPINGS.get(fit.geometry, GEODESIC))
@@ -279,7 +294,7 @@ def _fit_wraps(
         source = OpenSimAnalyzer(subject.model_file, by_engine, by_name, processes, quiet)
     fitter = MuscleWrapFitter(surrogate, source, training, validation, thresholds)
     fitted: dict[str, MuscleWrapFit] = {}
-    with progress_bar("sampling cylinders, muscles", len(wraps_of), quiet=quiet) as advance:
+    with progress_bar("sampling wraps, muscles", len(wraps_of), quiet=quiet) as advance:
         for name, own in wraps_of.items():
             fitted[name] = fitter.fit(name, own)
             advance(len(fitted))
@@ -309,8 +324,9 @@ def _fit_wraps(
         wraps=WrapFit(
             wraps_of={name: wraps_of.get(name, ()) for name in surrogate.muscles},
             translations=translations,
+            classes={wrap: engine.wrap_classes[wrap] for wrap in wraps},
             touched=tuple(wrap for wrap in wraps if wrap in touched),
-            inner=stack_inner_levels(surrogate, fitted),
+            inner=stack_inner_levels(surrogate, fitted, len(engine.parameters)),
             feasibility=feasibility,
             quality=quality,
             thresholds=thresholds,

@@ -15,7 +15,6 @@ from jaxtyping import Float
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.contact_forces.contact_result import COMPARTMENTS, ContactResult
 from wrapjax.diagnosis.result import DiagnosisResult
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.subject.subject import name_without_side
 from wrapjax.subject.trials import Trials
@@ -95,9 +94,11 @@ def labelled(
 _CURVE = ("trial", "muscle", "frame")
 #: Meaning of a wrap parameter by the first part of its name.
 _WRAP_MEANINGS = {
-    "translation": "translation of the cylinder along its nominal frame",
-    "rotation": "rotation of the cylinder about its frame, first x and then its own y axis",
-    "radius": "radius over the nominal radius",
+    "translation": "translation of the wrap along its nominal frame",
+    "rotation": "rotation of the wrap about its frame, first x, then its own y and then its own z axis",
+    "radius": "factor of all sizes",
+    "second": "further factor of the second size",
+    "third": "further factor of the third size",
 }
 
 
@@ -162,7 +163,7 @@ def calibration_dataset(result: CalibrationResult) -> Dataset:
     wraps, synergies = result.freedom.wraps, result.freedom.synergies
     if wraps is not None:
         labels["wrap"] = wraps.names
-        values = NOMINAL + wraps.changes_of(np.asarray(result.parameters.path_changes))
+        values = wraps.values_of(np.asarray(result.parameters.path_changes))
         for name, unit, column in zip(wraps.quantities, wraps.units, values.T, strict=True):
             columns[name] = (("wrap",), unit, _WRAP_MEANINGS[name.split("_")[0]], column)
     if synergies is not None:

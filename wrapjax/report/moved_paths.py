@@ -1,4 +1,4 @@
-"""Muscle paths round nominal and calibrated cylinders, for the muscles whose moment arms changed most."""
+"""Muscle paths round nominal and calibrated wraps, for the muscles whose moment arms changed most."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult
-from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath, route_path
-from wrapjax.geometry.wrapping import NOMINAL
+from wrapjax.geometry.routed_path import PlacedWrap, RoutedPath, route_path
+from wrapjax.geometry.wrap_methods import CYLINDER
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class MovedPath:
     arm_before, arm_after
         Moment arm in that frame, m.
     before, after
-        Paths round the nominal and round the calibrated cylinders, in the ground frame.
+        Paths round the nominal and round the calibrated wraps, in the ground frame.
     """
 
     muscle: str
@@ -48,9 +48,9 @@ class MovedPath:
     after: RoutedPath
 
     @property
-    def touched(self) -> list[tuple[PlacedCylinder, PlacedCylinder]]:
-        """Cylinders (before, after) that the path touches before or after; all if it touches none."""
-        pairs = list(zip(self.before.cylinders, self.after.cylinders, strict=True))
+    def touched(self) -> list[tuple[PlacedWrap, PlacedWrap]]:
+        """Surfaces (before, after) that the path touches before or after; all if it touches none."""
+        pairs = list(zip(self.before.wraps, self.after.wraps, strict=True))
         names = self.before.contacts.keys() | self.after.contacts.keys()
         return [pair for pair in pairs if pair[0].name in names] or pairs
 
@@ -63,7 +63,7 @@ def moved_paths(
     Parameters
     ----------
     subject, result
-        Calibrated subject and result of the calibration; the list is empty if no cylinder was free.
+        Calibrated subject and result of the calibration; the list is empty if no wrap was free.
     model
         Subject's model before calibration.
     most
@@ -79,15 +79,22 @@ def moved_paths(
     return [_moved(subject, result, model, muscle, changes[muscle]) for muscle in order[:most]]
 
 
-def describe_move(before: PlacedCylinder, after: PlacedCylinder) -> str:
-    """Write how far a cylinder's center moved, its axis turned and its radius changed."""
+def describe_move(before: PlacedWrap, after: PlacedWrap) -> str:
+    """Write how far a surface's center moved, its axis turned and its sizes changed."""
     shift = 1e3 * float(np.linalg.norm(after.center - before.center))
     turn = np.degrees(np.arccos(np.clip(before.axes[:, 2] @ after.axes[:, 2], -1.0, 1.0)))
-    return (
-        f"{before.name}: moved {shift:.1f} mm, turned {turn:.1f}\N{DEGREE SIGN}, radius "
-        f"\N{MULTIPLICATION SIGN} {after.radius / before.radius:.2f} "
-        f"({1e3 * before.radius:.1f} to {1e3 * after.radius:.1f} mm)"
-    )
+    moved = f"{before.name}: moved {shift:.1f} mm"
+    turned = "" if before.kind == "sphere" else f", turned {turn:.1f}\N{DEGREE SIGN}"
+    times = "\N{MULTIPLICATION SIGN}"
+    if before.kind in (CYLINDER, "sphere"):
+        ratio, ends = (
+            after.radius / before.radius,
+            f"{1e3 * before.radius:.1f} to {1e3 * after.radius:.1f} mm",
+        )
+        return f"{moved}{turned}, radius {times} {ratio:.2f} ({ends})"
+    count = 2 if before.kind == "torus" else 3
+    ratios = [f"{new / old:.2f}" for new, old in zip(after.sizes[:count], before.sizes[:count], strict=True)]
+    return f"{moved}{turned}, {'radii' if count == 2 else 'semi-axes'} {times} {', '.join(ratios)}"
 
 
 def _moved(
@@ -103,7 +110,7 @@ def _moved(
     spanned = [name for name in model.spanned_by(muscle_name) if name in trials.coordinates]
     pose = trials.angles[trial, [trials.coordinates.index(name) for name in spanned], frame]
     before = route_path(model, muscle_name, spanned, pose)
-    names = [cylinder.name for cylinder in before.cylinders]
+    names = [wrap.name for wrap in before.wraps]
     after = route_path(model, muscle_name, spanned, pose, _wrap_parameters(result, names))
     arms = [float(_arms(result, after=after)[muscle, trial, coordinate, frame]) for after in (False, True)]
     return MovedPath(
@@ -119,13 +126,13 @@ def _moved(
 
 
 def _wrap_parameters(result: CalibrationResult, names: list[str]) -> Float[np.ndarray, "wrap wrap_parameter"]:
-    """Look up parameters of the named cylinders after calibration; nominal for those that were held."""
+    """Look up parameters of the named wraps after calibration; nominal for those that were held."""
     wraps = result.freedom.wraps
     assert wraps is not None
     changes = dict(
         zip(wraps.names, wraps.changes_of(np.asarray(result.parameters.path_changes)), strict=True)
     )
-    return np.stack([NOMINAL + changes.get(name, 0.0) for name in names])
+    return np.stack([wraps.nominal + changes.get(name, 0.0) for name in names])
 
 
 def _arms(result: CalibrationResult, *, after: bool) -> Float[np.ndarray, "muscle trial coordinate frame"]:

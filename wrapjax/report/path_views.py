@@ -1,4 +1,4 @@
-"""Report section on changed muscle paths: moment arms, and paths with their cylinders in space.
+"""Report section on changed muscle paths: moment arms, and paths with their wrapping surfaces in space.
 
 Paths in space are shown in parallel projection, so distances perpendicular to the line of sight are to scale.
 """
@@ -13,10 +13,12 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
 from wrapjax.calibration.calibration_result import CalibrationResult
-from wrapjax.geometry.routed_path import PlacedCylinder, RoutedPath
+from wrapjax.geometry.routed_path import PlacedWrap, RoutedPath
+from wrapjax.geometry.wrap_methods import CYLINDER
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import draw_spread, label_gait_cycles
 from wrapjax.report.formatting import counted
+from wrapjax.report.model_view.wrap_shapes import local_mesh
 from wrapjax.report.moved_paths import MovedPath, describe_move
 from wrapjax.report.style import (
     BLACK,
@@ -35,8 +37,8 @@ from wrapjax.report.style import (
 _FACETS = 36
 _PANEL = PAGE_WIDTH / 4
 _TITLE = 0.75
-# Views, with the angle from the cylinder's axis to the line of sight (rad).
-_VIEWS = (("along the cylinder", 0.0), ("from the side", np.deg2rad(68.0)))
+# Views, with the angle from the surface's axis to the line of sight (rad).
+_VIEWS = (("along the axis", 0.0), ("from the side", np.deg2rad(68.0)))
 # OpenSim's ground frame: x points to the front, y up, z to the right.
 _DIRECTIONS = (("up", (0.0, 1.0, 0.0)), ("front", (1.0, 0.0, 0.0)), ("right", (0.0, 0.0, 1.0)))
 
@@ -79,11 +81,11 @@ def path_views(moves: Sequence[MovedPath], *, of: str = "") -> str:
     owner = f" of {of}" if of else ""
     return markup.picture(
         path_view_figure(moves),
-        alternative=f"Paths and cylinders{owner} in space before and after calibration: {changes}.",
-        caption=f"Muscles{owner} whose moment arms changed most as their cylinders moved: path and cylinder "
-        "before (gray) and after calibration (blue), each seen along the cylinder and from the side, in the "
-        "recorded frame where the moment arm changed most. Dots: the model's path points (black), and the "
-        "points where the path meets and leaves the cylinder (white). Only the region near the cylinder is "
+        alternative=f"Paths and surfaces{owner} in space before and after calibration: {changes}.",
+        caption=f"Muscles{owner} whose moment arms changed most as their surfaces moved: path and surface "
+        "before (gray) and after calibration (blue), each seen along the surface's axis z and from the side, "
+        "in the recorded frame where the moment arm changed most. Dots: the model's path points (black), and "
+        "the points where the path meets and leaves the surface (white). Only the region near the surface is "
         "shown; cylinders are cut off far from the path, and a thick edge is an actual end of the cylinder. "
         "Scales differ.",
     )
@@ -138,19 +140,25 @@ def look_at(move: MovedPath, tilt: float) -> Camera:
     return Camera(np.stack([right, np.cross(toward, right), toward]), middle)
 
 
-def _near(cylinder: PlacedCylinder, route: RoutedPath) -> Float[np.ndarray, "vertex 3"]:
+def _near(cylinder: PlacedWrap, route: RoutedPath) -> Float[np.ndarray, "vertex 3"]:
     """Select the vertices of a path that lie on the cylinder, or the nearest one if none does."""
-    distance = np.linalg.norm(cylinder.to_cylinder_frame(route.line)[:, :2], axis=1)
+    if cylinder.kind != CYLINDER:
+        if cylinder.name in route.contacts:
+            return route.contacts[cylinder.name]
+        nearest = np.linalg.norm(route.line - cylinder.center, axis=1).argmin()
+        return route.line[nearest : nearest + 1]
+    distance = np.linalg.norm(cylinder.to_surface_frame(route.line)[:, :2], axis=1)
     on_surface = distance < cylinder.radius + 1e-6
     return route.line[on_surface if on_surface.any() else [int(distance.argmin())]]
 
 
-def _most_moved(pair: tuple[PlacedCylinder, PlacedCylinder]) -> float:
+def _most_moved(pair: tuple[PlacedWrap, PlacedWrap]) -> float:
     """Estimate how far the surface of a cylinder moved, m."""
     before, after = pair
     turn = np.linalg.norm(before.axes[:, 2] - after.axes[:, 2])
     shift = np.linalg.norm(after.center - before.center)
-    return float(shift + turn * before.half_length + abs(after.radius - before.radius))
+    reach = before.half_length if before.kind == CYLINDER else max(before.sizes)
+    return float(shift + turn * reach + abs(after.radius - before.radius))
 
 
 def _draw_view(panel: Axes, move: MovedPath, tilt: float) -> None:
@@ -158,8 +166,11 @@ def _draw_view(panel: Axes, move: MovedPath, tilt: float) -> None:
     extent = 0.0
     for place, color in enumerate((GRAY, BLUE)):
         for pair in move.touched:
-            shown = _shown_heights(pair[place], move)
-            extent = max(extent, _draw_cylinder(panel, camera, pair[place], *shown, color))
+            if pair[place].kind == CYLINDER:
+                shown = _shown_heights(pair[place], move)
+                extent = max(extent, _draw_cylinder(panel, camera, pair[place], *shown, color))
+            else:
+                extent = max(extent, _draw_surface(panel, camera, pair[place], color))
     _draw_path(panel, camera, move.before, GRAY)
     _draw_path(panel, camera, move.after, BLUE)
     extent = 1.12 * max(extent, *(np.abs(camera.project(ends)[:, :2]).max() for ends in _all_contacts(move)))
@@ -177,9 +188,9 @@ def _all_contacts(move: MovedPath) -> list[Float[np.ndarray, "2 3"]]:
     return contacts or [np.zeros((2, 3)) + pair[0].center for pair in move.touched]
 
 
-def _shown_heights(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, float]:
+def _shown_heights(cylinder: PlacedWrap, move: MovedPath) -> tuple[float, float]:
     """Choose the part of a cylinder's axis to draw (m along the axis): that near the contacts."""
-    heights = cylinder.to_cylinder_frame(np.concatenate(_all_contacts(move)))[:, 2]
+    heights = cylinder.to_surface_frame(np.concatenate(_all_contacts(move)))[:, 2]
     margin = 0.9 * cylinder.radius
     low = np.clip(heights.min() - margin, -cylinder.half_length, cylinder.half_length)
     high = np.clip(heights.max() + margin, -cylinder.half_length, cylinder.half_length)
@@ -187,7 +198,7 @@ def _shown_heights(cylinder: PlacedCylinder, move: MovedPath) -> tuple[float, fl
 
 
 def _draw_cylinder(
-    panel: Axes, camera: Camera, cylinder: PlacedCylinder, low: float, high: float, color: str
+    panel: Axes, camera: Camera, cylinder: PlacedWrap, low: float, high: float, color: str
 ) -> float:
     """Draw a translucent surface, its axis and both edges; return its extent from the center (mm)."""
     angles = np.linspace(0.0, 2.0 * np.pi, _FACETS + 1)
@@ -212,6 +223,21 @@ def _draw_cylinder(
     panel.plot(*axis[:, :2].T, color=color, linewidth=0.7, linestyle=(0, (6, 3)))
     panel.plot(*axis[-1:, :2].T, "+", color=color, markersize=6.0)
     return float(np.abs(np.concatenate(rings)[:, :2]).max())
+
+
+def _draw_surface(panel: Axes, camera: Camera, surface: PlacedWrap, color: str) -> float:
+    """Draw lines on the near side of another surface; return its extent from the picture's center (mm)."""
+    vertices, _, lines = local_mesh(surface.kind, surface.sizes)
+    seen = camera.project(surface.to_ground_frame(vertices))
+    if surface.kind != "torus":
+        outline = seen[ConvexHull(seen[:, :2]).vertices, :2]
+        panel.fill(*outline.T, color=color, alpha=0.2, linewidth=0)
+    middle = camera.project(surface.center[None])[0]
+    near = seen[lines][:, :, 2].mean(axis=1) > middle[2]
+    for ends in seen[lines[near]]:
+        panel.plot(*ends[:, :2].T, color=color, linewidth=0.5, alpha=0.35)
+    panel.plot(*middle[:2], "+", color=color, markersize=6.0)
+    return float(np.abs(seen[:, :2]).max())
 
 
 def _draw_path(panel: Axes, camera: Camera, route: RoutedPath, color: str) -> None:

@@ -121,6 +121,7 @@ def describe_settings(subject: Subject, result: CalibrationResult, run: Path) ->
             name: {
                 quantity: {"lower": lower, "upper": upper, "prior_sd": sd}
                 for quantity, lower, upper, sd in zip(result.freedom.wraps.quantities, *ends, strict=True)
+                if upper > lower
             }
             for name, *ends in zip(
                 result.freedom.wraps.names,

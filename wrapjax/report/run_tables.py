@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.io.storage import Storage
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.preprocessing.nmsm_files import OSIMX_QUANTITIES, OsimxMuscle, format_osimx
@@ -118,14 +117,18 @@ def _synergy_weights(result: CalibrationResult) -> Iterator[tuple[str, str, floa
 def wrap_parameters(
     result: CalibrationResult,
 ) -> Iterator[tuple[str, str, float, str, float, float]]:
-    """Iterate over parameters of freed cylinders: cylinder, parameter name, value, unit and bounds."""
+    """Iterate over free parameters of wraps: wrap, parameter name, value, unit and bounds."""
     wraps = result.freedom.wraps
     if wraps is None:
         return
-    values = NOMINAL + wraps.changes_of(np.asarray(result.parameters.path_changes))
+    values = wraps.values_of(np.asarray(result.parameters.path_changes))
     for wrap, owner in enumerate(wraps.names):
         for place, quantity in enumerate(wraps.quantities):
-            lower, upper = (float(NOMINAL[place] + end[wrap, place]) for end in (wraps.lower, wraps.upper))
+            if not wraps.free[wrap, place]:
+                continue
+            lower, upper = (
+                float(wraps.nominal[place] + end[wrap, place]) for end in (wraps.lower, wraps.upper)
+            )
             yield owner, quantity, float(values[wrap, place]), wraps.units[place], lower, upper
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.uncertainty.intervals import LegSpread
-from wrapjax.geometry.wrapping import NOMINAL
 from wrapjax.report import markup
 from wrapjax.report.cycle_panels import groups_by_speed_and_use, label_gait_cycles
 from wrapjax.report.formatting import counted, decimals
@@ -139,11 +138,12 @@ def _bounds(result: CalibrationResult) -> dict[str, tuple[float, float]]:
     if wraps is not None:
         found |= {
             f"{owner}.{quantity}": (
-                float(NOMINAL[place] + wraps.lower[row, place]),
-                float(NOMINAL[place] + wraps.upper[row, place]),
+                float(wraps.nominal[place] + wraps.lower[row, place]),
+                float(wraps.nominal[place] + wraps.upper[row, place]),
             )
             for row, owner in enumerate(wraps.names)
             for place, quantity in enumerate(wraps.quantities)
+            if wraps.free[row, place]
         }
     return found
 

@@ -106,7 +106,7 @@ def test_sticks_join_the_joints(shown, scene):
 
 def test_unsupported_wraps_are_named_and_left_out(shown):
     wraps = tuple(
-        replace(wrap, kind="WrapTorus") if wrap.name == "PS_at_brim_l" else wrap for wrap in shown.model.wraps
+        replace(wrap, kind="WrapMesh") if wrap.name == "PS_at_brim_l" else wrap for wrap in shown.model.wraps
     )
     model = replace(shown.model, wraps=wraps)
     scene = build_scene(model, ("psoas_l",), COORDINATES, shown.motions[:1], (Placement("model"),))

@@ -20,7 +20,7 @@ from wrapjax.calibration.two_legs import join_leg_objectives
 from wrapjax.calibration.uncertainty.intervals import LegSpread, summarize_draws
 from wrapjax.calibration.uncertainty.posterior import Posterior, leg_objectives, moments_and_slopes, posterior
 from wrapjax.errors import InputError, Problem
-from wrapjax.geometry.wrapping import NOMINAL, WRAP_PARAMETERS
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, PARAMETERS
 from wrapjax.model.forward import joint_moments
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.model.variables import Variables
@@ -276,7 +276,7 @@ def _leg_spread(
     scale = np.asarray(variables.scale).ravel()[np.asarray(variables.places)[0]]
     names = [label.rsplit(".", 1)[1] for label in variables.labels]
     offset = np.array(
-        [NOMINAL[WRAP_PARAMETERS.index(name)] if name in WRAP_PARAMETERS else 0.0 for name in names]
+        [NOMINAL_PARAMETERS[PARAMETERS.index(name)] if name in PARAMETERS else 0.0 for name in names]
     )
     draws, prior = (offset + scale * one[:, place] for one in (variable_draws, prior_draws))
     noise = distribution.noise[number]

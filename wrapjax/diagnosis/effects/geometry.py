@@ -46,13 +46,13 @@ def _change_paths(changes: PathChanges, effect_sizes: EffectSizes) -> Alteration
 # A wrap is the same for all its muscles.
 WRAP_SURFACE = EffectDefinition(
     id="wrap_surface",
-    meaning="cylinders that muscles wrap round have another place, orientation or radius",
+    meaning="surfaces that muscles wrap round have another place, orientation or size",
     family="geometry",
     requirements=(
         Requirement(
-            "a cylinder that a muscle touches, and paths that the exact engine computes",
+            "a wrapping surface that a muscle touches, and paths that the exact engine computes",
             lambda context: (
-                "how paths follow their cylinders is not known, or none is touched"
+                "how paths follow their surfaces is not known, or none is touched"
                 if context.wraps is None
                 else ""
             ),
@@ -63,8 +63,8 @@ WRAP_SURFACE = EffectDefinition(
             repetitions=lambda context: _each_parameter(context.wraps, "wrap", "wrap_parameter"),
             name="{wrap}.{wrap_parameter}",
             sign=0,
-            meaning="displacement of a wrapping cylinder",
-            source="box of the cylinder",
+            meaning="displacement or factor of size of a wrapping surface",
+            source="box of the surface",
             part="{wrap}",
             prior="from the bounds of the wrap parameter; limits 4 times as large",
         ),

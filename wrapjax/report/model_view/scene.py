@@ -15,10 +15,10 @@ from jaxtyping import Bool, Float, Int
 from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths, wrap_at_samples
 from wrapjax.geometry.kinematics import BodyMotion, CoordinateValues, body_motion
-from wrapjax.geometry.model_description import Joint, ModelDescription, Muscle
+from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.geometry.routed_path import RoutedPath, route_paths
-from wrapjax.geometry.wrapping import NOMINAL, WrappedPath
-from wrapjax.report.model_view.wrap_shapes import SHAPES, WrapShape, wrap_shape
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WrappedPath
+from wrapjax.report.model_view.wrap_shapes import WrapShape, wrap_shape
 
 # Every so many-th vertex of a contact is drawn: arcs of 6 degrees, off a circle of 50 mm by less than 0.1 mm.
 _ARC_STRIDE = 12
@@ -37,7 +37,7 @@ class Placement:
     name
         Name for the page.
     parameters
-        Wrap parameters (`WRAP_PARAMETERS`) by wrap; other wraps are nominal.
+        Wrap parameters (`PARAMETERS`, at least the first six) by wrap; others are nominal.
     """
 
     name: str
@@ -45,8 +45,11 @@ class Placement:
 
     def of(self, wraps: Sequence[str]) -> Float[np.ndarray, "wrap wrap_parameter"]:
         """Wrap parameters of the given wraps."""
-        rows = [self.parameters.get(name, NOMINAL) for name in wraps]
-        return np.asarray(rows, dtype=float).reshape(-1, len(NOMINAL))
+        rows = np.tile(NOMINAL_PARAMETERS, (len(wraps), 1))
+        for row, name in enumerate(wraps):
+            own = self.parameters.get(name, ())
+            rows[row, : len(own)] = own
+        return rows
 
 
 @dataclass(frozen=True)
@@ -225,12 +228,6 @@ def build_scene(
     )
 
 
-def _kinds(model: ModelDescription, muscle: Muscle) -> list[str]:
-    """List OpenSim's classes of the active surfaces that a muscle wraps round."""
-    surfaces = [model.wrap(entry.wrap) for entry in muscle.wraps]
-    return [surface.kind for surface in surfaces if surface.active]
-
-
 def _simplified(
     model: ModelDescription, muscles: Sequence[str], coordinates: Sequence[str]
 ) -> tuple[ModelDescription, list[str]]:
@@ -240,10 +237,7 @@ def _simplified(
         muscle = model.muscle(name)
         try:
             ExactPaths(model, (name,), coordinates)
-            other = next((kind for kind in _kinds(model, muscle) if kind not in SHAPES), None)
-            reason = (
-                "" if other is None else f"the view draws arcs round cylinders alone, not round a {other}"
-            )
+            reason = ""
         except InputError as error:
             reason = error.problems[0].message.partition(":")[0]
         if reason:
@@ -259,9 +253,7 @@ def _wrap_shapes(
 ) -> tuple[WrapShape, ...]:
     wrap = model.wrap(name)
     moved = any(name in placement.parameters for placement in placements)
-    shapes = [
-        wrap_shape(wrap, one.parameters.get(name, NOMINAL)) for one in placements[: None if moved else 1]
-    ]
+    shapes = [wrap_shape(wrap, one.of((name,))[0]) for one in placements[: None if moved else 1]]
     return tuple(shape for shape in shapes if shape is not None)
 
 

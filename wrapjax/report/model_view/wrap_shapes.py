@@ -5,18 +5,21 @@ Another kind of surface is a function in `SHAPES` that returns its mesh in the s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from wrapjax.geometry.engine import surfaces_of
 from wrapjax.geometry.model_description import WrapObject
+from wrapjax.geometry.placed_surface import PlacedSurface
 from wrapjax.geometry.wrapping import Surface
 
-_FACETS = 48
+# Vertices round the axis of a surface, and circles of an ellipsoid or round a torus' tube.
+_FACETS, _RINGS = 48, 16
 
 Vertices = Float[np.ndarray, "vertex 3"]
 Triangles = Int[np.ndarray, "triangle 3"]
@@ -47,19 +50,25 @@ class WrapShape:
 
 
 def wrap_shape(wrap: WrapObject, parameters: Float[np.ndarray, " wrap_parameter"]) -> WrapShape | None:
-    """Make the mesh of a wrap with given wrap parameters (`WRAP_PARAMETERS`); None for unknown kinds."""
+    """Make the mesh of a wrap with given wrap parameters (`PARAMETERS`); None for unknown kinds."""
     shape = SHAPES.get(wrap.kind)
     if shape is None:
         return None
-    vertices, triangles, lines = shape(wrap, parameters)
+    vertices, triangles, lines = _placed(shape, wrap, jnp.asarray(parameters))
     return WrapShape(wrap.name, wrap.kind, wrap.body, vertices, triangles, lines)
 
 
-def _cylinder(wrap: WrapObject, parameters: Float[np.ndarray, " wrap_parameter"]) -> Mesh:
+def _placed(mesh: Callable[[PlacedSurface], Mesh], wrap: WrapObject, parameters: Array) -> Mesh:
+    """Make the mesh of a placed surface, and move it to the frame of its body."""
     (surface,) = _leaves(surfaces_of([wrap]))
-    placed = surface.placed(jnp.asarray(parameters))
+    placed = surface.placed(parameters)
+    local, triangles, lines = mesh(placed)
     axes = np.array([[axis.x, axis.y, axis.z] for axis in (placed.x_axis, placed.y_axis, placed.z_axis)])
     center = np.array([placed.center.x, placed.center.y, placed.center.z])
+    return center + local @ axes, triangles, lines
+
+
+def _cylinder(placed: PlacedSurface) -> Mesh:
     angle = np.linspace(0.0, 2.0 * np.pi, _FACETS, endpoint=False)
     circle = float(placed.radius) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     rings = [
@@ -73,8 +82,73 @@ def _cylinder(wrap: WrapObject, parameters: Float[np.ndarray, " wrap_parameter"]
     ]
     edges = [np.stack([here + shift, after + shift], axis=1) for shift in (0, _FACETS)]
     along = np.stack([here, _FACETS + here], axis=1)[:: _FACETS // 12]
-    local = np.concatenate(rings)
-    return center + local @ axes, np.concatenate(sides), np.concatenate([*edges, along])
+    return np.concatenate(rings), np.concatenate(sides), np.concatenate([*edges, along])
+
+
+def _curved(placed: PlacedSurface, kind: str) -> Mesh:
+    sizes = placed.sizes
+    assert sizes is not None, "only cylinders have none"
+    return local_mesh(kind, (float(sizes.x), float(sizes.y), float(sizes.z)))
+
+
+def local_mesh(kind: str, sizes: Sequence[float]) -> Mesh:
+    """Make the mesh of a sphere, an ellipsoid or a torus in its own frame.
+
+    Parameters
+    ----------
+    kind
+        ``sphere``, ``ellipsoid`` or ``torus``.
+    sizes
+        Semi-axes (a sphere has three equal ones); radii of a torus' ring and tube, m.
+    """
+    return _torus(*sizes[:2]) if kind == "torus" else _ellipsoid(np.asarray(sizes))
+
+
+def _ellipsoid(sizes: Float[np.ndarray, " 3"]) -> Mesh:
+    """Circles of latitude on the unit sphere, scaled."""
+    latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _RINGS + 1)[None]
+    longitude = np.linspace(0.0, 2.0 * np.pi, _FACETS, endpoint=False)[:, None]
+    grid = np.stack(
+        np.broadcast_arrays(
+            np.cos(longitude) * np.cos(latitude), np.sin(longitude) * np.cos(latitude), np.sin(latitude)
+        ),
+        axis=-1,
+    )
+    return _grid(grid * sizes, closed=False)
+
+
+def _torus(ring: float, tube: float) -> Mesh:
+    around = np.linspace(0.0, 2.0 * np.pi, _FACETS, endpoint=False)[:, None]
+    across = np.linspace(0.0, 2.0 * np.pi, _RINGS, endpoint=False)[None]
+    distance = ring + tube * np.cos(across)
+    grid = np.stack(
+        np.broadcast_arrays(
+            np.cos(around) * distance, np.sin(around) * distance, np.ones_like(around) * tube * np.sin(across)
+        ),
+        axis=-1,
+    )
+    return _grid(grid, closed=True)
+
+
+def _grid(points: Float[np.ndarray, "one other 3"], closed: bool) -> Mesh:
+    """Connect the points of a grid: closed along its first axis, and along its second if ``closed``."""
+    first, second = points.shape[:2]
+    number = np.arange(first * second).reshape(first, second)
+    beside = np.roll(number, -1, axis=0)
+    here = number if closed else number[:, :-1]
+    above = np.roll(number, -1, axis=1) if closed else number[:, 1:]
+    across = np.roll(beside, -1, axis=1) if closed else beside[:, 1:]
+    side = beside if closed else beside[:, :-1]
+    triangles = [np.stack(corners, axis=-1) for corners in ((here, side, above), (side, across, above))]
+    lines = [
+        np.stack([number, beside], axis=-1)[:, :: second // 4],
+        np.stack([here, above], axis=-1)[:: first // 12],
+    ]
+    return (
+        points.reshape(-1, 3),
+        np.concatenate([one.reshape(-1, 3) for one in triangles]),
+        np.concatenate([one.reshape(-1, 2) for one in lines]),
+    )
 
 
 def _leaves(surfaces: Surface) -> list[Surface]:
@@ -85,6 +159,10 @@ def _leaves(surfaces: Surface) -> list[Surface]:
     return [jax.tree.map(lambda leaf: leaf[row], surfaces) for row in range(count)]  # noqa: B023
 
 
-SHAPES: dict[str, Callable[[WrapObject, Float[np.ndarray, " wrap_parameter"]], Mesh]] = {
+#: Mesh of a placed surface in its own frame, by OpenSim's class.
+SHAPES: dict[str, Callable[[PlacedSurface], Mesh]] = {
     "WrapCylinder": _cylinder,
+    "WrapSphere": partial(_curved, kind="sphere"),
+    "WrapEllipsoid": partial(_curved, kind="ellipsoid"),
+    "WrapTorus": partial(_curved, kind="torus"),
 }
