@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.marker_model import build_marker_model
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.io.storage import read_storage
 from wrapjax.jax_setup import set_up_jax
 from wrapjax.joints.changed_skeleton import skeleton_change
@@ -123,10 +123,15 @@ def moved_skin(
     gains: Float[np.ndarray, "marker 3 coordinate"],
     skin: float,
     rng: np.random.Generator,
+    curvature: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "frame marker 3"]]:
-    """Movements of markers on their bodies, m, by trial: the same per angle in all trials."""
+    """Movements of markers on their bodies, m, by trial: the same per angle in all trials.
+
+    With a curvature they also move in proportion to the squared angles, with other random amplitudes.
+    """
     joined = np.concatenate(list(motion_of.values()))
     mean, spread = joined.mean(axis=0), joined.std(axis=0)
+    bent = curvature * rng.permutation(gains, axis=1)
     moved = {}
     for name, motion in motion_of.items():
         angles = (motion - mean) / np.where(spread > np.radians(1.0), spread, np.inf)
@@ -134,6 +139,7 @@ def moved_skin(
         time = np.arange(len(motion))[:, None, None] / RATE
         slow = np.sin(2.0 * np.pi * 0.7 * time + phase) * rng.normal(size=(1, len(gains), 3))
         moved[name] = np.einsum("mkc,fc->fmk", gains, angles) + SLOW * slow
+        moved[name] += np.einsum("mkc,fc->fmk", bent, angles**2 - 1.0)
     size = np.sqrt(np.mean(np.sum(np.concatenate(list(moved.values())) ** 2, axis=-1)))
     return {name: skin / size * values for name, values in moved.items()}
 
@@ -184,14 +190,23 @@ def errors(found: ModelDescription, truth: ModelDescription) -> dict[str, tuple[
             rotation, shift = laid
             poses = [getattr(joint, side) for joint in joints]
             offset = rotation @ poses[0].translation + shift - np.asarray(poses[1].translation)
-            axis = np.asarray(poses[1].rotation)[:, 2]
             if name in HINGES:
+                # The axis of rotation in the joint's frame; it is oblique to the frame in the ankle.
+                turns = _hinge(joints[1])
+                ours, axis = (np.asarray(pose.rotation) @ turns for pose in poses)
+                ours = rotation @ ours
                 offset = offset - axis * (axis @ offset)
-                ours = rotation @ np.asarray(poses[0].rotation)[:, 2]
                 angles.append(float(np.arccos(np.clip(ours @ axis, -1.0, 1.0))))
             distances.append(float(np.linalg.norm(offset)))
         result[name] = (float(np.mean(distances)), float(np.mean(angles)) if angles else np.nan)
     return result
+
+
+def _hinge(joint: Joint) -> np.ndarray:
+    """Axis of a hinge in the joint's frame."""
+    return np.array(
+        next(axis.direction for axis in joint.axes or () if axis.kind == "rotation" and axis.coordinate)
+    )
 
 
 def _laid_on(
@@ -212,9 +227,23 @@ def _laid_on(
 
 
 def recover(
-    folder: Path, data: Path, seed: int, skin: float
+    folder: Path, data: Path, seed: int, skin: float, curvature: float = 0.0, cameras: float = 0.0
 ) -> tuple[dict[str, tuple[float, float]], JointPersonalisation, Float[np.ndarray, " parameter"]]:
-    """Make a person, personalise the starting model, and return errors, result and the true values."""
+    """Make a person, personalise the starting model, and return errors, result and the true values.
+
+    Parameters
+    ----------
+    folder, data
+        Folder for files, and the recorded person's.
+    seed
+        Seed of the person.
+    skin
+        Root mean square movement of skin, m; 0 for none, with priors off.
+    curvature
+        Size of the movement in proportion to squared angles, against that with angles.
+    cameras
+        Standard deviation of the white noise of a marker's coordinate, m.
+    """
     rng = np.random.default_rng(seed)
     model, true_model = data / "model.osim", folder / f"true{seed}.osim"
     parameters = freed()
@@ -226,11 +255,13 @@ def recover(
     names = tuple(marker.name for marker in description.markers if marker.body in BODIES)
     gains = skin_gains(description, names, coordinates, rng)
     made = motions(data, coordinates)
-    moved = moved_skin(made, gains, skin, rng)
+    moved = moved_skin(made, gains, skin, rng, curvature)
     trials = []
     for name, motion in made.items():
         file = folder / f"{name}{seed}.trc"
-        write_trc(file, recorded(true_model, coordinates, motion, names, moved[name]))
+        markers = recorded(true_model, coordinates, motion, names, moved[name])
+        seen = markers.positions + cameras * rng.normal(size=markers.positions.shape)
+        write_trc(file, replace(markers, positions=seen))
         trials.append(MarkerTrial(name, file))
     settings = JointSettings(
         file=folder / "joints.toml",

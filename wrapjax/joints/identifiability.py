@@ -60,23 +60,29 @@ class Posterior:
 
 
 def posterior(
-    parameters: Sequence[FreedParameter], matrix: Float[np.ndarray, "variable variable"]
+    parameters: Sequence[FreedParameter],
+    matrix: Float[np.ndarray, "variable variable"],
+    combination: Float[np.ndarray, "parameter unknown"],
 ) -> Posterior:
     """Compute the posterior of the parameters from the Gauss-Newton matrix of all variables.
 
     Parameters
     ----------
     parameters
-        Freed parameters, the first of the variables.
+        Freed parameters.
     matrix
         Gauss-Newton matrix at the solution, prior included, of variables in prior standard deviations.
-        Further variables (movements of skin) are integrated out.
+        Variables after the unknowns (movements of skin) are integrated out.
+    combination
+        Map from unknowns, the first of the variables, to the parameters.
     """
-    count = len(parameters)
-    covariance = np.linalg.inv(0.5 * (matrix + matrix.T))[:count, :count]
+    count = combination.shape[1]
+    of_unknowns = np.linalg.inv(0.5 * (matrix + matrix.T))[:count, :count]
+    covariance = combination @ of_unknowns @ combination.T
     prior_sd = np.array([parameter.sd for parameter in parameters])
     ratio = np.sqrt(np.diagonal(covariance))
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(of_unknowns)
+    vectors = combination @ vectors
     # Along an eigenvector, information of the markers over that of the prior is 1/variance - 1.
     unknown = [place for place in np.argsort(-values) if values[place] > 0.5]
     directions = tuple(

@@ -95,6 +95,8 @@ class JointSettings:
         Factor on all prior standard deviations.
     skin_movement
         Root mean square movement of a marker with the joint angles, m; 0 for none.
+    symmetric
+        Whether changes of joints and scales of one side are those of the other, mirrored.
     frames
         Largest number of frames that take part in the estimation.
     """
@@ -114,6 +116,7 @@ class JointSettings:
     widths: PriorWidths = field(default_factory=PriorWidths)
     prior_factor: float = 1.0
     skin_movement: float = SKIN_MOVEMENT
+    symmetric: bool = False
     frames: int = FRAMES
 
 
@@ -171,6 +174,7 @@ def _read_joints(table: Any, file: Path, problems: list[Problem]) -> dict[str, A
     }
     move = reader.boolean("markers")
     found["free_markers"] = True if move is None else move
+    found["symmetric"] = bool(reader.boolean("symmetric"))
     factor = reader.number("prior_factor", lowest=1e-3, highest=1e6, unit="", required=False)
     found["prior_factor"] = 1.0 if factor is None else factor
     skin = reader.number("skin_movement_mm", lowest=0.0, highest=50.0, unit="mm", required=False)
