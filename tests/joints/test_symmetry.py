@@ -1,4 +1,4 @@
-"""Left and right as one unknown: a symmetric person is recovered, and a joint of one side alone is refused."""
+"""Left and right as one unknown: a symmetric person is recovered, one side alone is refused."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.joints.person import make_person, mirrored
+from tests.joints.person import make_person, mirrored, settings_text
 from wrapjax.errors import InputError
 from wrapjax.geometry.marker_model import build_marker_model
 from wrapjax.joints.changed_skeleton import skeleton_change
@@ -90,6 +90,5 @@ def test_nothing_with_two_sides_is_refused(tmp_path):
 
 def test_settings_say_symmetric(tmp_path):
     make_person(tmp_path)
-    text = '[model]\nfile = "start.osim"\n[joints]\nsymmetric = true\n[[trial]]\nname = "w"\nmarkers = "walk.trc"\n'
-    (tmp_path / "joints.toml").write_text(text)
+    (tmp_path / "joints.toml").write_text(settings_text("symmetric = true\n"))
     assert read_joint_settings(tmp_path).symmetric

@@ -283,6 +283,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--people", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--curvature", type=float, default=0.0, help="movement with squared angles, share")
+    parser.add_argument("--cameras-mm", type=float, default=0.0, help="white noise of a coordinate, mm")
     options = parser.parse_args()
     set_up_jax()
     data = Path(os.environ["WRAPJAX_DATA"]) / "healthy_running"
@@ -293,7 +295,9 @@ def main() -> int:
             print(f"  {joint}: {1e3 * distance:.5f} mm, {np.degrees(angle):.5f} deg", flush=True)
         distances, angles, covered, rms = [], [], [], []
         for seed in range(options.first, options.first + options.people):
-            found, done, truth = recover(Path(folder), data, seed, SKIN)
+            found, done, truth = recover(
+                Path(folder), data, seed, SKIN, options.curvature, 1e-3 * options.cameras_mm
+            )
             distances += [value[0] for value in found.values()]
             angles += [value[1] for value in found.values() if np.isfinite(value[1])]
             covered.append(np.abs(done.values - truth) <= 1.645 * done.posterior.sd)
@@ -309,7 +313,11 @@ def main() -> int:
                 flush=True,
             )
     centre, axis = 1e3 * np.array(distances), np.degrees(angles)
-    print(f"{options.people} people, skin {1e3 * SKIN:.1f} mm:")
+    harder = f", curvature {options.curvature:g}, cameras {options.cameras_mm:g} mm"
+    print(f"{options.people} people, skin {1e3 * SKIN:.1f} mm{harder}:")
+    for number, joint in enumerate(JOINTS):
+        of_joint = np.median(1e3 * np.array(distances[number :: len(JOINTS)]))
+        print(f"  {joint}: center {of_joint:.1f} mm (median)")
     far = [np.percentile(values, 95) for values in (centre, axis)]
     print(f"  centres: median {np.median(centre):.1f} mm (aim 2), 95th percentile {far[0]:.1f} (aim 6)")
     print(f"  axes: median {np.median(axis):.1f} deg (aim 1), 95th percentile {far[1]:.1f} (aim 3)")

@@ -122,7 +122,6 @@ class JointProblem(AbstractLeastSquares):
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Compute the cost, half its gradient and its Gauss-Newton matrix."""
-
         count = variables.shape[0]
         places, functions = 3 * len(self.skin.drifting), self.skin.functions
         head = count - places * functions
@@ -237,7 +236,7 @@ class JointProblem(AbstractLeastSquares):
         rotation: Float[Array, "marker 3 3"],
         root: Float[Array, "marker 1"],
     ) -> Float[Array, "row head"]:
-        """Differentiate the weighted markers by parameters and movements with joint angles, at a fixed pose."""
+        """Differentiate weighted markers by parameters and movements with angles, at a fixed pose."""
         count = self.sd.shape[0]
 
         def positions(parameters: Float[Array, " parameter"]) -> Float[Array, "marker 3"]:

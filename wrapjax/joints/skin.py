@@ -1,9 +1,9 @@
 """Movement of skin over bone: of markers on their bodies, with joint angles and slowly in time.
 
 Skin moves continuously, most of it in phase with the joints near it (Leardini et al. 2005,
-doi:10.1016/j.gaitpost.2004.05.002). The place of a marker on its body is therefore the sum of its mean place, of
-movements in proportion to the angles of the joints at that body, with the same amplitudes in all trials, and
-of a drift: a Gaussian process in time for each trial with a squared exponential kernel, written in its
+doi:10.1016/j.gaitpost.2004.05.002). The place of a marker on its body is therefore the sum of its mean place,
+of movements in proportion to the angles of the joints at that body, with the same amplitudes in all trials,
+and of a drift: a Gaussian process in time for each trial with a squared exponential kernel, written in its
 principal functions (Karhunen-Loeve expansion), so that its amplitudes are independent. All amplitudes are
 variables with Gaussian priors; for the posterior of the joints they are integrated out.
 """
@@ -25,7 +25,7 @@ from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
 MIN_SPREAD = np.radians(1.0)
 #: Size of the drift against that of the movement with joint angles.
 DRIFT_SHARE = 0.3
-#: Correlation time of the drift, s: skin moves at the frequencies of the motion, about 1 Hz, and its multiples.
+#: Correlation time of the drift, s: skin moves at about the frequencies of the motion.
 DRIFT_TIME = 0.25
 #: Share of the drift's variance that its principal functions must explain.
 _EXPLAINED = 0.995
