@@ -112,6 +112,8 @@ class LaboratorySettings:
         Coordinates whose moments are predicted.
     muscle_parameters
         CSV file of muscle parameters, None if those of the model are used.
+    joints
+        ``joints.json`` of ``wrapjax joints`` that wrote the model, None if not given.
     scaling
         Setup file of OpenSim's scale tool, None if the model is scaled already.
     scales_masses
@@ -147,6 +149,7 @@ class LaboratorySettings:
     model_file: Path
     coordinates: tuple[str, ...]
     muscle_parameters: Path | None
+    joints: Path | None
     scaling: Path | None
     scales_masses: bool
     forward: str
@@ -186,6 +189,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     model_file = _file(model, "file")
     coordinates = model.names("coordinates") or ()
     muscle_parameters = _file(model, "muscle_parameters", required=False)
+    joints = _file(model, "joints", required=False)
     scaling = _file(model, "scaling", required=False)
     masses = model.boolean("scale_masses") or False
     if masses and scaling is not None:
@@ -237,6 +241,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         model_file=model_file,
         coordinates=coordinates,
         muscle_parameters=muscle_parameters,
+        joints=joints,
         scaling=scaling,
         scales_masses=masses,
         forward=forward,
