@@ -1,10 +1,8 @@
 """Priors of errors of joints that were personalised from markers."""
 
-from dataclasses import replace
-
 import pytest
 
-from tests.diagnosis.subject import small_recording_and_context
+from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.scaled_model import (
     HIP_CENTER_OFFSET,
     JOINT_AXIS_ROTATION,
@@ -16,14 +14,21 @@ HIP = JointSpread((0.002, 0.004, 0.05), (None, None, None))
 KNEE = JointSpread((0.001, 0.002, 0.006), (0.01, 0.02, None))
 
 
-@pytest.fixture(scope="module")
+def _context(joint_spread):
+    """A context of which nothing but the joints is known."""
+    context = object.__new__(Context)
+    object.__setattr__(context, "joint_spread", joint_spread)
+    return context
+
+
+@pytest.fixture
 def context():
-    return small_recording_and_context()[1]
+    return _context({})
 
 
-@pytest.fixture(scope="module")
-def narrow(context):
-    return replace(context, joint_spread={"hip_flexion_l": HIP, "knee_angle_l": KNEE})
+@pytest.fixture
+def narrow():
+    return _context({"hip_flexion_l": HIP, "knee_angle_l": KNEE})
 
 
 def test_a_personalised_hip_has_the_spread_that_markers_leave(context, narrow):

@@ -30,12 +30,12 @@ def test_a_subject_knows_its_personalised_joints(tmp_path):
     assert load_subject(folder).joint_spread == {COORDINATES[0]: expected}
 
 
-def test_joints_of_the_other_leg_are_left_out(tmp_path):
+def test_joints_of_another_model_are_refused(tmp_path):
     file = tmp_path / "joints.json"
     file.write_text(json.dumps(_content(["hip_flexion_r"])))
     assert set(read_joint_spread(tmp_path, ["hip_flexion_r"])) == {"hip_flexion_r"}
     folder = _named(write_subject(tmp_path / "leg"), _content(["hip_flexion_r"]))
-    with pytest.raises(InputError, match="expected a coordinate of the subject's model, found 'hip_flexion_r'"):
+    with pytest.raises(InputError, match="expected a coordinate of the subject's model, found 'hip_f"):
         load_subject(folder)
 
 

@@ -109,7 +109,7 @@ def _direction(
 def place_spread(
     joint: Joint, parameters: Sequence[FreedParameter], known: Posterior
 ) -> dict[str, list[float | None]]:
-    """Standard deviations of a joint's place in its parent body, scale of the body included.
+    """Compute standard deviations of a joint's place in its parent body, scale of the body included.
 
     Parameters
     ----------

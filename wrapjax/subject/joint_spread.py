@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.io.json_and_arrays import load_json
 
 #: File of the folder that is read.
 JOINTS_FILE = "joints.json"
@@ -55,7 +55,7 @@ def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, Joi
     """
     file = path / JOINTS_FILE if path.is_dir() else path
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = load_json(file)
     except OSError:
         message = f"expected a folder with {JOINTS_FILE}, written by 'wrapjax joints', found none"
         raise InputError(Problem(str(file), message)) from None
@@ -87,7 +87,7 @@ def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, Joi
 
 
 def _spread(joint: Any) -> JointSpread | None:
-    """Standard deviations of a joint's entry; None where it is not of the expected form."""
+    """Read the standard deviations of a joint's entry; None where it is not of the expected form."""
     if not isinstance(joint, dict) or not isinstance(joint.get("spread"), dict):
         return None
     names = joint.get("coordinates")
