@@ -61,7 +61,7 @@ def _residuals(
     )
     model = problem.change.apply(problem.model, problem.parameters(variables))
     amplitudes = variables[len(problem.sd) :]
-    moved = jax.vmap(lambda *at: problem.skin.moved(amplitudes, *at, model.locations))
+    moved = jax.vmap(lambda angle, time: problem.skin.moved(amplitudes, angle, time, model.locations))
     locations = np.asarray(moved(angles, drift))
     skeleton = jax.tree.map(np.asarray, model.skeleton)
     positions = stations(body_poses(model.structure, skeleton, poses), np.array(model.carriers), locations)

@@ -186,8 +186,8 @@ def load_from_settings(settings: Settings, folder: Path, known: Sequence[Problem
     spread: dict[str, JointSpread] = {}
     if settings.joints is not None and model is not None:
         with collect_problems(problems):
-            known = read_joint_spread(settings.joints, [info.name for info in model.coordinates])
-            spread = {name: entry for name, entry in known.items() if is_on_side(name, settings.side)}
+            joints = read_joint_spread(settings.joints, [info.name for info in model.coordinates])
+            spread = {name: entry for name, entry in joints.items() if is_on_side(name, settings.side)}
     read = functools.cache(read_storage)
     infos = () if model is None else model.coordinates
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
