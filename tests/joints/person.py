@@ -1,6 +1,6 @@
 """Synthetic person whose joints differ from the model's: markers by OpenSim, settings, and the truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,8 +41,19 @@ def freed_frames(joints=JOINTS):
     return tuple(freed)
 
 
-def make_person(folder, seed=0):
-    """Write the starting model, the true model, and marker files of a gait-like motion."""
+def mirrored(parameters):
+    """Parameters of the left side, and the signs that mirror the changes of the right one."""
+    left = [replace(entry, owner=entry.owner.removesuffix("_r") + "_l") for entry in parameters]
+    # z points to the right: a mirror turns translations along it round, and rotations about the other axes.
+    signs = [-1.0 if (entry.axis == 2) != (entry.unit == "rad") else 1.0 for entry in parameters]
+    return left, np.array(signs)
+
+
+def make_person(folder, seed=0, *, both_sides=False):
+    """Write the starting model, the true model, and marker files of a gait-like motion.
+
+    With both sides, the left leg differs from the model as the right one does, mirrored.
+    """
     model, true_model = folder / "start.osim", folder / "true.osim"
     model.write_text(legs_text(), encoding="utf-8")
     description = describe_model(model)
@@ -53,8 +64,11 @@ def make_person(folder, seed=0):
     rng = np.random.default_rng(seed)
     size = np.array([0.02 if parameter.unit == "m" else np.radians(10.0) for parameter in parameters])
     truth = rng.uniform(-1.0, 1.0, len(parameters)) * size
+    if both_sides:
+        left, signs = mirrored(parameters)
+        parameters, truth = (*parameters, *left), np.concatenate([truth, signs * truth])
     changed = skeleton_change(description, start, names, parameters).apply(start, truth).skeleton
-    rows = {name: start.structure.joints.index(name) for name in JOINTS}
+    rows = {entry.owner: start.structure.joints.index(entry.owner) for entry in parameters}
     frames = {
         name: tuple(
             (

@@ -14,6 +14,7 @@ from wrapjax.joints.personalisation import personalize_joints
 from wrapjax.joints.settings import JointSettings, MarkerTrial, read_joint_settings
 from wrapjax.osim.model import describe_model
 from wrapjax.preprocessing.markers import write_trc
+from wrapjax.subject.joint_spread import read_joint_spread
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +105,13 @@ def test_command_writes_the_contract_and_a_model_that_opens(person, tmp_path, ca
     assert set(content["joints"]) == set(JOINTS)
     assert set(content["joints"]["knee_r"]) >= {"translation_m", "orientation_rad", "sd", "determined"}
     assert set(content["markers"]) >= {"TH0_r", "SH0_r"}
+    # A diagnosis reads how sure the joints are.
+    spread = read_joint_spread(out, [entry.name for entry in describe_model(person.model).coordinates])
+    hip, knee = spread["hip_flexion_r"], spread["knee_angle_r"]
+    assert hip.orientation == (None, None, None) and all(0.0 < sd < 0.01 for sd in hip.translation)
+    freed_sd = content["joints"]["hip_r"]["sd"]["translation_m"]["parent"]
+    np.testing.assert_allclose(hip.translation, [freed_sd[axis] for axis in "xyz"])
+    assert all(0.0 < sd < 0.13 for sd in knee.orientation[:2])
     written = describe_model(out / "model_joints.osim")
     knee = next(joint for joint in written.joints if joint.name == "knee_r")
     np.testing.assert_allclose(
@@ -208,6 +216,15 @@ def test_settings_of_the_nmsm_pipeline_are_read(person):
     ("text", "message"),
     [
         (_nmsm_text(joint="knee"), "no such joint"),
+        (_nmsm_text().replace("<index>1", "<index>--1"), "expected a number as index"),
+        (
+            _nmsm_text(orientation="true false false").replace(">0.3<", ">0,3<", 1),
+            "expected a number as orient",
+        ),
+        (
+            _nmsm_text(orientation="true false false").replace(">0.3<", ">-1<", 1),
+            "expected a positive number",
+        ),
         (_nmsm_text(orientation="yes true"), "expected three of true and false as orientation"),
         (_nmsm_text().replace("walk.trc", "wolk.trc"), "<marker_file_name>: expected a file"),
         (_nmsm_text().replace("<is_enabled>true", "<is_enabled>false"), "expected an enabled <JMPTask>"),

@@ -21,11 +21,14 @@ from wrapjax.io.json_and_arrays import load_arrays, load_json
 from wrapjax.io.model_file import read_model_file
 from wrapjax.io.storage import read_storage
 from wrapjax.io.xml import MAX_BYTES, MAX_NESTING
+from wrapjax.joints.nmsm_settings import read_nmsm_settings
+from wrapjax.joints.settings import read_joint_settings
 from wrapjax.preprocessing.c3d import read_c3d_markers
 from wrapjax.preprocessing.laboratory_settings import read_laboratory_settings
 from wrapjax.preprocessing.markers import read_trc
 from wrapjax.preprocessing.nmsm_files import read_osimx, read_tool_settings
 from wrapjax.subject.external_loads import read_external_loads
+from wrapjax.subject.joint_spread import read_joint_spread
 from wrapjax.subject.muscle_parameters import read_muscle_parameters
 from wrapjax.subject.subject import load_subject
 
@@ -42,6 +45,9 @@ READERS = {
     "settings.xml": read_tool_settings,
     "toml": read_laboratory_settings,
     "trc": read_trc,
+    "joints.toml": read_joint_settings,
+    "jmp.xml": read_nmsm_settings,
+    "joints.json": lambda path: read_joint_spread(path, ["hip_flexion_l"]),
     "c3d": read_c3d_markers,
 }
 
@@ -286,6 +292,23 @@ def test_very_long_names_are_not_compared():
     """The time to compare two texts grows with the square of their lengths."""
     assert nearest_name("a" * 1_000_000, ["soleus_l"]) == "known: soleus_l"
     assert nearest_name("soleus", ["soleus_l", "b" * 1_000_000]) == "did you mean 'soleus_l'?"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("joints.toml", f'[model]\nfile = "{"x" * 3000}"', "expected a file"),
+        ("joints.toml", f"[[trial]]\nmarkers = 'a'\ninterval = [0, 1{'0' * 400}]", "expected [start, end]"),
+        ("joints.toml", f"[[trial]]\nmarkers = 'a'\ninterval = [1, 0x{'f' * 5000}]", "too many digits"),
+        ("joints.toml", "[markers]\nweights = 3", "[markers.weights]"),
+        ("joints.json", "[" * 100_000, "too deeply nested"),
+    ],
+    ids=("long path", "huge time", "huge integer", "weights", "nested"),
+)
+def test_files_of_joints_found_by_fuzzing_are_refused(tmp_path, name, content, words):
+    file = tmp_path / f"input.{name}"
+    file.write_text(content)
+    assert words in refusal(READERS[name], file)
 
 
 # ---- Any bytes

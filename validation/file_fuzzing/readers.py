@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.preprocessing.marker_legs import legs_text
 from validation.file_fuzzing import seeds
 from wrapjax.errors import InputError, Problem
 
@@ -24,6 +25,7 @@ READING = (
     ),
     *(
         "wrapjax.preprocessing",
+        "wrapjax.joints",
         "wrapjax.io",
         "wrapjax.evaluation.stored_run",
         "wrapjax.path_sources.polynomial_fit",
@@ -204,6 +206,29 @@ def _laboratory(finished: Path, place: Path) -> Prepared:
     return Prepared(file, (seeds.LABORATORY,), lambda: read_laboratory_settings(file))
 
 
+def _joint_settings(finished: Path, place: Path) -> Prepared:
+    from wrapjax.joints.settings import read_joint_settings
+
+    file = seeds.laboratory(place / "laboratory") / "joints.toml"
+    return Prepared(file, (seeds.JOINT_SETTINGS, seeds.LABORATORY), lambda: read_joint_settings(file))
+
+
+def _joint_tasks(finished: Path, place: Path) -> Prepared:
+    from wrapjax.joints.nmsm_settings import read_nmsm_settings
+
+    file = seeds.laboratory(place / "laboratory") / "settings.xml"
+    (file.parent / "model.osim").write_text(legs_text())
+    return Prepared(file, (seeds.JOINT_TASKS,), lambda: read_nmsm_settings(file))
+
+
+def _joint_spread(path: Path) -> None:
+    from wrapjax.subject.joint_spread import read_joint_spread
+
+    for spread in read_joint_spread(path, ["hip_flexion_l", "knee_angle_l"]).values():
+        known = [value for value in (*spread.translation, *spread.orientation) if value is not None]
+        _finite(np.array(known))
+
+
 def _opensim(finished: Path, place: Path) -> Prepared:
     from wrapjax.io.model_file import read_model_file
     from wrapjax.osim.loading import import_opensim
@@ -310,6 +335,9 @@ READERS: dict[str, Reader] = {
         Reader("NMSM project (.xml)", _project),
         Reader("laboratory's settings (.toml)", _laboratory, 2.0),
         Reader("markers (.trc)", _plain(".trc", _trc, seeds.MARKERS), 2.0),
+        Reader("joints' settings (.toml)", _joint_settings),
+        Reader("joints' tasks of the NMSM Pipeline (.xml)", _joint_tasks, 0.1, separate_process=True),
+        Reader("joints.json", _plain(".json", _joint_spread, seeds.JOINTS)),
         Reader("summary.json of a run", _run_part("summary.json")),
         Reader("settings.json of a run", _run_part("settings.json")),
         Reader("parameters.csv of a run", _run_part("parameters.csv")),

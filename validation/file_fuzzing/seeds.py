@@ -119,6 +119,53 @@ emg = "walk.sto"
 speed_m_s = 0.8
 cycles = [[1.43, 2.79]]
 """
+JOINT_SETTINGS = b"""[subject]
+name = "P07"
+[model]
+file = "model.osim"
+[laboratory]
+forward = "x"
+up = "z"
+[markers]
+ignore = ["LASI2"]
+weights = { LHEE = 10.0 }
+[joints]
+free = ["hip_l", "knee_l"]
+scales = "axes"
+markers = false
+symmetric = true
+skin_movement_mm = 4.5
+prior_factor = 2
+frames = 50
+[[trial]]
+name = "walk_1"
+use = "validation"
+markers = "walk.trc"
+weight = 2.0
+interval = [0.5, 2]
+[[trial]]
+name = "walk_2"
+markers = "walk.trc"
+"""
+JOINT_TASKS = b"""<?xml version="1.0" encoding="UTF-8"?>
+<NMSMPipelineDocument Version="1.5.0"><JointModelPersonalizationTool>
+<input_directory>.</input_directory><input_model_file>model.osim</input_model_file>
+<JMPTaskList><JMPTask name="knee"><is_enabled>true</is_enabled><index>1</index>
+<marker_file_name>.\\walk.trc</marker_file_name><time_range>0 0.5</time_range>
+<marker_names>TH0_r SH1_r</marker_names><free_markers>TH1_r</free_markers>
+<JMPJointSet><JMPJoint name="knee_r"><parent_frame_transformation>
+<translation>false false true</translation><translation_bounds>0.05</translation_bounds>
+<orientation>true true false</orientation><orientation_bounds>0.3</orientation_bounds>
+</parent_frame_transformation></JMPJoint></JMPJointSet>
+<JMPBodySet><JMPBody name="shank_r"><scale_body>true</scale_body>
+<move_markers>true false false</move_markers></JMPBody></JMPBodySet>
+</JMPTask></JMPTaskList></JointModelPersonalizationTool></NMSMPipelineDocument>
+"""
+JOINTS = b"""{"schema": 1, "joints": {"hip_l": {"coordinates": ["hip_flexion_l"],
+"spread": {"translation_m": [0.002, 0.003, null], "orientation_rad": [null, null, null]}},
+"knee_l": {"coordinates": ["knee_angle_l"],
+"spread": {"translation_m": [0.001, 0.001, 0.007], "orientation_rad": [0.01, 0.02, null]}}}}
+"""
 MARKERS = (
     "PathFileType\t4\t(X/Y/Z)\twalk.trc\n"
     "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n"

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.geometry.marker_model import build_marker_model
-from wrapjax.geometry.model_description import ModelDescription
+from wrapjax.geometry.model_description import Joint, ModelDescription
 from wrapjax.io.storage import read_storage
 from wrapjax.jax_setup import set_up_jax
 from wrapjax.joints.changed_skeleton import skeleton_change
@@ -123,10 +123,15 @@ def moved_skin(
     gains: Float[np.ndarray, "marker 3 coordinate"],
     skin: float,
     rng: np.random.Generator,
+    curvature: float = 0.0,
 ) -> dict[str, Float[np.ndarray, "frame marker 3"]]:
-    """Movements of markers on their bodies, m, by trial: the same per angle in all trials."""
+    """Movements of markers on their bodies, m, by trial: the same per angle in all trials.
+
+    With a curvature they also move in proportion to the squared angles, with other random amplitudes.
+    """
     joined = np.concatenate(list(motion_of.values()))
     mean, spread = joined.mean(axis=0), joined.std(axis=0)
+    bent = curvature * rng.permutation(gains, axis=1)
     moved = {}
     for name, motion in motion_of.items():
         angles = (motion - mean) / np.where(spread > np.radians(1.0), spread, np.inf)
@@ -134,6 +139,7 @@ def moved_skin(
         time = np.arange(len(motion))[:, None, None] / RATE
         slow = np.sin(2.0 * np.pi * 0.7 * time + phase) * rng.normal(size=(1, len(gains), 3))
         moved[name] = np.einsum("mkc,fc->fmk", gains, angles) + SLOW * slow
+        moved[name] += np.einsum("mkc,fc->fmk", bent, angles**2 - 1.0)
     size = np.sqrt(np.mean(np.sum(np.concatenate(list(moved.values())) ** 2, axis=-1)))
     return {name: skin / size * values for name, values in moved.items()}
 
@@ -184,14 +190,23 @@ def errors(found: ModelDescription, truth: ModelDescription) -> dict[str, tuple[
             rotation, shift = laid
             poses = [getattr(joint, side) for joint in joints]
             offset = rotation @ poses[0].translation + shift - np.asarray(poses[1].translation)
-            axis = np.asarray(poses[1].rotation)[:, 2]
             if name in HINGES:
+                # The axis of rotation in the joint's frame; it is oblique to the frame in the ankle.
+                turns = _hinge(joints[1])
+                ours, axis = (np.asarray(pose.rotation) @ turns for pose in poses)
+                ours = rotation @ ours
                 offset = offset - axis * (axis @ offset)
-                ours = rotation @ np.asarray(poses[0].rotation)[:, 2]
                 angles.append(float(np.arccos(np.clip(ours @ axis, -1.0, 1.0))))
             distances.append(float(np.linalg.norm(offset)))
         result[name] = (float(np.mean(distances)), float(np.mean(angles)) if angles else np.nan)
     return result
+
+
+def _hinge(joint: Joint) -> np.ndarray:
+    """Axis of a hinge in the joint's frame."""
+    return np.array(
+        next(axis.direction for axis in joint.axes or () if axis.kind == "rotation" and axis.coordinate)
+    )
 
 
 def _laid_on(
@@ -212,9 +227,23 @@ def _laid_on(
 
 
 def recover(
-    folder: Path, data: Path, seed: int, skin: float
+    folder: Path, data: Path, seed: int, skin: float, curvature: float = 0.0, cameras: float = 0.0
 ) -> tuple[dict[str, tuple[float, float]], JointPersonalisation, Float[np.ndarray, " parameter"]]:
-    """Make a person, personalise the starting model, and return errors, result and the true values."""
+    """Make a person, personalise the starting model, and return errors, result and the true values.
+
+    Parameters
+    ----------
+    folder, data
+        Folder for files, and the recorded person's.
+    seed
+        Seed of the person.
+    skin
+        Root mean square movement of skin, m; 0 for none, with priors off.
+    curvature
+        Size of the movement in proportion to squared angles, against that with angles.
+    cameras
+        Standard deviation of the white noise of a marker's coordinate, m.
+    """
     rng = np.random.default_rng(seed)
     model, true_model = data / "model.osim", folder / f"true{seed}.osim"
     parameters = freed()
@@ -226,11 +255,13 @@ def recover(
     names = tuple(marker.name for marker in description.markers if marker.body in BODIES)
     gains = skin_gains(description, names, coordinates, rng)
     made = motions(data, coordinates)
-    moved = moved_skin(made, gains, skin, rng)
+    moved = moved_skin(made, gains, skin, rng, curvature)
     trials = []
     for name, motion in made.items():
         file = folder / f"{name}{seed}.trc"
-        write_trc(file, recorded(true_model, coordinates, motion, names, moved[name]))
+        markers = recorded(true_model, coordinates, motion, names, moved[name])
+        seen = markers.positions + cameras * rng.normal(size=markers.positions.shape)
+        write_trc(file, replace(markers, positions=seen))
         trials.append(MarkerTrial(name, file))
     settings = JointSettings(
         file=folder / "joints.toml",
@@ -252,6 +283,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--people", type=int, default=50)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--curvature", type=float, default=0.0, help="movement with squared angles, share")
+    parser.add_argument("--cameras-mm", type=float, default=0.0, help="white noise of a coordinate, mm")
     options = parser.parse_args()
     set_up_jax()
     data = Path(os.environ["WRAPJAX_DATA"]) / "healthy_running"
@@ -262,7 +295,9 @@ def main() -> int:
             print(f"  {joint}: {1e3 * distance:.5f} mm, {np.degrees(angle):.5f} deg", flush=True)
         distances, angles, covered, rms = [], [], [], []
         for seed in range(options.first, options.first + options.people):
-            found, done, truth = recover(Path(folder), data, seed, SKIN)
+            found, done, truth = recover(
+                Path(folder), data, seed, SKIN, options.curvature, 1e-3 * options.cameras_mm
+            )
             distances += [value[0] for value in found.values()]
             angles += [value[1] for value in found.values() if np.isfinite(value[1])]
             covered.append(np.abs(done.values - truth) <= 1.645 * done.posterior.sd)
@@ -278,7 +313,11 @@ def main() -> int:
                 flush=True,
             )
     centre, axis = 1e3 * np.array(distances), np.degrees(angles)
-    print(f"{options.people} people, skin {1e3 * SKIN:.1f} mm:")
+    harder = f", curvature {options.curvature:g}, cameras {options.cameras_mm:g} mm"
+    print(f"{options.people} people, skin {1e3 * SKIN:.1f} mm{harder}:")
+    for number, joint in enumerate(JOINTS):
+        of_joint = np.median(1e3 * np.array(distances[number :: len(JOINTS)]))
+        print(f"  {joint}: center {of_joint:.1f} mm (median)")
     far = [np.percentile(values, 95) for values in (centre, axis)]
     print(f"  centres: median {np.median(centre):.1f} mm (aim 2), 95th percentile {far[0]:.1f} (aim 6)")
     print(f"  axes: median {np.median(axis):.1f} deg (aim 1), 95th percentile {far[1]:.1f} (aim 3)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,12 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
         "of the NMSM Pipeline's joint model personalization (XML)",
     )
     joints.add_argument("--out", type=Path, required=True, metavar="DIR", help="output folder")
+    joints.add_argument(
+        "--symmetric",
+        action="store_true",
+        help="one unknown for both sides: changes of joints and scales of the left are those of the right, "
+        "mirrored",
+    )
     add_settings(joints)
 
 
@@ -59,11 +66,14 @@ def joints_table(content: dict[str, Any]) -> str:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
-    from wrapjax.joints.personalisation import personalize_joints
+    from wrapjax.joints.personalisation import personalize_joints, read_settings
     from wrapjax.progress import print_progress
 
     check_output_folder(options.out, options.force)
-    done = personalize_joints(options.settings, log=lambda line: print_progress(line, quiet=options.quiet))
+    settings = read_settings(options.settings)
+    if options.symmetric:
+        settings = replace(settings, symmetric=True)
+    done = personalize_joints(settings, log=lambda line: print_progress(line, quiet=options.quiet))
     done.save(options.out, force=options.force)
     content = read_json(options.out / "joints.json")
     if options.json:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.geometry.paths import PathState
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
+from wrapjax.subject.joint_spread import JointSpread
 from wrapjax.subject.muscle_groups import standard_name
 from wrapjax.subject.trials import GAIT
 
@@ -117,6 +118,8 @@ class Context:
         measured moments, by inverse dynamics (`effects.measured_changes`).
     no_measured_changes
         Reason why there are none.
+    joint_spread
+        Standard deviations of the places of joints that were personalised from markers, by coordinate.
     all_cycles
         Context of all cycles, of which this one is a selection; None if nothing was selected.
     tasks
@@ -149,6 +152,7 @@ class Context:
     path_changes: Mapping[str, Mapping[str, PathState]] = field(default_factory=dict)
     measured_changes: Mapping[str, Mapping[str, MeasuredChange]] = field(default_factory=dict)
     no_measured_changes: str = "no ground reaction forces are given for these trials"
+    joint_spread: Mapping[str, JointSpread] = field(default_factory=dict)
     all_cycles: Context | None = None
     tasks: tuple[str, ...] = ()
 

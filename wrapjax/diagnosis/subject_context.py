@@ -174,6 +174,7 @@ def build_context(calibration: Calibration) -> tuple[Recording, Context]:
         path_changes=path_changes,
         measured_changes=measured_changes,
         no_measured_changes=no_measured_changes or _INDEPENDENT,
+        joint_spread=subject.joint_spread,
     )
     return inputs, context
 

@@ -77,6 +77,7 @@ def skeleton_change(
     model: MarkerModel,
     markers: Sequence[str],
     parameters: Sequence[FreedParameter],
+    combination: Float[np.ndarray, "parameter unknown"] | None = None,
 ) -> SkeletonChange:
     """Build the maps from freed parameters to a model's skeleton.
 
@@ -88,6 +89,9 @@ def skeleton_change(
         Names of the skeleton's markers.
     parameters
         Freed parameters. Those of parts that move no marker change nothing.
+    combination
+        Map from unknowns to the parameters, if these are not the unknowns themselves; then the maps returned
+        are those from unknowns.
     """
     structure, count = model.structure, len(parameters)
     frames = tuple(np.zeros((len(structure.joints), 3, count)) for _ in FRAME_KINDS)
@@ -101,6 +105,9 @@ def skeleton_change(
             scales[structure.bodies.index(parameter.owner), axes, column] = 1.0
         elif parameter.kind == "marker" and parameter.owner in markers:
             places[list(markers).index(parameter.owner), axes, column] = 1.0
+    if combination is not None:
+        frames = tuple(rows @ combination for rows in frames)
+        scales, places = scales @ combination, places @ combination
     return SkeletonChange(frames, scales, places, _scaled_translations(description, model))
 
 

@@ -7,8 +7,7 @@ matrix is that of all unknowns with each frame's pose eliminated by the Schur co
 doi:10.1007/BF01932995): with residuals r, Jacobians J of the variables and K of the pose,
 ``sum over frames of J'J - J'K inverse(K'K) K'J``. One step costs about as much as inverse kinematics.
 
-Skin moves over bone with the joints near it. Markers may therefore have movements on their bodies in
-proportion to given features of the frame (standardised joint angles), with a prior of their own.
+Skin moves over bone. The amplitudes of these movements (`wrapjax.joints.skin`) are variables too.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from wrapjax.geometry.inverse_kinematics import Bounds, MarkerGoals, PoseFit, ex
 from wrapjax.geometry.marker_model import MarkerModel
 from wrapjax.geometry.skeleton import body_poses
 from wrapjax.joints.changed_skeleton import SkeletonChange
+from wrapjax.joints.skin import SkinMovement
 
 #: Number of frames that are solved at once.
 FRAME_BLOCK = 32
@@ -43,33 +43,36 @@ class Frames(NamedTuple):
         Measured markers; their weights are shares of a frame's sum.
     precision
         Weight of a frame's mean squared distance in the cost, 1/m^2; zero for frames that only fill a block.
-    features
-        Standardised joint angles that may move the skin.
+    angles
+        Standardised joint angles, with which skin moves.
+    drift
+        Functions of time by which skin drifts.
     starts
         Poses near the solutions.
     """
 
     goals: MarkerGoals
     precision: Float[Array | np.ndarray, "block frame"]
-    features: Float[Array | np.ndarray, "block frame feature"]
+    angles: Float[Array | np.ndarray, "block frame feature"]
+    drift: Float[Array | np.ndarray, "block frame function"]
     starts: Float[Array | np.ndarray, "block frame coordinate"]
 
 
-class SkinMovement(eqx.Module):
-    """Movements of markers on their bodies in proportion to features.
+class _FrameTerms(NamedTuple):
+    """Terms of one frame.
 
-    Parameters
-    ----------
-    markers, axes, features
-        Marker, axis of its body and feature of each movement.
-    sd
-        Prior standard deviation of each movement, m per standard deviation of the feature.
+    Of the variables, parameters and movements with joint angles (``head``) have Jacobians J and C, with
+    ``C'C = J'K inverse(K'K) K'J``. Movements of drifting markers along the axes of their bodies (``place``)
+    have Jacobians of their own; a variable of the drift is such a movement times a function of time.
     """
 
-    markers: tuple[int, ...] = eqx.field(static=True)
-    axes: tuple[int, ...] = eqx.field(static=True)
-    features: tuple[int, ...] = eqx.field(static=True)
-    sd: Float[np.ndarray, " movement"]
+    cost: Float[Array, ""]
+    head_gradient: Float[Array, " head"]
+    head: Float[Array, "row head"]
+    head_followed: Float[Array, "coordinate head"]
+    place_gradient: Float[Array, " place"]
+    crossed: Float[Array, "place head"]
+    places: Float[Array, "place place"]
 
 
 class JointProblem(AbstractLeastSquares):
@@ -82,7 +85,7 @@ class JointProblem(AbstractLeastSquares):
     change
         Map from parameters to skeletons.
     skin
-        Movements of markers with joint angles; their amplitudes are variables after the parameters.
+        Movements of skin; their amplitudes are variables after the parameters.
     frames
         Measured frames.
     pose_bounds
@@ -104,12 +107,12 @@ class JointProblem(AbstractLeastSquares):
     @property
     def lower(self) -> Float[np.ndarray, " variable"]:
         """Lower bounds; movements of skin have none."""
-        return np.concatenate([self.limits[0] / self.sd, np.full(self.skin.sd.shape, -1e6)])
+        return np.concatenate([self.limits[0] / self.sd, np.full(self.skin.count, -1e6)])
 
     @property
     def upper(self) -> Float[np.ndarray, " variable"]:
         """Upper bounds."""
-        return np.concatenate([self.limits[1] / self.sd, np.full(self.skin.sd.shape, 1e6)])
+        return np.concatenate([self.limits[1] / self.sd, np.full(self.skin.count, 1e6)])
 
     def parameters(
         self, variables: Float[Array | np.ndarray, " variable"]
@@ -119,19 +122,35 @@ class JointProblem(AbstractLeastSquares):
 
     def linearize(self, variables: Float[Array, " variable"]) -> Linearization:
         """Compute the cost, half its gradient and its Gauss-Newton matrix."""
-
-        def add(total: tuple[Array, Array, Array], block: Frames) -> tuple[tuple[Array, Array, Array], None]:
-            cost, residuals, rows, followed = jax.vmap(lambda frame: self._frame_terms(variables, frame))(
-                block
-            )
-            # One product of tall matrices is far quicker than one a frame.
-            tall, wide = (array.reshape(-1, variables.shape[0]) for array in (rows, followed))
-            terms = (cost.sum(), tall.T @ residuals.reshape(-1), tall.T @ tall - wide.T @ wide)
-            return (total[0] + terms[0], total[1] + terms[1], total[2] + terms[2]), None
-
         count = variables.shape[0]
-        start = (jnp.zeros(()), jnp.zeros(count), jnp.zeros((count, count)))
-        (cost, gradient, matrix), _ = jax.lax.scan(add, start, self.frames)
+        places, functions = 3 * len(self.skin.drifting), self.skin.functions
+        head = count - places * functions
+
+        def add(total: tuple[Array, ...], block: Frames) -> tuple[tuple[Array, ...], None]:
+            frames = jax.vmap(lambda frame: self._frame_terms(variables, frame))(block)
+            drift = jnp.asarray(block.drift)
+            # One product of tall matrices is far quicker than one a frame.
+            tall, wide = (array.reshape(-1, head) for array in (frames.head, frames.head_followed))
+            squares = (drift[:, :, None] * drift[:, None, :]).reshape(len(drift), functions**2)
+            terms = (
+                frames.cost.sum(),
+                frames.head_gradient.sum(axis=0),
+                tall.T @ tall - wide.T @ wide,
+                drift.T @ frames.place_gradient,
+                drift.T @ frames.crossed.reshape(len(drift), places * head),
+                squares.T @ frames.places.reshape(len(drift), places**2),
+            )
+            return tuple(one + other for one, other in zip(total, terms, strict=True)), None
+
+        shapes = [(), (head,), (head, head), (functions, places)]
+        shapes += [(functions, places * head), (functions**2, places**2)]
+        sums, _ = jax.lax.scan(add, tuple(jnp.zeros(shape) for shape in shapes), self.frames)
+        cost, gradient, matrix, drift_gradient, crossed, squares = sums
+        gradient = jnp.concatenate([gradient, drift_gradient.reshape(-1)])
+        crossed = crossed.reshape(functions * places, head)
+        squares = squares.reshape(functions, functions, places, places).transpose(0, 2, 1, 3)
+        squares = squares.reshape(functions * places, functions * places)
+        matrix = jnp.block([[matrix, crossed.T], [crossed, squares]])
         return Linearization(
             cost=cost + jnp.sum(variables**2),
             gradient=gradient + variables,
@@ -158,34 +177,21 @@ class JointProblem(AbstractLeastSquares):
     def _skeleton(self, variables: Float[Array | np.ndarray, " variable"], frame: Frames) -> MarkerModel:
         """Skeleton of a frame: changed by the parameters, and markers moved with the skin."""
         changed = self.change.apply(self.model, self.parameters(variables))
-        moved = (
-            variables[self.sd.shape[0] :] * self.skin.sd * frame.features[np.array(self.skin.features, int)]
-        )
-        return self._with_moved_skin(changed, moved)
-
-    def _with_moved_skin(self, changed: MarkerModel, moved: Float[Array, " movement"]) -> MarkerModel:
-        if not self.skin.markers:
-            return changed
-        places = (np.array(self.skin.markers), np.array(self.skin.axes))
-        locations = jnp.asarray(changed.locations).at[places].add(moved)
+        amplitudes = variables[self.sd.shape[0] :]
+        locations = self.skin.moved(amplitudes, frame.angles, frame.drift, changed.locations)
         return MarkerModel(changed.structure, changed.carriers, changed.skeleton, locations)
 
     def _fit(self, variables: Float[Array | np.ndarray, " variable"], frame: Frames) -> PoseFit:
         return fit_frame(self._skeleton(variables, frame), frame.goals, self.pose_bounds, frame.starts)
 
-    def _frame_terms(
-        self, variables: Float[Array, " variable"], frame: Frames
-    ) -> tuple[Array, Array, Array, Array]:
-        """Compute cost, residuals, their Jacobian J, and C with ``C'C = J'K inverse(K'K) K'J``."""
+    def _frame_terms(self, variables: Float[Array, " variable"], frame: Frames) -> _FrameTerms:
         model = self._skeleton(variables, frame)
         fit = fit_frame(model, frame.goals, self.pose_bounds, frame.starts)
         pose = jnp.asarray(jax.lax.stop_gradient(fit.poses))
         root = jnp.sqrt(frame.goals.weights * frame.precision)[:, None]
-        by_variable = self._marker_jacobian(variables, frame, pose) * root[..., None]
         positions, rates, _ = model.motion(pose)
         by_mover = jnp.swapaxes(rates, 0, 1) * root[None]
         by_coordinate = model.by_coordinate(by_mover).reshape(pose.shape[0], -1)
-        flat = by_variable.reshape(-1, variables.shape[0])
         residuals = ((positions - frame.goals.measured) * root).reshape(-1)
         # Coordinates held at a bound do not follow the variables.
         slope = expand(model, frame.goals, pose).gradient
@@ -196,28 +202,55 @@ class JointProblem(AbstractLeastSquares):
         information = free @ free.T + jnp.diag(frame.goals.value_weights * frame.precision)
         scale = _RIDGE * jnp.maximum(jnp.diagonal(information).max(), 1e-30)
         factor = jnp.linalg.cholesky(information + jnp.diag(scale + held))
-        crossed = jsp.linalg.solve_triangular(factor, free @ flat, lower=True)
-        return jnp.asarray(fit.cost * frame.precision), residuals, flat, crossed
+        # Velocities of the markers with movements along the axes of their bodies.
+        rotation = body_poses(model.structure, model.skeleton, pose).rotation[np.array(model.carriers)]
+        rotation = rotation * root[..., None]
+        head = self._head_jacobian(variables, frame, pose, rotation, root)
+        drifting = np.array(self.skin.drifting, dtype=int)
+        turned = rotation[drifting]
+        by_place = jnp.einsum("cmk,mka->cma", free.reshape(len(free), -1, 3)[:, drifting], turned)
+        followed, place_followed = (
+            jsp.linalg.solve_triangular(factor, sides, lower=True)
+            for sides in (free @ head, by_place.reshape(len(free), 3 * drifting.size))
+        )
+        rows = head.reshape(len(rotation), 3, head.shape[-1])[drifting]
+        crossed = jnp.einsum("mka,mkv->mav", turned, rows)
+        crossed = crossed.reshape(3 * drifting.size, head.shape[-1])
+        own = jnp.repeat(root[drifting, 0] ** 2, 3, total_repeat_length=3 * drifting.size)
+        return _FrameTerms(
+            cost=jnp.asarray(fit.cost * frame.precision),
+            head_gradient=head.T @ residuals,
+            head=head,
+            head_followed=followed,
+            place_gradient=self.skin.drift_sd
+            * jnp.einsum("mka,mk->ma", turned, residuals.reshape(-1, 3)[drifting]).ravel(),
+            crossed=self.skin.drift_sd * (crossed - place_followed.T @ followed),
+            places=self.skin.drift_sd**2 * (jnp.diag(own) - place_followed.T @ place_followed),
+        )
 
-    def _marker_jacobian(
-        self, variables: Float[Array, " variable"], frame: Frames, pose: Float[Array, " coordinate"]
-    ) -> Float[Array, "marker 3 variable"]:
-        """Differentiate the markers' positions by the variables at a fixed pose."""
+    def _head_jacobian(
+        self,
+        variables: Float[Array, " variable"],
+        frame: Frames,
+        pose: Float[Array, " coordinate"],
+        rotation: Float[Array, "marker 3 3"],
+        root: Float[Array, "marker 1"],
+    ) -> Float[Array, "row head"]:
+        """Differentiate weighted markers by parameters and movements with angles, at a fixed pose."""
         count = self.sd.shape[0]
 
-        def positions(head: Float[Array, " parameter"]) -> Float[Array, "marker 3"]:
-            return self._skeleton(jnp.concatenate([head, variables[count:]]), frame).positions(pose)
+        def positions(parameters: Float[Array, " parameter"]) -> Float[Array, "marker 3"]:
+            return root * self._skeleton(jnp.concatenate([parameters, variables[count:]]), frame).positions(
+                pose
+            )
 
-        by_parameter = jax.jacfwd(positions)(variables[:count]) if count else jnp.zeros((0,))
-        if not self.skin.markers:
-            return by_parameter
-        model, markers = self._skeleton(variables, frame), np.array(self.skin.markers)
-        bodies = np.array(model.carriers)[markers]
-        rotation = body_poses(model.structure, model.skeleton, pose).rotation[bodies]
-        columns = rotation[np.arange(markers.size), :, np.array(self.skin.axes)]
-        columns = columns * (self.skin.sd * frame.features[np.array(self.skin.features)])[:, None]
-        moved = (markers == np.arange(len(model.carriers))[:, None]) * 1.0
-        return jnp.concatenate([by_parameter, moved[:, None, :] * columns.T[None]], axis=-1)
+        by_parameter = jax.jacfwd(positions)(variables[:count])
+        markers = np.array(self.skin.markers, dtype=int)
+        columns = rotation[markers, :, np.array(self.skin.axes, dtype=int)]
+        lengths = self.skin.sd * frame.angles[np.array(self.skin.features, dtype=int)]
+        own = (markers == np.arange(len(rotation))[:, None]) * 1.0
+        by_movement = own[:, None, :] * (columns * lengths[:, None]).T[None]
+        return jnp.concatenate([by_parameter, by_movement], axis=-1).reshape(-1, count + markers.size)
 
 
 @eqx.filter_jit
@@ -230,4 +263,4 @@ def in_blocks(array: Float[Array | np.ndarray, "frame ..."]) -> Float[np.ndarray
     """Cut frames into blocks of `FRAME_BLOCK`; the last frame is repeated to fill the last block."""
     count = len(array)
     rows = np.minimum(np.arange(count + -count % FRAME_BLOCK), count - 1)
-    return np.asarray(array)[rows].reshape(-1, FRAME_BLOCK, *array.shape[1:])
+    return np.asarray(array)[rows].reshape(len(rows) // FRAME_BLOCK, FRAME_BLOCK, *array.shape[1:])

@@ -7,6 +7,7 @@ Settings of the pipeline's optimiser have no meaning here and are left alone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path, PureWindowsPath
 from xml.etree.ElementTree import Element
@@ -52,7 +53,7 @@ def read_nmsm_settings(file: Path | str) -> JointSettings:
     )
     tasks = sorted(
         (task for task in tool.iter("JMPTask") if _truth(task.findtext("is_enabled") or "true")),
-        key=lambda task: float(task.findtext("index") or "inf"),
+        key=lambda task: _order(task, file, problems),
     )
     if not tasks:
         problems.append(Problem(str(file), "expected an enabled <JMPTask>, found none"))
@@ -118,8 +119,11 @@ def _parameters(
             for quantity in ("translation", "orientation") if frame is not None else ():
                 assert frame is not None
                 axes = _axes(frame, quantity, name, file, problems)
-                text = (frame.findtext(f"{quantity}_bounds") or "").strip()
-                bound = float(text) if text else None
+                bound = _number(frame, f"{quantity}_bounds", file, problems)
+                if bound is not None and not 0.0 < bound < math.inf:
+                    message = f"expected a positive number as {quantity}_bounds, found {bound:g}"
+                    problems.append(Problem(str(file), message, name))
+                    continue
                 yield from frame_parameters(name, f"{side}_{quantity}", axes, widths, bound)
     for body in task.iter("JMPBody"):
         name = body.get("name", "")
@@ -146,6 +150,25 @@ def _axes(parent: Element, tag: str, name: str, file: Path, problems: list[Probl
     return [axis for axis, word in enumerate(words) if _truth(word)]
 
 
+def _order(task: Element, file: Path, problems: list[Problem]) -> float:
+    """Place of a task; those without one come last."""
+    index = _number(task, "index", file, problems)
+    return math.inf if index is None else index
+
+
+def _number(parent: Element, tag: str, file: Path, problems: list[Problem]) -> float | None:
+    """Read a number; None where it is missing or not a number."""
+    text = (parent.findtext(tag) or "").strip()
+    if not text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        message = f"expected a number as {tag}, found '{text}'"
+        problems.append(Problem(str(file), message, parent.get("name") or ""))
+        return None
+
+
 def _known(name: str, known: set[str], what: str, file: Path, problems: list[Problem]) -> bool:
     if name not in known:
         hint = nearest_name(name, sorted(known))
@@ -155,7 +178,11 @@ def _known(name: str, known: set[str], what: str, file: Path, problems: list[Pro
 
 def _existing(folder: Path, name: str, file: Path, tag: str, problems: list[Problem]) -> Path | None:
     path = folder / _posix(name)
-    if not name.strip() or not path.is_file():
+    try:
+        exists = bool(name.strip()) and path.is_file()
+    except OSError:  # an impossible file name, such as one that is too long
+        exists = False
+    if not exists:
         problems.append(Problem(str(file), f"expected a file, found no {path}", f"<{tag}>"))
         return None
     return path

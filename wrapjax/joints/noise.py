@@ -10,20 +10,37 @@ from jaxtyping import Float
 
 from wrapjax.geometry.skeleton import body_poses, stations
 from wrapjax.joints.estimation import JointProblem, fit_poses
-from wrapjax.joints.problem import INITIAL_NOISE, standardised
+from wrapjax.joints.problem import INITIAL_NOISE
+from wrapjax.joints.skin import standardised
 
 #: Lowest standard deviation that is estimated, m: cameras are hardly better.
-MIN_NOISE = 0.0005
+MIN_NOISE = 0.0002
 
 
 def estimate_noise(
-    problem: JointProblem, variables: Float[np.ndarray, " variable"], counts: Sequence[int]
+    problem: JointProblem,
+    variables: Float[np.ndarray, " variable"],
+    matrix: Float[np.ndarray, "variable variable"],
+    counts: Sequence[int],
 ) -> tuple[float, float]:
-    """Estimate the noise of a marker's coordinate, m, and the number of independent frames."""
+    """Estimate the noise of a marker's coordinate, m, and the number of independent frames.
+
+    Parameters
+    ----------
+    problem, variables
+        Problem and its solution.
+    matrix
+        Gauss-Newton matrix at the solution. A variable takes a degree of freedom as far as markers, and not
+        its prior, determine it (MacKay 1992, doi:10.1162/neco.1992.4.3.415).
+    counts
+        Number of frames of each trial.
+    """
     residuals = _residuals(problem, variables, sum(counts))
     visible = np.isfinite(residuals).all(axis=-1).sum(axis=1)
     freedoms = np.maximum(3 * visible - len(problem.model.structure.coordinates), 1)
-    noise = float(np.sqrt(np.nansum(residuals**2) / freedoms.sum()))
+    determined = float(np.sum(1.0 - np.diagonal(np.linalg.inv(matrix))))
+    left = max(float(freedoms.sum()) - determined, 1.0)
+    noise = float(np.sqrt(np.nansum(residuals**2) / left))
     independent = sum(_independent_frames(part) for part in np.split(residuals, np.cumsum(counts)[:-1]))
     return max(noise, MIN_NOISE), independent
 
@@ -32,20 +49,20 @@ def _residuals(
     problem: JointProblem, variables: Float[np.ndarray, " variable"], count: int
 ) -> Float[np.ndarray, "frame marker 3"]:
     """Differences of the model's markers from those measured, m; NaN where a marker was not visible."""
-    poses, goals, features = (
-        np.asarray(array).reshape(-1, *array.shape[2:])[:count]
+    poses, goals, weights, angles, drift = (
+        np.concatenate(np.asarray(array))[:count]
         for array in (
             fit_poses(problem, variables).poses,
             problem.frames.goals.measured,
-            problem.frames.features,
+            problem.frames.goals.weights,
+            problem.frames.angles,
+            problem.frames.drift,
         )
     )
-    weights = np.asarray(problem.frames.goals.weights).reshape(-1, goals.shape[1])[:count]
-    model, skin = problem.change.apply(problem.model, problem.parameters(variables)), problem.skin
-    locations = np.repeat(np.asarray(model.locations)[None], count, axis=0)
-    moved = variables[len(problem.sd) :] * skin.sd * features[:, np.array(skin.features, dtype=int)]
-    for column, (marker, axis) in enumerate(zip(skin.markers, skin.axes, strict=True)):
-        locations[:, marker, axis] += moved[:, column]
+    model = problem.change.apply(problem.model, problem.parameters(variables))
+    amplitudes = variables[len(problem.sd) :]
+    moved = jax.vmap(lambda angle, time: problem.skin.moved(amplitudes, angle, time, model.locations))
+    locations = np.asarray(moved(angles, drift))
     skeleton = jax.tree.map(np.asarray, model.skeleton)
     positions = stations(body_poses(model.structure, skeleton, poses), np.array(model.carriers), locations)
     return np.where(weights[..., None] > 0.0, positions - goals, np.nan)
@@ -85,7 +102,7 @@ def next_round(
     factor = INITIAL_NOISE**2 / noise**2 * min(1.0, independent / used.sum())
     poses = np.asarray(fit_poses(last, variables).poses)
     frames = first.frames._replace(
-        precision=precision * factor, starts=poses, features=standardised(poses, poses[used])
+        precision=precision * factor, starts=poses, angles=standardised(poses, poses[used])
     )
     return JointProblem(
         first.model, first.change, first.skin, frames, first.pose_bounds, first.sd, first.limits

@@ -25,8 +25,10 @@ from wrapjax.joints.settings import JointSettings, read_joint_settings
 from wrapjax.osim.model import describe_model
 from wrapjax.osim.personalised_joints import JointChanges, write_model_with_joints
 
-#: Rounds of estimation; each begins with the noise of the one before.
-ROUNDS = 3
+#: Most rounds of estimation; each begins with the noise of the one before.
+ROUNDS = 6
+#: The rounds end where the noise changes by a smaller share.
+NOISE_TOLERANCE = 0.05
 #: Solver: the posterior is far wider than these tolerances.
 SOLVER = ProjectedLevenbergMarquardt(gtol=1e-5, ftol=1e-8, max_iterations=80)
 
@@ -64,21 +66,24 @@ def personalize_joints(
     --------
     >>> wrapjax.personalize_joints("lab.toml").save("joints")  # doctest: +SKIP
     """
-    settings = settings if isinstance(settings, JointSettings) else _read_settings(Path(settings))
+    settings = settings if isinstance(settings, JointSettings) else read_settings(Path(settings))
     began = time.perf_counter()
     prepared = prepare_problem(settings, log)
     solved, names, parameters = prepared.recordings, prepared.names, prepared.parameters
     problem, counts = prepared.problem, prepared.counts
     log(f"estimating {len(parameters)} parameters")
-    first, variables = problem, np.zeros(problem.lower.size)
+    first, variables, noise, independent = problem, np.zeros(problem.lower.size), np.inf, 0.0
     for number in range(ROUNDS):
+        if number:
+            problem = next_round(first, problem, variables, noise, independent)
         solution = SOLVER.solve(problem, variables)
         log(f"{solution.iterations} iterations, {time.perf_counter() - began:.1f} s")
-        variables = solution.variables
-        noise, independent = estimate_noise(problem, variables, counts)
+        variables, before = solution.variables, noise
+        matrix = np.asarray(solution.linearization.gauss_newton)
+        noise, independent = estimate_noise(problem, variables, matrix, counts)
         log(f"round {number + 1}: noise {1e3 * noise:.2f} mm, {independent:.0f} independent frames")
-        if number + 1 < ROUNDS:
-            problem = next_round(first, problem, variables, noise, independent)
+        if abs(noise - before) < NOISE_TOLERANCE * noise:
+            break
     changes = joint_changes(problem, parameters, names, variables)
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:
         written = Path(folder) / "model_joints.osim"
@@ -96,14 +101,14 @@ def personalize_joints(
         )
         for entry in solved
     )
-    known = posterior(parameters, np.asarray(solution.linearization.gauss_newton))
+    known = posterior(parameters, matrix, prepared.combination)
     return JointPersonalisation(
         settings=settings,
         before=prepared.description,
         after=changed,
         model=content,
         parameters=tuple(parameters),
-        values=np.asarray(problem.parameters(variables)),
+        values=prepared.combination @ np.asarray(problem.parameters(variables)),
         posterior=known,
         trials=errors,
         noise=noise,
@@ -113,7 +118,8 @@ def personalize_joints(
     )
 
 
-def _read_settings(file: Path) -> JointSettings:
+def read_settings(file: Path) -> JointSettings:
+    """Read settings of joint personalisation: TOML, a folder that holds it, or the NMSM Pipeline's XML."""
     return read_nmsm_settings(file) if file.suffix.lower() == ".xml" else read_joint_settings(file)
 
 

@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.inverse_kinematics import MarkerGoals
-from wrapjax.geometry.marker_model import MarkerModel, build_marker_model
+from wrapjax.geometry.marker_model import build_marker_model
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.joints.changed_skeleton import skeleton_change
-from wrapjax.joints.estimation import Frames, JointProblem, SkinMovement, in_blocks
+from wrapjax.joints.estimation import Frames, JointProblem, in_blocks
 from wrapjax.joints.freed_parameters import (
     FRAME_KINDS,
     FreedParameter,
@@ -23,6 +23,8 @@ from wrapjax.joints.freed_parameters import (
     with_widths,
 )
 from wrapjax.joints.settings import HELD_OUT_SHARE, JointSettings, MarkerTrial
+from wrapjax.joints.skin import drift_functions, skin_movement, standardised
+from wrapjax.joints.symmetry import symmetric_unknowns
 from wrapjax.osim.model import describe_model
 from wrapjax.preprocessing.inverse_kinematics import (
     InverseKinematics,
@@ -38,8 +40,6 @@ from wrapjax.preprocessing.markers import Markers, match_markers
 
 #: Standard deviation of a marker's coordinate beside movements of skin, m, before it is estimated.
 INITIAL_NOISE = 0.005
-#: Coordinates that spread less are taken to rest, rad or m.
-MIN_SPREAD = np.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,8 @@ class PreparedProblem:
         Names of the markers.
     parameters
         Freed parameters.
+    combination
+        Map from the problem's unknowns to the parameters.
     problem
         The problem.
     counts
@@ -76,6 +78,7 @@ class PreparedProblem:
     recordings: list[Recording]
     names: tuple[str, ...]
     parameters: list[FreedParameter]
+    combination: Float[np.ndarray, "parameter unknown"]
     problem: JointProblem
     counts: list[int]
 
@@ -113,8 +116,11 @@ def prepare_problem(
         )
         for trial, markers in read
     ]
-    problem, counts = build_problem(settings, description, recordings, names, parameters)
-    return PreparedProblem(description, recordings, names, parameters, problem, counts)
+    combination = (
+        symmetric_unknowns(parameters, str(settings.file)) if settings.symmetric else np.eye(len(parameters))
+    )
+    problem, counts = build_problem(settings, description, recordings, names, parameters, combination)
+    return PreparedProblem(description, recordings, names, parameters, combination, problem, counts)
 
 
 def freed_parameters(
@@ -197,6 +203,7 @@ def build_problem(
     recordings: Sequence[Recording],
     names: tuple[str, ...],
     parameters: Sequence[FreedParameter],
+    combination: Float[np.ndarray, "parameter unknown"],
 ) -> tuple[JointProblem, list[int]]:
     """Build the least-squares problem from frames that are spread evenly over the calibration trials.
 
@@ -210,7 +217,7 @@ def build_problem(
     model = build_marker_model(description, coordinates, names)
     total = sum(int(entry.used.sum()) for entry in recordings)
     share = min(1.0, settings.frames / total)
-    goals, starts, precision = [], [], []
+    goals, starts, precision, times = [], [], [], []
     for entry in recordings:
         rows = np.flatnonzero(entry.used)
         if not rows.size:
@@ -222,31 +229,37 @@ def build_problem(
         weights = np.array([settings.marker_weights.get(name, 1.0) for name in names])
         goal = marker_goals(chosen, weights, free, {})
         goals.append(MarkerGoals(*(array[rows] for array in goal)))
+        times.append(entry.markers.time[rows])
         order = [entry.kinematics.coordinates.index(name) for name in coordinates]
         starts.append(entry.kinematics.values[order][:, rows].T)
         visible = np.isfinite(chosen.positions).all(axis=-1).T[rows] @ weights
         precision.append(entry.trial.weight * visible / INITIAL_NOISE**2)
     joined = MarkerGoals(*(np.concatenate(parts) for parts in zip(*goals, strict=True)))
     poses, weight = np.concatenate(starts), np.concatenate(precision)
-    skin, features = _skin(settings, description, model, names, coordinates, parameters, poses)
+    drift = drift_functions(times, len(names))
+    spread, size = poses.std(axis=0), settings.skin_movement
+    skin = skin_movement(description, model, parameters, spread, size, drift.shape[1])
     blocked = in_blocks(weight)
     filled = np.arange(blocked.size).reshape(blocked.shape) < weight.size
     frames = Frames(
         goals=MarkerGoals(*(in_blocks(array) for array in joined)),
         precision=np.where(filled, blocked, 0.0),
-        features=in_blocks(features),
+        angles=in_blocks(standardised(poses, poses)),
+        drift=in_blocks(drift[:, : skin.functions]),
         starts=in_blocks(poses),
     )
+    # Prior and bounds of an unknown are those of the first parameter that it gives.
+    of_unknowns = [parameters[int(np.argmax(column != 0.0))] for column in combination.T]
     problem = JointProblem(
         model=model,
-        change=skeleton_change(description, model, names, parameters),
+        change=skeleton_change(description, model, names, parameters, combination),
         skin=skin,
         frames=frames,
         pose_bounds=coordinate_bounds(free),
-        sd=np.array([parameter.sd for parameter in parameters]),
+        sd=np.array([entry.sd for entry in of_unknowns]),
         limits=(
-            np.array([parameter.lower for parameter in parameters]),
-            np.array([parameter.upper for parameter in parameters]),
+            np.array([entry.lower for entry in of_unknowns]),
+            np.array([entry.upper for entry in of_unknowns]),
         ),
     )
     return problem, [len(part) for part in precision]
@@ -259,43 +272,3 @@ def _with_all_markers(markers: Markers, names: tuple[str, ...]) -> Markers:
         if name in markers.names:
             positions[row] = markers.positions[markers.names.index(name)]
     return Markers(names, markers.time, positions)
-
-
-def _skin(
-    settings: JointSettings,
-    description: ModelDescription,
-    model: MarkerModel,
-    names: tuple[str, ...],
-    coordinates: Sequence[str],
-    parameters: Sequence[FreedParameter],
-    poses: Float[np.ndarray, "frame coordinate"],
-) -> tuple[SkinMovement, Float[np.ndarray, "frame feature"]]:
-    """Build the movements of skin: of markers on bodies at freed joints, with the angles of these joints."""
-    spread = poses.std(axis=0)
-    freed = {parameter.owner for parameter in parameters if parameter.kind in FRAME_KINDS}
-    bodies: dict[str, list[int]] = {}
-    for joint in description.joints:
-        if joint.name in freed and settings.skin_movement > 0.0:
-            columns = [coordinates.index(name) for name in joint.coordinates if name in coordinates]
-            for body in (joint.parent_body, joint.child_body):
-                bodies.setdefault(body, []).extend(
-                    column for column in columns if spread[column] > MIN_SPREAD
-                )
-    rows = [
-        (marker, axis, column, settings.skin_movement / np.sqrt(3.0 * len(bodies[body])))
-        for marker, carrier in enumerate(model.carriers)
-        if (body := model.structure.bodies[carrier]) in bodies
-        for column in bodies[body]
-        for axis in range(3)
-    ]
-    markers, axes, columns_of, sds = zip(*rows, strict=True) if rows else ((), (), (), ())
-    skin = SkinMovement(tuple(markers), tuple(axes), tuple(columns_of), np.array(sds))
-    return skin, standardised(poses, poses)
-
-
-def standardised(
-    poses: Float[np.ndarray, "... coordinate"], among: Float[np.ndarray, "frame coordinate"]
-) -> Float[np.ndarray, "... coordinate"]:
-    """Subtract the mean of coordinates and divide by their spread among some frames, if they move at all."""
-    spread = among.std(axis=0)
-    return (poses - among.mean(axis=0)) / np.where(spread > MIN_SPREAD, spread, 1.0)

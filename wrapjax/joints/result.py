@@ -14,7 +14,7 @@ from wrapjax.calibration.solvers.interface import Status
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
-from wrapjax.joints.identifiability import Posterior
+from wrapjax.joints.identifiability import Posterior, place_spread
 from wrapjax.joints.settings import JointSettings
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 
@@ -170,7 +170,10 @@ class JointPersonalisation:
         """Describe a joint: poses of its frames, changes, standard deviations, and what markers determine."""
         joint = next(entry for entry in self.after.joints if entry.name == name)
         poses = {"parent": joint.in_parent, "child": joint.in_child}
+        start = next(entry for entry in self.before.joints if entry.name == name)
         content: dict[str, Any] = {
+            "coordinates": list(joint.coordinates),
+            "spread": place_spread(start, self.parameters, self.posterior),
             "translation_m": {side: list(pose.translation) for side, pose in poses.items()},
             "orientation_rad": {side: _xyz_angles(pose.rotation) for side, pose in poses.items()},
             "change": {},

@@ -14,9 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.toml import TableReader, read_toml
+from wrapjax.io.toml import TableReader, describe_value, read_toml
 from wrapjax.joints.freed_parameters import FreedParameter, PriorWidths
-from wrapjax.preprocessing.laboratory_settings import laboratory_rotation
+from wrapjax.preprocessing.laboratory_settings import (
+    existing_file,
+    laboratory_rotation,
+    read_marker_weights,
+)
 
 #: Name of the settings in a subject folder.
 SETTINGS_FILE = "joints.toml"
@@ -29,6 +33,8 @@ SKIN_MOVEMENT = 0.005
 FRAMES = 100
 #: Share of the last frames of each trial that is held out, where no trial is for validation.
 HELD_OUT_SHARE = 0.25
+#: Largest time in an interval, s.
+MAX_TIME = 1e6
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,8 @@ class JointSettings:
         Factor on all prior standard deviations.
     skin_movement
         Root mean square movement of a marker with the joint angles, m; 0 for none.
+    symmetric
+        Whether changes of joints and scales of one side are those of the other, mirrored.
     frames
         Largest number of frames that take part in the estimation.
     """
@@ -114,6 +122,7 @@ class JointSettings:
     widths: PriorWidths = field(default_factory=PriorWidths)
     prior_factor: float = 1.0
     skin_movement: float = SKIN_MOVEMENT
+    symmetric: bool = False
     frames: int = FRAMES
 
 
@@ -135,7 +144,7 @@ def read_joint_settings(file: Path | str) -> JointSettings:
     top = TableReader(read_toml(file), file, "", problems)
     subject = TableReader(top.raw("subject") or {}, file, "[subject]", problems)
     model = TableReader(top.table("model"), file, "[model]", problems)
-    model_file, marker_set = _file(model, "file"), _file(model, "marker_set", required=False)
+    model_file, marker_set = existing_file(model, "file"), existing_file(model, "marker_set", required=False)
     laboratory = TableReader(top.raw("laboratory") or {}, file, "[laboratory]", problems)
     forward = laboratory.text("forward", required=False, choices=_AXES) or "x"
     up = laboratory.text("up", required=False, choices=_AXES) or "y"
@@ -143,7 +152,7 @@ def read_joint_settings(file: Path | str) -> JointSettings:
         laboratory.add_problem("up", f"expected another axis than forward, found '{forward}' and '{up}'")
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
     ignored = markers.names("ignore", required=False) or ()
-    weights = _read_weights(markers, problems)
+    weights = read_marker_weights(markers, problems)
     joints = _read_joints(top.raw("joints") or {}, file, problems)
     trials = _read_trials(top, file, problems)
     if problems:
@@ -171,6 +180,7 @@ def _read_joints(table: Any, file: Path, problems: list[Problem]) -> dict[str, A
     }
     move = reader.boolean("markers")
     found["free_markers"] = True if move is None else move
+    found["symmetric"] = bool(reader.boolean("symmetric"))
     factor = reader.number("prior_factor", lowest=1e-3, highest=1e6, unit="", required=False)
     found["prior_factor"] = 1.0 if factor is None else factor
     skin = reader.number("skin_movement_mm", lowest=0.0, highest=50.0, unit="mm", required=False)
@@ -189,12 +199,12 @@ def _read_trials(top: TableReader, file: Path, problems: list[Problem]) -> tuple
         if not reader.has("markers"):
             continue
         name = reader.text("name") or ""
-        path = _file(reader, "markers")
+        path = existing_file(reader, "markers")
         use = reader.text("use", required=False, choices=("calibration", "validation")) or "calibration"
         weight = reader.number("weight", lowest=1e-6, highest=1e6, unit="", required=False)
         interval = reader.raw("interval")
         if interval is not None and not _is_interval(interval):
-            reader.add_problem("interval", f"expected [start, end] in s, found {interval}")
+            reader.add_problem("interval", f"expected [start, end] in s, found {describe_value(interval)}")
             interval = None
         if any(trial.name == name for trial in trials):
             reader.add_problem("name", f"expected another name than those of other trials, found '{name}'")
@@ -208,23 +218,5 @@ def _read_trials(top: TableReader, file: Path, problems: list[Problem]) -> tuple
 
 
 def _is_interval(value: Any) -> bool:
-    numbers = isinstance(value, list) and len(value) == 2 and all(isinstance(n, (int, float)) for n in value)
-    return bool(numbers and value[0] < value[1])
-
-
-def _read_weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
-    table = markers.raw("weights")
-    reader = TableReader(table or {}, markers.file, "[markers.weights]", problems)
-    weights = {name: reader.number(name, lowest=1e-6, highest=1e6, unit="") for name in table or {}}
-    return {name: weight for name, weight in weights.items() if weight is not None}
-
-
-def _file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
-    value = reader.text(key, required=required)
-    if value is None:
-        return None
-    path = reader.file.parent / value
-    if not path.is_file():
-        reader.add_problem(key, f"expected a file, found no {path}")
-        return None
-    return path
+    numbers = isinstance(value, list) and len(value) == 2 and all(type(n) in (int, float) for n in value)
+    return bool(numbers and -MAX_TIME < value[0] < value[1] < MAX_TIME)

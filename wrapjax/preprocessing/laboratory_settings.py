@@ -112,6 +112,8 @@ class LaboratorySettings:
         Coordinates whose moments are predicted.
     muscle_parameters
         CSV file of muscle parameters, None if those of the model are used.
+    joints
+        ``joints.json`` of ``wrapjax joints`` that wrote the model, None if not given.
     scaling
         Setup file of OpenSim's scale tool, None if the model is scaled already.
     scales_masses
@@ -147,6 +149,7 @@ class LaboratorySettings:
     model_file: Path
     coordinates: tuple[str, ...]
     muscle_parameters: Path | None
+    joints: Path | None
     scaling: Path | None
     scales_masses: bool
     forward: str
@@ -183,10 +186,11 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     subject.report_unknown_keys()
 
     model = TableReader(top.table("model"), file, "[model]", problems)
-    model_file = _file(model, "file")
+    model_file = existing_file(model, "file")
     coordinates = model.names("coordinates") or ()
-    muscle_parameters = _file(model, "muscle_parameters", required=False)
-    scaling = _file(model, "scaling", required=False)
+    muscle_parameters = existing_file(model, "muscle_parameters", required=False)
+    joints = existing_file(model, "joints", required=False)
+    scaling = existing_file(model, "scaling", required=False)
     masses = model.boolean("scale_masses") or False
     if masses and scaling is not None:
         model.add_problem("scale_masses", "expected either scaling or scale_masses, found both")
@@ -201,7 +205,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
 
     markers = TableReader(top.raw("markers") or {}, file, "[markers]", problems)
     ignored = markers.names("ignore", required=False)
-    weights = _read_marker_weights(markers, problems)
+    weights = read_marker_weights(markers, problems)
     solver = markers.text("inverse_kinematics", required=False, choices=("opensim", "wrapjax"))
     markers.report_unknown_keys()
 
@@ -237,6 +241,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
         model_file=model_file,
         coordinates=coordinates,
         muscle_parameters=muscle_parameters,
+        joints=joints,
         scaling=scaling,
         scales_masses=masses,
         forward=forward,
@@ -253,7 +258,7 @@ def read_laboratory_settings(file: Path) -> LaboratorySettings:
     )
 
 
-def _file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
+def existing_file(reader: TableReader, key: str, *, required: bool = True) -> Path | None:
     """Read the path of a file, which may be outside the folder of the settings, and check that it exists."""
     value = reader.text(key, required=required)
     if value is None:
@@ -269,13 +274,18 @@ def _file(reader: TableReader, key: str, *, required: bool = True) -> Path | Non
     return path
 
 
-def _read_marker_weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
+def read_marker_weights(markers: TableReader, problems: list[Problem]) -> dict[str, float]:
+    """Read the weights of markers that differ from 1."""
     table = markers.raw("weights")
     if table is None:
         return {}
     reader = TableReader(table, markers.file, "[markers.weights]", problems)
-    weights = {name: reader.number(name, lowest=1e-6, highest=1e6, unit="") for name in table}
+    weights = {name: reader.number(name, lowest=1e-6, highest=1e6, unit="") for name in _keys(table)}
     return {name: weight for name, weight in weights.items() if weight is not None}
+
+
+def _keys(table: object) -> list[str]:
+    return list(table) if isinstance(table, dict) else []
 
 
 def _read_feet(top: TableReader, file: Path, leg: str, problems: list[Problem]) -> dict[str, ForceColumns]:
@@ -317,19 +327,19 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
     if reader.has("markers") == reader.has("angles"):
         found = "both" if reader.has("markers") else "neither"
         reader.add_problem("markers", f"expected either markers or angles, found {found}")
-    markers, angles = (_file(reader, key, required=False) for key in ("markers", "angles"))
+    markers, angles = (existing_file(reader, key, required=False) for key in ("markers", "angles"))
     task = read_task(reader)
     given = reader.has("moments")
-    moments = _file(reader, "moments", required=False)
+    moments = existing_file(reader, "moments", required=False)
     moments_low_pass, low_pass = (
         reader.number(key, lowest=0.5, highest=100.0, unit="Hz", required=False)
         for key in ("moments_low_pass_hz", "low_pass_hz")
     )
     if moments_low_pass is not None and not given:
         reader.add_problem("moments_low_pass_hz", "states the filter of moments, of which no file is given")
-    forces = _file(reader, "forces", required=not given)
+    forces = existing_file(reader, "forces", required=not given)
     at_rest = task == "passive" and not reader.has("emg")
-    emg = None if at_rest else _file(reader, "emg")
+    emg = None if at_rest else existing_file(reader, "emg")
     if task != GAIT:
         cycles = read_intervals(reader)
     else:

@@ -66,13 +66,14 @@ def exchanged_sides(names: tuple[str, ...]) -> Int[np.ndarray, " marker"] | None
     """Order of the markers with left and right exchanged; None if the names tell no sides."""
     order = np.arange(len(names))
     for place, name in enumerate(names):
-        other = _other_side(name)
+        other = other_side(name)
         if other in names:
             order[place] = names.index(other)
     return None if (order == np.arange(len(names))).all() else order
 
 
-def _other_side(name: str) -> str:
+def other_side(name: str) -> str:
+    """Name with left and right exchanged; the name itself if it tells no side."""
     for patterns, letters in zip(_SIDES, _LETTERS, strict=True):
         for pattern, letter in zip(patterns, reversed(letters), strict=True):
             if pattern.search(name):

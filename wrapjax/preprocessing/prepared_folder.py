@@ -18,6 +18,7 @@ from wrapjax.preprocessing.consistency_checks import Check
 from wrapjax.preprocessing.force_plates import FootForces, write_forces
 from wrapjax.preprocessing.joint_angles import Motion
 from wrapjax.preprocessing.laboratory_settings import LaboratorySettings, LaboratoryTrial
+from wrapjax.subject.joint_spread import JOINTS_FILE
 from wrapjax.subject.settings import SETTINGS_FILE
 from wrapjax.subject.trials import GAIT
 
@@ -79,6 +80,8 @@ def write_subject_folder(
     shutil.copyfile(model_file, folder / MODEL_FILE)
     if settings.muscle_parameters is not None:
         shutil.copyfile(settings.muscle_parameters, folder / PARAMETERS_FILE)
+    if settings.joints is not None:
+        shutil.copyfile(settings.joints, folder / JOINTS_FILE)
     for prepared in trials:
         _write_trial(folder / "trials" / prepared.trial.name, settings, prepared)
     write_text(folder / SETTINGS_FILE, _settings_text(settings, trials))
@@ -119,6 +122,7 @@ def _settings_text(settings: LaboratorySettings, trials: Sequence[PreparedTrial]
         f'file = "{MODEL_FILE}"',
         f"coordinates = {toml_list(settings.coordinates)}",
         *([f'muscle_parameters = "{PARAMETERS_FILE}"'] if settings.muscle_parameters else []),
+        *([f'joints = "{JOINTS_FILE}"'] if settings.joints else []),
         "",
         "[emg]",
         f'kind = "{settings.emg_kind}"',

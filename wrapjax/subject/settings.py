@@ -60,6 +60,8 @@ class Settings:
         Coordinates whose moments are predicted.
     muscle_parameters
         CSV file of muscle parameters, None if those of the model are used.
+    joints
+        Folder of ``wrapjax joints`` that the model came from, None if not given.
     emg_kind
         ``envelope`` or ``raw``.
     channels
@@ -82,6 +84,7 @@ class Settings:
     model_file: Path | None
     coordinates: tuple[str, ...]
     muscle_parameters: Path | None
+    joints: Path | None
     emg_kind: str
     channels: dict[str, tuple[str, ...]]
     extrapolated: dict[str, tuple[str, ...]] | None
@@ -116,6 +119,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
     model_file = model.path("file", folder)
     coordinates = model.names("coordinates") or ()
     muscle_parameters = model.path("muscle_parameters", folder, required=False)
+    joints = model.path("joints", folder, required=False)
     model.report_unknown_keys()
 
     emg = TableReader(top.table("emg"), file, "[emg]", problems)
@@ -140,6 +144,7 @@ def read_settings(folder: Path, problems: list[Problem]) -> Settings:
         model_file=model_file,
         coordinates=coordinates,
         muscle_parameters=muscle_parameters,
+        joints=joints,
         emg_kind=emg_kind,
         channels=channels,
         extrapolated=extrapolated,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from wrapjax.errors import InputError, Problem, nearest_name
@@ -15,6 +15,7 @@ from wrapjax.io.storage import read_storage
 from wrapjax.io.toml import collect_problems
 from wrapjax.subject.cycles import cut_cycles, noise_floor
 from wrapjax.subject.emg_envelopes import sampling_rate
+from wrapjax.subject.joint_spread import JointSpread, read_joint_spread
 from wrapjax.subject.muscle_groups import activation_groups, fiber_length_groups
 from wrapjax.subject.muscle_parameters import (
     check_channels,
@@ -87,6 +88,9 @@ class Subject:
     passive
         Passive trials for initial lengths: of tables ``[[passive]]``, and of task ``passive`` for
         calibration.
+    joint_spread
+        Standard deviations of the places of this leg's joints that were personalised from markers, by name
+        of each coordinate of such a joint.
     """
 
     name: str
@@ -109,6 +113,7 @@ class Subject:
     extrapolated: dict[str, tuple[str, ...]] | None = None
     synergies: Synergies | None = None
     passive: tuple[PassiveTrial, ...] = ()
+    joint_spread: Mapping[str, JointSpread] = field(default_factory=dict)
 
     @property
     def channel_of(self) -> dict[str, str]:
@@ -178,6 +183,11 @@ def load_from_settings(settings: Settings, folder: Path, known: Sequence[Problem
     model = _read_model(settings, folder, problems)
     muscles, others = (None, None) if model is None else _read_muscles(settings, model, folder, problems)
 
+    spread: dict[str, JointSpread] = {}
+    if settings.joints is not None and model is not None:
+        with collect_problems(problems):
+            joints = read_joint_spread(settings.joints, [info.name for info in model.coordinates])
+            spread = {name: entry for name, entry in joints.items() if is_on_side(name, settings.side)}
     read = functools.cache(read_storage)
     infos = () if model is None else model.coordinates
     signals = [read_signals(trial, settings, infos, read, problems, notes) for trial in settings.trials]
@@ -214,6 +224,7 @@ def load_from_settings(settings: Settings, folder: Path, known: Sequence[Problem
         notes=tuple(dict.fromkeys(notes)),
         undriven_parameters=others,
         extrapolated=settings.extrapolated,
+        joint_spread=spread,
         passive=(
             *(trial for trial in passive if trial is not None),
             *(

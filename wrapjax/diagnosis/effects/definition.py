@@ -21,6 +21,7 @@ from wrapjax.diagnosis.effects.effect import (
     add_to_paths,
 )
 from wrapjax.diagnosis.effects.experiments import Experiment
+from wrapjax.diagnosis.effects.joint_place import JointPlace, narrowed
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths
 from wrapjax.geometry.paths import PathState
@@ -116,6 +117,9 @@ class EffectDefinition:
         or at one walking speed only (`Context.conditions`): each of these is a further variant.
     negative_control, nuisance, reported
         See `Effect`.
+    joint_places
+        For each parameter that is an error in the place of a joint: the place. Where the joint was
+        personalised from markers, the parameter's priors are no wider than what these leave open.
     to_reported
         Function that gives, for a subject, the function from effect sizes to the reported quantities. None
         where the parameters themselves are reported.
@@ -140,6 +144,7 @@ class EffectDefinition:
     negative_control: bool = False
     nuisance: bool = False
     reported: tuple[tuple[str, str], ...] = ()
+    joint_places: tuple[JointPlace, ...] = ()
     to_reported: Callable[[Context], Callable[[EffectSizes], Float[Array, " quantity"]]] | None = None
     moment_derivatives: Callable[[RecordedGait], Mapping[str, MomentDerivatives]] | None = None
     path_derivatives: Callable[[RecordedPaths], Mapping[str, PathState]] | None = None
@@ -172,10 +177,16 @@ class EffectDefinition:
 
     def parameters_of(self, context: Context) -> tuple[EffectParameter, ...]:
         """Give the parameters of the effect for a subject."""
-        return tuple(
+        parameters = tuple(
             parameter
             for entry in self.parameters
             for parameter in (entry.of(context) if isinstance(entry, RepeatedParameter) else (entry,))
+        )
+        if not self.joint_places:
+            return parameters
+        return tuple(
+            narrowed(parameter, place, context.joint_spread)
+            for parameter, place in zip(parameters, self.joint_places, strict=True)
         )
 
     def _measured_variants(self, context: Context) -> tuple[Variant, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from wrapjax.diagnosis.effects.definition import EffectDefinition
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import STAR_ARC_MOVEMENTS
+from wrapjax.diagnosis.effects.joint_place import JointPlace
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes
@@ -148,6 +149,7 @@ HIP_CENTER_OFFSET = EffectDefinition(
             usual_sd=_USUAL_HIP,
         ),
     ),
+    joint_places=tuple(JointPlace("hip_", "translation", axis) for axis in range(3)),
     moment_derivatives=_moments_by_hip_center,
     path_derivatives=_paths_by_hip_center,
     experiment=STAR_ARC_MOVEMENTS,
@@ -182,6 +184,9 @@ JOINT_CENTER_SPREAD = EffectDefinition(
         )
         for stem, sd in _DISTAL_CENTERS
         for direction, words in (("anterior", "forward"), ("superior", "up"), ("lateral", "outward"))
+    ),
+    joint_places=tuple(
+        JointPlace(stem, "translation", axis) for stem, _ in _DISTAL_CENTERS for axis in range(3)
     ),
     moment_derivatives=_moments_by_distal_centers,
     nuisance=True,
@@ -285,6 +290,7 @@ JOINT_AXIS_ROTATION = EffectDefinition(
         _axis_parameter("subtalar_rad", 0.15, "subtalar axis turned outward in the horizontal plane"),
         _axis_parameter("subtalar_pitch_rad", 0.12, "subtalar axis with its front end too high"),
     ),
+    joint_places=tuple(JointPlace(stem, "orientation", axis) for stem, axis in _AXIS_ROTATIONS),
     moment_derivatives=_moments_by_joint_axes,
     path_derivatives=_paths_by_joint_axes,
     experiment=STAR_ARC_MOVEMENTS,

@@ -1,0 +1,113 @@
+"""Movement of skin: the derivatives of the estimation, the functions of the drift, and what they explain."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.joints.person import make_person
+from wrapjax.joints.personalisation import personalize_joints
+from wrapjax.joints.problem import prepare_problem
+from wrapjax.joints.settings import JointSettings, MarkerTrial
+from wrapjax.joints.skin import drift_functions
+from wrapjax.preprocessing.markers import write_trc
+
+
+@pytest.fixture(scope="module")
+def person(tmp_path_factory):
+    return make_person(tmp_path_factory.mktemp("person"))
+
+
+def _settings(person, **changes):
+    return JointSettings(
+        file=person.folder / "joints.toml",
+        name="P",
+        model_file=person.model,
+        trials=(MarkerTrial("walk", person.folder / "walk.trc"),),
+        parameters=person.parameters,
+        frames=20,
+        **changes,
+    )
+
+
+@pytest.fixture(scope="module")
+def problem(person):
+    return prepare_problem(_settings(person)).problem
+
+
+def test_the_gradient_is_that_of_the_cost(problem):
+    """By central differences along random directions through parameters, movements with angles, and drift."""
+    rng = np.random.default_rng(0)
+    at = jnp.asarray(0.2 * rng.normal(size=problem.lower.size))
+    gradient = np.asarray(problem.linearized_at(at).gradient)
+    split = problem.sd.size, problem.sd.size + len(problem.skin.markers)
+    for part in np.split(np.arange(at.size), split):
+        assert part.size
+        direction = np.zeros(at.size)
+        direction[part] = rng.normal(size=part.size)
+        step = 1e-4
+        costs = [float(problem.value_at(at + sign * step * direction)) for sign in (1.0, -1.0)]
+        assert gradient @ direction == pytest.approx((costs[0] - costs[1]) / (4.0 * step), rel=1e-5)
+
+
+@pytest.mark.slow
+def test_the_matrix_is_that_of_all_unknowns_with_poses_eliminated(problem):
+    """Against the projected Jacobian of each frame, by automatic differentiation of all unknowns."""
+    at = jnp.asarray(0.1 * np.random.default_rng(1).normal(size=problem.lower.size))
+    poses = problem.fit(at).poses
+    expected = np.eye(at.size)
+    count = int((np.asarray(problem.frames.precision) > 0.0).sum())
+    derivatives = jax.jit(
+        jax.jacfwd(lambda values, pose, frame: _weighted(problem, values, pose, frame), (0, 1))
+    )
+    for place in range(0, count):
+        row = (place // poses.shape[1], place % poses.shape[1])
+        frame = jax.tree.map(lambda array, row=row: jnp.asarray(array)[row], problem.frames)
+        by_variable, by_pose = map(np.asarray, derivatives(at, poses[row], frame))
+        basis, _ = np.linalg.qr(by_pose)
+        expected += by_variable.T @ by_variable - (by_variable.T @ basis) @ (basis.T @ by_variable)
+    found = np.asarray(problem.linearized_at(at).gauss_newton)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * expected.max())
+
+
+def _weighted(problem, values, pose, frame):
+    root = jnp.sqrt(frame.goals.weights * frame.precision)[:, None]
+    return (root * problem._skeleton(values, frame).positions(pose)).reshape(-1)
+
+
+def test_functions_of_the_drift_have_its_covariance():
+    times = [np.linspace(0.0, 1.0, 40), np.linspace(0.0, 0.5, 20)]
+    functions = drift_functions(times, markers=4)
+    covariance = functions @ functions.T
+    lag = times[0][:, None] - times[0][None]
+    np.testing.assert_allclose(covariance[:40, :40], np.exp(-0.5 * (lag / 0.25) ** 2), atol=0.1)
+    assert not covariance[:40, 40:].any()
+    assert functions.shape[1] < 15
+
+
+def test_many_drifting_markers_have_fewer_functions():
+    times = [np.linspace(0.0, 30.0, 100)]
+    assert 3 * 50 * drift_functions(times, markers=50).shape[1] <= 1500
+
+
+@pytest.mark.slow
+def test_smooth_drift_of_the_skin_is_told_from_the_joints(person, tmp_path):
+    """Markers that drift slowly by 1.5 mm leave the knee's axis within 1 degree, and little noise."""
+    rng = np.random.default_rng(2)
+    time = person.markers.time
+    size = rng.normal(0.0, 0.0015 / np.sqrt(3.0), (2, len(person.markers.names), 1, 3))
+    phase = 2.0 * np.pi * 0.7 * time[None, :, None]
+    drift = size[0] * np.sin(phase) + size[1] * np.cos(phase)
+    file = tmp_path / "walk.trc"
+    write_trc(file, replace(person.markers, positions=person.markers.positions + drift))
+    settings = replace(_settings(person), trials=(MarkerTrial("walk", file),))
+    found = personalize_joints(settings)
+    assert found.noise < 0.0006
+    for entry, value, true, sd in zip(
+        found.parameters, found.values, person.truth, found.posterior.sd, strict=True
+    ):
+        if entry.name == "knee_r parent_orientation x":
+            assert abs(value - true) < np.radians(1.0)
+        assert abs(value - true) < 5.0 * sd

@@ -1,0 +1,104 @@
+"""How sure the places of a model's joints are, from a folder that ``wrapjax joints`` wrote."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wrapjax.errors import InputError, Problem, nearest_name
+from wrapjax.io.json_and_arrays import load_json
+
+#: File of the folder that is read.
+JOINTS_FILE = "joints.json"
+#: Largest standard deviations that are believed, m and rad.
+_LARGEST = {"translation_m": 0.2, "orientation_rad": math.pi}
+
+
+@dataclass(frozen=True)
+class JointSpread:
+    """Standard deviations of the place of a joint in its parent body, given the person's markers.
+
+    Parameters
+    ----------
+    translation
+        Along the body's axes, m; None where not personalised.
+    orientation
+        Of rotations of the joint's frame about the body's axes, rad; None where not personalised.
+    """
+
+    translation: tuple[float | None, ...]
+    orientation: tuple[float | None, ...]
+
+
+def read_joint_spread(path: Path, coordinates: Collection[str]) -> dict[str, JointSpread]:
+    """Read the standard deviations of personalised joints.
+
+    Parameters
+    ----------
+    path
+        Folder that ``wrapjax joints`` wrote, or its ``joints.json``.
+    coordinates
+        Names of the model's coordinates.
+
+    Returns
+    -------
+    dict
+        By name of each coordinate of a personalised joint.
+
+    Raises
+    ------
+    InputError
+        If the file does not exist, is not such a file, or names coordinates that the model lacks.
+    """
+    file = path / JOINTS_FILE if path.is_dir() else path
+    try:
+        content = load_json(file)
+    except OSError:
+        message = f"expected a folder with {JOINTS_FILE}, written by 'wrapjax joints', found none"
+        raise InputError(Problem(str(file), message)) from None
+    except ValueError as error:
+        raise InputError(Problem(str(file), f"expected JSON: {error}")) from None
+    joints = content.get("joints") if isinstance(content, dict) else None
+    if not isinstance(joints, dict):
+        raise InputError(Problem(str(file), "expected a table 'joints' of personalised joints, found none"))
+    found: dict[str, JointSpread] = {}
+    problems: list[Problem] = []
+    for name, joint in joints.items():
+        spread = _spread(joint)
+        if spread is None:
+            message = (
+                "expected coordinates, and under spread three standard deviations each of translation_m and "
+                "orientation_rad, positive or null, found something else"
+            )
+            problems.append(Problem(str(file), message, f"joint {name}"))
+            continue
+        for coordinate in joint["coordinates"]:
+            if coordinate not in coordinates:
+                message = f"expected a coordinate of the subject's model, found '{coordinate}'"
+                hint = nearest_name(coordinate, tuple(coordinates))
+                problems.append(Problem(str(file), message, f"joint {name}", hint))
+            found[coordinate] = spread
+    if problems:
+        raise InputError(problems)
+    return found
+
+
+def _spread(joint: Any) -> JointSpread | None:
+    """Read the standard deviations of a joint's entry; None where it is not of the expected form."""
+    if not isinstance(joint, dict) or not isinstance(joint.get("spread"), dict):
+        return None
+    names = joint.get("coordinates")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return None
+    parts = [joint["spread"].get(key) for key in _LARGEST]
+    for values, largest in zip(parts, _LARGEST.values(), strict=True):
+        if not isinstance(values, list) or len(values) != 3:
+            return None
+        for value in values:
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if value is not None and not (number and 0.0 < value <= largest):
+                return None
+    return JointSpread(tuple(parts[0]), tuple(parts[1]))
