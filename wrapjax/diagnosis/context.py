@@ -16,6 +16,7 @@ from wrapjax.geometry.paths import PathState
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
 from wrapjax.subject.muscle_groups import standard_name
+from wrapjax.subject.trials import GAIT
 
 Kinematics = Float[np.ndarray, "trial coordinate frame"]
 #: Function from effect sizes to what the effect adds to the prediction of the measured moments, N m.
@@ -118,6 +119,8 @@ class Context:
         Reason why there are none.
     all_cycles
         Context of all cycles, of which this one is a selection; None if nothing was selected.
+    tasks
+        Task of each cycle; all ``gait`` if not given.
     """
 
     muscles: tuple[str, ...]
@@ -147,6 +150,17 @@ class Context:
     measured_changes: Mapping[str, Mapping[str, MeasuredChange]] = field(default_factory=dict)
     no_measured_changes: str = "no ground reaction forces are given for these trials"
     all_cycles: Context | None = None
+    tasks: tuple[str, ...] = ()
+
+    @property
+    def is_gait(self) -> Bool[np.ndarray, " trial"]:
+        """Whether each cycle is a gait cycle; effects of the phase of gait are zero in the others."""
+        return np.array([task == GAIT for task in self.tasks or (GAIT,) * len(self.trials)], dtype=bool)
+
+    @property
+    def gait_cycles(self) -> tuple[str, ...]:
+        """Names of the gait cycles."""
+        return tuple(name for name, gait in zip(self.trials, self.is_gait, strict=True) if gait)
 
     @property
     def reference(self) -> Context:
@@ -172,9 +186,13 @@ class Context:
         condition.
         """
         every = self.reference
-        calibrating = np.array([use == "calibration" for use in every.uses])
-        groups = {f"in {name} only": np.array(every.recordings) == name for name in every.recordings}
-        for speed in every.speeds:
+        calibrating = np.array([use == "calibration" for use in every.uses]) & every.is_gait
+        gait = [place for place, is_gait in enumerate(every.is_gait) if is_gait]
+        groups = {
+            f"in {every.recordings[place]} only": np.array(every.recordings) == every.recordings[place]
+            for place in gait
+        }
+        for speed in every.speeds[gait]:
             groups.setdefault(f"at {speed:.2f} m/s only", every.speeds == speed)
         masks: dict[str, Bool[np.ndarray, " trial"]] = {}
         for label, cycles in groups.items():
@@ -210,6 +228,7 @@ class Context:
             step=self.step[chosen],
             speeds=self.speeds[chosen],
             order=self.order[chosen],
+            tasks=tuple(self.tasks[number] for number in chosen) if self.tasks else (),
             paths=_select_paths(self.paths, keep),
             envelopes=self.envelopes[:, keep],
             undriven_muscles=undriven,

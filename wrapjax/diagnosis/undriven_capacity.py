@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.effects.periodic import periodic_splines
 from wrapjax.diagnosis.effects.unrecorded_excitation import SPLINES, active_moments
 from wrapjax.diagnosis.error_sources import periodic_kernel
+from wrapjax.subject.trials import GAIT, PASSIVE
 
 #: Standard deviation of an unrecorded activation where most muscles of a direction have no EMG: peaks in
 #: walking are 0.1 to 0.6 of a maximum contraction (Perry 2010; Ao et al. 2022,
@@ -121,11 +122,27 @@ def undriven_signatures(
     per_unit = np.asarray(full)[..., frames]
     splines = periodic_splines(context.phase[frames], SPLINES)
     signatures = [
-        ACTIVATION_SD * weight[rows].max() * splines.T[:, None, None] * per_unit[rows].sum(axis=0)[None]
+        ACTIVATION_SD
+        * weight[rows].max()
+        * splines.T[:, None, None]
+        * (per_unit[rows].sum(axis=0) * same[:, None, None])[None]
         for rows in groups
         if weight[rows].max() > 0.0
+        for same in _alike(context)
     ]
     return np.concatenate([empty, *signatures])
+
+
+def _alike(context: Context) -> list[Bool[np.ndarray, " cycle"]]:
+    """Mark the cycles whose unrecorded activation is the same: gait, and each trial of another active task.
+
+    In a passive trial all muscles are at rest.
+    """
+    gait, names = context.is_gait, np.array(context.trials)
+    others = [
+        name for name, task in zip(context.trials, context.tasks, strict=False) if task not in (GAIT, PASSIVE)
+    ]
+    return [mask for mask in (gait, *(names == name for name in others)) if mask.any()]
 
 
 def unrecorded_moment_signatures(

@@ -350,19 +350,25 @@ POSTURE_DEPENDENT_GAIN = EffectDefinition(
 # ---- Delay
 
 
+def _gait_speeds(context: Context) -> Float[np.ndarray, " cycle"]:
+    return context.reference.speeds[context.reference.is_gait]
+
+
 def _speeds_that_are_not_given(context: Context) -> str:
-    given = np.isfinite(context.reference.speeds).all()
+    speeds = _gait_speeds(context)
+    given = len(speeds) > 0 and np.isfinite(speeds).all()
     return "" if given else "walking speeds are not given for every cycle"
 
 
 def _one_speed(context: Context) -> str:
-    one = np.ptp(context.reference.speeds) < _SAME_SPEED
+    one = np.ptp(_gait_speeds(context)) < _SAME_SPEED
     return "all cycles were walked at one speed; two are needed" if one else ""
 
 
 def _speed_dependent_delay(context: Context) -> tuple[Variant, ...]:
-    speeds = context.reference.speeds
-    share = jnp.asarray((speeds.mean() - context.speeds) / np.ptp(speeds))
+    speeds = _gait_speeds(context)
+    own = np.where(context.is_gait, context.speeds, speeds.mean())
+    share = jnp.asarray((speeds.mean() - own) / np.ptp(speeds))
     return (Variant(Partial(_delay_by_cycle, jnp.ones(len(context.muscles)), share)),)
 
 

@@ -84,9 +84,9 @@ def _angle_errors(
     context: Context, slide: Float[np.ndarray, " frame"], by_phase: Float[np.ndarray, " frame"]
 ) -> tuple[Array, Array]:
     """Compute errors of angles and angular velocities per unit of the slide, and of both shares."""
-    shape = context.angles.shape
-    angles = [np.broadcast_to(slide, shape), context.angles]
-    rates = [np.broadcast_to(by_phase / context.duration[:, None, None], shape), context.velocities]
+    shape, gait = context.angles.shape, context.is_gait[:, None, None]
+    angles = [np.broadcast_to(slide * gait, shape), context.angles]
+    rates = [np.broadcast_to(gait * by_phase / context.duration[:, None, None], shape), context.velocities]
     if neighbors := neighboring_coordinates(context.coordinates):
         angles.append(context.angles[:, neighbors])
         rates.append(context.velocities[:, neighbors])
@@ -277,7 +277,7 @@ FOOT_DEFORMATION = EffectDefinition(
 
 
 def _event_jitter(context: Context) -> tuple[Variant, ...]:
-    cycles = context.reference.trials
+    cycles = context.reference.gait_cycles
     is_cycle = np.array([[other == name for other in cycles] for name in context.trials], dtype=float)
     durations = jnp.asarray(is_cycle * context.duration[:, None])
     return (Variant(Partial(_shift_cycles, jnp.ones(len(context.muscles)), durations)),)
@@ -297,13 +297,13 @@ EVENT_JITTER = EffectDefinition(
         Requirement(
             "two cycles",
             lambda context: (
-                "the shift of one cycle alone is a delay" if len(context.reference.trials) < 2 else ""
+                "the shift of one cycle alone is a delay" if len(context.reference.gait_cycles) < 2 else ""
             ),
         ),
     ),
     parameters=(
         RepeatedParameter(
-            repetitions=lambda context: [{"cycle": name} for name in context.reference.trials],
+            repetitions=lambda context: [{"cycle": name} for name in context.reference.gait_cycles],
             name="shift_{cycle}",
             unit="1",
             prior_sd=0.02,

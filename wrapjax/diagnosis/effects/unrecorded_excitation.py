@@ -77,10 +77,15 @@ def drive_over_cycle(effect_sizes: Float[Array, " parameter"], frames: int) -> F
 
 
 def _speed_factor(context: Context) -> Float[np.ndarray, " trial"]:
-    speeds = context.reference.speeds
+    """Compute the size of an unrecorded activation in each gait cycle; zero in other tasks.
+
+    Where no EMG tells what these muscles did, other tasks show nothing of their activation in gait.
+    """
+    gait, speeds = context.is_gait, context.reference.speeds[context.reference.is_gait]
     if not np.isfinite(speeds).all() or not (speeds > 0.0).all():
-        return np.ones(len(context.trials))
-    return np.asarray((context.speeds / speeds.mean()) ** _SPEED_POWER)
+        return gait.astype(float)
+    own = np.where(gait, context.speeds, 0.0)
+    return np.asarray((own / speeds.mean()) ** _SPEED_POWER)
 
 
 def _missing_drive(context: Context) -> tuple[Variant, ...]:
