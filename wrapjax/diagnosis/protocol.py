@@ -21,6 +21,7 @@ from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.linearization import Candidate
 from wrapjax.diagnosis.protocol_covariance import protocol_covariance
 from wrapjax.diagnosis.protocol_inputs import ProtocolInput, input_of_calibration, input_of_model
+from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.errors import InputError, Problem
 from wrapjax.path_sources.exact import ExactGeometry
@@ -36,71 +37,8 @@ _LEAST_WEIGHT = 0.005
 
 
 @dataclass(frozen=True)
-class AdvisedTrial:
-    """A trial and what it adds to the recorded cycles and the trials before it.
-
-    Parameters
-    ----------
-    trial
-        The trial.
-    information
-        Information on what is undecided that it adds, nats.
-    expected_evidence
-        Expected log Bayes factor of an undecided effect of its prior size, with this trial and those before
-        it: the median over effects, weighted by their probability, nats.
-    detected
-        How well effects can be seen and told apart with it and those before it.
-    splits
-        Pairs of effects that cannot be told apart before it and can with it.
-    """
-
-    trial: CandidateTrial
-    information: float
-    expected_evidence: float
-    detected: Detection
-    splits: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """The trials that would tell most.
-
-    Parameters
-    ----------
-    name
-        Name of the subject or the model.
-    basis
-        What had been recorded, in words.
-    effects
-        Identifiers of the effects.
-    weights
-        How undecided each effect is; sums to one.
-    before
-        How well effects can be seen and told apart without further trials.
-    expected_before
-        As `AdvisedTrial.expected_evidence`, without further trials.
-    advised
-        The best trial, the best one after it, and so on.
-    considered
-        All trials with the information that each adds alone, nats, most first.
-    seconds
-        Computing time, s.
-    """
-
-    name: str
-    basis: str
-    effects: tuple[str, ...]
-    weights: Float[np.ndarray, " effect"]
-    before: Detection
-    expected_before: float
-    advised: tuple[AdvisedTrial, ...]
-    considered: tuple[tuple[CandidateTrial, float], ...]
-    seconds: float
-
-    @property
-    def after(self) -> Detection:
-        """How well effects can be seen and told apart with all advised trials."""
-        return self.advised[-1].detected if self.advised else self.before
+class Protocol(ProtocolResult):
+    """The trials that would tell most; its fields are those of `ProtocolResult`."""
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``protocol.json`` and ``report.html``.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.diagnosis.decision import TIE_DISTANCE
-from wrapjax.diagnosis.protocol import AdvisedTrial, Protocol
+from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.report import markup
@@ -35,7 +35,7 @@ _MOST_PAIRS = 6
 _LEAST_SHOWN = 0.1
 
 
-def protocol_findings(protocol: Protocol) -> list[str]:
+def protocol_findings(protocol: ProtocolResult) -> list[str]:
     """Write sentences on what the trials add."""
     both = (protocol.before, protocol.after)
     visible = [int(np.sum(one.detectability >= MIN_DETECTABILITY)) for one in both]
@@ -54,7 +54,7 @@ def _effort(advised: AdvisedTrial) -> str:
     return f"{advised.trial.effort}{'; ' + held if held else ''}"
 
 
-def protocol_rows(protocol: Protocol) -> list[tuple[str, ...]]:
+def protocol_rows(protocol: ProtocolResult) -> list[tuple[str, ...]]:
     """Tabulate the advised trials: what, posture, effort, minutes, nats, d', pairs told apart."""
     rows = []
     for number, one in enumerate(protocol.advised, start=1):
@@ -91,7 +91,7 @@ HEADER = (
 )
 
 
-def describe_protocol(protocol: Protocol) -> dict[str, Any]:
+def describe_protocol(protocol: ProtocolResult) -> dict[str, Any]:
     """Describe a protocol as plain numbers and strings: the content of ``protocol.json``.
 
     Returns
@@ -147,7 +147,7 @@ def describe_protocol(protocol: Protocol) -> dict[str, Any]:
 
 
 @in_style
-def detectability_figure(protocol: Protocol) -> Figure:
+def detectability_figure(protocol: ProtocolResult) -> Figure:
     """Draw the detectability of every effect before and after the advised trials."""
     after = protocol.after.detectability
     order = np.argsort(-after)
@@ -175,7 +175,7 @@ def detectability_figure(protocol: Protocol) -> Figure:
     return figure
 
 
-def render_protocol(protocol: Protocol) -> str:
+def render_protocol(protocol: ProtocolResult) -> str:
     """Write the report of a protocol as a self-contained HTML page."""
     considered = [(trial.what, str(trial.minutes), decimals(nats, 2)) for trial, nats in protocol.considered]
     return markup.page(
@@ -217,7 +217,7 @@ def render_protocol(protocol: Protocol) -> str:
     )
 
 
-def write_protocol(protocol: Protocol, folder: Path, *, force: bool = False) -> None:
+def write_protocol(protocol: ProtocolResult, folder: Path, *, force: bool = False) -> None:
     """Write ``protocol.json`` and ``report.html`` into a new folder."""
     with new_folder(folder, force=force) as place:
         write_json(place / "protocol.json", describe_protocol(protocol))
