@@ -31,6 +31,9 @@ from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
 
 #: Excitation of muscles that do not act in an effort, as a share of it.
 CO_CONTRACTION = 0.05
+#: Largest envelope of an effort, relative to the largest one in gait: an EMG scale that calibration left at
+#: its lower bound must not make an effort arbitrarily informative.
+LARGEST_ENVELOPE = 3.0
 # Share of a channel's moment capacity in a direction from which its muscles act there with the full effort.
 _ACTING_SHARE = 0.4
 
@@ -169,7 +172,8 @@ def _envelopes(
         for name, sign, effort in movement.efforts:
             share = acting[cycle, :, leg.coordinates.index(name), 0 if sign > 0 else 1]
             peak = np.maximum(peak, effort * np.maximum(share, CO_CONTRACTION))
-        envelopes[cycle] = leg.rest[:, None] + (peak / scale)[:, None] * shape
+        height = np.minimum(peak / scale, LARGEST_ENVELOPE)
+        envelopes[cycle] = leg.rest[:, None] + height[:, None] * shape
     return envelopes, time
 
 
