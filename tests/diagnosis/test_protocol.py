@@ -12,6 +12,13 @@ from wrapjax.cli.protocol import protocol_table
 from wrapjax.diagnosis.candidate_trials import candidate_trials
 from wrapjax.diagnosis.detectability import Detection
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.null_covariance import (
+    EXPECTED_FORCE_ERROR,
+    EXPECTED_REPEATABLE_ERROR,
+    fixed_covariance,
+    muscle_covariance,
+    repeatable_covariance,
+)
 from wrapjax.diagnosis.protocol import (
     ADVISED,
     Protocol,
@@ -19,6 +26,7 @@ from wrapjax.diagnosis.protocol import (
     protocol,
     subject_and_probabilities,
 )
+from wrapjax.diagnosis.protocol_covariance import measured_rows, protocol_covariance
 from wrapjax.diagnosis.protocol_inputs import input_of_calibration
 from wrapjax.diagnosis.protocol_result import AdvisedTrial
 from wrapjax.errors import InputError
@@ -60,6 +68,26 @@ def test_a_passive_moment_left_undecided_asks_for_a_passive_trial(data):
     detectability = [undecided.before, undecided.advised[0].detected]
     before, after = (one.detectability[place] for one in detectability)
     assert after > 1.2 * before
+
+
+@pytest.mark.slow
+def test_covariance_of_recorded_cycles_is_that_of_the_score_test(data):
+    """Of candidate trials it adds rows, and changes nothing in the recorded ones."""
+    rows = measured_rows(data)
+    recorded = np.flatnonzero(data.recorded)
+    coordinates = np.arange(data.measured.shape[1])
+    linearized = data.linearized.restricted(recorded, coordinates)
+    own = rows < linearized.residual.size
+    found = protocol_covariance(data, rows)[np.ix_(own, own)]
+    expected = (
+        fixed_covariance(linearized)
+        + EXPECTED_FORCE_ERROR**2 * muscle_covariance(linearized.muscle_errors)
+        + EXPECTED_REPEATABLE_ERROR**2
+        * repeatable_covariance(
+            data.moment_size[0], data.groups[data.recorded], linearized.residual.shape[-1]
+        )
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 @pytest.mark.slow

@@ -286,8 +286,14 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
     by_angle = [one.paths_by_angle for one in contexts]
     context = replace(
         first,
-        **{field: chained(field) for field in ("trials", "recordings", "uses")},
-        **{field: stacked(field) for field in ("angles", "velocities", "step", "speeds", "order")},
+        trials=chained("trials"),
+        recordings=chained("recordings"),
+        uses=chained("uses"),
+        angles=stacked("angles"),
+        velocities=stacked("velocities"),
+        step=stacked("step"),
+        speeds=stacked("speeds"),
+        order=stacked("order"),
         tasks=tuple(task for one in contexts for task in (one.tasks or ("gait",) * len(one.trials))),
         paths=paths,
         envelopes=emg.coefficients,

@@ -38,10 +38,15 @@ class Design:
     signatures: Float[np.ndarray, "row column"]
 
     @classmethod
-    def of_effects(cls, candidates: Sequence[Candidate], covariance: Matrix) -> Design:
-        """Start with no recorded rows."""
+    def of_effects(
+        cls,
+        candidates: Sequence[Candidate],
+        covariance: Matrix,
+        rows: Int[np.ndarray, " row"] | None = None,
+    ) -> Design:
+        """Start with no recorded rows; ``rows`` are those of the signatures that count, all if None."""
         columns = [
-            variant * candidate.prior_sd[:, None]
+            (variant if rows is None else variant[:, rows]) * candidate.prior_sd[:, None]
             for candidate in candidates
             for variant in candidate.variants
         ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from wrapjax.calibration.calibration import STARTS, cached_calibration
 from wrapjax.calibration.solvers.interface import Status
@@ -19,7 +19,7 @@ from wrapjax.diagnosis.decision import TIE_DISTANCE
 from wrapjax.diagnosis.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.protocol_covariance import protocol_covariance
+from wrapjax.diagnosis.protocol_covariance import measured_rows, protocol_covariance
 from wrapjax.diagnosis.protocol_inputs import ProtocolInput, input_of_calibration, input_of_model
 from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
@@ -276,10 +276,8 @@ def _split(
     return tuple((candidates[first[place]].id, candidates[second[place]].id) for place in order)
 
 
-def _design(data: ProtocolInput, candidates: Sequence[Candidate]) -> tuple[Design, Float[np.ndarray, " row"]]:
+def _design(data: ProtocolInput, candidates: Sequence[Candidate]) -> tuple[Design, Int[np.ndarray, " row"]]:
     """Build the design over the rows that are measured, and the trial of each; -1 of recorded rows."""
-    phases = data.linearized.residual.shape[-1]
-    kept = np.flatnonzero(np.repeat(data.measured.ravel(), phases))
-    row_trial = np.repeat(data.trial, data.measured.shape[1] * phases)[kept]
-    design = Design.of_effects(candidates, protocol_covariance(data))
-    return design.of_rows(kept), row_trial
+    rows = measured_rows(data)
+    design = Design.of_effects(candidates, protocol_covariance(data, rows), rows)
+    return design, np.repeat(data.trial, data.linearized.residual[0].size)[rows]

@@ -1,19 +1,20 @@
-"""Null covariance over recorded cycles and candidate trials, with error sizes as expected."""
+"""Null covariance over the measured rows of recorded cycles and candidate trials, error sizes as expected.
+
+Of most candidate trials one coordinate is measured, so that the covariance of all rows would be several times
+as large as that of the rows that count.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from wrapjax.diagnosis.error_sources import Matrix, block_diagonal, periodic_kernel
+from wrapjax.diagnosis.error_sources import Matrix, input_blocks, periodic_kernel
 from wrapjax.diagnosis.null_covariance import (
     ACROSS_SPEEDS,
     EXPECTED_FORCE_ERROR,
     EXPECTED_REPEATABLE_ERROR,
     REPEATABLE_WIDTH,
-    input_covariance,
-    muscle_covariance,
-    parameter_covariance,
 )
 from wrapjax.diagnosis.protocol_inputs import ProtocolInput
 
@@ -23,16 +24,50 @@ DYNAMOMETER_NOISE = 1.0
 NOISE_INFLATION = 1.5
 
 
-def protocol_covariance(data: ProtocolInput) -> Matrix:
-    """Compute the null covariance of all rows, with errors of muscle force and smooth errors as expected."""
+def measured_rows(data: ProtocolInput) -> Int[np.ndarray, " kept"]:
+    """Return the numbers of the measured rows, in the order ``cycle coordinate phase``."""
+    phases = data.linearized.residual.shape[-1]
+    return np.flatnonzero(np.repeat(data.measured.ravel(), phases))
+
+
+def protocol_covariance(data: ProtocolInput, rows: Int[np.ndarray, " kept"]) -> Matrix:
+    """Compute the null covariance of some rows, (N m)^2.
+
+    Its terms are those of `wrapjax.diagnosis.null_covariance`, with errors of muscle force and smooth errors
+    of their expected sizes.
+
+    Parameters
+    ----------
+    data
+        Linearised model over recorded cycles and candidate trials.
+    rows
+        Numbers of the rows.
+    """
     linearized = data.linearized
-    total = block_diagonal(_noise_blocks(data))
-    for share, errors in zip(linearized.noise.input_shares, linearized.input_errors, strict=True):
-        total += share**2 * input_covariance(errors)
+    cycle, coordinate, phase = np.unravel_index(rows, linearized.residual.shape)
+    total = _within_cycles(data, rows, cycle)
     for signatures in (linearized.calibrated, linearized.nuisances):
-        total += parameter_covariance(signatures, np.ones(len(signatures)))
-    total += EXPECTED_FORCE_ERROR**2 * muscle_covariance(linearized.muscle_errors)
-    return total + EXPECTED_REPEATABLE_ERROR**2 * _smooth_errors(data)
+        own = signatures.reshape(len(signatures), -1)[:, rows]
+        total += own.T @ own
+    total += EXPECTED_FORCE_ERROR**2 * _force_errors(data, cycle, coordinate, phase)
+    return total + EXPECTED_REPEATABLE_ERROR**2 * _smooth_errors(data, cycle, coordinate, phase)
+
+
+def _within_cycles(
+    data: ProtocolInput, rows: Int[np.ndarray, " kept"], cycle: Int[np.ndarray, " kept"]
+) -> Matrix:
+    """Compute the covariance by noise and by errors of EMG and angles, independent between cycles."""
+    linearized = data.linearized
+    count = linearized.residual[0].size
+    blocks = _noise_blocks(data)
+    for share, errors in zip(linearized.noise.input_shares, linearized.input_errors, strict=True):
+        blocks = blocks + share**2 * input_blocks(errors)
+    total = np.zeros((len(rows), len(rows)))
+    for number in np.unique(cycle):
+        own = np.flatnonzero(cycle == number)
+        places = rows[own] - number * count
+        total[np.ix_(own, own)] = blocks[number][np.ix_(places, places)]
+    return total
 
 
 def _noise_blocks(data: ProtocolInput) -> Float[np.ndarray, "cycle own own"]:
@@ -45,22 +80,40 @@ def _noise_blocks(data: ProtocolInput) -> Float[np.ndarray, "cycle own own"]:
     # Digits of the device are independent.
     of_device += (0.1 * DYNAMOMETER_NOISE) ** 2 * np.eye(len(of_device))
     blocks = []
-    for gait, complete in zip(data.gait, data.measured.all(axis=1), strict=True):
+    for gait, measured in zip(data.gait, data.measured, strict=True):
+        complete = bool(measured.all())
         blocks.append(of_gait if gait else NOISE_INFLATION**2 * of_gait if complete else of_device)
     return np.stack(blocks)
 
 
-def _smooth_errors(data: ProtocolInput) -> Matrix:
+def _force_errors(
+    data: ProtocolInput,
+    cycle: Int[np.ndarray, " kept"],
+    coordinate: Int[np.ndarray, " kept"],
+    phase: Int[np.ndarray, " kept"],
+) -> Matrix:
+    """Compute the covariance by errors of muscle force, which are similar where a muscle's states are."""
+    errors = data.linearized.muscle_errors
+    total = np.zeros((len(cycle), len(cycle)))
+    for states, arms in zip(errors.states, errors.arms, strict=True):
+        own, arm = states[cycle, phase], arms[cycle, coordinate, phase]
+        squares = np.sum(own**2, axis=1)
+        distance = np.maximum(squares[:, None] + squares[None] - 2.0 * own @ own.T, 0.0)
+        total += np.exp(-0.5 * distance) * np.outer(arm, arm)
+    return total
+
+
+def _smooth_errors(
+    data: ProtocolInput,
+    cycle: Int[np.ndarray, " kept"],
+    coordinate: Int[np.ndarray, " kept"],
+    phase: Int[np.ndarray, " kept"],
+) -> Matrix:
     """Compute the covariance of smooth errors that repeat with the movement, relative to the moments."""
-    phases = data.linearized.residual.shape[-1]
     groups, gait = data.groups, data.gait
     same = (groups[:, None] == groups[None]).astype(float)
     same = np.where(gait[:, None] & gait[None], np.maximum(same, ACROSS_SPEEDS), same)
-    size = data.moment_size
-    across = np.einsum("cd,ck,dk->ckd", same, size, size)
-    cycles, coordinates = size.shape
-    total = np.zeros((cycles, coordinates, phases) * 2)
-    kernel = periodic_kernel(phases, REPEATABLE_WIDTH)
-    for place in range(coordinates):
-        total[:, place, :, :, place, :] = across[:, place, None, :, None] * kernel[None, :, None, :]
-    return total.reshape(cycles * coordinates * phases, -1)
+    kernel = periodic_kernel(data.linearized.residual.shape[-1], REPEATABLE_WIDTH)
+    size = data.moment_size[cycle, coordinate]
+    total = same[np.ix_(cycle, cycle)] * kernel[np.ix_(phase, phase)] * np.outer(size, size)
+    return total * (coordinate[:, None] == coordinate[None])

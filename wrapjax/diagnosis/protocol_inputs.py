@@ -119,7 +119,7 @@ def input_of_calibration(calibration: Calibration, without: Sequence[str] = ()) 
     recorded = replace(context, all_cycles=None)
     parts = [(recording, recorded), candidate_context(leg, candidates, subject.paretic)]
     of_trial = [-np.ones(len(measured), int), _numbers(candidates)]
-    gait_trials = []
+    gait_trials: list[CandidateTrial] = []
     for name, (speed, emg, word) in _SPEEDS.items():
         chosen = _cycles_of_speed(context, slowest=speed < 1.0)
         parts.append(at_other_speed(recording, recorded, chosen, speed=speed, emg=emg, name=name))

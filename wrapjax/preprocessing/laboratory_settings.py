@@ -88,7 +88,8 @@ class LaboratoryTrial:
     @property
     def motion(self) -> Path:
         """File of the motion: markers, joint angles, or those of a dynamometer."""
-        file = self.markers or self.angles or (self.dynamometer and self.dynamometer.file)
+        device = None if self.dynamometer is None else self.dynamometer.file
+        file = self.markers or self.angles or device
         assert file is not None
         return file
 

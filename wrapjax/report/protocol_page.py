@@ -56,7 +56,7 @@ def _effort(advised: AdvisedTrial) -> str:
 
 def protocol_rows(protocol: ProtocolResult) -> list[tuple[str, ...]]:
     """Tabulate the advised trials: what, posture, effort, minutes, nats, d', pairs told apart."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for number, one in enumerate(protocol.advised, start=1):
         pairs = [f"{first} / {second}" for first, second in one.splits[:_MOST_PAIRS]]
         if len(one.splits) > _MOST_PAIRS:
