@@ -171,6 +171,17 @@ def test_commands_refuse_what_is_no_subject(tmp_path, capsys):
     assert not (tmp_path / "next").exists()
 
 
+def test_a_diagnosis_gives_its_subject_and_what_it_left_undecided(tmp_path):
+    write_subject(tmp_path / "person")
+    gap = tmp_path / "gap"
+    gap.mkdir()
+    effects = [{"id": "emg_offset", "probability": 0.6}, {"id": "none", "probability": 0.4}]
+    content = {"subject_folder": "../person", "effects": effects}
+    (gap / "gap.json").write_text(json.dumps(content))
+    subject, probabilities = subject_and_probabilities(gap)
+    assert subject.name == "synthetic" and probabilities == {"emg_offset": 0.6}
+
+
 def test_damaged_diagnosis_is_refused(tmp_path):
     (tmp_path / "gap.json").write_text('{"effects": [{"id": "none", "probability": 1.0}]}')
     with pytest.raises(InputError, match="found none"):
