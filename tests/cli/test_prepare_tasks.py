@@ -188,3 +188,68 @@ def test_masses_alone_are_scaled_and_it_is_said_what_stays_generic(run, laborato
     ]
     assert models[1].mass_kg == pytest.approx(1.2 * models[0].mass_kg)
     assert models[1].muscles.names == models[0].muscles.names
+
+
+DEVICE = """[[trial]]
+name = "knee_passive"
+use = "calibration"
+task = "passive"
+interval = [1.0, 19.0]
+posture = {{ {posture} }}
+[trial.dynamometer]
+file = "{file}"
+coordinate = "knee_angle_l"
+time = "s"
+angle = "deg"
+torque = "Nm"
+"""
+
+
+def device_settings(laboratory, name, torque, posture="hip_flexion_l = 80.0, ankle_angle_l = 0.0"):
+    """Settings of a laboratory whose only trial is a slow rotation of the knee by a dynamometer."""
+    time = np.arange(0.0, 20.0, 0.02)
+    angle = 50.0 - 40.0 * np.cos(2.0 * np.pi * time / 10.0)
+    rows = np.column_stack([time, angle, torque(angle)])
+    file = laboratory.parent / f"{name}.csv"
+    np.savetxt(file, rows, delimiter=",", header="s,deg,Nm", comments="")
+    text = laboratory.read_text()
+    trial = DEVICE.format(file=file.name, posture=posture)
+    settings = laboratory.parent / f"{name}.toml"
+    settings.write_text(text[: text.index("[[trial]]")] + trial)
+    return settings
+
+
+def test_a_dynamometer_trial_becomes_a_trial_of_its_coordinate(run, laboratory, tmp_path):
+    settings = device_settings(laboratory, "knee", lambda angle: 0.2 * (45.0 - angle))
+    outcome = run("prepare", settings, "--out", tmp_path / "knee")
+    assert outcome.status == 0, outcome.progress
+    assert "no weight of limb and lever arm was subtracted" in outcome.output
+    trials = load_subject(tmp_path / "knee").trials
+    column = trials.moment_coordinates.index("knee_angle_l")
+    measured = np.isfinite(trials.moments).any(axis=(0, 2))
+    assert measured.tolist() == [place == column for place in range(len(measured))]
+    angle = trials.angles[:, trials.coordinates.index("knee_angle_l")]
+    expected = 0.2 * (45.0 - np.degrees(angle))[trials.counted]
+    np.testing.assert_allclose(trials.moments[:, column][trials.counted], expected, atol=0.02)
+
+
+def test_the_posture_of_the_other_joints_is_asked_for(run, laboratory, tmp_path):
+    settings = device_settings(laboratory, "posed", lambda angle: 45.0 - angle, "hip_flexion_l = 80.0")
+    outcome = run("prepare", settings, "--out", tmp_path / "posed")
+    assert outcome.status == 2
+    assert "expected the posture of every other coordinate, found none of ankle_angle_l" in outcome.progress
+
+
+@pytest.mark.parametrize(
+    ("name", "torque", "words"),
+    [
+        ("centimeters", lambda angle: 20.0 * (45.0 - angle), 'torque_unit = "N cm"'),
+        ("reversed", lambda angle: -0.2 * (45.0 - angle), "a passive moment that falls as the angle rises"),
+    ],
+)
+def test_a_torque_in_another_unit_or_of_opposite_sign_is_refused(
+    run, laboratory, tmp_path, name, torque, words
+):
+    outcome = run("prepare", device_settings(laboratory, name, torque), "--out", tmp_path / name)
+    assert outcome.status == 2 and words in outcome.progress, outcome.progress
+    assert len(outcome.progress.strip().splitlines()) == 1 and not (tmp_path / name).exists()

@@ -30,6 +30,7 @@ from wrapjax.cli import (
     joints,
     paths,
     prepare,
+    protocol,
     report,
     show,
 )
@@ -50,6 +51,7 @@ ADD_COMMANDS = (
     calibrate.add,
     compare.add,
     diagnose.add,
+    protocol.add,
     demo.add,
     fetch.add,
     evaluate.add,

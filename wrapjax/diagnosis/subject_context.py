@@ -6,14 +6,14 @@ inverse dynamics.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
@@ -198,6 +198,29 @@ def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
     _, touched = touched_wraps(engine, subject.trials)
     if not touched:
         return None
+    motion = engine_motion(engine, subject)
+    return changes_of_wraps(
+        engine, touched, lambda moving: derivatives_by_wrap_parameters(engine, *motion, moving)
+    )
+
+
+def changes_of_wraps(
+    engine: ExactPaths,
+    touched: tuple[str, ...],
+    derivatives: Callable[[Bool[np.ndarray, " muscle"]], PathState],
+) -> PathChanges:
+    """Compute the changes of paths by the parameters of some wraps.
+
+    Parameters
+    ----------
+    engine
+        Exact engine of the muscles.
+    touched
+        Names of the wraps.
+    derivatives
+        Function from the muscles that these wraps move to the derivatives of the paths; see
+        `derivatives_by_wrap_parameters`.
+    """
     # The feasible range of each wrap takes long to find, and effects need usual sizes only.
     usual = dict.fromkeys(touched, USUAL_TRANSLATION)
     wraps_of = [engine.wraps_of(name) for name in engine.muscles]
@@ -205,9 +228,8 @@ def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
     moving = np.asarray((freed.places >= 0).any(axis=1))
     number = np.where(freed.free, np.cumsum(freed.free.ravel()).reshape(freed.free.shape) - 1, -1)
     entries = np.argwhere(freed.free)
-    derivatives = derivatives_by_wrap_parameters(engine, *engine_motion(engine, subject), moving)
     return PathChanges(
-        paths=Partial(_linear_paths, derivatives),
+        paths=Partial(_linear_paths, derivatives(moving)),
         places=np.where(freed.places[:, :, None] < 0, -1, number[freed.places]).reshape(len(wraps_of), -1),
         names=tuple(f"{freed.names[wrap]}.{freed.quantities[place]}" for wrap, place in entries),
         units=tuple(freed.units[place] for _, place in entries),
@@ -217,12 +239,17 @@ def wrap_changes(engine: ExactPaths, subject: Subject) -> PathChanges | None:
 
 def attachment_changes(engine: ExactPaths, subject: Subject) -> PathChanges:
     """Compute how paths change with the places of the muscles' ends."""
-    count = len(engine.muscles)
+    return changes_of_ends(engine.muscles, derivatives_by_ends(engine, *engine_motion(engine, subject)))
+
+
+def changes_of_ends(muscles: tuple[str, ...], derivatives: PathState) -> PathChanges:
+    """Compute the changes of paths by the places of the muscles' ends; see `derivatives_by_ends`."""
+    count = len(muscles)
     ends = [f"{end}_{axis}_m" for end in ("origin", "insertion") for axis in "xyz"]
     return PathChanges(
-        paths=Partial(_linear_paths, derivatives_by_ends(engine, *engine_motion(engine, subject))),
+        paths=Partial(_linear_paths, derivatives),
         places=np.arange(6 * count).reshape(count, 6),
-        names=tuple(f"{muscle}.{end}" for muscle in engine.muscles for end in ends),
+        names=tuple(f"{muscle}.{end}" for muscle in muscles for end in ends),
         units=("m",) * (6 * count),
         prior_sd=(_ATTACHMENT_SD,) * (6 * count),
     )

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.toml import TableReader, describe_value, parse_toml, read_toml_text
+from wrapjax.preprocessing.dynamometer import DynamometerSettings, read_dynamometer
 from wrapjax.preprocessing.force_plates import SIDES, ForceColumns
 from wrapjax.subject.settings import read_channels
 from wrapjax.subject.trial_settings import (
@@ -62,6 +63,9 @@ class LaboratoryTrial:
         Cut-off frequency for motion and forces, Hz; NaN for the usual one.
     steps
         Intervals (s) of steps in gait with flight phases, by side, whose foot a person has stated.
+    dynamometer
+        Dynamometer that measured the moment, and the angle where there are neither markers nor angles; None
+        without one.
     """
 
     name: str
@@ -79,11 +83,13 @@ class LaboratoryTrial:
     moments_low_pass: float = math.nan
     low_pass: float = math.nan
     steps: dict[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    dynamometer: DynamometerSettings | None = None
 
     @property
     def motion(self) -> Path:
-        """File of the motion: markers or joint angles."""
-        file = self.markers or self.angles
+        """File of the motion: markers, joint angles, or those of a dynamometer."""
+        device = None if self.dynamometer is None else self.dynamometer.file
+        file = self.markers or self.angles or device
         assert file is not None
         return file
 
@@ -324,12 +330,18 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
         reader.add_problem("name", f"expected letters, digits, '_', '-', '+' and '.', found '{name}'")
     use = reader.text("use", choices=("calibration", "validation"))
     speed = reader.number("speed_m_s", lowest=0.0, highest=15.0, unit="m/s", required=False)
-    if reader.has("markers") == reader.has("angles"):
+    device = reader.has("dynamometer")
+    if reader.has("markers") == reader.has("angles") and (reader.has("markers") or not device):
         found = "both" if reader.has("markers") else "neither"
         reader.add_problem("markers", f"expected either markers or angles, found {found}")
     markers, angles = (existing_file(reader, key, required=False) for key in ("markers", "angles"))
     task = read_task(reader)
-    given = reader.has("moments")
+    dynamometer = read_dynamometer(reader, file.parent)
+    if device and task == GAIT:
+        reader.add_problem("dynamometer", "is for other tasks than gait; state task and interval")
+    if device and (reader.has("moments") or reader.has("forces")):
+        reader.add_problem("dynamometer", "expected no moments and no forces beside a dynamometer")
+    given = reader.has("moments") or device
     moments = existing_file(reader, "moments", required=False)
     moments_low_pass, low_pass = (
         reader.number(key, lowest=0.5, highest=100.0, unit="Hz", required=False)
@@ -349,9 +361,11 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
     posture, condition = read_posture(reader), reader.text("condition", required=False)
     steps = _read_steps(reader, problems)
     reader.report_unknown_keys()
-    if name is None or use is None or task is None or (markers is None) == (angles is None):
+    if name is None or use is None or task is None or (device and dynamometer is None):
         return None
-    if (forces is None and moments is None) or (emg is None and not at_rest):
+    if (markers is None) == (angles is None) and not device:
+        return None
+    if (forces is None and moments is None and not device) or (emg is None and not at_rest):
         return None
     return LaboratoryTrial(
         name,
@@ -369,6 +383,7 @@ def _read_trial(table: object, number: int, file: Path, problems: list[Problem])
         math.nan if moments_low_pass is None else moments_low_pass,
         math.nan if low_pass is None else low_pass,
         steps,
+        dynamometer,
     )
 
 

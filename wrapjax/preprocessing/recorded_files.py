@@ -118,6 +118,10 @@ def _read_recorded_motion(
     trial: LaboratoryTrial, settings: LaboratorySettings, model: PreparationModel, notes: list[str]
 ) -> Markers | Motion:
     """Read joint angles, or the markers that the model has."""
+    if trial.dynamometer is not None and trial.markers is None and trial.angles is None:
+        # The device's angle is read with its torque.
+        start, end = min(one[0] for one in trial.cycles), max(one[1] for one in trial.cycles)
+        return Motion((), np.array([start, end]), np.zeros((0, 2)))
     if trial.angles is not None:
         return read_motion(trial.angles, model.file.coordinates, model.coupled, settings.coordinates, notes)
     assert trial.markers is not None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.preprocessing.consistency_checks import (
     MIN_LOAD_SHARE,
     Check,
@@ -23,6 +23,7 @@ from wrapjax.preprocessing.cycle_outliers import (
     unusual_durations,
     unusual_moments,
 )
+from wrapjax.preprocessing.dynamometer import DynamometerSettings, compare_angles, read_device_trial
 from wrapjax.preprocessing.flight_steps import (
     MIN_OTHER_SHARE,
     assign_steps,
@@ -83,6 +84,8 @@ def prepare_trial(
         With all faults of the files, or with all failed checks.
     """
     files = read_files(trial, settings, model)
+    if trial.dynamometer is not None:
+        return _prepare_dynamometer(files, trial, trial.dynamometer, settings, model, log)
     if trial.task != GAIT:
         return _prepare_task(files, trial, settings, model, log)
     contacts = () if files.forces is None else find_flight_contacts(files.forces)
@@ -211,6 +214,49 @@ def _prepare_task(
         checks = (*checks, *mechanical)
     moments = trial_moments(trial, settings, model, motion, forces, cutoff, notes, log)
     return _finish(files, trial, intervals, cutoff, motion, moments, forces, required, checks, notes)
+
+
+def _prepare_dynamometer(
+    files: RecordedFiles,
+    trial: LaboratoryTrial,
+    device: DynamometerSettings,
+    settings: LaboratorySettings,
+    model: PreparationModel,
+    log: Callable[[str], None],
+) -> PreparedTrial:
+    """Prepare intervals in which a dynamometer measured the moment about one joint."""
+    notes = list(files.notes)
+    if device.coordinate not in settings.coordinates:
+        message = f"expected one of the coordinates of [model], found '{device.coordinate}'"
+        place = f"[[trial]] '{trial.name}' dynamometer coordinate"
+        hint = nearest_name(device.coordinate, settings.coordinates)
+        raise InputError(Problem(str(settings.file), message, place, hint))
+    stated = {name for name, _ in trial.posture} | {device.coordinate}
+    unknown = [name for name in settings.coordinates if name not in stated]
+    if trial.markers is None and trial.angles is None and unknown:
+        message = f"expected the posture of every other coordinate, found none of {', '.join(unknown)}"
+        hint = f"posture = {{ {unknown[0]} = 0.0 }}, in degrees"
+        raise InputError(Problem(str(settings.file), message, f"[[trial]] '{trial.name}' posture", hint))
+    _check_covered(trial, settings, files)
+    cutoff = TASK_LOW_PASS if np.isnan(trial.low_pass) else trial.low_pass
+    measured = read_device_trial(device, trial.task, settings.mass_kg, trial.cycles, cutoff)
+    notes += measured.notes
+    first, last = min(one[0] for one in trial.cycles), max(one[1] for one in trial.cycles)
+    if first < measured.time[0] - 1e-6 or last > measured.time[-1] + 1e-6:
+        covered = f"{measured.time[0]:g} to {measured.time[-1]:g} s"
+        message = f"expected samples from {first:g} to {last:g} s, found them from {covered}"
+        raise InputError(Problem(str(device.file), message, f"trial '{trial.name}'"))
+    label = f"{device.coordinate}_moment"
+    checks: tuple[Check, ...] = ()
+    if trial.markers is None and trial.angles is None:
+        motion = Motion((device.coordinate,), measured.time, measured.angle[None])
+        moments = {label: measured.moment}
+    else:
+        motion, checks = solve_motion(files, trial, settings, model, trial.cycles, cutoff, notes, log)
+        row = motion.coordinates.index(device.coordinate)
+        notes.append(compare_angles(device, measured, motion.time, motion.values[row]))
+        moments = {label: np.interp(motion.time, measured.time, measured.moment)}
+    return _finish(files, trial, trial.cycles, cutoff, motion, moments, None, None, checks, notes)
 
 
 def _cutoff(trial: LaboratoryTrial, period: float) -> float:

@@ -148,7 +148,7 @@ def read_signals(
         defaults={info.name: info.default_value for info in model_coordinates},
     )
     if trial.task == "passive" and model_coordinates:
-        check_restoring_moments(trial, expected, restoring_samples(signals, expected), problems)
+        check_restoring_moments(trial.moments, expected, restoring_samples(signals, expected), problems)
     return signals
 
 

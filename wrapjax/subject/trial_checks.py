@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -53,7 +54,7 @@ def check_moments(
 
 
 def check_restoring_moments(
-    trial: TrialSettings,
+    file: Path | None,
     names: tuple[str, ...],
     samples: Mapping[str, tuple[np.ndarray, np.ndarray]],
     problems: list[Problem],
@@ -62,8 +63,8 @@ def check_restoring_moments(
 
     Parameters
     ----------
-    trial
-        Settings of a passive trial.
+    file
+        File of the moments of a passive trial, for the message.
     names
         Coordinates of the subject.
     samples
@@ -87,7 +88,7 @@ def check_restoring_moments(
                 f"one that rises with it (correlation {correlation:.2f})"
             )
             hint = "is a sign opposite to OpenSim's, or was the limb's weight not subtracted?"
-            problems.append(Problem(str(trial.moments), message, f"column {name}_moment", hint))
+            problems.append(Problem(str(file), message, f"column {name}_moment", hint))
 
 
 def activity_notes(trials: Trials, floor: Float[np.ndarray, " channel"]) -> list[str]:

@@ -355,7 +355,8 @@ def _gait_speeds(context: Context) -> Float[np.ndarray, " cycle"]:
 
 
 def _speeds_that_are_not_given(context: Context) -> str:
-    given = np.isfinite(_gait_speeds(context)).all()
+    speeds = _gait_speeds(context)
+    given = len(speeds) > 0 and np.isfinite(speeds).all()
     return "" if given else "walking speeds are not given for every cycle"
 
 

@@ -1,0 +1,283 @@
+"""``protocol``: the trials that would tell most about what a model of a person lacks."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from wrapjax.calibration.calibration import STARTS, cached_calibration
+from wrapjax.calibration.solvers.interface import Status
+from wrapjax.calibration.solvers.multistart import IterationCallback
+from wrapjax.diagnosis.candidate_trials import CandidateTrial
+from wrapjax.diagnosis.decision import TIE_DISTANCE
+from wrapjax.diagnosis.detectability import Design, Detection, detection, information_gain
+from wrapjax.diagnosis.effects.catalogue import refuse_unknown
+from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.protocol_covariance import measured_rows, protocol_covariance
+from wrapjax.diagnosis.protocol_inputs import ProtocolInput, input_of_calibration, input_of_model
+from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
+from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
+from wrapjax.errors import InputError, Problem
+from wrapjax.path_sources.exact import ExactGeometry
+from wrapjax.path_sources.polynomial_fit import Fit
+from wrapjax.subject.gait_alone import with_gait_alone
+from wrapjax.subject.model_alone import subject_of_model
+from wrapjax.subject.subject import Subject, load_subject
+
+#: Number of trials that are advised.
+ADVISED = 3
+# Effects whose probability is smaller than this are not undecided.
+_LEAST_WEIGHT = 0.005
+
+
+@dataclass(frozen=True)
+class Protocol(ProtocolResult):
+    """The trials that would tell most; its fields are those of `ProtocolResult`."""
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write ``protocol.json`` and ``report.html``.
+
+        Parameters
+        ----------
+        folder
+            Folder to create.
+        force
+            Replace an existing folder.
+        """
+        from wrapjax.report.protocol_page import write_protocol
+
+        write_protocol(self, Path(folder), force=force)
+
+
+def protocol(
+    subject: Subject | str | Path,
+    method: str = "NGA",
+    fit: Fit | ExactGeometry | None = None,
+    *,
+    probabilities: Mapping[str, float] | None = None,
+    side: str = "r",
+    without: Sequence[str] = (),
+    starts: int = STARTS,
+    seed: int = 0,
+    callback: IterationCallback | None = None,
+    log: Callable[[str], None] = lambda line: None,
+) -> Protocol:
+    """Find the trials that would tell most about what the model of a person lacks.
+
+    Candidate trials are simulated by the forward model: passive rotations and isometric ramps of each joint,
+    a squat, faster and slower gait. Every effect of the catalogue has a signature in each of them. Trials are
+    compared by the information on which effects are present, with calibrated parameters, the muscle law and
+    all nuisances marginalised; see `wrapjax.diagnosis.detectability`.
+
+    Parameters
+    ----------
+    subject
+        Subject from `load_subject`, which is calibrated to its gait (the calibration is cached); or an
+        OpenSim model (``.osim``) alone, with an electrode on every group of muscles.
+    method, fit, starts, seed, callback
+        See `calibrate`.
+    probabilities
+        Probability of each effect by a finished diagnosis: trials are then advised that tell apart what it
+        left undecided. Effects that are not given have none. If None, all effects count alike.
+    side
+        Leg of a model alone, ``l`` or ``r``.
+    without
+        Identifiers of effects to leave out.
+    log
+        Function called with a line at each step.
+
+    Returns
+    -------
+    Protocol
+        The trials, with the detectability of every effect before and after them.
+
+    Raises
+    ------
+    InputError
+        If ``without`` contains an unknown effect, or the exact engine does not support the model.
+    KeyboardInterrupt
+        If the calibration was interrupted.
+    """
+    refuse_unknown(without)
+    began = time.perf_counter()
+    if not isinstance(subject, Subject):
+        subject = subject_of_model(subject, side)
+    if len(subject.trials):
+        one_leg = replace(with_gait_alone(subject, "the advice on trials"), other_leg=None)
+        calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
+        if calibration.status is Status.interrupted:
+            raise KeyboardInterrupt
+        log("computing the signature of every effect in every trial")
+        data = input_of_calibration(calibration, without)
+        cycles = int(data.recorded.sum())
+        basis = f"{cycles} recorded gait cycle{'s' if cycles > 1 else ''}"
+    else:
+        log("computing the signature of every effect in every trial")
+        data = input_of_model(subject, without)
+        basis = "the model alone, without recordings, with an electrode on every group of muscles"
+    log("comparing trials")
+    return advise_trials(subject.name, basis, data, probabilities, began)
+
+
+def subject_and_probabilities(place: Path, side: str = "r") -> tuple[Subject, dict[str, float] | None]:
+    """Read a subject folder, a model alone, or a finished diagnosis with its subject.
+
+    Parameters
+    ----------
+    place
+        Subject folder, OpenSim model (``.osim``), or folder of ``wrapjax diagnose``.
+    side
+        Leg of a model alone.
+
+    Returns
+    -------
+    subject, probabilities
+        Subject, and the probability of each effect by the diagnosis; None without one.
+    """
+    if place.suffix.lower() == ".osim":
+        return subject_of_model(place, side), None
+    file = place / "gap.json"
+    if not file.is_file():
+        return load_subject(place), None
+    probabilities = read_probabilities(place)
+    folder = json.loads(file.read_text(encoding="utf-8")).get("subject_folder")
+    if not isinstance(folder, str):
+        raise InputError(
+            Problem(str(file), "expected the folder of the subject, found none", "subject_folder")
+        )
+    return load_subject(place / folder), probabilities
+
+
+def read_probabilities(folder: Path) -> dict[str, float]:
+    """Read the probability of each effect from a folder of ``wrapjax diagnose``.
+
+    Raises
+    ------
+    InputError
+        If its ``gap.json`` is damaged or holds no probabilities.
+    """
+    file = folder / "gap.json"
+    try:
+        effects = json.loads(file.read_text(encoding="utf-8"))["effects"]
+        found = {
+            str(one["id"]): float(one["probability"])
+            for one in effects
+            if one["id"] not in ("none", "unknown") and one["probability"] is not None
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(Problem(str(file), f"is damaged ({error})")) from error
+    if not any(found.values()):
+        raise InputError(
+            Problem(str(file), "expected probabilities of effects, found none: the diagnosis has no result")
+        )
+    return found
+
+
+def advise_trials(
+    name: str,
+    basis: str,
+    data: ProtocolInput,
+    probabilities: Mapping[str, float] | None,
+    began: float,
+) -> Protocol:
+    """Choose trials one after the other, each the best after the earlier ones."""
+    candidates = tuple(one for one in data.linearized.candidates if one.id not in data.negative_controls)
+    design, row_trial = _design(data, candidates)
+    weights, rivals = _weights(candidates, probabilities)
+
+    def gain(information: Float[np.ndarray, "column column"]) -> float:
+        detected = detection(information, candidates, pairs=probabilities is not None)
+        return information_gain(detected, weights, rivals)
+
+    design = design.recorded(np.flatnonzero(row_trial < 0)).of_rows(np.flatnonzero(row_trial >= 0))
+    row_trial = row_trial[row_trial >= 0]
+    start = gain(design.information)
+    before = detection(design.information, candidates)
+    left = list(range(len(data.trials)))
+    advised: list[AdvisedTrial] = []
+    considered: list[tuple[CandidateTrial, float]] = []
+    reached, last = start, before
+    for _ in range(min(ADVISED, len(left))):
+        found = {
+            number: gain(design.information_with(np.flatnonzero(row_trial == number))) for number in left
+        }
+        if not considered:
+            ranked = sorted(found, key=lambda number: -found[number])
+            considered = [(data.trials[number], found[number] - start) for number in ranked]
+        best = max(found, key=lambda number: found[number])
+        value = found[best]
+        detected = detection(design.information_with(np.flatnonzero(row_trial == best)), candidates)
+        advised.append(
+            AdvisedTrial(
+                data.trials[best],
+                value - reached,
+                _weighted_median(detected.expected_evidence, weights),
+                detected,
+                _split(candidates, last, detected, weights),
+            )
+        )
+        design = design.recorded(np.flatnonzero(row_trial == best))
+        left.remove(best)
+        reached, last = value, detected
+    return Protocol(
+        name=name,
+        basis=basis,
+        effects=tuple(one.id for one in candidates),
+        weights=weights,
+        before=before,
+        expected_before=_weighted_median(before.expected_evidence, weights),
+        advised=tuple(advised),
+        considered=tuple(considered),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _weights(
+    candidates: Sequence[Candidate], probabilities: Mapping[str, float] | None
+) -> tuple[Float[np.ndarray, " effect"], Float[np.ndarray, "effect effect"]]:
+    """Compute how undecided each effect is, and the probability of each of its rivals."""
+    count = len(candidates)
+    if probabilities is None:
+        return np.full(count, 1.0 / count), np.eye(count)
+    known = np.array([probabilities.get(one.id, 0.0) for one in candidates])
+    known = np.where(known < _LEAST_WEIGHT, 0.0, known)
+    if not known.any():
+        raise InputError(Problem("probabilities", "expected one of an effect of the catalogue, found none"))
+    rest = np.maximum(1.0 - known, 1e-9)
+    rivals = known[None] / rest[:, None]
+    np.fill_diagonal(rivals, np.maximum(1.0 - known.sum(), 0.0) / rest)
+    return known / known.sum(), rivals
+
+
+def _weighted_median(values: Float[np.ndarray, " effect"], weights: Float[np.ndarray, " effect"]) -> float:
+    order = np.argsort(values)
+    share = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(share, 0.5 * share[-1])])
+
+
+def _split(
+    candidates: Sequence[Candidate],
+    before: Detection,
+    after: Detection,
+    weights: Float[np.ndarray, " effect"],
+) -> tuple[tuple[str, str], ...]:
+    """List pairs that cannot be told apart before and can after, the most undecided first."""
+    least = np.maximum(after.apart, after.apart.T)
+    split = before.tied(TIE_DISTANCE, MIN_DETECTABILITY) & (least >= TIE_DISTANCE)
+    split &= (weights > 0.0)[:, None] & (weights > 0.0)[None]
+    first, second = np.nonzero(np.triu(split))
+    order = np.argsort([-weights[one] * weights[other] for one, other in zip(first, second, strict=True)])
+    return tuple((candidates[first[place]].id, candidates[second[place]].id) for place in order)
+
+
+def _design(data: ProtocolInput, candidates: Sequence[Candidate]) -> tuple[Design, Int[np.ndarray, " row"]]:
+    """Build the design over the rows that are measured, and the trial of each; -1 of recorded rows."""
+    rows = measured_rows(data)
+    design = Design.of_effects(candidates, protocol_covariance(data, rows), rows)
+    return design, np.repeat(data.trial, data.linearized.residual[0].size)[rows]
