@@ -89,7 +89,7 @@ def test_functions_of_the_drift_have_its_covariance():
 
 def test_many_drifting_markers_have_fewer_functions():
     times = [np.linspace(0.0, 30.0, 100)]
-    assert 3 * 50 * drift_functions(times, markers=50).shape[1] <= 1500
+    assert 3 * 50 * drift_functions(times, markers=50).shape[1] <= 800
 
 
 @pytest.mark.slow

@@ -7,10 +7,11 @@ the recorded running and one of each joint alone. OpenSim computes the markers o
 
 Skin moves each marker on its body by 4.5 mm (root mean square), in proportion to the angles of the joints at
 the body (continuous and in phase, the same per angle in all trials; of the size of Reinbolt et al. 2005,
-J Biomech 38), and by a slow sinusoid of about half that size. Errors are those of the joint's centre against
-the body's markers: the estimated body is laid on the true one by the markers that it carries, in the parent
-and in the child body where these carry three or more; of a hinge, the distance from the true axis, and the
-angle between the axes.
+J Biomech 38), and by a slow sinusoid of about half that size. ``--curvature`` and ``--cameras-mm`` make it
+harder: movement in proportion to squared angles too, which the estimation does not know of, and noise. Errors
+are those of the joint's centre against the body's markers: the estimated body is laid on the true one by the
+markers that it carries, in the parent and in the child body where these carry three or more; of a hinge, the
+distance from the true axis, and the angle between the axes.
 """
 
 from __future__ import annotations

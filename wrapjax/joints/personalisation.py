@@ -27,7 +27,8 @@ from wrapjax.osim.personalised_joints import JointChanges, write_model_with_join
 
 #: Most rounds of estimation; each begins with the noise of the one before.
 ROUNDS = 6
-#: The rounds end where the noise changes by a smaller share.
+#: The rounds end where the noise falls by a smaller share. Where it rises, further rounds would trust the
+#: markers less and less.
 NOISE_TOLERANCE = 0.05
 #: Solver: the posterior is far wider than these tolerances.
 SOLVER = ProjectedLevenbergMarquardt(gtol=1e-5, ftol=1e-8, max_iterations=80)
@@ -82,7 +83,7 @@ def personalize_joints(
         matrix = np.asarray(solution.linearization.gauss_newton)
         noise, independent = estimate_noise(problem, variables, matrix, counts)
         log(f"round {number + 1}: noise {1e3 * noise:.2f} mm, {independent:.0f} independent frames")
-        if abs(noise - before) < NOISE_TOLERANCE * noise:
+        if noise > (1.0 - NOISE_TOLERANCE) * before:
             break
     changes = joint_changes(problem, parameters, names, variables)
     with tempfile.TemporaryDirectory(prefix="wrapjax-") as folder:

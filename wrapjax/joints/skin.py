@@ -30,7 +30,7 @@ DRIFT_TIME = 0.25
 #: Share of the drift's variance that its principal functions must explain.
 _EXPLAINED = 0.995
 #: Largest number of amplitudes of the drift: a step of the estimation takes time with its third power.
-_MOST_AMPLITUDES = 1500
+_MOST_AMPLITUDES = 800
 
 
 class SkinMovement(eqx.Module):
