@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,11 +24,11 @@ from wrapjax.diagnosis.priors import with_published_priors
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.model.forward import Recording, joint_moments
-from wrapjax.model.freedom import nga_freedom
+from wrapjax.model.freedom import Freedom, nga_freedom
 from wrapjax.model.variables import free_variables
 from wrapjax.muscle.personal_law import given_law
 from wrapjax.osim.model import describe_model
-from wrapjax.path_sources.exact import build_engine
+from wrapjax.path_sources.exact import ExactGeometry, build_engine
 from wrapjax.path_sources.model_inputs import model_parameters
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import FRAMES, GAIT, Trials
@@ -165,7 +164,7 @@ def input_of_model(subject: Subject, without: Sequence[str] = ()) -> ProtocolInp
     )
     candidates = candidate_trials(coordinates, _ranges(subject, coordinates))
     recording, context = candidate_context(leg, candidates)
-    problem = _objective(subject, recording, context)
+    problem = _objective(subject, engine, recording, context)
     none = np.zeros((0, len(coordinates), FRAMES))
     return _linearized(
         problem,
@@ -179,16 +178,17 @@ def input_of_model(subject: Subject, without: Sequence[str] = ()) -> ProtocolInp
 
 
 @dataclass(frozen=True)
-class _GivenPaths:
+class _GivenPaths(ExactGeometry):
     """Source of paths that are computed already."""
 
     path: AbstractPath
 
-    def paths(self, *_: Any) -> AbstractPath:
+    def paths(self, subject: Subject, trials: Trials, freedom: Freedom) -> AbstractPath:
+        """Return the paths that are given."""
         return self.path
 
 
-def _objective(subject: Subject, recording: Recording, context: Context) -> Objective:
+def _objective(subject: Subject, engine: ExactPaths, recording: Recording, context: Context) -> Objective:
     """Build an objective whose priors and penalties are those of a calibration of this model."""
     frames = np.arange(FRAMES)
     padded = np.arange(-context.padding, FRAMES + context.padding)
@@ -210,7 +210,8 @@ def _objective(subject: Subject, recording: Recording, context: Context) -> Obje
         tasks=context.tasks,
     )
     freedom = nga_freedom(model_parameters(subject))
-    given = cast(Any, _GivenPaths(recording.path))
+    no_wraps = np.zeros((len(engine.muscles), 0), dtype=bool)
+    given = _GivenPaths("engine", "", engine, no_wraps, {}, recording.path)
     problem = build_objective(replace(subject, trials=trials), fit=given, freedom=freedom)
     law = jnp.asarray(given_law(len(subject.muscles.names)))
     start = replace(model_parameters(subject), law=law)
