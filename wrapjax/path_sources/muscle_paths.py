@@ -201,7 +201,7 @@ class MusclePaths:
         range there is no slope.
         """
         poses = np.asarray(poses, dtype=float)
-        parameters = jnp.asarray(self.nominal if parameters is None else parameters)
+        own = jnp.asarray(self.nominal if parameters is None else parameters)
         size = min(len(poses), _BATCH)
         parts = []
         for first in range(0, len(poses), size):
@@ -209,7 +209,7 @@ class MusclePaths:
             padded = np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)])
             rates = [self._rates(padded, column) for column in range(poses.shape[1])]
             stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *rates)
-            slopes = _slopes(self.posed(padded), stacked, parameters)
+            slopes = _slopes(self.posed(padded), stacked, own)
             parts.append(np.moveaxis(np.asarray(slopes), 0, 1)[: len(part)])
         return np.concatenate(parts)
 

@@ -40,11 +40,11 @@ def test_drawn_paths_are_the_engines(shown, scene, poses):
                 assert route.length - 1e-4 < drawn <= route.length + 1e-12
                 contact = path.contact[flags]
                 assert (contact >= 0).any() == bool(route.contacts)
-                for place, cylinder in enumerate(route.cylinders):
+                for place, cylinder in enumerate(route.wraps):
                     on = np.flatnonzero(contact == place)
                     if on.size:
                         touched += 1
-                        local = cylinder.to_cylinder_frame(vertices[on[0] : on[-1] + 2])
+                        local = cylinder.to_surface_frame(vertices[on[0] : on[-1] + 2])
                         np.testing.assert_allclose(np.hypot(*local.T[:2]), cylinder.radius, atol=1e-9)
                         np.testing.assert_allclose(
                             vertices[on[0]], route.contacts[cylinder.name][0], atol=1e-9
@@ -70,9 +70,9 @@ def test_wraps_are_drawn_where_the_engine_has_them(shown, poses, scene):
     for placement in shown.placements:
         parameters = placement.of(("PS_at_brim_l",))
         shape = wrap_shape(shown.model.wrap("PS_at_brim_l"), parameters[0])
-        (cylinder,) = route_path(shown.model, "psoas_l", COORDINATES, poses[3], parameters).cylinders
+        (cylinder,) = route_path(shown.model, "psoas_l", COORDINATES, poses[3], parameters).wraps
         body = scene.bodies[shape.body]
-        local = cylinder.to_cylinder_frame(body.origin[3] + shape.vertices @ body.rotation[3].T)
+        local = cylinder.to_surface_frame(body.origin[3] + shape.vertices @ body.rotation[3].T)
         np.testing.assert_allclose(np.hypot(*local.T[:2]), cylinder.radius, atol=1e-12)
         np.testing.assert_allclose(np.abs(local[:, 2]), cylinder.half_length, atol=1e-12)
         assert shape.triangles.max() == shape.lines.max() == len(shape.vertices) - 1
