@@ -5,6 +5,7 @@ are left out here except in one slow test.
 """
 
 import json
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -12,12 +13,18 @@ import pytest
 import wrapjax.cli.calibrate
 import wrapjax.demonstration.demo
 from tests.report.synthetic_diagnosis import named
+from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import Iteration
 from wrapjax.cli.calibrate import iteration_log
 from wrapjax.cli.command_line import main
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
+from wrapjax.datasets.virtual_person.virtual_subject import Series, write_virtual_subject
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, DiagnosisDemonstration, draw_effect
+from wrapjax.path_sources.polynomial_fit import Fit
+
+#: Walking of the virtual person: a third of the cycles that a demonstration has.
+FEW = (Series(0.8, 1, 1), Series(1.2, 1, 0))
 
 
 def simulated_diagnosis(folder, hidden, **options):
@@ -31,6 +38,11 @@ def simulated_diagnosis(folder, hidden, **options):
 def interrupted_diagnosis(*arguments, **options):
     """Raise the interruption of a diagnosis."""
     raise KeyboardInterrupt
+
+
+def without_motion(save):
+    """Leave out the pages in motion, which take half a minute and are tested in tests/report."""
+    return lambda result, folder, **options: save(result, folder, **{**options, "motion": False})
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +65,11 @@ def interrupted(tmp_path_factory):
 
     words = ["demo", "--out", str(folder), "--seed", "3", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            wrapjax.demonstration.demo, "write_virtual_subject", partial(write_virtual_subject, series=FEW)
+        )
+        for kind in (Fit, Calibration):
+            patch.setattr(kind, "save", without_motion(kind.save))
         patch.setattr(wrapjax.demonstration.demo, "_STARTS", {"NGA": 1, "PGA": 1})
         patch.setattr(wrapjax.cli.calibrate, "iteration_printer", counting)
         patch.setattr(wrapjax.demonstration.demo, "demonstrate_diagnosis", interrupted_diagnosis)
