@@ -4,6 +4,7 @@ import pytest
 
 import wrapjax.cli.calibrate as command
 from tests.cli.test_check import assert_only_errors
+from wrapjax.cli.command_line import build_parser
 from wrapjax.cli.common import DONE
 
 
@@ -72,3 +73,11 @@ def test_errors_of_a_settings_file_are_reported(run, received, tmp_path, content
 def test_without_a_file_nothing_changes(run, received, tmp_path):
     outcome = run("calibrate", "anna", "--out", tmp_path / "run")
     assert outcome.status == 2 and "--method" in outcome.progress and not received
+
+
+def test_no_two_arguments_of_a_command_share_a_value():
+    """The file of ``--settings`` would otherwise replace what a command is about."""
+    _, commands = build_parser()
+    for name, parser in commands.items():
+        places = [action.dest for action in parser._actions]
+        assert len(places) == len(set(places)), name

@@ -17,7 +17,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     """Add the command to the parser."""
     joints = command("joints", run, "Personalise joint frames, body scales and marker places from markers.")
     joints.add_argument(
-        "settings",
+        "source",
         type=Path,
         metavar="SETTINGS",
         help="laboratory settings with a table [joints] (TOML), a folder that holds joints.toml, or settings "
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.progress import print_progress
 
     check_output_folder(options.out, options.force)
-    settings = read_settings(options.settings)
+    settings = read_settings(options.source)
     if options.symmetric:
         settings = replace(settings, symmetric=True)
     done = personalize_joints(settings, log=lambda line: print_progress(line, quiet=options.quiet))
