@@ -21,6 +21,8 @@ OTHERS = ("iliacus_l", "psoas_l")
 COORDINATES = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
 TRIALS = ("slow/01", "slow/02", "fast/01", "fast/02")
 FRAMES, PADDING = 21, 6
+#: Phases of the channels; soleus and tibialis anterior have each other's.
+EXCHANGED = (0.85, 0.30, 0.32, 0.02, 0.93)
 
 #: By muscle: moment arms (m) about the coordinates.
 _ARMS = {
@@ -94,14 +96,19 @@ def _pushed(pattern, effect_sizes):
     return jnp.tensordot(effect_sizes, pattern, axes=1)
 
 
-def small_recording_and_context() -> tuple[Recording, Context]:
-    """Make a recording, and a context with everything that any effect needs."""
+def small_recording_and_context(peaks: tuple[float, ...] | None = None) -> tuple[Recording, Context]:
+    """Make a recording, and a context with everything that any effect needs.
+
+    Each channel is most active at one phase, as a share of the cycle: a random one if none is given. Channels
+    that were exchanged need `EXCHANGED`.
+    """
     generator = np.random.default_rng(0)
     step = np.array([0.012, 0.0121, 0.0095, 0.0093])
     time = step[:, None] * np.arange(-PADDING, FRAMES + PADDING)
     cycle = time / (step[:, None] * (FRAMES - 1))
-    # Soleus and tibialis anterior have each other's usual phases of activity: an exchange can be tested.
-    peak = np.array([0.85, 0.30, 0.32, 0.02, 0.93])[None, :, None]
+    peak = generator.uniform(0.0, 1.0, (1, len(CHANNELS), 1))
+    if peaks is not None:
+        peak = np.array(peaks)[None, :, None]
     emg = 0.08 + 0.7 * np.exp(3.0 * (np.cos(2 * np.pi * (cycle[:, None] - peak)) - 1.0))
     emg = emg * generator.uniform(0.8, 1.0, (4, len(CHANNELS), 1))
     splines = jax.tree.map(lambda leaf: leaf[np.array(MUSCLE_CHANNELS)], fit_emg_spline(time, emg))

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.diagnosis.subject import MUSCLE_CHANNELS, small_recording_and_context
+from tests.diagnosis.subject import EXCHANGED, MUSCLE_CHANNELS, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effect
 
-RECORDING, CONTEXT = small_recording_and_context()
+RECORDING, CONTEXT = small_recording_and_context(EXCHANGED)
 CHANNEL_OF = np.array(MUSCLE_CHANNELS)
 SLOW = np.array([True, True, False, False])
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jax.tree_util import Partial
 
-from tests.diagnosis.subject import CURVES, small_recording_and_context
+from tests.diagnosis.subject import CURVES, EXCHANGED, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable, Variant
 from wrapjax.diagnosis.effects.family import FAMILIES
@@ -19,7 +19,7 @@ from wrapjax.errors import InputError
 from wrapjax.geometry.paths import fixed_path
 from wrapjax.model.forward import Recording, joint_moments
 
-RECORDING, CONTEXT = small_recording_and_context()
+RECORDING, CONTEXT = small_recording_and_context(EXCHANGED)
 ENTRIES = {entry.id: entry for entry in catalogue(CONTEXT)}
 EFFECTS = available_effects(tuple(ENTRIES.values()))
 ROUNDS = max(len(effect.variants) for effect in EFFECTS)
@@ -317,7 +317,7 @@ def test_short_range_stiffness_changes_nothing_in_gait(slopes):
         ({}, "emg_channel_loss", "next to nothing"),
         ({"muscle_channels": (0,) * 6}, "emg_channel_swap", "usual phases"),
         ({"paths_by_angle": None}, "soft_tissue_artifact", "joint angles"),
-        ({"wraps": None}, "wrap_surface", "cylinders"),
+        ({"wraps": None}, "wrap_surface", "surfaces"),
         ({"attachments": None}, "muscle_attachment", "ends"),
         ({"at_bounds": ()}, "bound_pressure", "at a bound"),
         ({"measured_changes": {}}, "cop_offset", "ground reaction forces"),
