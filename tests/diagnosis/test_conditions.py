@@ -90,7 +90,8 @@ def test_exchanging_channels_twice_gives_the_recorded_envelopes():
     pairs = [entry.name for entry in CATALOGUE["emg_channel_swap"].build(CONTEXT).parameters]
     assert pairs == ["Sol_with_TibAnt"]
     restored = dataclasses.replace(CONTEXT, envelopes=jnp.asarray(swapped))
-    assert "usual phases" in CATALOGUE["emg_channel_swap"].build(restored).reason
+    for other in (restored, dataclasses.replace(CONTEXT, tasks=("isometric",) * len(CONTEXT.trials))):
+        assert "usual phases" in CATALOGUE["emg_channel_swap"].build(other).reason
 
 
 def test_a_channel_lost_in_one_recording_gets_the_mean_envelope_of_the_other():

@@ -39,9 +39,12 @@ def _pairs(context: Context) -> list[tuple[str, str]]:
     and a share of an exchange, of any pair, resembles much that is amiss in a recording.
     """
     every = context.reference
+    if not every.is_gait.any():
+        return []
     frames = slice(every.padding, every.padding + every.angles.shape[-1])
     first = first_muscles(every)
-    typical = np.median(np.asarray(every.envelopes)[:, :, CONSTANT_TERM, frames], axis=1)
+    of_gait = np.asarray(every.envelopes)[:, every.is_gait, CONSTANT_TERM, frames]
+    typical = np.median(of_gait, axis=1)
     channels = driving_channels(every)
     muscles: dict[str, list[str]] = {name: [] for name in channels}
     for muscle, number in zip(every.muscles, every.muscle_channels, strict=True):
