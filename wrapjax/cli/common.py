@@ -19,7 +19,7 @@ INTERRUPTED = "interrupted; continue with --resume"
 #: Descriptions of the methods of calibration.
 METHODS_HELP = (
     "NGA, muscle parameters; SGA, also the polynomial paths of all muscles; LSGA, also the paths of the "
-    "muscles that touch a wrapping surface; PGA, also the wrapping cylinders"
+    "muscles that touch a wrapping surface; PGA, also the wrapping surfaces"
 )
 #: Description of the choices of Hill curves.
 CURVES_HELP = "Hill curves: paper, as published with the method; opensim, their later refit (default: paper)"
@@ -70,6 +70,37 @@ def add_undriven_options(parser: argparse.ArgumentParser) -> None:
         default=5,
         metavar="K",
         help="number of synergies, with --undriven synergies (default: 5)",
+    )
+
+
+def add_effect_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a command that calibrates a subject before it compares effects."""
+    parser.add_argument(
+        "--method",
+        choices=["NGA", "SGA", "LSGA", "PGA"],
+        default="NGA",
+        help=f"method of the preceding calibration: {METHODS_HELP} (default: NGA)",
+    )
+    parser.add_argument(
+        "--without",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
+        help="identifiers of effects to leave out of the catalogue; a cached calibration is used again",
+    )
+    parser.add_argument(
+        "--fit",
+        type=Path,
+        metavar="FIT",
+        help="folder of polynomial muscle paths from 'wrapjax fit' (default: fitted now and cached)",
+    )
+    parser.add_argument(
+        "--starts",
+        type=positive_integer,
+        default=4,
+        metavar="N",
+        help="number of starting points of the calibration (default: 4)",
     )
 
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from wrapjax.cli.common import (
     DONE,
-    METHODS_HELP,
     NOT_CONVERGED,
     AddCommand,
-    positive_integer,
+    add_effect_options,
     print_result,
 )
 from wrapjax.io.files import check_output_folder
@@ -122,38 +121,12 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     diagnose.add_argument("--list", action=ListEffects, help="list the effects of the catalogue and exit")
     diagnose.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
     diagnose.add_argument("--out", type=Path, required=True, metavar="GAP", help="output folder")
-    diagnose.add_argument(
-        "--method",
-        choices=["NGA", "SGA", "LSGA", "PGA"],
-        default="NGA",
-        help=f"method of the preceding calibration: {METHODS_HELP} (default: NGA)",
-    )
-    diagnose.add_argument(
-        "--without",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="EFFECT",
-        help="identifiers of effects to leave out of the catalogue; a cached calibration is used again",
-    )
-    diagnose.add_argument(
-        "--fit",
-        type=Path,
-        metavar="FIT",
-        help="folder of polynomial muscle paths from 'wrapjax fit' (default: fitted now and cached)",
-    )
+    add_effect_options(diagnose)
     diagnose.add_argument(
         "--against",
         metavar="B",
         help="find what differs from a second condition of the same person: another subject folder, or one "
         "of two conditions of this one; writes difference.json",
-    )
-    diagnose.add_argument(
-        "--starts",
-        type=positive_integer,
-        default=4,
-        metavar="N",
-        help="number of starting points of the calibration (default: 4)",
     )
 
 

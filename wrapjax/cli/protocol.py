@@ -7,7 +7,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wrapjax.cli.common import DONE, METHODS_HELP, AddCommand, positive_integer, print_json
+from wrapjax.cli.common import DONE, AddCommand, add_effect_options, print_json
 from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
@@ -66,28 +66,7 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     protocol.add_argument(
         "--side", choices=["l", "r"], default="r", help="leg of a model without recordings (default: r)"
     )
-    protocol.add_argument(
-        "--method",
-        choices=["NGA", "SGA", "LSGA", "PGA"],
-        default="NGA",
-        help=f"method of the calibration of a subject: {METHODS_HELP} (default: NGA)",
-    )
-    protocol.add_argument(
-        "--without",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="EFFECT",
-        help="identifiers of effects to leave out of the catalogue",
-    )
-    protocol.add_argument("--fit", type=Path, metavar="FIT", help="folder of polynomial muscle paths")
-    protocol.add_argument(
-        "--starts",
-        type=positive_integer,
-        default=4,
-        metavar="N",
-        help="number of starting points of the calibration (default: 4)",
-    )
+    add_effect_options(protocol)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -28,6 +28,7 @@ from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.muscle.excitation import EmgSpline, fit_emg_spline
 from wrapjax.path_sources.undriven_muscles import UndrivenMuscles
+from wrapjax.subject.trials import GAIT
 
 #: Excitation of muscles that do not act in an effort, as a share of it.
 CO_CONTRACTION = 0.05
@@ -294,7 +295,7 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
         step=stacked("step"),
         speeds=stacked("speeds"),
         order=stacked("order"),
-        tasks=tuple(task for one in contexts for task in (one.tasks or ("gait",) * len(one.trials))),
+        tasks=tuple(task for one in contexts for task in (one.tasks or (GAIT,) * len(one.trials))),
         paths=paths,
         envelopes=emg.coefficients,
         undriven_muscles=undriven,
