@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.candidate_trials import candidate_trials, positions, rates
+from wrapjax.diagnosis.protocol.trials import candidate_trials, positions, rates
 
 NAMES = ("hip_flexion_r", "knee_angle_r", "ankle_angle_r")
 RANGES = dict(zip(NAMES, ((-0.5, 2.1), (0.0, 2.1), (-0.9, 0.5)), strict=True))

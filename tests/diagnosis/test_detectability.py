@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from wrapjax.diagnosis.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.linearization import Candidate
+from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
 
 ROWS = 12
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.subject import CURVES, FRAMES, small_recording_and_context
-from wrapjax.diagnosis.candidate_context import joined
-from wrapjax.diagnosis.candidate_paths import sped_up
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.protocol.context import joined
+from wrapjax.diagnosis.protocol.paths import sped_up
 from wrapjax.diagnosis.undriven_capacity import undriven_signatures
 
 RECORDING, CONTEXT = small_recording_and_context()

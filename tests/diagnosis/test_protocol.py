@@ -9,8 +9,6 @@ import pytest
 from tests.subject.synthetic import write_subject
 from wrapjax.cli.command_line import main
 from wrapjax.cli.protocol import protocol_table
-from wrapjax.diagnosis.candidate_trials import candidate_trials
-from wrapjax.diagnosis.detectability import Detection
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.null_covariance import (
     EXPECTED_FORCE_ERROR,
@@ -19,16 +17,18 @@ from wrapjax.diagnosis.null_covariance import (
     muscle_covariance,
     repeatable_covariance,
 )
-from wrapjax.diagnosis.protocol import (
+from wrapjax.diagnosis.protocol.covariance import measured_rows, protocol_covariance
+from wrapjax.diagnosis.protocol.detectability import Detection
+from wrapjax.diagnosis.protocol.inputs import input_of_calibration
+from wrapjax.diagnosis.protocol.protocol import (
     ADVISED,
     Protocol,
     advise_trials,
     protocol,
     subject_and_probabilities,
 )
-from wrapjax.diagnosis.protocol_covariance import measured_rows, protocol_covariance
-from wrapjax.diagnosis.protocol_inputs import input_of_calibration
-from wrapjax.diagnosis.protocol_result import AdvisedTrial
+from wrapjax.diagnosis.protocol.result import AdvisedTrial
+from wrapjax.diagnosis.protocol.trials import candidate_trials
 from wrapjax.errors import InputError
 from wrapjax.subject.model_alone import subject_of_model
 

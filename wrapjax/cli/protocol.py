@@ -12,7 +12,7 @@ from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.diagnosis.protocol import Protocol
+    from wrapjax.diagnosis.protocol.protocol import Protocol
 
 _WIDTH = 100
 
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.cli.calibrate import iteration_printer
-    from wrapjax.diagnosis.protocol import protocol, subject_and_probabilities
+    from wrapjax.diagnosis.protocol.protocol import protocol, subject_and_probabilities
     from wrapjax.path_sources.polynomial_fit import load_fit
     from wrapjax.progress import print_progress
     from wrapjax.report.protocol_page import describe_protocol

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrapjax.diagnosis.decision import TIE_DISTANCE
-from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
+from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.io.files import new_folder, write_json, write_text
 from wrapjax.report import markup

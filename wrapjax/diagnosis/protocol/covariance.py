@@ -16,7 +16,7 @@ from wrapjax.diagnosis.null_covariance import (
     EXPECTED_REPEATABLE_ERROR,
     REPEATABLE_WIDTH,
 )
-from wrapjax.diagnosis.protocol_inputs import ProtocolInput
+from wrapjax.diagnosis.protocol.inputs import ProtocolInput
 
 #: Standard deviation of moments of a dynamometer, N m.
 DYNAMOMETER_NOISE = 1.0

@@ -12,8 +12,6 @@ from jaxtyping import Array, Bool, Float, Int
 from wrapjax.calibration.calibration import Calibration
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.problem import build_objective
-from wrapjax.diagnosis.candidate_context import Leg, at_other_speed, candidate_context, joined
-from wrapjax.diagnosis.candidate_trials import CandidateTrial, candidate_trials
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.diagnosis import diagnosis_input
@@ -21,6 +19,8 @@ from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.input import speed_numbers
 from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
 from wrapjax.diagnosis.priors import with_published_priors
+from wrapjax.diagnosis.protocol.context import Leg, at_other_speed, candidate_context, joined
+from wrapjax.diagnosis.protocol.trials import CandidateTrial, candidate_trials
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.model.forward import Recording, joint_moments

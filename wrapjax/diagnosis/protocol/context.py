@@ -12,15 +12,15 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.candidate_paths import (
+from wrapjax.diagnosis.context import Context, MeasuredChange, PathChanges
+from wrapjax.diagnosis.protocol.paths import (
     CandidatePostures,
     by_angles_through_length,
     joined_derivatives,
     joined_paths,
     sped_up,
 )
-from wrapjax.diagnosis.candidate_trials import CandidateTrial
-from wrapjax.diagnosis.context import Context, MeasuredChange, PathChanges
+from wrapjax.diagnosis.protocol.trials import CandidateTrial
 from wrapjax.diagnosis.subject_context import changes_of_ends, changes_of_wraps
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import PathState, fixed_path

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.interpolate import CubicSpline
 
-from wrapjax.diagnosis.candidate_trials import Movement, positions, rates
+from wrapjax.diagnosis.protocol.trials import Movement, positions, rates
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.path_derivatives import (
     compute_nominal_paths,

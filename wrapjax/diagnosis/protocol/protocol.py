@@ -14,14 +14,14 @@ from jaxtyping import Float, Int
 from wrapjax.calibration.calibration import STARTS, cached_calibration
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
-from wrapjax.diagnosis.candidate_trials import CandidateTrial
 from wrapjax.diagnosis.decision import TIE_DISTANCE
-from wrapjax.diagnosis.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.protocol_covariance import measured_rows, protocol_covariance
-from wrapjax.diagnosis.protocol_inputs import ProtocolInput, input_of_calibration, input_of_model
-from wrapjax.diagnosis.protocol_result import AdvisedTrial, ProtocolResult
+from wrapjax.diagnosis.protocol.covariance import measured_rows, protocol_covariance
+from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
+from wrapjax.diagnosis.protocol.inputs import ProtocolInput, input_of_calibration, input_of_model
+from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
+from wrapjax.diagnosis.protocol.trials import CandidateTrial
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
 from wrapjax.errors import InputError, Problem
 from wrapjax.path_sources.exact import ExactGeometry
@@ -73,7 +73,7 @@ def protocol(
     Candidate trials are simulated by the forward model: passive rotations and isometric ramps of each joint,
     a squat, faster and slower gait. Every effect of the catalogue has a signature in each of them. Trials are
     compared by the information on which effects are present, with calibrated parameters, the muscle law and
-    all nuisances marginalised; see `wrapjax.diagnosis.detectability`.
+    all nuisances marginalised; see `wrapjax.diagnosis.protocol.detectability`.
 
     Parameters
     ----------

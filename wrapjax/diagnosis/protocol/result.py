@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.diagnosis.candidate_trials import CandidateTrial
-from wrapjax.diagnosis.detectability import Detection
+from wrapjax.diagnosis.protocol.detectability import Detection
+from wrapjax.diagnosis.protocol.trials import CandidateTrial
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What to record next: trials that tell effects apart, simulated with the subject's own model."""
