@@ -24,7 +24,6 @@ import numpy as np
 import wrapjax
 from wrapjax.cli.diagnose import diagnosis_table
 from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
-from wrapjax.report.diagnosis_location import map_figure
 
 folder = Path(tempfile.mkdtemp())
 write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")
@@ -61,7 +60,7 @@ for part, values in found.budget.pooled().items():
 # Where in the gait cycle the error is, by coordinate and walking speed.
 
 # %%
-map_figure(found, found.budget)
+diagnosis.plot_error_map()
 
 # %% [markdown]
 # ## Evidence

@@ -144,7 +144,7 @@ def test_compartments_are_in_all_outputs(divided, tmp_path):
     table = opensim.TimeSeriesTable(str(tmp_path / "contact" / "forces" / "PGA" / "walk_b.sto"))
     column = table.getDependentColumn("medial_knee_force").to_numpy()
     np.testing.assert_allclose(column, medial[result.trials.index("walk_b")], rtol=1e-9)
-    labelled = divided.dataset["knee_compartment_force"].sel(run="PGA", compartment="medial")
+    labelled = divided.to_dataset()["knee_compartment_force"].sel(run="PGA", compartment="medial")
     np.testing.assert_array_equal(labelled, medial)
     assert "40 mm apart" in (tmp_path / "contact" / "report.html").read_text()
     assert "medial knee, peak" in contact_table(divided)
@@ -161,7 +161,7 @@ def test_a_knee_is_not_divided_without_a_distance(compared, runs, without_forces
 
 
 def test_forces_are_labelled(compared):
-    result, dataset = compared.result, compared.dataset
+    result, dataset = compared.result, compared.to_dataset()
     at = {"run": "PGA", "trial": "walk_b", "joint": "knee"}
     trial = result.trials.index("walk_b")
     np.testing.assert_array_equal(

@@ -81,7 +81,7 @@ def test_a_diagnosis_is_complete(found, several, tmp_path):
     by_evidence = sorted(result.effects, key=lambda effect: -effect.evidence)
     assert list(result.effects) == by_evidence, "effects are ranked by the evidence of the score test only"
     assert result.convergence_check.holds and result.convergence_check.conflicts["by_half"]
-    dataset = found.dataset
+    dataset = found.to_dataset()
     assert set(dataset["effect"].values) == SCORED and dataset.attrs["outcome"] == result.outcome
     np.testing.assert_array_equal(dataset["predicted_moment"].sel(model="plain"), result.plain)
     held = result.measured - result.plain

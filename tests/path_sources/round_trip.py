@@ -13,7 +13,7 @@ from wrapjax.subject.subject import Subject
 def assert_reproduces_itself(run: Path, subject: Subject, *, rel: float = 1e-9) -> None:
     """Check an evaluation of a run's folder on its own subject against the run's ``summary.json``."""
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
-    content = evaluate(load_run(run), subject).content()
+    content = evaluate(load_run(run), subject).summary()
     for kind in ("mae_Nm", "rmse_Nm"):
         for use, own in summary[kind].items():
             assert content[kind][use] == pytest.approx(own, rel=rel), (kind, use)

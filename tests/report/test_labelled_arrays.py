@@ -29,7 +29,7 @@ def assert_all_have_units(dataset, of_cycles=OF_CYCLES):
 
 
 def test_calibration_dataset(calibrated):
-    result, dataset = calibrated.result, calibrated.dataset
+    result, dataset = calibrated.result, calibrated.to_dataset()
     assert_all_have_units(dataset)
     at = {"trial": "walk_b", "muscle": "semiten_l"}
     row, trial = result.muscles.index("semiten_l"), result.trials.index("walk_b")
@@ -134,7 +134,7 @@ def test_evaluation_dataset(calibrated, person, tmp_path):
     calibrated.save(tmp_path / "run")
     modelled = person.trials.moments + np.array([1.0, -2.0])[:, None]
     found = Evaluation(load_run(tmp_path / "run"), person, modelled, ("one", "two"))
-    dataset = found.dataset
+    dataset = found.to_dataset()
     assert_all_have_units(dataset)
     row = person.trials.names.index("walk_a/02")
     knee = dataset.sel(trial="walk_a/02", coordinate="knee_angle_l")
@@ -159,7 +159,9 @@ def test_comparison_dataset(calibrated):
 
     left = [by("NGA", result.measured + 4.0), by("SGA", result.measured + 0.5)]
     right = [by("NGA", measured + 3.0, **hip), by("SGA", measured - 1.0, **hip)]
-    dataset = Comparison(("NGA", "SGA"), (tuple(left), tuple(right)), ("person_left", "person_right")).dataset
+    dataset = Comparison(
+        ("NGA", "SGA"), (tuple(left), tuple(right)), ("person_left", "person_right")
+    ).to_dataset()
     assert_all_have_units(dataset)
     assert dataset["coordinate"].values.tolist() == ["hip_flexion", "knee_angle"]
     assert dataset["muscle"].values.tolist() == ["recfem", "semiten", "vasmed"]
@@ -189,7 +191,7 @@ def test_initialisation_dataset(tmp_path):
     passive[0, 0] = np.nan
     ranges = np.array([[[0.5, 0.9], [0.6, 1.0]], [[0.7, 1.1], [0.8, 1.2]]])
     found = Initialisation(person, before, after, (), ranges, passive, {}, Status.cost)
-    dataset = found.dataset
+    dataset = found.to_dataset()
     assert_all_have_units(dataset, {"passive_trial"})
     at = {"muscle": "semiten_l", "stage": "after"}
     assert float(dataset["optimal_fiber_length"].sel(at)) == after.optimal_fiber_length[1]

@@ -4,7 +4,8 @@
 bank `worlds` again, with the same people, causes, effect sizes and noise of moments, but a model file that
 has the person's own paths, or envelopes without noise; or calibrates with the law of the person's muscles.
 It linearizes and scores them, and prints a table: the assumption whose truth raises the ranks most is the one
-that costs most.
+that costs most. The last columns are what these null hypotheses allow at best: how often the cause would be
+first if residuals were drawn from the most probable null and the simulator's signal were added to them.
 """
 
 from __future__ import annotations
@@ -23,20 +24,25 @@ from benchmarks.machine import pin_threads
 from validation.blind.anatomy import Leg
 from validation.blind.background import background_of, with_background
 from validation.blind.case import ALL, record_with_noise, write_recorded
-from validation.blind.library import library_of
+from validation.blind.library import Library, library_of
 from validation.blind.make import person_of, variants_of
 from validation.blind.person import Person
 from validation.blind.plan import Bank, PlannedCase, banks_of, plan_cases, settings_of
 from validation.diagnosis.bank_cases import development_truth
-from validation.diagnosis.linearizations import Job, linearize_case, load
+from validation.diagnosis.linearizations import Job, LinearizedCase, linearize_case, load
 from validation.diagnosis.scored_cases import ScoredCase
-from validation.diagnosis.simulator_signatures import score_both
+from validation.diagnosis.signal_losses import in_residual_order, signal_of
+from validation.diagnosis.simulator_signatures import score_both, simulator_candidates
 from wrapjax.cohorts.scheduling import run_jobs
+from wrapjax.diagnosis.null_covariance import nulls
+from wrapjax.diagnosis.score_test import project, score_each
 from wrapjax.errors import InputError, Problem
 from wrapjax.muscle.published_laws import GIVEN_LAW
 
 #: World whose people have a published muscle law that a calibration can take.
 WORLD = "thelen"
+#: Residuals drawn for each case, and their seed.
+DRAWS, SEED = 40, 5
 
 
 @dataclass(frozen=True)
@@ -90,6 +96,8 @@ def main() -> int:
         *("given of the truth", "first", "first, d* above 5", "first three"),
         "strongest evidence with nothing amiss, median and largest (nats)",
         "first, signatures of the simulator",
+        "first, d* above 5, were the null exact",
+        "the same, signatures of the simulator",
     )
     print(f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *rows, sep="\n")
     return 0
@@ -129,11 +137,13 @@ def _linearize(step: Step, folder: Path, bank: Bank, out: Path, workers: int) ->
 
 def _row(step: Step, folder: Path, bank: Bank, out: Path) -> str:
     """Score all linearized cases; return a row of the table."""
-    truths = [development_truth(folder, planned.id) for planned in _cases_of(bank)]
-    scored = [
-        score_both(truth, load(out / step.name / f"{truth['id']}.npz"), library_of(folder, truth["person"]))
-        for truth in truths
-    ]
+    scored, exact = [], []
+    for planned in _cases_of(bank):
+        truth = development_truth(folder, planned.id)
+        lines, library = load(out / step.name / f"{planned.id}.npz"), library_of(folder, truth["person"])
+        scored.append(score_both(truth, lines, library))
+        if scored[-1][0].clear and truth["d_star"] > 5.0:
+            exact.append(_first_were_the_null_exact(folder, truth, lines, library))
     ours, theirs = ([pair[place] for pair in scored] for place in (0, 1))
     nothing = [max(one.evidence.values()) for one in ours if one.nothing_amiss]
     clear = [one for one in ours if one.clear]
@@ -145,8 +155,40 @@ def _row(step: Step, folder: Path, bank: Bank, out: Path) -> str:
         _first(clear, 3),
         f"{np.median(nothing):.1f}, {max(nothing):.1f}",
         _first([one for one in theirs if one.clear]),
+        *(f"{share:.2f}" for share in np.mean(exact, axis=0)),
     )
     return f"| {' | '.join(entries)} |"
+
+
+def _first_were_the_null_exact(
+    folder: Path, truth: dict[str, Any], lines: LinearizedCase, library: Library
+) -> tuple[float, float]:
+    """Compute how often the cause is first in residuals that have the covariance of the most probable null.
+
+    Parameters
+    ----------
+    folder, truth, lines, library
+        Bank, and truth, linearized model and simulator's signatures of a case with a single cause.
+
+    Returns
+    -------
+    catalogue, simulator
+        Shares of the draws, with the signatures of the catalogue and with those of the simulator.
+    """
+    linearized = lines.linearized
+    hypotheses = list(nulls(linearized, lines.recorded.measured_moment_sd))
+    own = linearized.residual.reshape(1, -1)
+    probable = max(hypotheses, key=lambda null: project(own, null, ()).weight[0])
+    deviates = np.random.default_rng(SEED).standard_normal((DRAWS, own.size))
+    signal = in_residual_order(signal_of(folder, truth), linearized)
+    residuals = signal + deviates @ np.linalg.cholesky(probable.covariance).T
+    accepted = {*(cause["id"] for cause in truth["causes"]), *truth["ties"]}
+    shares = []
+    for candidates in (linearized.candidates, simulator_candidates(linearized, library)):
+        tests = score_each(residuals, hypotheses, candidates)
+        strongest = [max(test.scores, key=lambda one: one.evidence).id for test in tests]
+        shares.append(float(np.mean([id in accepted for id in strongest])))
+    return shares[0], shares[1]
 
 
 def _first(cases: Sequence[ScoredCase], count: int = 1) -> str:

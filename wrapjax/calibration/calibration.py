@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -37,6 +37,7 @@ from wrapjax.calibration.solvers.multistart import (
     starting_points,
 )
 from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
+from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import cache_folder
 from wrapjax.io.model_file import MuscleParameters, read_model_file
 from wrapjax.model.forward import muscle_states
@@ -54,6 +55,7 @@ from wrapjax.subject.subject import Subject
 from wrapjax.subject.synergies import DEFAULT_SYNERGIES
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
 
@@ -95,12 +97,56 @@ class Calibration:
         """Reason why the solver stopped; the same for legs that were calibrated together."""
         return self.result.solution.status
 
-    @property
-    def dataset(self) -> Dataset:
-        """Curves and parameters of this leg as an `xarray.Dataset`, with units."""
+    def to_dataset(self) -> Dataset:
+        """Return curves and parameters of this leg as an `xarray.Dataset`, with units."""
         from wrapjax.report.labelled_arrays import calibration_dataset
 
         return calibration_dataset(self.result)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``summary.json``: errors (N m) by use and coordinate, convergence, limits."""
+        from wrapjax.report.run_summary import summarize
+
+        return summarize(self.subject, self.result)
+
+    def plot_moments(self) -> Figure:
+        """Draw measured and modelled moments (N m) over the gait cycle."""
+        from wrapjax.report.calibration_curves import moment_figure
+
+        return moment_figure(self.result)
+
+    def plot_activations(self) -> Figure:
+        """Draw the activation of every muscle over the gait cycle."""
+        from wrapjax.report.calibration_curves import activation_figure, driving_signals
+
+        return activation_figure(self.result, driving_signals(self.subject, self.result))
+
+    def plot_fiber_lengths(self) -> Figure:
+        """Draw the normalised fiber length of every muscle over the gait cycle."""
+        from wrapjax.report.calibration_curves import fiber_length_figure
+
+        return fiber_length_figure(self.result)
+
+    def plot_moment_arms(self) -> Figure:
+        """Draw the moment arms (mm) that calibration changed most, before and after.
+
+        Raises
+        ------
+        InputError
+            If no moment arm changed, as in NGA.
+        """
+        from wrapjax.report.path_views import largest_changes, moment_arm_figure
+
+        if not largest_changes(self.result):
+            message = f"no moment arm to draw: {self.result.method} changed none"
+            raise InputError(Problem(self.subject.name, message))
+        return moment_arm_figure(self.result)
+
+    def plot_cost(self) -> Figure:
+        """Draw the cost over the iterations of every start."""
+        from wrapjax.report.parameters_and_solver import history_figure
+
+        return history_figure(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False, motion: bool = False) -> None:
         """Write the folder of the run: summary, parameters, curves, model and report.

@@ -87,9 +87,8 @@ class Initialisation:
             if own.any()
         }
 
-    @property
-    def dataset(self) -> Dataset:
-        """Lengths before and after, and passive moments, as an `xarray.Dataset` with units."""
+    def to_dataset(self) -> Dataset:
+        """Return lengths before and after, and passive moments, as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import initialisation_dataset
 
         return initialisation_dataset(self)
@@ -105,7 +104,7 @@ class Initialisation:
             )
         return tuple(notes)
 
-    def content(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the content of ``initialisation.json``."""
         lengths = ("optimal_fiber_length", "tendon_slack_length")
         return {
@@ -155,7 +154,7 @@ class Initialisation:
         """
         from wrapjax.report.initialisation_page import render_initialisation
 
-        content = self.content()
+        content = self.summary()
         with new_folder(Path(folder), force=force) as place:
             write_text(place / PARAMETERS_FILE, _table(self.after))
             write_json(place / "initialisation.json", content)

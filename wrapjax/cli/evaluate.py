@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         check_output_folder(options.out, options.force)
     calibrated = load_run(options.calibration)
     done = evaluate(calibrated, load_subject(options.subject))
-    content = done.content()
+    content = done.summary()
     if options.out:
         done.save(options.out, force=options.force)
     if options.json:

@@ -66,9 +66,9 @@ def run(options: argparse.Namespace) -> int:
     done = initialise(load_subject(options.subject), curves=options.curves)
     done.save(options.out, force=options.force)
     if options.json:
-        print_json(to_json_values(done.content()))
+        print_json(to_json_values(done.summary()))
     else:
-        print(initialisation_table(done.content()))
+        print(initialisation_table(done.summary()))
         print(
             f"\nwritten to {options.out}; look at its report.html, then copy {PARAMETERS_FILE} beside "
             f'subject.toml\nand name it there under [model]: muscle_parameters = "{PARAMETERS_FILE}"'

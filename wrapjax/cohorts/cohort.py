@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wrapjax.calibration.problem import METHODS
 from wrapjax.cohorts.scheduling import Finished, run_jobs
@@ -22,6 +22,10 @@ from wrapjax.io.json_and_arrays import load_json
 from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject, load_subject, read_legs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 #: File of a subject's result in its folder.
 SUBJECT_FILE = "subject.json"
@@ -54,6 +58,25 @@ class Cohort:
         """Error messages of the subjects that failed, by name."""
         subjects = self.content["subjects"].items()
         return {name: subject["message"] for name, subject in subjects if subject["state"] == "failed"}
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``cohort.json``."""
+        return self.content
+
+    def plot_errors(self) -> Figure:
+        """Draw the mean absolute error (N m) of every subject by coordinate, and the median over subjects.
+
+        Raises
+        ------
+        InputError
+            If no subject is done.
+        """
+        from wrapjax.report.cohort_page import population_figure
+
+        done = [one for one in self.content["subjects"].values() if one["state"] == "done"]
+        if not done:
+            raise InputError(Problem(str(self.folder), "no subject is done"))
+        return population_figure(done)
 
     @property
     def complete(self) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wrapjax.calibration.calibration import STARTS, Calibration, calibrate
 from wrapjax.calibration.problem import METHODS, fit_for_methods, matching_path_source, method_freedom
@@ -26,6 +26,7 @@ from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject, read_legs
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
     from wrapjax.comparison.samples import ComparedLeg
@@ -106,12 +107,29 @@ class Comparison:
 
         return comparison_rows(self.legs, self.methods)
 
-    @property
-    def dataset(self) -> Dataset:
-        """Moments, moment errors and parameters by method, as an `xarray.Dataset` with units."""
+    def to_dataset(self) -> Dataset:
+        """Return moments, moment errors and parameters by method, as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import comparison_dataset
 
         return comparison_dataset(self.legs, self.methods)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``comparison.json``."""
+        from wrapjax.report.comparison_summary import describe_comparison
+
+        return describe_comparison(self.legs, self.methods, self.rows)
+
+    def plot_moments(self) -> Figure:
+        """Draw measured moments and those by every method (N m) over the gait cycle."""
+        from wrapjax.report.comparison_figures import compared_moments_figure
+
+        return compared_moments_figure(self.legs, self.methods)
+
+    def plot_moment_arms(self) -> Figure:
+        """Draw moment arms (m) by every method over the gait cycle."""
+        from wrapjax.report.comparison_figures import compared_moment_arms_figure
+
+        return compared_moment_arms_figure(self.legs, self.methods)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``<subject>/<METHOD>/`` for each calibration, ``comparison.json``, tables and report."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ from wrapjax.subject.external_loads import read_ground_loads
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
 #: Short name of the joint whose force may be divided between compartments.
@@ -73,12 +74,29 @@ class Contact:
         """Whether all calibrations converged."""
         return all(run.converged for run in self.result.runs)
 
-    @property
-    def dataset(self) -> Dataset:
-        """All curves as an `xarray.Dataset` with units."""
+    def to_dataset(self) -> Dataset:
+        """Return all curves as an `xarray.Dataset` with units."""
         from wrapjax.report.labelled_arrays import contact_dataset
 
         return contact_dataset(self.result)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``contact.json``."""
+        from wrapjax.report.contact_summary import describe_contact
+
+        return describe_contact(self.result)
+
+    def plot_magnitudes(self) -> Figure:
+        """Draw the magnitude of the contact force in each joint over the gait cycle, N."""
+        from wrapjax.report.contact_page import magnitude_figure
+
+        return magnitude_figure(self.result)
+
+    def plot_components(self) -> Figure:
+        """Draw the components of the contact forces along the axes of the proximal bones, N."""
+        from wrapjax.report.contact_page import component_figure
+
+        return component_figure(self.result)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``contact.json``, curves and ``report.html`` into a new folder."""

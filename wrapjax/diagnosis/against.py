@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,6 +31,10 @@ from wrapjax.path_sources.polynomial_fit import Fit
 from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
 #: Fewest calibration cycles of each condition at a common speed.
 FEWEST_CYCLES = 3
 
@@ -37,6 +42,18 @@ FEWEST_CYCLES = 3
 @dataclass(frozen=True)
 class ConditionDifference(DifferenceResult):
     """What differs between two conditions of one person; its fields are those of `DifferenceResult`."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``difference.json``."""
+        from wrapjax.report.difference_page import describe_difference
+
+        return describe_difference(self)
+
+    def plot_difference(self) -> Figure:
+        """Draw the difference of the residuals (N m) and what the strongest effect explains of it."""
+        from wrapjax.report.difference_page import difference_figure
+
+        return difference_figure(self)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``difference.json`` and ``report.html``."""

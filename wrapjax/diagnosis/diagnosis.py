@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from wrapjax.diagnosis.baseline import starts_agree
 from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
 from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.localization import ErrorBudget
 from wrapjax.diagnosis.muscle_law import fit_muscle_law
 from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
@@ -36,6 +37,7 @@ from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
 #: Number of null replicates from which the detection threshold is computed.
@@ -68,12 +70,52 @@ class Diagnosis:
         """Subject that was diagnosed."""
         return self.calibration.subject
 
-    @property
-    def dataset(self) -> Dataset:
-        """Measured and predicted moments, and evidence by effect, as an `xarray.Dataset` with units."""
+    def to_dataset(self) -> Dataset:
+        """Return measured and predicted moments, and evidence by effect, as an `xarray.Dataset`."""
         from wrapjax.report.labelled_arrays import diagnosis_dataset
 
         return diagnosis_dataset(self.result)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``gap.json``."""
+        from wrapjax.report.diagnosis_numbers import describe_diagnosis
+
+        return describe_diagnosis(self.subject, self.result)
+
+    def plot_error_map(self) -> Figure:
+        """Draw the repeatable error (N m) by coordinate and phase of the gait cycle, a panel for each speed.
+
+        Raises
+        ------
+        InputError
+            If the recording has too few cycles to divide the error.
+        """
+        from wrapjax.report.diagnosis_location import map_figure
+
+        return map_figure(self.result, self._budget())
+
+    def plot_error_parts(self) -> Figure:
+        """Draw how the squared error divides into bias, repeatable error, what follows the inputs, and noise.
+
+        Raises
+        ------
+        InputError
+            If the recording has too few cycles to divide the error.
+        """
+        from wrapjax.report.diagnosis_location import parts_figure
+
+        return parts_figure(self.result, self._budget())
+
+    def plot_signatures(self) -> Figure:
+        """Draw the mean residual (N m) and the moments that the strongest effects would add."""
+        from wrapjax.report.diagnosis_effects import signature_figure
+
+        return signature_figure(self.result)
+
+    def _budget(self) -> ErrorBudget:
+        if self.result.budget is None:
+            raise InputError(Problem(self.subject.name, self.result.reason or "the error was not divided"))
+        return self.result.budget
 
     def without(
         self,

@@ -30,6 +30,7 @@ from wrapjax.subject.subject import Subject, load_subject
 from wrapjax.subject.trials import Trials
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
 #: Distance beyond the fitted range of a coordinate, in half ranges, from which a note is made.
@@ -62,9 +63,8 @@ class Evaluation:
         """Trials of the subject."""
         return self.subject.trials
 
-    @property
-    def dataset(self) -> Dataset:
-        """Measured and predicted moments and their errors, as an `xarray.Dataset` with units."""
+    def to_dataset(self) -> Dataset:
+        """Return measured and predicted moments and their errors, as an `xarray.Dataset` with units."""
         attributes = {
             "subject": self.subject.name,
             "run_subject": self.run.subject,
@@ -78,18 +78,25 @@ class Evaluation:
 
         return evaluation_dataset(self.trials, self.modelled, attributes)
 
-    def content(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the content of ``evaluation.json``; errors are structured as in ``summary.json``."""
         from wrapjax.report.evaluation_page import describe_evaluation
 
         return describe_evaluation(self.run.summary, self.subject, self.modelled, self.notes)
+
+    def plot_moments(self) -> Figure:
+        """Draw measured and predicted moments (N m) over the gait cycle."""
+        from wrapjax.report.calibration_curves import moment_figure
+        from wrapjax.report.evaluation_page import predicted_cycles
+
+        return moment_figure(predicted_cycles(self.trials, self.modelled))
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``evaluation.json``, ``moments/`` and ``report.html`` into a new folder."""
         from wrapjax.report.evaluation_page import write_evaluation
 
         with new_folder(Path(folder), force=force) as place:
-            write_evaluation(self.content(), self.trials, self.modelled, place)
+            write_evaluation(self.summary(), self.trials, self.modelled, place)
 
 
 def evaluate(run: Run | str | Path, subject: Subject | str | Path) -> Evaluation:

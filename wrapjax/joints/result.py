@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,6 +17,9 @@ from wrapjax.joints.freed_parameters import AXES, FRAME_KINDS, FreedParameter
 from wrapjax.joints.identifiability import Posterior, place_spread
 from wrapjax.joints.settings import JointSettings
 from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -129,6 +132,18 @@ class JointPersonalisation:
                 if not parameter.lower < value < parameter.upper
             ],
         }
+
+    def plot_markers(self) -> Figure:
+        """Draw the root mean square distance of every marker before and after, mm."""
+        from wrapjax.report.joints_figures import marker_figure
+
+        return marker_figure(self.trials)
+
+    def plot_changes(self) -> Figure:
+        """Draw what changed in every joint, with 90 % intervals."""
+        from wrapjax.report.joints_figures import change_figure
+
+        return change_figure(self)
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
         """Write ``joints.json``, ``model_joints.osim`` and ``report.html`` atomically.

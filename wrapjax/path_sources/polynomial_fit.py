@@ -32,6 +32,8 @@ from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from wrapjax.report.fit_wraps import SampledPath
 
 
@@ -191,7 +193,7 @@ class Fit:
         if subject is not None:
             self.require_subject(subject, "fit")
         with new_folder(Path(folder), force=force) as temporary:
-            content = self.content()
+            content = self.summary()
             if subject is not None:
                 content["subject_folder"] = path_from(temporary, subject.folder)
             self._write(temporary, content)
@@ -209,7 +211,7 @@ class Fit:
         """Write the fit without a report to a folder of the cache, replacing what is there."""
         # A process that is writing the same fit leaves the same content.
         with suppress(BusyError), new_folder(folder, force=True) as temporary:
-            self._write(temporary, self.content())
+            self._write(temporary, self.summary())
 
     def require_subject(self, subject: Subject, place: str) -> None:
         """Raise an error if this is not a fit of the subject's model and all its muscles.
@@ -237,7 +239,7 @@ class Fit:
                 )
             )
 
-    def content(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the content of ``fit.json``."""
         return {
             "schema": 1,
@@ -251,6 +253,12 @@ class Fit:
             "wraps_of": None if self.wraps is None else self.wraps.wraps_of,
             "thresholds": None if self.wraps is None else vars(self.wraps.thresholds),
         }
+
+    def plot_errors(self) -> Figure:
+        """Draw the errors of lengths and moment arms (mm) by muscle."""
+        from wrapjax.report.fit_page import error_figure
+
+        return error_figure(self.summary())
 
     def _write(self, folder: Path, content: dict[str, Any]) -> None:
         arrays = self.surrogate.arrays()

@@ -61,6 +61,11 @@ def moment_figure(result: MomentCurves) -> Figure:
     return figure
 
 
+def driving_signals(subject: Subject, result: CalibrationResult) -> dict[str, str]:
+    """Name the EMG channel, or synergies, that drive each muscle."""
+    return dict.fromkeys(result.muscles, "synergies") | subject.channel_of
+
+
 @in_style
 def activation_figure(result: CalibrationResult, channel_of: dict[str, str]) -> Figure:
     """Draw muscle activations, one panel a muscle, one color a walking speed.
@@ -287,13 +292,12 @@ def moments_section(result: MomentCurves, summary: dict[str, Any]) -> str:
 
 def activations_section(subject: Subject, result: CalibrationResult) -> str:
     """Write the report section on muscle activations."""
-    channel_of = dict.fromkeys(result.muscles, "synergies") | subject.channel_of
     peaks = np.asarray(result.states.activation).mean(axis=1).max(axis=-1)
     strongest = result.muscles[int(np.argmax(peaks))]
     return markup.section(
         "Muscle activations",
         markup.picture(
-            activation_figure(result, channel_of),
+            activation_figure(result, driving_signals(subject, result)),
             alternative=f"Activation of {len(result.muscles)} muscles over the gait cycle. The mean "
             f"activation of {strongest} peaks highest, at {decimals(float(peaks.max()))}.",
             caption="Muscle activation (0 to 1, no unit) over the gait cycle, all cycles: mean ± one "

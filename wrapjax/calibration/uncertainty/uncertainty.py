@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,6 +27,9 @@ from wrapjax.model.parameters import QUANTITIES
 from wrapjax.model.variables import Variables
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.model_inputs import recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def randomized_refits(
@@ -112,6 +116,18 @@ class Uncertainty:
     def spread(self) -> LegSpread:
         """Uncertainty of the leg (the first of two)."""
         return self.spreads[0]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``uncertainty.json`` of the leg (the first of two)."""
+        from wrapjax.report.spread import describe_uncertainty
+
+        return describe_uncertainty(self.calibration.result, self.spread)
+
+    def plot_moments(self) -> Figure:
+        """Draw measured and modelled moments (N m) with the 90 % band of the draws."""
+        from wrapjax.report.spread import band_figure
+
+        return band_figure(self.calibration.result, self.spread)
 
     def save(self, folder: str | Path, *, force: bool = False, motion: bool = False) -> None:
         """Write the folder of the run as `Calibration.save` does, with uncertainties in tables and report.

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,6 +31,10 @@ from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.model_alone import subject_of_model
 from wrapjax.subject.subject import Subject, load_subject
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
 #: Number of trials that are advised.
 ADVISED = 3
 # Effects whose probability is smaller than this are not undecided.
@@ -39,6 +44,18 @@ _LEAST_WEIGHT = 0.005
 @dataclass(frozen=True)
 class Protocol(ProtocolResult):
     """The trials that would tell most; its fields are those of `ProtocolResult`."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return the content of ``protocol.json``."""
+        from wrapjax.report.protocol_page import describe_protocol
+
+        return describe_protocol(self)
+
+    def plot_detectability(self) -> Figure:
+        """Draw the detectability of every effect before and after the advised trials."""
+        from wrapjax.report.protocol_page import detectability_figure
+
+        return detectability_figure(self)
 
     def save(self, folder: str | Path, *, force: bool = False) -> None:
         """Write ``protocol.json`` and ``report.html``.
