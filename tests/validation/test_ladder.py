@@ -3,11 +3,13 @@
 import filecmp
 from functools import cache
 
+import numpy as np
 import pytest
 
+from tests.validation.synthetic_linearizations import COORDINATES, CYCLES, PHASES, lines
 from validation.blind.plan import banks_of
 from validation.diagnosis import ladder
-from validation.diagnosis.ladder import STEPS, WORLD, Step
+from validation.diagnosis.ladder import STEPS, WORLD, Step, first_were_the_null_exact
 
 #: Person with nothing amiss; without noise of EMG in the truth, envelopes would not differ.
 TRUTH = {"person": "worlds_00", "causes": [], "emg_noise": 0.1}
@@ -50,3 +52,15 @@ def test_a_bank_without_the_world_is_refused_with_the_command_that_makes_it(tmp_
     monkeypatch.setattr("sys.argv", arguments)
     assert ladder.main() == 2
     assert f"--world {WORLD}" in capsys.readouterr().err
+
+
+def test_a_signal_far_above_the_null_is_first_in_every_draw_and_without_one_chance_decides():
+    shapes = np.random.default_rng(3).normal(size=(2, CYCLES, PHASES, COORDINATES))
+    signatures = {"cause": shapes[0], "other": shapes[1]}
+
+    def share(size, accepted):
+        case = lines(shapes[0], signatures)
+        return first_were_the_null_exact(case, size * shapes[0], accepted, case.linearized.candidates)
+
+    assert share(5.0, {"cause"}) == 1.0 and share(5.0, {"other"}) == 0.0
+    assert 0.2 < share(0.0, {"cause"}) < 0.8

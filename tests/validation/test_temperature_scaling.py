@@ -169,7 +169,7 @@ def test_command_writes_constants_that_it_reads(cases, tmp_path, capsys, monkeyp
     truth = {"d_star": 4.0, "emg_noise": 0.1}
     for one in cases:
         one.truth.update(truth)
-    monkeypatch.setattr(temperature_scaling, "score_cases", lambda bank, lines: cases)
+    monkeypatch.setattr(temperature_scaling, "score_cases", lambda bank, lines, workers: cases)
     (tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     out = tmp_path / "constants.json"
     assert _run(monkeypatch, tmp_path, "--out", str(out)) == 0

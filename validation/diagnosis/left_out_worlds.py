@@ -104,7 +104,7 @@ class DecidedCase:
 def main() -> int:
     options = linearizations_parser("left_out_worlds", __doc__).parse_args()
     try:
-        cases = score_cases(options.bank, options.lines)
+        cases = score_cases(options.bank, options.lines, options.workers)
         decided = decide_by_world(cases, DecisionConstants.shipped())
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)

@@ -191,6 +191,18 @@ def development_linearizations(bank: Path, lines: Path) -> Iterator[tuple[dict[s
     OSError
         If a truth file is missing.
     """
+    for file, truth in development_files(bank, lines).items():
+        yield truth, load_valid(file)
+
+
+def development_files(bank: Path, lines: Path) -> dict[Path, dict[str, Any]]:
+    """Find the files of all linearized cases of a development bank, with the truth of each.
+
+    Raises
+    ------
+    InputError, OSError
+        As `development_linearizations`, but for invalid files.
+    """
     files = sorted(file for file in lines.glob("*.npz") if not file.name.startswith("."))
     if not files:
         raise InputError(
@@ -200,16 +212,18 @@ def development_linearizations(bank: Path, lines: Path) -> Iterator[tuple[dict[s
                 hint="write them with python -m validation.diagnosis.linearizations",
             )
         )
-    truths = [development_truth(bank, file.stem) for file in files]
-    for file, truth in zip(files, truths, strict=True):
-        try:
-            case = load(file)
-        except ValueError as error:
-            raise InputError(Problem(str(file), str(error))) from None
-        except KeyError as error:
-            hint = "the file is of another version: linearize the cases again"
-            raise InputError(Problem(str(file), f"linearized case without {error}", hint=hint)) from None
-        yield truth, case
+    return {file: development_truth(bank, file.stem) for file in files}
+
+
+def load_valid(file: Path) -> LinearizedCase:
+    """Read a linearized case; raises an InputError if the file is invalid or of another version."""
+    try:
+        return load(file)
+    except ValueError as error:
+        raise InputError(Problem(str(file), str(error))) from None
+    except KeyError as error:
+        hint = "the file is of another version: linearize the cases again"
+        raise InputError(Problem(str(file), f"linearized case without {error}", hint=hint)) from None
 
 
 def linearizations_parser(module: str, description: str | None) -> argparse.ArgumentParser:
@@ -217,6 +231,7 @@ def linearizations_parser(module: str, description: str | None) -> argparse.Argu
     parser = argparse.ArgumentParser(prog=f"python -m validation.diagnosis.{module}", description=description)
     parser.add_argument("--bank", type=Path, required=True, help="folder of the development bank")
     parser.add_argument("--lines", type=Path, required=True, help="folder of the linearized cases")
+    parser.add_argument("--workers", type=int, default=2)
     return parser
 
 

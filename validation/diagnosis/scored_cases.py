@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from validation.diagnosis.bank_cases import CLEAR
-from validation.diagnosis.linearizations import LinearizedCase, development_linearizations
+from validation.diagnosis.linearizations import LinearizedCase, development_files, load_valid
+from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.decision import Probabilities, family_levels, set_levels, tied_effects
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.families import family_of
@@ -29,6 +30,8 @@ from wrapjax.diagnosis.gates import (
 from wrapjax.diagnosis.residual_fit import ResidualModel
 from wrapjax.diagnosis.score import score
 from wrapjax.diagnosis.score_test import Score
+from wrapjax.errors import InputError, Problem
+from wrapjax.progress import print_progress
 
 #: World in which names are not scored, and which no constant is fitted to: its model errors are larger than
 #: any effect.
@@ -153,9 +156,30 @@ class StrongestEffect:
     parts: Mapping[str, Sequence[Score]]
 
 
-def score_cases(bank: Path, lines: Path) -> list[ScoredCase]:
-    """Score all linearized cases; raises the errors of `development_linearizations`."""
-    return [score_case(truth, own) for truth, own in development_linearizations(bank, lines)]
+def score_cases(bank: Path, lines: Path, workers: int) -> list[ScoredCase]:
+    """Score all linearized cases, in their order, in this number of processes.
+
+    Raises
+    ------
+    InputError
+        Those of `development_linearizations`; or if a case cannot be scored.
+    OSError
+        If a truth file is missing.
+    """
+    files = development_files(bank, lines)
+    jobs = {file.stem: (truth, file) for file, truth in files.items()}
+    scored = {}
+    for number, one in enumerate(run_jobs(_score_file, jobs, workers=workers), 1):
+        if one.failure:
+            raise InputError(Problem(one.name, f"not scored: {one.failure}"))
+        scored[one.name] = one.value
+        print_progress(f"scored {number} of {len(jobs)}")
+    return [scored[name] for name in jobs]
+
+
+def _score_file(job: tuple[dict[str, Any], Path]) -> ScoredCase:
+    truth, file = job
+    return score_case(truth, load_valid(file))
 
 
 def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:

@@ -56,7 +56,7 @@ def main() -> int:
     options = _parser().parse_args()
     try:
         start = read_constants(options.constants) if options.constants else DecisionConstants.shipped()
-        scored = score_cases(options.bank, options.lines)
+        scored = score_cases(options.bank, options.lines, options.workers)
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
