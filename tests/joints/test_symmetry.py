@@ -12,8 +12,8 @@ from wrapjax.errors import InputError
 from wrapjax.geometry.marker_model import build_marker_model
 from wrapjax.joints.changed_skeleton import skeleton_change
 from wrapjax.joints.personalisation import personalize_joints
+from wrapjax.joints.problem import symmetric_unknowns
 from wrapjax.joints.settings import JointSettings, MarkerTrial, read_joint_settings
-from wrapjax.joints.symmetry import symmetric_unknowns
 from wrapjax.osim.model import describe_model
 
 
