@@ -1,14 +1,19 @@
 """Findings in recordings: each fault added to one stretch is named with its channel, and no other."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, PERIOD, angles, write_subject
+from wrapjax.cli.command_line import main
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.path_sources.moment_capacity import unrecorded_capacity
+from wrapjax.preprocessing import recording_findings as recording_findings_module
 from wrapjax.preprocessing.recording_findings import recording_findings
+from wrapjax.report.check_page import finding_figure
+from wrapjax.report.style import VERMILION
 from wrapjax.subject.subject import load_subject
 
 CYCLES = 16
@@ -91,6 +96,25 @@ def test_a_fault_of_one_stretch_is_named(folder, kind):
     found = [one for one in change(folder, function) if one.kind == kind]
     assert len(found) == 1
     assert found[0].subjects == channels and words in found[0].sentence and "walk_a" in found[0].sentence
+    panels = finding_figure(found[0], load_subject(folder)).axes
+    assert [panel.get_title(loc="left") for panel in panels] == list(channels)
+    if found[0].cycles:
+        concerned = [line for line in panels[0].lines if line.get_color() == VERMILION]
+        assert len(concerned) == len(found[0].cycles) and len(concerned) in (4, 5)
+
+
+def test_a_third_channel_is_not_named_with_two_that_were_exchanged(folder):
+    """A quiet channel with the signal of a loud one also fits the pattern of any other loud one better."""
+    trials = load_subject(folder).trials.only_gait()
+    rng = np.random.default_rng(2)
+    phase = np.linspace(0.0, 1.0, trials.emg.shape[-1])
+    bursts = np.exp(-0.5 * ((phase - np.array([[0.3], [0.6], [0.4]])) / 0.08) ** 2)
+    size = np.array([0.6, 0.04, 0.25]) * (1.0 + 0.15 * rng.standard_normal((len(trials), 3)))
+    emg = 0.02 + size[..., None] * bursts
+    emg[4:9, :2] = emg[4:9, 1::-1]
+    channels = ("loud", "quiet", "other")
+    found = list(recording_findings_module._swapped_channels(replace(trials, emg=emg, channels=channels)))
+    assert [one.subjects for one in found] == [("loud", "quiet")]
 
 
 def test_a_baseline_of_one_recording_is_named(folder):
@@ -130,6 +154,23 @@ def test_residuals_of_inverse_dynamics_are_compared_with_weight(folder, force, e
     with_forces = tuple(replace(entry, ground_forces=file) for entry in subject.recordings)
     found = recording_findings(replace(subject, recordings=with_forces))
     assert [one.kind for one in found] == expected
+    for one in found:
+        (panel,) = finding_figure(one, replace(subject, recordings=with_forces)).axes
+        assert panel.get_title(loc="left") == "pelvis_ty_force"
+        assert max(np.max(line.get_ydata()) for line in panel.lines) == force
+
+
+def test_check_writes_a_page_with_each_finding_and_refuses_to_replace_one(folder, tmp_path, capsys):
+    change(folder, added)
+    out = tmp_path / "checked"
+    assert main(["check", str(folder), "--out", str(out), "--quiet"]) == 0
+    page = (out / "report.html").read_text()
+    assert "1 finding in the recordings" in page and "never falls below 0.1" in page
+    assert "Baseline: RecFem" in page and "<script" not in page
+    (finding,) = json.loads((out / "check.json").read_text())["Findings in the recordings"]
+    assert finding["kind"] == "baseline"
+    assert main(["check", str(folder), "--out", str(out), "--quiet"]) == 2
+    assert "--force" in capsys.readouterr().err
 
 
 def test_capacity_without_electrodes(folder):

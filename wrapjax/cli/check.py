@@ -18,6 +18,9 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
     check = command("check", run, "Read a subject folder and show its content, or all errors in it.")
     check.add_argument("subject", type=Path, metavar="SUBJECT", help="subject folder")
     check.add_argument(
+        "--out", type=Path, metavar="DIR", help="also write a report with a figure for every finding"
+    )
+    check.add_argument(
         "--capacity",
         action="store_true",
         help="also compute, by OpenSim, which share of each joint's moment capacity has no electrode",
@@ -27,23 +30,25 @@ def add(command: AddCommand, writing: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from wrapjax.preprocessing.recording_findings import recording_findings
-    from wrapjax.subject.description import Table, describe_subject, render_tables
+    from wrapjax.subject.description import Table, describe_subject, render_tables, tables_content
     from wrapjax.subject.subject import load_subject
 
     subject = load_subject(options.subject)
-    rows = tuple((one.kind, one.sentence) for one in recording_findings(subject))
+    findings = recording_findings(subject)
+    rows = tuple((one.kind, one.sentence) for one in findings)
     tables = (*describe_subject(subject), Table("Findings in the recordings", ("kind", "finding"), rows))
     if options.capacity:
         tables = (*tables, _capacity_table(subject))
+    if options.out is not None:
+        from wrapjax.report.check_page import write_check
+
+        write_check(subject, tables, findings, options.out, force=options.force)
     if options.json:
-        print_json(
-            {
-                table.title: [dict(zip(table.header, row, strict=True)) for row in table.rows]
-                for table in tables
-            }
-        )
+        print_json(tables_content(tables))
     else:
         print(render_tables(tables))
+        if options.out is not None:
+            print(f"\nwritten to {options.out}; open {options.out / 'report.html'} in a browser")
     return DONE
 
 

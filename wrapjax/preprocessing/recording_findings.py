@@ -61,12 +61,15 @@ class Finding:
         Channels or columns that it concerns.
     sentence
         The finding with its figures.
+    cycles
+        Names of the cycles or windows that it concerns; empty where it concerns the whole recording.
     """
 
     kind: str
     recording: str
     subjects: tuple[str, ...]
     sentence: str
+    cycles: tuple[str, ...] = ()
 
 
 def recording_findings(subject: Subject) -> tuple[Finding, ...]:
@@ -118,6 +121,10 @@ def _runs_of_cycles(trials: Trials, flagged: Bool[np.ndarray, " trial"]) -> Iter
             yield name, kept
 
 
+def _named(trials: Trials, rows: Sequence[int]) -> tuple[str, ...]:
+    return tuple(trials.names[row] for row in rows)
+
+
 def _where(trials: Trials, rows: Sequence[int]) -> str:
     """Say in which cycles, and when, a finding is."""
     name = trials.recordings[rows[0]]
@@ -148,7 +155,7 @@ def _baselines(trials: Trials) -> Iterator[Finding]:
                 f"EMG channel '{channel}' never falls below {level:.3g} in {_where(trials, rows)}, where it "
                 f"falls to {usual:.3g} in the others: subtract the baseline, or look for a loose electrode"
             )
-            yield Finding("baseline", name, (channel,), sentence)
+            yield Finding("baseline", name, (channel,), sentence, _named(trials, rows))
 
 
 def _lost_channels(trials: Trials) -> Iterator[Finding]:
@@ -164,7 +171,7 @@ def _lost_channels(trials: Trials) -> Iterator[Finding]:
                 f"EMG channel '{channel}' varies by {np.median(amplitude[rows, row]):.3g} in "
                 f"{_where(gait, rows)}, in the median cycle by {usual:.3g}: it lost its signal there"
             )
-            yield Finding("lost channel", name, (channel,), sentence)
+            yield Finding("lost channel", name, (channel,), sentence, _named(gait, rows))
 
 
 def _swapped_channels(trials: Trials) -> Iterator[Finding]:
@@ -180,6 +187,7 @@ def _swapped_channels(trials: Trials) -> Iterator[Finding]:
     deviation = np.square((emg[:, :, None] - usual[None, None]) / spread[None, None]).mean(axis=-1)
     deviation = np.sqrt(deviation)
     count = len(gait.channels)
+    found: list[tuple[float, list[int], Finding]] = []
     for first in range(count):
         for second in range(first + 1, count):
             kept = np.hypot(deviation[:, first, first], deviation[:, second, second])
@@ -190,10 +198,20 @@ def _swapped_channels(trials: Trials) -> Iterator[Finding]:
                 pair = (gait.channels[first], gait.channels[second])
                 sentence = (
                     f"EMG channels '{pair[0]}' and '{pair[1]}' look swapped in {_where(gait, rows)}: they "
-                    f"are {np.median(kept[rows]):.2g} standard deviations from their usual patterns, and "
-                    f"{np.median(swapped[rows]):.2g} if exchanged"
+                    f"are {np.median(kept[rows]):.3g} standard deviations from their usual patterns, and "
+                    f"{np.median(swapped[rows]):.3g} if exchanged"
                 )
-                yield Finding("swapped channels", name, pair, sentence)
+                ratio = float(np.median(swapped[rows] / kept[rows]))
+                finding = Finding("swapped channels", name, pair, sentence, _named(gait, rows))
+                found.append((ratio, rows, finding))
+    # A channel that carries another's signal is far from its own pattern, so that it seems swapped with a
+    # third one, too: in the same cycles the best exchange counts.
+    explained: set[tuple[int, str]] = set()
+    for _, rows, finding in sorted(found, key=lambda one: one[0]):
+        concerned = {(row, channel) for row in rows for channel in finding.subjects}
+        if not concerned & explained:
+            explained |= concerned
+            yield finding
 
 
 def _exchanged_channels(trials: Trials, subject: Subject) -> Iterator[Finding]:
@@ -211,7 +229,7 @@ def _exchanged_channels(trials: Trials, subject: Subject) -> Iterator[Finding]:
             f"EMG channels '{pair[0]}' and '{pair[1]}' look swapped in all cycles: they fit each other's "
             f"usual phases of activity in walking better than their own ({gain:.2g} gained in correlation)"
         )
-        yield Finding("swapped channels", gait.recordings[0], pair, sentence)
+        yield Finding("swapped channels", gait.recordings[0], pair, sentence, gait.names)
 
 
 def _persistent(ratio: Float[np.ndarray, " trial"], trials: Trials) -> Bool[np.ndarray, " trial"]:

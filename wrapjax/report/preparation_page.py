@@ -165,12 +165,12 @@ def render_preparation(
     parts = [
         markup.header(title, under),
         _verdict_section(subject, tables),
-        _tables_section(tables),
+        tables_section(tables),
     ]
     if forces:
         parts.append(_forces_section(forces))
     gait = trials.only_gait()
-    parts += [*([_cycles_section(gait)] if len(gait) else []), _notes_section(subject)]
+    parts += [*([cycles_section(gait)] if len(gait) else []), _notes_section(subject)]
     return markup.page(title, parts)
 
 
@@ -187,7 +187,8 @@ def _verdict_section(subject: Subject, tables: Sequence[Table]) -> str:
     return markup.verdict([first, *findings], fine=True)
 
 
-def _tables_section(tables: Sequence[Table]) -> str:
+def tables_section(tables: Sequence[Table], title: str = "Recordings and checks") -> str:
+    """Write tables, but empty ones, under a heading."""
     shown = [
         markup.table(
             table.header,
@@ -197,7 +198,7 @@ def _tables_section(tables: Sequence[Table]) -> str:
         for table in tables
         if table.rows
     ]
-    return markup.section("Recordings and checks", *shown)
+    return markup.section(title, *shown)
 
 
 def _cell(cell: str | float | int | None) -> str:
@@ -231,7 +232,8 @@ def _required_force(forces: Sequence[ForceTrace]) -> str:
     return f"{law}. Where the force under only one foot was recorded, the two cannot be compared."
 
 
-def _cycles_section(trials: Trials) -> str:
+def cycles_section(trials: Trials) -> str:
+    """Write the section that shows angles, moments and EMG of all gait cycles."""
     columns = [trials.coordinates.index(name) for name in trials.moment_coordinates]
     inside = trials.inside
     pictures = (

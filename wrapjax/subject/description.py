@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,13 @@ def describe_subject(subject: Subject) -> tuple[Table, ...]:
         _coordinates(subject),
         Table("Notes", ("note",), tuple((note,) for note in subject.notes)),
     )
+
+
+def tables_content(tables: Iterable[Table]) -> dict[str, list[dict[str, Cell]]]:
+    """Return the rows of tables by their titles, each row by column, as JSON files have them."""
+    return {
+        table.title: [dict(zip(table.header, row, strict=True)) for row in table.rows] for table in tables
+    }
 
 
 def render_tables(tables: tuple[Table, ...]) -> str:
