@@ -36,12 +36,12 @@ from wrapjax.subject.subject import Subject
 from wrapjax.subject.trial_settings import TrialSettings
 from wrapjax.subject.trials import GAIT
 
-#: Time shown on either side of a saturated stretch, s.
+#: Time shown before and after the first sample at the extreme, s.
 _AROUND = 0.5
 #: Frequencies shown of a channel with mains residue, Hz.
 _SPECTRUM = (5.0, 130.0)
 _CAPTIONS = {
-    "saturation": "The recorded signal around its first stretch at the extreme (dashed).",
+    "saturation": "The recorded signal around its first sample at the extreme (dashed).",
     "mains": "Power spectrum of the recorded signal (Welch); dashed: 50 and 60 Hz.",
     "pelvis residual": "What inverse dynamics left at the pelvis, over all cycles; shaded: up to the limit.",
 }
@@ -178,7 +178,7 @@ def _draw_cycles(panels: Sequence[Axes], finding: Finding, subject: Subject) -> 
 def _draw_saturation(
     panel: Axes, time: Float[np.ndarray, " sample"], signal: Float[np.ndarray, " sample"]
 ) -> None:
-    """Draw the signal around the first of the longest stretch at an extreme."""
+    """Draw the signal around where it first is at its extreme."""
     extreme = float(signal.max()) if signal.max() >= -signal.min() else float(signal.min())
     first = float(time[np.argmax(signal == extreme)])
     shown = np.abs(time - first) <= _AROUND
