@@ -117,6 +117,19 @@ def test_a_third_channel_is_not_named_with_two_that_were_exchanged(folder):
     assert [one.subjects for one in found] == [("loud", "quiet")]
 
 
+def test_recordings_of_one_cycle_each_differ_as_much_as_their_quiet_levels_do(folder):
+    trials = load_subject(folder).trials.only_gait()
+    names = tuple(f"walk_{number}" for number in range(len(trials)))
+    floors = 0.05 + 0.02 * np.random.default_rng(4).standard_normal(len(trials))
+    phase = np.linspace(0.0, 1.0, trials.emg.shape[-1])
+    emg = floors[:, None, None] + 0.4 * np.exp(-0.5 * ((phase - 0.5) / 0.08) ** 2)
+    each = replace(trials, recordings=names, emg=emg, channels=("quiet",))
+    assert list(recording_findings_module._baselines(each)) == []
+    emg[3] += 0.2
+    found = list(recording_findings_module._baselines(replace(each, emg=emg)))
+    assert [(one.recording, one.cycles) for one in found] == [("walk_3", (trials.names[3],))]
+
+
 def test_a_baseline_of_one_recording_is_named(folder):
     other = folder / "trials" / "walk_a" / "emg.sto"
     table = read_storage(other)

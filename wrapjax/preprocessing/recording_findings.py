@@ -147,7 +147,9 @@ def _baselines(trials: Trials) -> Iterator[Finding]:
         each = np.array([np.median(own[names == name]) for name in dict.fromkeys(names.tolist())])
         # Of two recordings the lower is the usual one.
         usual = float(each.min() if each.size == 2 else np.median(each))
-        spread = _NORMAL * float(np.median(np.abs(own - by_recording)))
+        # Where each recording is one cycle, none differs from its own recording: they differ between these.
+        several = len(each) < len(own)
+        spread = _NORMAL * float(np.median(np.abs(own - by_recording if several else own - usual)))
         limit = usual + max(FLOOR_DEVIATIONS * spread, FLOOR_SHARE * float(peaks[row]))
         for name, rows in _runs_of_cycles(trials, own > limit):
             level = float(np.median(own[rows]))
