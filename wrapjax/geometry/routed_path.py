@@ -16,84 +16,9 @@ from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_poin
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
+from wrapjax.geometry.surface_arc import geodesic_arc
 from wrapjax.geometry.wrap_methods import CYLINDER, Kinds
 from wrapjax.geometry.wrapping import NOMINAL, Surface
-
-# Length (m) below which a vector has no direction.
-_NO_LENGTH = 1e-9
-
-
-def geodesic_arc(
-    kind: str,
-    sizes: Sequence[float],
-    ends: Float[np.ndarray, "2 3"],
-    direction: Float[np.ndarray, " 3"],
-    length: float,
-    steps: int,
-) -> Float[np.ndarray, "vertex 3"]:
-    """Sample the geodesic that leaves a point of a surface in a given direction.
-
-    The equation ``x'' = -(x' H x') g / |g|^2``, with gradient g and Hessian H of the surface's function, is
-    integrated by the classical Runge-Kutta method. The remaining distance from the known last point, some
-    micrometers, is distributed over the arc.
-
-    Parameters
-    ----------
-    kind
-        ``sphere``, ``ellipsoid`` or ``torus``, in its own frame.
-    sizes
-        Semi-axes of a sphere or an ellipsoid; radii of a torus' ring and tube, m.
-    ends
-        First and last point, m.
-    direction
-        Direction at the first point, of any length. If it has none, the arc starts towards the last point.
-    length
-        Length of the arc, m.
-    steps
-        Number of steps.
-    """
-    first, last = ends
-    if np.linalg.norm(direction) < _NO_LENGTH:
-        direction = last - first
-    gradient, _ = _derivatives(kind, sizes, first, direction)
-    normal = gradient / np.linalg.norm(gradient)
-    tangent = direction - normal * (normal @ direction)
-    size = np.linalg.norm(tangent)
-    if size < _NO_LENGTH or length < _NO_LENGTH:
-        return np.stack([first, last])
-
-    def rate(state: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "2 3"]:
-        gradient, bend = _derivatives(kind, sizes, state[0], state[1])
-        return np.stack([state[1], -bend * gradient / (gradient @ gradient)])
-
-    state, step = np.stack([first, tangent / size]), length / steps
-    points = [first]
-    for _ in range(steps):
-        one = rate(state)
-        two = rate(state + 0.5 * step * one)
-        three = rate(state + 0.5 * step * two)
-        four = rate(state + step * three)
-        state = state + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
-        points.append(state[0])
-    share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-    return np.stack(points) + share * (last - points[-1])
-
-
-def _derivatives(
-    kind: str, sizes: Sequence[float], point: Float[np.ndarray, " 3"], along: Float[np.ndarray, " 3"]
-) -> tuple[Float[np.ndarray, " 3"], float]:
-    """Gradient of the surface's function, and its second derivative along a direction."""
-    if kind == "torus":
-        distance = np.hypot(point[0], point[1])
-        outward = np.array([point[0], point[1], 0.0]) / distance
-        aside = distance - sizes[0]
-        gradient = 2.0 * aside * outward + np.array([0.0, 0.0, 2.0 * point[2]])
-        outwards = outward @ along
-        around = along[0] ** 2 + along[1] ** 2 - outwards**2
-        return gradient, float(2.0 * (outwards**2 + aside / distance * around + along[2] ** 2))
-    inverse = 1.0 / np.square(np.asarray(sizes, dtype=float))
-    return 2.0 * point * inverse, float(2.0 * np.sum(along**2 * inverse))
-
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
 _STEP = np.deg2rad(0.5)
