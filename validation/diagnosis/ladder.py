@@ -76,6 +76,7 @@ STEPS = (
     Step(law=True),
     Step(paths=True),
     Step(emg=True),
+    Step(law=True, paths=True),
     Step(law=True, paths=True, emg=True),
 )
 

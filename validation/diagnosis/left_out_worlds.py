@@ -102,7 +102,9 @@ class DecidedCase:
 
 
 def main() -> int:
-    options = linearizations_parser("left_out_worlds", __doc__).parse_args()
+    parser = linearizations_parser("left_out_worlds", __doc__)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
     try:
         cases = score_cases(options.bank, options.lines, options.workers)
         decided = decide_by_world(cases, DecisionConstants.shipped())

@@ -231,7 +231,6 @@ def linearizations_parser(module: str, description: str | None) -> argparse.Argu
     parser = argparse.ArgumentParser(prog=f"python -m validation.diagnosis.{module}", description=description)
     parser.add_argument("--bank", type=Path, required=True, help="folder of the development bank")
     parser.add_argument("--lines", type=Path, required=True, help="folder of the linearized cases")
-    parser.add_argument("--workers", type=int, default=2)
     return parser
 
 

@@ -199,6 +199,7 @@ def _parser() -> argparse.ArgumentParser:
         "--constants", type=Path, metavar="FILE.json", help="initial constants (default: shipped)"
     )
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="file to write the constants to")
+    parser.add_argument("--workers", type=int, default=2)
     return parser
 
 

@@ -141,15 +141,16 @@ def _baselines(trials: Trials) -> Iterator[Finding]:
     if len(trials) < 2:
         return
     names = np.array(trials.recordings)
+    several = np.array([np.sum(names == name) > 1 for name in names])
     for row, channel in enumerate(trials.channels):
         own = floors[:, row]
         by_recording = np.array([np.median(own[names == name]) for name in names])
         each = np.array([np.median(own[names == name]) for name in dict.fromkeys(names.tolist())])
         # Of two recordings the lower is the usual one.
         usual = float(each.min() if each.size == 2 else np.median(each))
-        # Where each recording is one cycle, none differs from its own recording: they differ between these.
-        several = len(each) < len(own)
-        spread = _NORMAL * float(np.median(np.abs(own - by_recording if several else own - usual)))
+        # The only cycle of a recording is its own median, and tells nothing of the spread within one.
+        deviations = (own - by_recording)[several] if several.any() else own - usual
+        spread = _NORMAL * float(np.median(np.abs(deviations)))
         limit = usual + max(FLOOR_DEVIATIONS * spread, FLOOR_SHARE * float(peaks[row]))
         for name, rows in _runs_of_cycles(trials, own > limit):
             level = float(np.median(own[rows]))
