@@ -182,6 +182,27 @@ def test_the_usual_spread_of_an_effect_is_part_of_the_null_and_reduces_its_evide
     assert evidence(linearized) < 0.5 * evidence(without)
 
 
+def test_variants_share_the_variance_of_the_usual_spread(setting):
+    """Each variant holds in a share of people, so that equal variants spread as one does alone."""
+    problem, recording, measured, *_ = setting
+    _, context = small_recording_and_context()
+    damping = CATALOGUE["joint_damping"].build(context)
+    usual = dataclasses.replace(
+        damping, parameters=tuple(dataclasses.replace(one, usual_sd=1.0) for one in damping.parameters)
+    )
+    alike = dataclasses.replace(
+        usual, variants=tuple(dataclasses.replace(usual.variants[0], label=name) for name in "abc")
+    )
+
+    def covariance(effect):
+        start = problem.variables.start()
+        rows = linearized_model(problem, start, recording, measured, context, (effect,)).nuisances
+        columns = rows.reshape(len(rows), -1)
+        return columns.T @ columns
+
+    np.testing.assert_allclose(covariance(alike), covariance(usual), rtol=1e-9, atol=1e-9)
+
+
 def test_candidates_have_the_limits_of_their_effects(setting):
     *_, linearized, _ = setting
     _, context = small_recording_and_context()

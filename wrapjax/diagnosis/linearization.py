@@ -335,8 +335,11 @@ def moment_slopes(
 def _usual_spread(
     effect: Effect, candidate: Candidate, shape: tuple[int, ...]
 ) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
-    """Compute the signatures of one standard deviation between people without the effect, N m."""
-    usual_sd = np.array([entry.usual_sd for entry in effect.parameters])
+    """Compute the signatures of one standard deviation between people without the effect, N m.
+
+    One variant holds in a person, each with the same probability: the covariance is the mean over variants.
+    """
+    usual_sd = np.array([entry.usual_sd for entry in effect.parameters]) / np.sqrt(len(candidate.variants))
     usual = np.flatnonzero(usual_sd)
     signatures = [usual_sd[usual, None] * variant[usual] for variant in candidate.variants]
     return np.concatenate(signatures).reshape(-1, *shape)

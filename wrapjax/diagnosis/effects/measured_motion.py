@@ -29,9 +29,9 @@ _ARTIFACT_SOURCE = (
     "thigh 10, shank 7 degrees: PMC8631460; usual: knee angles in walking wrong by up to 4.4 degrees on "
     "average, Benoit et al. 2006, doi:10.1016/j.gaitpost.2005.04.012"
 )
-#: Standard deviation between people of a slide (rad), and of each share of an angle. Both variants have the
-#: shares, so that their variance counts twice: at a knee that bends by 60 degrees, 2 degrees in all.
-_USUAL_SLIDE = 0.02
+#: Standard deviation between people of a slide (rad), and of each share of an angle: 1.7 degrees at a knee
+#: that bends by 60 degrees.
+_USUAL_SLIDE = 0.028
 
 
 def neighboring_coordinates(coordinates: Sequence[str]) -> tuple[int, ...]:
