@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
-import re
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import iterparse
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import read_content
@@ -15,7 +16,6 @@ from wrapjax.io.files import read_content
 MAX_BYTES = 256 << 20
 #: Largest depth of nested elements. OpenSim's files have about 15; recursive functions have a limit.
 MAX_NESTING = 200
-_DECLARATION = re.compile(rb"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def read_xml(path: Path, root_tag: str) -> Element:
@@ -50,7 +50,7 @@ def parse_xml(content: bytes, path: Path) -> Element:
     """Parse an XML document without document type or entities.
 
     Entities can make a small file expand without limit, or include other files, and no OpenSim file needs
-    them. A document that declares any is refused before it is parsed.
+    them. A document that declares any is refused.
 
     Parameters
     ----------
@@ -66,21 +66,21 @@ def parse_xml(content: bytes, path: Path) -> Element:
         type or entities.
     """
     _check_size(len(content), path)
-    # A zero byte means binary content, or an encoding in which the next check would miss the declaration.
     if b"\0" in content:
         raise InputError(Problem(str(path), "is binary, where XML in UTF-8 was expected"))
-    if _DECLARATION.search(content):
-        raise InputError(Problem(str(path), "declares a document type or entities, which are refused"))
     root: Element | None = None
     level = 0
     try:
-        for event, element in ElementTree.iterparse(io.BytesIO(content), ("start", "end")):
+        for event, element in iterparse(io.BytesIO(content), ("start", "end"), forbid_dtd=True):
             root = element if root is None else root
             level += 1 if event == "start" else -1
             if level > MAX_NESTING:
                 message = f"has elements nested in more than {MAX_NESTING} levels, unlike any OpenSim file"
                 raise InputError(Problem(str(path), message))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+    except DefusedXmlException:
+        message = "declares a document type or entities, which are refused"
+        raise InputError(Problem(str(path), message)) from None
+    except (ParseError, ValueError, LookupError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(Problem(str(path), f"is not well-formed XML ({error})")) from None
