@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.joint_leg import WEIGHT, damped_leg
-from wrapjax.calibration.solvers.checkpoints import SolveCache, solve_fingerprint
+from wrapjax.calibration.solvers.checkpoints import solve_fingerprint
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.joint_fit import SOLVER, fit_jointly, joint_problem
+from wrapjax.io.store import Store
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def leg():
 @pytest.fixture(scope="module")
 def done(leg, tmp_path_factory):
     """A cache and the fit in it."""
-    kept = SolveCache(tmp_path_factory.mktemp("kept"))
+    kept = Store(tmp_path_factory.mktemp("kept"))
     return kept, fit_jointly(*leg, cache=kept)
 
 
@@ -82,7 +83,7 @@ def test_the_fingerprint_depends_on_everything_that_decides_a_fit(leg):
 def test_a_damaged_file_is_solved_again(leg, done, tmp_path, content):
     kept, first = done
     (whole,) = kept.folder.iterdir()
-    own = SolveCache(tmp_path)
+    own = Store(tmp_path)
     (tmp_path / whole.name).write_bytes(whole.read_bytes()[:100] if content is None else content)
     np.testing.assert_array_equal(fit_jointly(*leg, cache=own).variables, first.variables)
     assert (tmp_path / whole.name).read_bytes() == whole.read_bytes()
@@ -91,5 +92,5 @@ def test_a_damaged_file_is_solved_again(leg, done, tmp_path, content):
 def test_an_interrupted_fit_raises_and_is_not_cached(leg, monkeypatch, tmp_path):
     failing_steps(monkeypatch)
     with pytest.raises(KeyboardInterrupt):
-        fit_jointly(*leg, cache=SolveCache(tmp_path))
+        fit_jointly(*leg, cache=Store(tmp_path))
     assert not list(tmp_path.iterdir())

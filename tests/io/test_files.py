@@ -9,12 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import wrapjax
 from wrapjax.errors import InputError
-from wrapjax.io import files
 from wrapjax.io.files import (
     cache_folder,
-    code_hash,
     content_hash,
     new_folder,
     write_atomically,
@@ -271,23 +268,3 @@ def test_cache_folder_follows_environment_variables(tmp_path, monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert cache_folder("fit") == tmp_path / "home" / ".cache" / "wrapjax" / "fit"
-
-
-def test_code_hash_depends_on_all_that_calculates(tmp_path, monkeypatch):
-    """A changed formula must not lead to results that the earlier code cached; a changed page may."""
-    assert Path(files.__file__).parents[1] == Path(wrapjax.__file__).parent
-    package = tmp_path / "package"
-    for name in ("io/files.py", "model/forward.py", "report/page.py", "cli/page.py"):
-        (package / name).parent.mkdir(parents=True)
-        (package / name).write_text("A = 1\n")
-    monkeypatch.setattr(files, "__file__", str(package / "io" / "files.py"))
-    before = code_hash.__wrapped__()
-    (package / "notes.txt").write_text("not code")
-    (package / "report" / "page.py").write_text("A = 1  # says why\n")
-    (package / "cli" / "page.py").write_text("2\n")
-    assert code_hash.__wrapped__() == before
-    names = {before}
-    for name in ("model/forward.py", "model/constants.json"):
-        (package / name).write_text("2\n")
-        names.add(code_hash.__wrapped__())
-    assert len(names) == 3

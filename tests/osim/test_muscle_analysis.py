@@ -10,6 +10,7 @@ import opensim
 import pytest
 
 from wrapjax.errors import InputError
+from wrapjax.io.store import Store
 from wrapjax.osim import muscle_analysis, workers
 from wrapjax.osim.loading import load_model
 from wrapjax.osim.model import describe_model
@@ -266,14 +267,14 @@ def test_a_damaged_cache_file_is_recomputed(empty_cache, counted, odd_model, dam
 
 def after_the_first_chunk(monkeypatch, action):
     """Call a function once the first chunk has been cached; return a function that undoes this."""
-    write_cache = muscle_analysis._write_cache
+    write_arrays = Store.write_arrays
 
-    def then(*arguments):
-        write_cache(*arguments)
+    def then(*arguments, **arrays):
+        write_arrays(*arguments, **arrays)
         action()
 
-    monkeypatch.setattr(muscle_analysis, "_write_cache", then)
-    return lambda: monkeypatch.setattr(muscle_analysis, "_write_cache", write_cache)
+    monkeypatch.setattr(Store, "write_arrays", then)
+    return lambda: monkeypatch.setattr(Store, "write_arrays", write_arrays)
 
 
 def test_interrupted_work_leaves_no_process_and_is_continued(empty_cache, counted, monkeypatch, odd_model):
@@ -313,16 +314,16 @@ def test_a_worker_that_dies_is_reported_and_finished_results_are_kept(
 
 SCRIPT = """
 import numpy as np, os, signal
-from wrapjax.osim import muscle_analysis
+from wrapjax.io.store import Store
 from wrapjax.osim.muscle_analysis import analyse_muscles
 
 # Interrupts are ignored if the tests run in the background of a shell.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-def action(*arguments):
+def action(*arguments, **arrays):
     {action}
 
-muscle_analysis._write_cache = action
+Store.write_arrays = action
 poses = np.linspace(0.0, 1.0, 50_000)[:, None]
 found = analyse_muscles({model!r}, ["flexor"], ["knee"], poses, processes=2, quiet=True)
 print(found.length.shape)
@@ -368,7 +369,7 @@ def test_a_cache_that_cannot_be_written_is_no_error(empty_cache, monkeypatch, od
     def full(path, write):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(muscle_analysis, "write_atomically", full)
+    monkeypatch.setattr("wrapjax.io.store.write_atomically", full)
     assert np.isfinite(analyse(odd_model, [0.5]).length).all()
     assert list(empty_cache.iterdir()) == []
 

@@ -38,8 +38,8 @@ from wrapjax.calibration.solvers.multistart import (
 )
 from wrapjax.calibration.two_legs import join_leg_objectives, leg_solution
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import cache_folder
 from wrapjax.io.model_file import MuscleParameters, read_model_file
+from wrapjax.io.store import Store
 from wrapjax.model.forward import muscle_states
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import with_path_modes
@@ -333,7 +333,7 @@ def cached_calibration(
     fitted = fit_for_methods((method,), subject) if fit is None else fit
     legs = build_leg_setups(subject, fitted, method, None)
     fingerprint = calibration_fingerprint(legs, AugmentedLagrangian(), MuscleOptions(), starts, seed)
-    checkpoints = cache_folder("calibrations") / fingerprint
+    checkpoints = Store.of_user("calibrations").place(fingerprint)
     begun = (checkpoints / "question.json").exists()
     return calibrate(
         subject,

@@ -17,7 +17,8 @@ from wrapjax.calibration.sample_weights import moment_errors_by_weight
 from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
-from wrapjax.io.files import code_hash, content_hash
+from wrapjax.io.files import content_hash
+from wrapjax.io.store import fingerprint
 from wrapjax.jax_setup import require_float64
 from wrapjax.model.alteration import tendon_alterations
 from wrapjax.model.forward import muscle_states
@@ -342,11 +343,12 @@ class MuscleOptions:
 def calibration_fingerprint(
     legs: list[LegSetup], solver: AugmentedLagrangian, options: MuscleOptions, starts: int, seed: int
 ) -> str:
-    """Compute the hash of everything that determines the result of a calibration."""
-    return content_hash(code_hash(), *map(_fingerprint, legs), repr((solver, options, starts, seed)))
+    """Compute the fingerprint of a calibration."""
+    inputs = (*map(_hash_of_leg, legs), repr((solver, options, starts, seed)))
+    return fingerprint(*inputs, module="wrapjax.calibration.calibration")
 
 
-def _fingerprint(leg: LegSetup) -> str:
+def _hash_of_leg(leg: LegSetup) -> str:
     """Compute the hash of a leg's inputs to a calibration."""
     subject, trials = leg.subject, leg.subject.trials
     return content_hash(

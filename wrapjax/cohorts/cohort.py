@@ -17,8 +17,9 @@ from wrapjax.calibration.problem import METHODS
 from wrapjax.cohorts.scheduling import Finished, run_jobs
 from wrapjax.comparison.samples import file_name
 from wrapjax.errors import InputError, Problem, nearest_name
-from wrapjax.io.files import code_hash, content_hash, new_folder, write_json
+from wrapjax.io.files import new_folder, write_json
 from wrapjax.io.json_and_arrays import load_json
+from wrapjax.io.store import fingerprint
 from wrapjax.jax_setup import clear_caches_near_map_limit, set_up_jax
 from wrapjax.progress import print_progress, progress_bar
 from wrapjax.subject.subject import Subject, load_subject, read_legs
@@ -231,14 +232,14 @@ def cached_result(job: Job) -> dict[str, Any] | None:
     if not job.resume:
         return None
     try:
-        fingerprint = _fingerprint(job, load_subject(job.folder))
+        question = _fingerprint(job, load_subject(job.folder))
     except (InputError, OSError):
         return None  # `process_subject` reports the error.
     try:
         content = load_json(Path(job.place) / SUBJECT_FILE)
     except (OSError, ValueError):
         return None
-    return content if isinstance(content, dict) and content.get("question") == fingerprint else None
+    return content if isinstance(content, dict) and content.get("question") == question else None
 
 
 def process_subject(job: Job) -> dict[str, Any]:
@@ -269,7 +270,7 @@ def _process_subject(job: Job) -> dict[str, Any]:
 
     began = time.perf_counter()
     subject = load_subject(job.folder)
-    fingerprint = _fingerprint(job, subject)
+    question = _fingerprint(job, subject)
     place = Path(job.place)
     paths = fit_for_methods((job.method,), subject, seed=job.seed, processes=1)
     calibration = cached_calibration(subject, job.method, paths, starts=job.starts, seed=job.seed)
@@ -286,7 +287,7 @@ def _process_subject(job: Job) -> dict[str, Any]:
         summary = load_json(folder / CALIBRATION / "summary.json")
         content = {
             "schema": _SCHEMA,
-            "question": fingerprint,
+            "question": question,
             "state": "done",
             "subject": subject.name,
             "side": subject.side,
@@ -305,7 +306,7 @@ def _diagnosis_summary(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _fingerprint(job: Job, subject: Subject) -> str:
-    """Hash all files of the subject, all settings and the code."""
+    """Compute the fingerprint of all files of the subject and all settings."""
     files: set[Path] = set()
     for leg in read_legs(subject):
         files |= {path for path in leg.folder.rglob("*") if path.is_file()}
@@ -319,8 +320,8 @@ def _fingerprint(job: Job, subject: Subject) -> str:
                 trial.external_loads,
             )
             files |= {path for path in trial_files if path is not None}
-    settings = (job.method, job.diagnose, job.starts, job.seed, code_hash(), _SCHEMA)
-    return content_hash(repr(settings), *sorted({path.resolve() for path in files}))
+    settings = (job.method, job.diagnose, job.starts, job.seed, _SCHEMA)
+    return fingerprint(repr(settings), *sorted({path.resolve() for path in files}))
 
 
 def _folders_by_name(subjects: Sequence[str | Path]) -> dict[str, Path]:

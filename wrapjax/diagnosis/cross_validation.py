@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.diagnosis.joint_fit import JointFit, JointProblem, fit_jointly
+from wrapjax.io.store import Store
 
 #: Largest number of blocks; with fewer cycles than this at any speed, single cycles are left out.
 BLOCKS = 5
@@ -102,7 +102,7 @@ def cross_fit(
     plan: CrossValidationPlan,
     speeds: Int[np.ndarray, " cycle"],
     prediction: PredictMoments,
-    cache: SolveCache | None = None,
+    cache: Store | None = None,
 ) -> CrossFit:
     """Fit to all calibration cycles, to all but each block, and to single speeds.
 

@@ -14,7 +14,6 @@ from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibrat
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import PATH_PENALTIES
-from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.baseline import starts_agree
@@ -28,7 +27,7 @@ from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.diagnosis.subject_context import build_context
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.paths import PathState, fixed_path
-from wrapjax.io.files import cache_folder
+from wrapjax.io.store import Store
 from wrapjax.model.variables import free_variables
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
@@ -286,7 +285,7 @@ def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> Di
     assert isinstance(problem, Objective)
     if problem.variables.modes:
         problem = _with_held_paths(problem, result)
-    cache = SolveCache(cache_folder("diagnoses"))
+    cache = Store.of_user("diagnoses")
     law = fit_muscle_law(
         problem,
         result.parameters,

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.calibration.solvers.multistart import Outcome
 from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cross_validation import CrossValidationPlan, PredictMoments, cross_validation_plan
@@ -19,6 +18,7 @@ from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.muscle_law import MuscleLawFit
 from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.io.store import Store
 from wrapjax.model.forward import Recording
 
 #: Number of equally spaced phases of the gait cycle at which residuals are scored.
@@ -79,7 +79,7 @@ class DiagnosisInput:
     time: Float[np.ndarray, "cycle frame"]
     measured: Float[np.ndarray, "cycle coordinate frame"]
     inputs: Float[np.ndarray, "cycle input frame"]
-    cache: SolveCache | None = None
+    cache: Store | None = None
 
     @property
     def speeds(self) -> Int[np.ndarray, " cycle"]:

@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from wrapjax.calibration.objective import MOMENT_ERROR, Objective
-from wrapjax.calibration.solvers.checkpoints import SolveCache, solve_fingerprint
+from wrapjax.calibration.solvers.checkpoints import solve_fingerprint
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, Linearization, Status
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.diagnosis.effects.effect import Effects, split_effect_sizes
 from wrapjax.diagnosis.prediction import AlterationFunctions, SizesByEffect, altered_inputs, signatures
+from wrapjax.io.store import Store
 from wrapjax.model.forward import Recording
 from wrapjax.model.parameters import ModelParameters
 
@@ -243,7 +244,7 @@ def fit_jointly(
     start: Float[np.ndarray, " variable"],
     used: Bool[np.ndarray, " trial"] | None = None,
     solver: ProjectedLevenbergMarquardt = SOLVER,
-    cache: SolveCache | None = None,
+    cache: Store | None = None,
 ) -> JointFit:
     """Fit calibrated parameters and effect sizes together.
 
@@ -267,8 +268,7 @@ def fit_jointly(
     """
     chosen = replace(problem, plain=replace(problem.plain, moment_error=allowed_errors(problem.plain, used)))
     name = solve_fingerprint(chosen, start, solver) if cache else ""
-    known = cache.read(name) if cache else None
-    if known is not None:
+    if cache and (known := _read_solution(cache, name)):
         variables, status = known
         model = chosen.linearized_at(jnp.asarray(variables))
         return JointFit(chosen, variables, float(model.cost), model, status)
@@ -276,8 +276,17 @@ def fit_jointly(
     if solution.status is Status.interrupted:
         raise KeyboardInterrupt
     if cache:
-        cache.write(name, solution.variables, solution.status)
+        cache.write_arrays(name, variables=solution.variables, status=np.array(solution.status.name))
     return JointFit(chosen, solution.variables, solution.cost, solution.linearization, solution.status)
+
+
+def _read_solution(cache: Store, name: str) -> tuple[Float[np.ndarray, " variable"], Status] | None:
+    """Read the variables and the status of a finished solve; None if there is none."""
+    arrays = cache.read_arrays(name)
+    try:
+        return None if arrays is None else (arrays["variables"], Status[str(arrays["status"])])
+    except KeyError:
+        return None
 
 
 def allowed_errors(

@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.objective import Objective
-from wrapjax.calibration.solvers.checkpoints import SolveCache
 from wrapjax.diagnosis.effects.effect import Effects
 from wrapjax.diagnosis.joint_fit import fit_jointly, joint_problem
 from wrapjax.diagnosis.priors import with_published_priors
+from wrapjax.io.store import Store
 from wrapjax.model.freedom import Freedom
 from wrapjax.model.parameters import ModelParameters
 from wrapjax.model.variables import free_variables
@@ -62,7 +62,7 @@ def fit_muscle_law(
     parameters: ModelParameters,
     freedom: Freedom,
     muscles: Sequence[str],
-    cache: SolveCache | None = None,
+    cache: Store | None = None,
     curves: str = "paper",
 ) -> MuscleLawFit:
     """Calibrate the muscle law together with the freed parameters of the muscles.

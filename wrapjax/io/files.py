@@ -19,19 +19,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import filelock
 import numpy as np
+import platformdirs
 
 from wrapjax.errors import InputError, Problem, nearest_name
-
-try:
-    import fcntl
-except ImportError:  # On Windows folders are not locked.
-    fcntl = None  # type: ignore[assignment]
 
 #: Suffix of the names of temporary files and folders (of files: before the suffix of their format).
 PART_SUFFIX = ".part"
@@ -39,8 +34,6 @@ PART_SUFFIX = ".part"
 _OLD_SUFFIX = ".old"
 #: Age in s from which a temporary file is taken to be left by a killed process.
 _ABANDONED_AGE_S = 86_400.0
-#: Folders and modules of the package on which no calculated number depends.
-_WITHOUT_NUMBERS = frozenset({"report", "cli", "progress.py", "renamed.py", "api.py", "__main__.py"})
 #: Number of nested locks that this process holds, by folder.
 _held: dict[Path, int] = {}
 
@@ -231,7 +224,11 @@ def check_output_folder(folder: Path, force: bool) -> None:
         raise InputError(Problem(str(folder), "cannot be created", hint=hint)) from None
 
 
-def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
+#: What can be hashed; a `Path` stands for the bytes of its file.
+Hashed = bytes | str | np.ndarray | int | float | Path
+
+
+def content_hash(*parts: Hashed) -> str:
     """Compute the SHA-256 of values (first 32 hex digits); a `Path` stands for the bytes of its file."""
     digest = hashlib.sha256()
     for part in parts:
@@ -249,28 +246,14 @@ def content_hash(*parts: bytes | str | np.ndarray | int | float | Path) -> str:
     return digest.hexdigest()[:32]
 
 
-@cache
-def code_hash() -> str:
-    """Hash version, source and constants of what calculates, so that results of other code are not reused.
-
-    Modules that only show results or read the command line change no number; they are left out.
-    """
-    package = Path(__file__).parents[1]
-    files = sorted([*package.rglob("*.py"), *package.rglob("*.json")])
-    return content_hash(
-        version("wrapjax"),
-        *(file for file in files if file.relative_to(package).parts[0] not in _WITHOUT_NUMBERS),
-    )
-
-
 def cache_folder(kind: str) -> Path:
     """Return the user's cache folder for one kind of result, created if needed.
 
-    The environment variable ``WRAPJAX_CACHE`` sets the parent folder; the default follows the XDG convention.
+    The environment variable ``WRAPJAX_CACHE`` sets the parent folder; the default is that of the operating
+    system (``~/.cache/wrapjax`` on Linux).
     """
     base = os.environ.get("WRAPJAX_CACHE")
-    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "wrapjax"
-    folder = root / kind
+    folder = (Path(base) if base else platformdirs.user_cache_path("wrapjax", appauthor=False)) / kind
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
@@ -372,7 +355,9 @@ def lock_folder(folder: Path) -> Iterator[None]:
             del _held[place]
             if handle is not None:
                 # Deleted before it is released: a process that has the file open notices that it was deleted.
-                lock.unlink(missing_ok=True)
+                # Windows does not delete an open file; it stays, unlocked.
+                with suppress(PermissionError):
+                    lock.unlink(missing_ok=True)
                 os.close(handle)
 
 
@@ -394,28 +379,39 @@ def _temporary_parents(parent: Path) -> Iterator[None]:
 
 def _acquire(lock: Path, folder: Path) -> int | None:
     """Lock a file and return its handle; None if it cannot be locked (writing then raises the error)."""
-    while fcntl is not None:
+    while True:
         try:
             handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError:
             return None
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not filelock.lock_descriptor(handle, blocking=False):
+                raise BusyError(
+                    Problem(
+                        str(folder),
+                        f"is being written by another run ({_holder(handle) or 'just started'})",
+                        hint="wait until it ends, or choose another folder",
+                    )
+                )
             if _is_current(handle, lock):
-                os.truncate(handle, 0)
+                os.ftruncate(handle, 0)
                 os.write(handle, f"process {os.getpid()} on {socket.gethostname()}".encode())
                 return handle
-        except BlockingIOError:
-            holder = os.read(handle, 200).decode(errors="replace")
+        except BusyError:
             os.close(handle)
-            message = f"is being written by another run ({holder or 'just started'})"
-            hint = "wait until it ends, or choose another folder"
-            raise BusyError(Problem(str(folder), message, hint=hint)) from None
+            raise
         except OSError:  # a file system without locks, or a full one
             os.close(handle)
             return None
         os.close(handle)
-    return None
+
+
+def _holder(handle: int) -> str:
+    """Read who holds a lock; Windows does not let others read a locked file."""
+    try:
+        return os.read(handle, 200).decode(errors="replace")
+    except PermissionError:
+        return ""
 
 
 def _is_current(handle: int, lock: Path) -> bool:

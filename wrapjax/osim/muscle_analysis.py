@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from wrapjax.errors import InputError, Problem
 from wrapjax.geometry.model_description import ModelDescription
-from wrapjax.io.files import cache_folder, content_hash, write_atomically
-from wrapjax.io.json_and_arrays import load_arrays
+from wrapjax.io.files import write_atomically
+from wrapjax.io.store import Store, fingerprint
 from wrapjax.osim.loading import check_is_file
 from wrapjax.osim.model import describe_model, unknown_names
 from wrapjax.osim.path_engine import PathEngine, WrapParameters
@@ -23,14 +23,10 @@ from wrapjax.progress import progress_bar
 
 #: Poses that are analyzed and cached at a time, about half a second of work for 34 muscles.
 CHUNK = 512
-# Part of every cache key; to be increased when results for the same inputs change.
-_FORMAT = 1
 # Largest difference (rad or m) of a pose from the value at which a coordinate is locked.
 _LOCKED_TOLERANCE = 1e-6
 #: Placements that are analyzed and stored at a time, some seconds of work for 20 muscles in 500 poses.
 PLACED_CHUNK = 8
-# As `_FORMAT`, for placements.
-_PLACED_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -114,17 +110,22 @@ def analyse_muscles(
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
-    key = content_hash(path, repr(muscles), repr(coordinates), version("opensim"), _FORMAT)
+    store = Store.of_user("muscle_analysis")
     chunks = {start: poses[start : start + CHUNK] for start in range(0, len(poses), CHUNK)}
-    files = {start: _cache_file(key, chunk) for start, chunk in chunks.items()}
+    names = {
+        start: fingerprint(path, repr((muscles, coordinates)), version("opensim"), chunk, module=__name__)
+        for start, chunk in chunks.items()
+    }
     length = np.zeros((len(poses), len(muscles)))
     moment_arm = np.zeros((len(poses), len(coordinates), len(muscles)))
 
     missing = {}
     for start, chunk in chunks.items():
         rows = slice(start, start + CHUNK)
-        if not _read_cache(files[start], length[rows], moment_arm[rows]):
+        if (known := store.read_arrays(names[start])) is None:
             missing[start] = chunk
+        else:
+            length[rows], moment_arm[rows] = known["length"], known["moment_arm"]
     if missing or not chunks:
         spans = check_names_and_poses(path, muscles, coordinates, poses)
         done = len(poses) - sum(len(chunk) for chunk in missing.values())
@@ -136,7 +137,9 @@ def analyse_muscles(
                 rows = slice(start, start + CHUNK)
                 length[rows], moment_arm[rows] = found
                 _check_finite(path, muscles, poses[rows], length[rows], moment_arm[rows])
-                _write_cache(files[start], length[rows], moment_arm[rows])
+                # The analysis does not fail if its store cannot be written.
+                with suppress(OSError):
+                    store.write_arrays(names[start], length=length[rows], moment_arm=moment_arm[rows])
                 done += len(chunks[start])
                 advance(done)
     return PathGeometry(muscles, coordinates, length, moment_arm)
@@ -255,34 +258,6 @@ def _check_finite(
         raise InputError(Problem(str(path), message, place=muscles[muscle]))
 
 
-def _cache_file(key: str, poses: Float[np.ndarray, "pose coordinate"]) -> Path:
-    return cache_folder("muscle_analysis") / f"{content_hash(key, poses)}.npz"
-
-
-def _read_cache(
-    file: Path,
-    length: Float[np.ndarray, "pose muscle"],
-    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
-) -> bool:
-    """Fill in cached results, and return whether there are any. A damaged file counts as absent."""
-    try:
-        cached = load_arrays(file)
-        length[:], moment_arm[:] = cached["length"], cached["moment_arm"]
-    except (OSError, KeyError, ValueError):
-        return False
-    return True
-
-
-def _write_cache(
-    file: Path,
-    length: Float[np.ndarray, "pose muscle"],
-    moment_arm: Float[np.ndarray, "pose coordinate muscle"],
-) -> None:
-    # The analysis does not fail if the cache cannot be written.
-    with suppress(OSError):
-        write_atomically(file, lambda whole: np.savez(whole, length=length, moment_arm=moment_arm))
-
-
 @dataclass(frozen=True)
 class PlacedAnalysis:
     """Lengths and moment arms of muscles at placements of cylinders and poses, stored on disk.
@@ -349,12 +324,12 @@ def analyse_placements(
     path = check_is_file(model_file)
     check_poses(path, coordinates, poses)
     spans = check_names_and_poses(path, muscles, coordinates, poses)
-    key = content_hash(path, repr(muscles), repr(coordinates), poses, version("opensim"), _PLACED_FORMAT)
+    inputs = (path, repr((muscles, coordinates)), poses, version("opensim"))
     starts = range(0, len(placements), PLACED_CHUNK)
     chunks = {start: Placed(tuple(placements[start : start + PLACED_CHUNK]), poses) for start in starts}
-    folder = cache_folder("placed_analysis")
+    store = Store.of_user("placed_analysis")
     files = {
-        start: folder / f"{content_hash(key, *_parts(chunk.placements))}.npy"
+        start: store.place(f"{fingerprint(*inputs, *_parts(chunk.placements), module=__name__)}.npy")
         for start, chunk in chunks.items()
     }
     missing = {start: chunk for start, chunk in chunks.items() if not files[start].exists()}
@@ -367,7 +342,7 @@ def analyse_placements(
             closing(analyse_chunks(path, coordinates, spans, missing, processes)) as results,
         ):
             for start, length, moment_arm in results:
-                _store(files[start], _table(spans, coordinates, length, moment_arm))
+                _write(files[start], _table(spans, coordinates, length, moment_arm))
                 done += len(chunks[start].placements)
                 advance(done)
     return PlacedAnalysis(coordinates, spans, tuple(files.values()))
@@ -396,7 +371,7 @@ def _table(
     return table
 
 
-def _store(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
+def _write(file: Path, table: Float[np.ndarray, "placement pose column"]) -> None:
     write_atomically(file, lambda whole: np.save(whole, table, allow_pickle=False))
 
 

@@ -9,23 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from wrapjax.errors import InputError
 from wrapjax.geometry.engine import ExactPaths, Wrapping, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.surrogate import PathSurrogate, fit_surrogate
-from wrapjax.io.files import cache_folder, content_hash
+from wrapjax.io.files import content_hash
+from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, spanned_coordinates
 from wrapjax.osim.muscle_analysis import PathGeometry, analyse_muscles, touching_muscles
 from wrapjax.path_sources.exact import WRAPPINGS
 from wrapjax.path_sources.path_samples import fit_poses
 from wrapjax.path_sources.polynomial_fit import Fit, PathError, read_fit
-from wrapjax.progress import print_progress
 from wrapjax.subject.subject import Subject
 
 #: Sources of the lengths and moment arms to which polynomials are fitted.
 GEOMETRIES = ("opensim", *WRAPPINGS)
-# Version of the cached fits; increase it when the same subject and seed give another fit.
-_FORMAT = 4
 
 
 def fit(
@@ -82,27 +79,24 @@ def fit(
     if geometry not in GEOMETRIES:
         raise ValueError(f"unknown geometry '{geometry}': expected one of {', '.join(GEOMETRIES)}")
     key = _key(subject, geometry, seed)
-    cached = cache_folder("fit") / key
-    if (cached / "fit.json").exists():
-        try:
-            return read_fit(cached)
-        except (InputError, OSError, ValueError, KeyError):
-            print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
+    store = Store.of_user("fit")
+    if (known := store.read(key, read_fit)) is not None:
+        return known
     result = _fit(subject, geometry, key, seed, processes, quiet)
-    result.write_to_cache(cached)
+    result.write_to_cache(store.place(key))
     return result
 
 
 def _key(subject: Subject, geometry: str, seed: int) -> str:
     trials = subject.trials
-    settings_hash = content_hash(
+    settings_hash = fingerprint(
         repr(subject.muscles.names),
         repr(trials.coordinates),
         trials.angles,
         trials.time,
         geometry,
         seed,
-        _FORMAT,
+        module=__name__,
     )
     return f"{content_hash(subject.model_file)}-{settings_hash}"
 

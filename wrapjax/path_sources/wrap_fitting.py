@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from wrapjax.errors import InputError
 from wrapjax.geometry.engine import GEODESIC, ExactPaths, PosedPath, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.feasibility import Feasibility, feasibility_quality, fit_feasibility
 from wrapjax.geometry.physiological import DEFAULT_THRESHOLDS, PhysiologicalThresholds, measure_paths
@@ -20,7 +19,7 @@ from wrapjax.geometry.training_samples import SamplePlan, SampleSet, plan_sample
 from wrapjax.geometry.two_level import InnerLevel, fit_inner_level, wrap_exponents
 from wrapjax.geometry.wrap_bounds import translation_bounds, usable_for_all_muscles
 from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, WRAP_PARAMETERS, WrappedPath
-from wrapjax.io.files import cache_folder, content_hash
+from wrapjax.io.store import Store, fingerprint
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model
 from wrapjax.path_sources.exact import WRAPPINGS
@@ -199,8 +198,6 @@ def stack_inner_levels(
 
 # Step of the recorded frames in which bounds on translations are determined.
 _FRAME_STEP = 4
-# Version of the cached fits; increase it when the same fit gives another inner level.
-_FORMAT = 4
 
 
 def fit_wraps(
@@ -251,14 +248,11 @@ def fit_wraps(
     >>> calibrate(subject, "PGA", fitted)  # doctest: +SKIP
     """
     require_float64()
-    cached = cache_folder("fit_wraps") / content_hash(fit.key, repr(thresholds), _FORMAT)
-    if (cached / "fit.json").exists():
-        try:
-            return read_fit(cached)
-        except (InputError, OSError):
-            print_progress(f"the cached fit in {cached} cannot be read and is made again", quiet=quiet)
+    store, name = Store.of_user("fit_wraps"), fingerprint(fit.key, repr(thresholds), module=__name__)
+    if (known := store.read(name, read_fit)) is not None:
+        return known
     result = _fit_wraps(subject, fit, thresholds, processes, quiet)
-    result.write_to_cache(cached)
+    result.write_to_cache(store.place(name))
     return result
 
 

@@ -1,4 +1,4 @@
-"""Solver states on disk: checkpoints of an interrupted calibration, and a cache of finished solves."""
+"""Solver states on disk: checkpoints of an interrupted calibration, and the fingerprint of a solve."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from wrapjax.calibration.solvers.augmented_lagrangian import LagrangianState
 from wrapjax.calibration.solvers.interface import AbstractLeastSquares, DampingState, Iteration, Status
 from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
 from wrapjax.errors import InputError, Problem
-from wrapjax.io.files import code_hash, content_hash, new_folder, write_atomically, write_json
-from wrapjax.io.json_and_arrays import load_arrays, load_json
+from wrapjax.io.files import new_folder, write_json
+from wrapjax.io.json_and_arrays import load_json
+from wrapjax.io.store import Store, fingerprint
 
 
 @dataclass(frozen=True)
@@ -48,23 +49,22 @@ class Checkpoints:
     folder: Path
 
     @classmethod
-    def open(cls, folder: Path, fingerprint: str, *, resume: bool) -> Checkpoints:
+    def open(cls, folder: Path, question: str, *, resume: bool) -> Checkpoints:
         """Open a folder with checkpoints to continue, or create an empty one.
 
         Parameters
         ----------
         folder
             Folder of the checkpoints.
-        fingerprint
-            Hash of the data, method and settings of the calibration.
+        question
+            Fingerprint of the calibration.
         resume
             Continue from the checkpoints in the folder; otherwise they are deleted.
 
         Raises
         ------
         InputError
-            If ``resume`` is set and there are no checkpoints, or those of a calibration with another
-            fingerprint.
+            If ``resume`` is set and there are no checkpoints, or those of another calibration.
         """
         file = folder / "question.json"
         if resume:
@@ -74,7 +74,7 @@ class Checkpoints:
                 raise InputError(
                     Problem(str(folder), "holds no interrupted work to resume", hint="leave out --resume")
                 ) from None
-            if stored != fingerprint:
+            if stored != question:
                 raise InputError(
                     Problem(
                         str(folder),
@@ -84,7 +84,7 @@ class Checkpoints:
                 )
         else:
             with new_folder(folder, force=True) as made:
-                write_json(made / file.name, {"question": fingerprint})
+                write_json(made / file.name, {"question": question})
         return cls(folder)
 
     def close(self) -> None:
@@ -109,12 +109,14 @@ class Checkpoints:
         arrays |= {f"shift_{number}": shift for number, shift in enumerate(state.shifts)}
         arrays |= {f"weight_{number}": weight for number, weight in enumerate(state.weights)}
         plain: dict[str, Any] = {key: np.asarray(value) for key, value in arrays.items()}
-        write_atomically(self.folder / f"{name}.npz", lambda path: np.savez(path, **plain))
+        Store(self.folder).write_arrays(name, **plain)
 
     def read(self, name: str) -> Checkpoint | None:
         """Read the checkpoint of a solve; None if there is none or it cannot be read."""
+        arrays = Store(self.folder).read_arrays(name)
+        if arrays is None:
+            return None
         try:
-            arrays = load_arrays(self.folder / f"{name}.npz")
             limits = sum(key.startswith("shift_") for key in arrays)
             state = LagrangianState(
                 variables=jnp.asarray(arrays["variables"]),
@@ -127,41 +129,13 @@ class Checkpoints:
             history = tuple(_iteration(row) for row in arrays["history"])
             name_of_status = str(arrays["status"])
             return Checkpoint(state, history, Status[name_of_status] if name_of_status else None)
-        except (OSError, KeyError, ValueError, TypeError, IndexError):
+        except (KeyError, ValueError, TypeError, IndexError):
             return None
 
 
 def _iteration(row: np.ndarray) -> Iteration:
     number, cost, optimality, damping, step, at_bounds, seconds = row.tolist()
     return Iteration(int(number), cost, optimality, damping, step, int(at_bounds), seconds)
-
-
-@dataclass(frozen=True)
-class SolveCache:
-    """Folder with the results of finished solves, one file for each, named by its fingerprint.
-
-    Parameters
-    ----------
-    folder
-        Folder of the files.
-    """
-
-    folder: Path
-
-    def read(self, name: str) -> tuple[Float[np.ndarray, " variable"], Status] | None:
-        """Read the final variables and status of a solve; None if they are absent or cannot be read."""
-        try:
-            arrays = load_arrays(self.folder / f"{name}.npz")
-            return arrays["variables"], Status[str(arrays["status"])]
-        except (OSError, ValueError, KeyError):
-            return None
-
-    def write(self, name: str, variables: Float[np.ndarray, " variable"], status: Status) -> None:
-        """Write the final variables and status of a solve."""
-        write_atomically(
-            self.folder / f"{name}.npz",
-            lambda path: np.savez(path, variables=variables, status=np.array(status.name)),
-        )
 
 
 def solve_fingerprint(
@@ -171,4 +145,4 @@ def solve_fingerprint(
     problem = jax.tree.map(np.asarray, problem)
     # The structure has the names of functions; the arrays in them are among the leaves.
     structure = eqx.tree_pformat(problem)
-    return content_hash(code_hash(), structure, *jax.tree.leaves(problem), np.asarray(start), repr(solver))
+    return fingerprint(structure, *jax.tree.leaves(problem), np.asarray(start), repr(solver))

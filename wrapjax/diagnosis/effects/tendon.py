@@ -48,8 +48,8 @@ TENDON_COMPLIANCE = EffectDefinition(
             prior_sd=0.04,
             sign=1,
             meaning="strain of tendons at maximum isometric force",
-            source="0.04, and 0.10 of the plantar flexors: PMC3656509; usual: half of the 0.04, since tendons "
-            "stretch in everybody, and slack lengths take up a part of it (no published size)",
+            source="0.04, and 0.10 of the plantar flexors: PMC3656509; usual: half of the 0.04, since "
+            "tendons stretch in everybody, and slack lengths take up a part of it (no published size)",
             limit=0.12,
             usual_sd=0.02,
         ),
