@@ -80,7 +80,8 @@ def _answer(job: Job) -> str:
 
 def calibration_fingerprint(case: Path) -> dict[str, object]:
     """Return the fingerprint of the inputs of an answer: the subject's files and the package."""
-    from wrapjax.io.files import code_hash, content_hash
+    from wrapjax.io.files import content_hash
+    from wrapjax.io.store import code_hash
 
     files = sorted(path for path in case.rglob("*") if path.is_file())
     return {"case": content_hash(*files), "code": code_hash(), "without": []}
