@@ -56,12 +56,13 @@ def test_only_missing_results_are_computed_again(inputs, monkeypatch):
     assert analysed == [muscle_analysis.PLACED_CHUNK]
 
 
-def test_workers_give_identical_results(inputs, monkeypatch):
-    monkeypatch.setattr(muscle_analysis, "_PLACED_FORMAT", "for this test")
-    alone = analyse_placements(*inputs, processes=1, quiet=True).of("flexor")
-    monkeypatch.setattr(muscle_analysis, "_PLACED_FORMAT", "for this test, too")
-    shared = analyse_placements(*inputs, processes=2, quiet=True).of("flexor")
-    for one, other in zip(alone, shared, strict=True):
+def test_workers_give_identical_results(inputs, monkeypatch, tmp_path):
+    monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path / "one"))
+    alone = analyse_placements(*inputs, processes=1, quiet=True)
+    monkeypatch.setenv("WRAPJAX_CACHE", str(tmp_path / "two"))
+    shared = analyse_placements(*inputs, processes=2, quiet=True)
+    assert not {*alone.files} & {*shared.files}
+    for one, other in zip(alone.of("flexor"), shared.of("flexor"), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -195,8 +195,8 @@ def test_changed_bank_is_rejected(tmp_path, what):
 
 
 def test_runs_are_logged_and_formatted(scored, bank):
-    log = (bank[0] / "score_log.jsonl").read_text().splitlines()
-    assert set(json.loads(log[0])["answers"]) == {answerer.__name__ for answerer in ANSWERERS}
+    log = [json.loads(line) for line in (bank[0] / "score_log.jsonl").read_text().splitlines()]
+    assert {answerer.__name__ for answerer in ANSWERERS} in [set(one["answers"]) for one in log]
     assert "right cause first" in as_markdown(scored)
     assert json.loads(as_json(scored))["perfect"]["rows"][0]["verdict"] == MET
 
