@@ -19,8 +19,9 @@ from wrapjax.diagnosis.decision import (
 )
 
 NAMES = ("one", "two", "three", "four")
-TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 60.0, 20.0, 0.9, 0.9, 1.2)
+TUNING = DecisionConstants("", "", 2.0, 6.0, 5.0, 0.1, 0.9, 0.9, 1.2)
 nats = st.floats(-200.0, 1000.0)
+errors = st.floats(0.0, 1e6)
 evidences = st.dictionaries(st.sampled_from(NAMES), nats)
 
 
@@ -29,9 +30,9 @@ def found(none=0.0, unknown=0.0, **effects):
 
 
 @settings(max_examples=100, deadline=None)
-@given(evidence=evidences, structured=nats)
-def test_probabilities_sum_to_one(evidence, structured):
-    got = probabilities(evidence, structured, TUNING)
+@given(evidence=evidences, error_left=errors)
+def test_probabilities_sum_to_one(evidence, error_left):
+    got = probabilities(evidence, error_left, TUNING)
     every = [*got.effects.values(), got.none, got.unknown]
     assert sum(every) == pytest.approx(1.0)
     assert min(every) >= 0.0
@@ -41,17 +42,17 @@ def test_probabilities_sum_to_one(evidence, structured):
 @settings(max_examples=100, deadline=None)
 @given(
     evidence=st.dictionaries(st.sampled_from(NAMES), st.floats(-20, 20), min_size=1),
-    structured=st.floats(-50, 150),
+    error_left=st.floats(0.5, 2.0),
     more=st.floats(0.1, 20),
 )
-def test_probabilities_rise_with_their_evidence(evidence, structured, more):
-    before = probabilities(evidence, structured, TUNING)
+def test_probabilities_rise_with_their_evidence(evidence, error_left, more):
+    before = probabilities(evidence, error_left, TUNING)
     for name in evidence:
-        after = probabilities({**evidence, name: evidence[name] + more}, structured, TUNING)
+        after = probabilities({**evidence, name: evidence[name] + more}, error_left, TUNING)
         assert after.effects[name] > before.effects[name]
         assert after.none < before.none
         assert all(after.effects[other] < before.effects[other] for other in evidence if other != name)
-    stranger = probabilities(evidence, structured + more, TUNING)
+    stranger = probabilities(evidence, error_left * (1.0 + 0.1 * more), TUNING)
     assert stranger.unknown > before.unknown
     assert stranger.effects == pytest.approx(before.effects), (
         "an unknown cause reduces the probability of none only"
@@ -59,10 +60,10 @@ def test_probabilities_rise_with_their_evidence(evidence, structured, more):
 
 
 def test_at_the_offset_an_effect_is_as_probable_as_none():
-    got = probabilities({"one": TUNING.offset}, TUNING.structured_offset, TUNING)
+    got = probabilities({"one": TUNING.offset}, 1.0, TUNING)
     assert got.effects["one"] == pytest.approx(0.5)
     assert got.none == pytest.approx(0.25) == got.unknown
-    bolder = probabilities({"one": TUNING.offset + 2.0 * TUNING.temperature}, -1e3, TUNING)
+    bolder = probabilities({"one": TUNING.offset + 2.0 * TUNING.temperature}, 0.0, TUNING)
     assert bolder.effects["one"] / bolder.none == pytest.approx(np.exp(2.0))
 
 
@@ -113,9 +114,9 @@ def test_a_tie_enters_the_credible_set_as_a_whole():
 
 
 @settings(max_examples=60, deadline=None)
-@given(evidence=evidences, structured=nats, level=st.floats(0.0, 0.999))
-def test_a_credible_set_has_its_probability(evidence, structured, level):
-    got = probabilities(evidence, structured, TUNING)
+@given(evidence=evidences, error_left=errors, level=st.floats(0.0, 0.999))
+def test_a_credible_set_has_its_probability(evidence, error_left, level):
+    got = probabilities(evidence, error_left, TUNING)
     members = credible_set(got, (), level)
     shares = {**got.effects, "none_of_these": got.none + got.unknown}
     assert sum(shares[name] for name in members) >= level - 1e-9
@@ -171,10 +172,10 @@ def test_the_description_of_an_effect_follows_its_detectability():
 def test_shipped_constants_are_usable():
     constants = DecisionConstants.shipped()
     assert constants.temperature >= 1.0, "evidence is scaled down, never up"
-    assert constants.structured_scale > 0.0
+    assert constants.unknown_scale > 0.0
     assert 0.5 < constants.set_level < 1.0 and 0.5 < constants.family_level < 1.0
     assert constants.least_detection_threshold > 0.0
-    silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.0, constants)
+    silent = probabilities(dict.fromkeys(NAMES, 0.0), 0.9, constants)
     assert silent.none > 0.5, "without evidence, no effect is the most probable"
 
 

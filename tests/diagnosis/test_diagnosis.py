@@ -117,7 +117,7 @@ def test_several_effects_are_refitted_together_and_share_the_shrinkage(found, mo
     monkeypatch.setattr(score, "jointly_significant_effects", lambda *_: both)
     monkeypatch.setattr(decision, "may_name_jointly", lambda *_: True)
     monkeypatch.setattr(decision, "each_effect_improves", lambda *_: True)
-    monkeypatch.setattr(pipeline, "examine_claim", lambda *arguments: arguments[-2])
+    monkeypatch.setattr(pipeline, "examine_claim", lambda *arguments: arguments[5])
     named = found.without(*WITHOUT)
     result = named.result
     assert result.outcome == "named" and result.named == both and not result.ties

@@ -11,6 +11,7 @@ from wrapjax.diagnosis.gates import (
     Claim,
     Recorded,
     adequacy,
+    adequacy_of_plain_model,
     examine,
     moment_accuracy,
     part_scores,
@@ -119,7 +120,9 @@ def test_the_strongest_of_a_tie_is_fitted_and_all_of_a_joint_claim(generator):
 
     assert not examined(("cop_offset",)).adequate.passed
     assert examined(("cop_offset", "joint_damping")).adequate.passed
-    assert examined(()).stable is None
+    plain = adequacy_of_plain_model(linearized, replicates, MOMENT_SD, 1.0)
+    assert plain.left_rms > examined(("cop_offset",)).adequate.left_rms > plain.floor_rms
+    assert plain.relative == plain.left_rms / plain.floor_rms
 
 
 def test_plausible_within_the_limits_only():

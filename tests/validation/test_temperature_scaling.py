@@ -18,6 +18,7 @@ from validation.diagnosis.temperature_scaling import (
     read_constants,
 )
 from wrapjax.diagnosis.decision import DecisionConstants, probabilities
+from wrapjax.diagnosis.gates import Adequate
 
 #: Of six families.
 EFFECTS = ("tendon_compliance", "slow_fibers", "joint_damping", "emg_drift", "cop_offset", "missing_drive")
@@ -36,9 +37,10 @@ def cases():
             cause = EFFECTS[number % 6]
             true[cause] += 4.0
             causes = [{"id": cause}]
-        structured = 40.0 * (tier == "outside") + 5.0 * generator.normal()
+        left = 1.4 ** (tier == "outside") * (0.8 + 0.05 * generator.normal())
         evidence = {id: 3.0 * one for id, one in true.items()}
-        found.append(ScoredCase({"tier": tier, "causes": causes, "ties": []}, evidence, structured))
+        truth = {"tier": tier, "causes": causes, "ties": []}
+        found.append(ScoredCase(truth, evidence, Adequate(left, 1.0)))
     return found
 
 
@@ -52,14 +54,14 @@ def test_temperature_is_fitted(cases, found):
     # Evidence of 4 with a standard deviation of 1 corresponds to a log Bayes factor of a quarter of it.
     assert 0.5 < found.temperature < 1.2
     assert negative_log_probability(cases, found) < 0.7 * negative_log_probability(cases, start)
-    # Structured evidence is 40 nats for unknown causes and 0 without effect.
-    assert found.structured_offset < 20.0 and found.structured_scale < 20.0
+    # Unknown causes leave 1.12 times what is allowed, and 0.8 times is left without effect.
+    assert found.adequacy_factor == 1.0 and found.unknown_scale < 0.2
 
 
 def test_probabilities_are_calibrated(cases, found):
     said, right = [], []
     for one in cases:
-        share = one.correct_probability(own := probabilities(one.evidence, one.structured, found))
+        share = one.correct_probability(own := one.stated(found))
         if share is not None:
             every = {**own.effects, "none": own.none, "unknown": own.unknown}
             said.append(max(every.values()))
@@ -70,8 +72,18 @@ def test_probabilities_are_calibrated(cases, found):
 def test_threshold_is_rarely_exceeded_without_effect(cases, found):
     nothing = [max(one.evidence.values()) for one in cases if one.truth["tier"] == "none"]
     assert np.sum(np.array(nothing) > found.least_detection_threshold) == 1
-    unknown = [one.structured > found.structured_offset for one in cases if one.truth["tier"] == "none"]
-    assert np.mean(unknown) == pytest.approx(0.1)
+
+
+def test_one_in_twenty_without_effect_leaves_more_than_is_allowed(cases):
+    """And the same constant decides between no effect and an unknown cause."""
+    worse = [replace(one, plain=Adequate(2.0 * one.plain.left_rms, 1.0)) for one in cases]
+    found = fit_constants(worse, DecisionConstants.shipped())
+    nothing = [one for one in worse if one.truth["tier"] == "none"]
+    beyond = [one.error_left(found.adequacy_factor) > 1.0 for one in nothing]
+    assert found.adequacy_factor > 1.0 and 0.0 < np.mean(beyond) <= 0.06
+    for one, inadequate in zip(nothing, beyond, strict=True):
+        stated = one.stated(found)
+        assert (stated.unknown > stated.none) == inadequate
 
 
 def test_threshold_is_that_of_the_worst_family(cases):
@@ -98,13 +110,13 @@ def test_credible_sets_cover_cases_that_the_level_was_not_fitted_on(cases):
     covered = [
         level < constants.set_level
         for one in others
-        if (level := one.set_level(probabilities(one.evidence, one.structured, constants))) is not None
+        if (level := one.set_level(one.stated(constants))) is not None
     ]
     assert 0.8 <= np.mean(covered) < 1.0
     families = [
         level < constants.family_level
         for one in others
-        if (level := one.family_level(probabilities(one.evidence, one.structured, constants))) is not None
+        if (level := one.family_level(one.stated(constants))) is not None
     ]
     assert 0.8 <= np.mean(families) < 1.0
 
@@ -112,11 +124,11 @@ def test_credible_sets_cover_cases_that_the_level_was_not_fitted_on(cases):
 def test_sets_of_families_are_for_the_cause_or_its_family():
     evidence = dict.fromkeys(EFFECTS, -5.0) | {"emg_drift": 6.0, "emg_offset": 5.9, "cop_offset": 5.0}
     constants = replace(DecisionConstants.shipped(), temperature=1.0, offset=0.0)
-    own = probabilities(evidence, -50.0, constants)
+    own = probabilities(evidence, 0.0, constants)
 
     def level(tier, *causes):
         truth = {"tier": tier, "causes": [{"id": id} for id in causes], "ties": []}
-        return ScoredCase(truth, evidence, -50.0).family_level(own)
+        return ScoredCase(truth, evidence).family_level(own)
 
     assert level("single", "emg_offset") == 0.0
     assert level("single", "cop_offset") == pytest.approx(
@@ -134,12 +146,12 @@ def test_a_level_without_enough_cases_is_one():
 def test_tied_effects_are_correct():
     truth = {"tier": "single", "causes": [{"id": "tendon_compliance"}], "ties": ["slow_fibers"]}
     evidence = {"tendon_compliance": 3.0, "slow_fibers": 3.0, "joint_damping": -10.0}
-    one = ScoredCase(truth, evidence, -50.0)
-    own = probabilities(evidence, -50.0, DecisionConstants.shipped())
+    one = ScoredCase(truth, evidence)
+    own = probabilities(evidence, 0.0, DecisionConstants.shipped())
     assert one.correct_probability(own) == pytest.approx(
         own.effects["tendon_compliance"] + own.effects["slow_fibers"]
     )
-    assert ScoredCase({**truth, "tier": "pair"}, evidence, 0.0).correct_probability(own) is None
+    assert ScoredCase({**truth, "tier": "pair"}, evidence).correct_probability(own) is None
 
 
 def test_ranks_are_counted_by_noise():
@@ -152,7 +164,7 @@ def test_ranks_are_counted_by_noise():
             "emg_noise": noise,
         }
         evidence = {**dict.fromkeys(EFFECTS, 0.0), "emg_drift": -1.0, first: 2.0}
-        return ScoredCase(truth, evidence, 0.0)
+        return ScoredCase(truth, evidence)
 
     cases = [
         case(0.05, "slow_fibers", "slow_fibers"),

@@ -27,7 +27,6 @@ from wrapjax.diagnosis.decision import (
     credible_families,
     credible_set,
     decide_on_single_effect,
-    probabilities,
 )
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.families import family_of
@@ -172,7 +171,7 @@ def decision_on(case: ScoredCase, constants: DecisionConstants, ignored: Sequenc
     """
     assert case.claim is not None
     threshold = max(constants.least_detection_threshold, case.claim.null_threshold)
-    stated = probabilities(case.evidence, case.structured, constants)
+    stated = case.stated(constants)
     decision = decide_on_single_effect(
         stated, case.evidence, case.claim.tie, threshold, _CONTROLS, case.claim.undetectable
     )

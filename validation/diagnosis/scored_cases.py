@@ -12,7 +12,14 @@ import numpy as np
 from validation.diagnosis.bank_cases import CLEAR
 from validation.diagnosis.linearizations import LinearizedCase, development_files, load_valid
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.decision import Probabilities, family_levels, set_levels, tied_effects
+from wrapjax.diagnosis.decision import (
+    DecisionConstants,
+    Probabilities,
+    family_levels,
+    probabilities,
+    set_levels,
+    tied_effects,
+)
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.families import family_of
 from wrapjax.diagnosis.gates import (
@@ -49,8 +56,8 @@ class ScoredCase:
     ----------
     truth
         Truth of the case.
-    evidence, structured
-        Log Bayes factor of each effect, and evidence for a structured residual, see `probabilities`; nats.
+    evidence
+        Log Bayes factor of each effect, nats.
     plain, accuracy
         Gate for an adequate plain model, with a factor of one; and the accuracy of the moments, N m.
     claim
@@ -61,7 +68,6 @@ class ScoredCase:
 
     truth: dict[str, Any]
     evidence: Mapping[str, float]
-    structured: float
     plain: Adequate = _ADEQUATE
     accuracy: float = 0.0
     claim: StrongestEffect | None = None
@@ -69,8 +75,16 @@ class ScoredCase:
 
     @property
     def left(self) -> float:
-        """Repeatable error that the plain model leaves, relative to what the gate allows."""
-        return self.plain.left_rms / max(self.plain.floor_rms, self.accuracy)
+        """Repeatable error that the plain model leaves, relative to what a factor of one allows."""
+        return self.error_left(1.0)
+
+    def error_left(self, adequacy_factor: float) -> float:
+        """Repeatable error that the plain model leaves, relative to what the gate allows by this factor."""
+        return self.plain.left_rms / max(adequacy_factor * self.plain.floor_rms, self.accuracy)
+
+    def stated(self, constants: DecisionConstants) -> Probabilities:
+        """Probabilities by these constants."""
+        return probabilities(self.evidence, self.error_left(constants.adequacy_factor), constants)
 
     @property
     def accepted(self) -> set[str]:
@@ -213,7 +227,6 @@ def score_case(truth: dict[str, Any], own: LinearizedCase) -> ScoredCase:
     return ScoredCase(
         truth,
         scores.evidence,
-        scores.structured_evidence,
         plain,
         moment_accuracy(own.recorded.measured_moment_sd),
         claim,

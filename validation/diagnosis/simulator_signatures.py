@@ -25,7 +25,7 @@ from validation.diagnosis.linearizations import (
 from validation.diagnosis.scored_cases import ScoredCase, ranking
 from validation.diagnosis.signal_losses import in_residual_order
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import nulls, structured_evidence
+from wrapjax.diagnosis.null_covariance import nulls
 from wrapjax.diagnosis.score_test import score_each
 from wrapjax.errors import InputError
 
@@ -61,10 +61,10 @@ def score_both(
     )
     # Both have the same ids, so they are distinguished by their order.
     evidence = [(one.id, one.evidence) for one in scored.scores]
-    count, structured = len(linearized.candidates), structured_evidence(scored.null_weights)
+    count = len(linearized.candidates)
     return (
-        ScoredCase(truth, dict(evidence[:count]), structured),
-        ScoredCase(truth, dict(evidence[count:]), structured),
+        ScoredCase(truth, dict(evidence[:count])),
+        ScoredCase(truth, dict(evidence[count:])),
     )
 
 

@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from validation.diagnosis.linearizations import linearizations_parser
 from validation.diagnosis.scored_cases import GROSS_MISFIT, ScoredCase, ranking, score_cases
-from wrapjax.diagnosis.decision import DecisionConstants, probabilities
+from wrapjax.diagnosis.decision import DecisionConstants
 from wrapjax.errors import InputError, Problem
 from wrapjax.io.files import write_json
 from wrapjax.io.json_and_arrays import load_json
@@ -33,8 +33,7 @@ _FITTED = (
     "temperature",
     "offset",
     "least_detection_threshold",
-    "structured_offset",
-    "structured_scale",
+    "unknown_scale",
     "adequacy_factor",
     "set_level",
     "family_level",
@@ -43,11 +42,12 @@ _FITTED = (
 _FLOOR = 1e-3
 # Finer changes of a constant are not significant among a hundred cases.
 _TOLERANCES = {"xatol": 0.02, "fatol": 1e-4}
-#: Smallest and largest scale (nats) of the transition from `none` to `unknown`: a step, and no information.
-_SMALLEST_SCALE, _LARGEST_SCALE = 0.1, 25.0
-#: Allowed shares of cases without effect whose evidence exceeds the detection threshold, whose `unknown` is
-#: more probable than `none`, and which leave more error than the gate for adequate models allows.
-_FALSE_POSITIVES, _UNKNOWNS, _INADEQUATE = 0.025, 0.10, 0.05
+#: Smallest and largest scale (logarithm of an error) of the transition from `none` to `unknown`: a step, and
+#: no information.
+_SMALLEST_SCALE, _LARGEST_SCALE = 0.01, 2.0
+#: Allowed shares of cases without effect whose evidence exceeds the detection threshold, and which leave more
+#: error than the gate for adequate models allows.
+_FALSE_POSITIVES, _INADEQUATE = 0.025, 0.05
 #: Share of cases that credible sets should cover.
 _COVERAGE = 0.9
 
@@ -107,9 +107,7 @@ def read_constants(file: Path) -> DecisionConstants:
 
 def negative_log_probability(cases: Sequence[ScoredCase], constants: DecisionConstants) -> float:
     """Compute the mean negative log probability of the correct answers (nats)."""
-    correct = [
-        one.correct_probability(probabilities(one.evidence, one.structured, constants)) for one in cases
-    ]
+    correct = [one.correct_probability(one.stated(constants)) for one in cases]
     return -float(np.mean([np.log(max(share, _FLOOR)) for share in correct if share is not None]))
 
 
@@ -137,7 +135,6 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
         least_detection_threshold=float(
             np.ceil(10.0 * exceeded_by(lambda one: max(one.evidence.values()), _FALSE_POSITIVES)) / 10.0
         ),
-        structured_offset=round(exceeded_by(lambda one: one.structured, _UNKNOWNS), 1),
         adequacy_factor=max(
             1.0, float(np.ceil(100.0 * exceeded_by(lambda one: one.left, _INADEQUATE)) / 100.0)
         ),
@@ -149,7 +146,7 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
             constants,
             temperature=float(temperature),
             offset=float(point[1]),
-            structured_scale=float(np.clip(scale, _SMALLEST_SCALE, _LARGEST_SCALE)),
+            unknown_scale=float(np.clip(scale, _SMALLEST_SCALE, _LARGEST_SCALE)),
         )
 
     # Not from the largest scale, where the objective is flat.
@@ -165,9 +162,9 @@ def fit_constants(cases: Sequence[ScoredCase], constants: DecisionConstants) -> 
         best,
         temperature=round(best.temperature, 2),
         offset=round(best.offset, 2),
-        structured_scale=round(best.structured_scale, 1),
+        unknown_scale=round(best.unknown_scale, 2),
     )
-    stated = [(one, probabilities(one.evidence, one.structured, best)) for one in cases]
+    stated = [(one, one.stated(best)) for one in cases]
     return replace(
         best,
         set_level=covering_level([one.set_level(own) for one, own in stated]),

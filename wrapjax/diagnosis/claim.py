@@ -13,7 +13,15 @@ from jaxtyping import Float
 
 from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
 from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
-from wrapjax.diagnosis.gates import MOST_DEVIATIONS, Claim, Gates, Recorded, effect_signatures, examine
+from wrapjax.diagnosis.gates import (
+    MOST_DEVIATIONS,
+    Adequate,
+    Claim,
+    Gates,
+    Recorded,
+    effect_signatures,
+    examine,
+)
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
 from wrapjax.diagnosis.linearization import LinearizedModel, parameter_prior
 from wrapjax.diagnosis.refit import Ids, Refit
@@ -31,6 +39,7 @@ def examine_claim(
     refits: Mapping[Ids, Refit],
     decision: Decision,
     constants: DecisionConstants,
+    plain: Adequate,
 ) -> Decision:
     """Examine the claim of a decision, and return the decision that the gates allow.
 
@@ -44,9 +53,13 @@ def examine_claim(
         Decision by evidence.
     constants
         Constants of the decision.
+    plain
+        Whether the model without any effect leaves an error that is allowed.
     """
     decision = with_family(decision, scores.evidence, scores.detection_threshold)
     together, any_of = claimed_effects(decision, scores.evidence)
+    if not together:
+        return apply_gates(decision, Gates(plain), ())
     claim = Claim(
         together,
         any_of,

@@ -67,9 +67,9 @@ class DecisionConstants:
         Evidence at which an effect is as probable as none, nats.
     least_detection_threshold
         Evidence that is rarely exceeded without any effect, nats.
-    structured_offset, structured_scale
-        Evidence for unexplained errors at which an unknown cause is as probable as none, and the scale over
-        which that changes, nats.
+    unknown_scale
+        Increase of the logarithm of the error that is left, relative to what is allowed, by which the odds of
+        an unknown cause against none grow e-fold; they are even at the error that is allowed.
     set_level, family_level
         Nominal probability of a credible set of effects, and of one of families, so that it covers 90 %.
     adequacy_factor
@@ -82,8 +82,7 @@ class DecisionConstants:
     temperature: float
     offset: float
     least_detection_threshold: float
-    structured_offset: float
-    structured_scale: float
+    unknown_scale: float
     set_level: float
     family_level: float
     adequacy_factor: float
@@ -150,7 +149,11 @@ class Decision:
 
 
 def decide(
-    data: DiagnosisInput, scores: Scores, verification: Verification, constants: DecisionConstants
+    data: DiagnosisInput,
+    scores: Scores,
+    verification: Verification,
+    constants: DecisionConstants,
+    error_left: float,
 ) -> Decision:
     """Decide which effects to name.
 
@@ -163,6 +166,8 @@ def decide(
         Input of the diagnosis, scores of all effects, and verified refits.
     constants
         Constants of the decision.
+    error_left
+        Repeatable error of the model without any effect, relative to what is allowed; see `gates.Adequate`.
     """
     evidence = scores.evidence
     strongest = next(iter(evidence), None)
@@ -171,7 +176,7 @@ def decide(
         if strongest is None
         else tied_effects(strongest, scores.compared, scores.distinguishability, evidence)
     )
-    probability = probabilities(evidence, scores.structured_evidence, constants)
+    probability = probabilities(evidence, error_left, constants)
     gains = verification.gains
     decision = decide_on_single_effect(
         probability,
@@ -232,7 +237,7 @@ def _undetectable(scores: Scores) -> tuple[str, ...]:
 
 
 def probabilities(
-    evidence: Mapping[str, float], structured_evidence: float, constants: DecisionConstants
+    evidence: Mapping[str, float], error_left: float, constants: DecisionConstants
 ) -> Probabilities:
     """Compute probabilities from evidence by temperature scaling.
 
@@ -240,15 +245,15 @@ def probabilities(
     ----------
     evidence
         Evidence of each effect, nats.
-    structured_evidence
-        Evidence for errors that no effect explains, nats.
+    error_left
+        Repeatable error of the model without any effect, relative to what is allowed; see `gates.Adequate`.
     constants
         Constants of the decision.
     """
     ids = list(evidence)
     logits = np.array([*(evidence[id] for id in ids), constants.offset]) / constants.temperature
     share = np.exp(logits - logsumexp(logits))
-    unknown = float(expit((structured_evidence - constants.structured_offset) / constants.structured_scale))
+    unknown = float(expit(math.log(error_left) / constants.unknown_scale)) if error_left > 0.0 else 0.0
     no_effect = float(share[-1])
     return Probabilities(
         dict(zip(ids, share[:-1].tolist(), strict=True)), no_effect * (1.0 - unknown), no_effect * unknown
@@ -374,7 +379,7 @@ def decide_on_single_effect(
             return Decision("named", "one effect explains the error best", named=(first,))
         return Decision("tie", "this recording cannot tell these effects apart", tie=tuple(tie))
     if probability.unknown > probability.none:
-        return Decision("unknown", "there is structured error that no effect of the catalogue explains")
+        return Decision("unknown", "the model leaves more repeatable error than null replicates have")
     return Decision("none", "no effect has more evidence than null replicates show")
 
 

@@ -59,6 +59,11 @@ class Adequate:
     floor_rms: float
 
     @property
+    def relative(self) -> float:
+        """Error that is left, relative to what is allowed."""
+        return self.left_rms / self.floor_rms
+
+    @property
     def passed(self) -> bool:
         """Whether the gate is passed."""
         return self.left_rms <= self.floor_rms
@@ -185,6 +190,30 @@ class Recorded:
     measured_moment_sd: Float[np.ndarray, " coordinate"]
 
 
+def adequacy_of_plain_model(
+    linearized: LinearizedModel,
+    null_residuals: Float[np.ndarray, "replicate row"],
+    measured_moment_sd: Float[np.ndarray, " coordinate"],
+    factor: float,
+) -> Adequate:
+    """Compare the repeatable error that the model without any effect leaves with what is allowed.
+
+    Parameters
+    ----------
+    linearized
+        Linearised model.
+    null_residuals
+        Residuals of null replicates, N m.
+    measured_moment_sd
+        Standard deviation of the measured moment of each coordinate, N m.
+    factor
+        See `Adequate`.
+    """
+    none = np.zeros((0, *linearized.residual.shape))
+    model, accuracy = ResidualModel.of(linearized), moment_accuracy(measured_moment_sd)
+    return adequacy(model, linearized, null_residuals, none, factor, accuracy)
+
+
 def examine(
     linearized: LinearizedModel,
     scores: Scores,
@@ -193,7 +222,7 @@ def examine(
     claim: Claim,
     adequacy_factor: float,
 ) -> Gates:
-    """Examine a claim.
+    """Examine a claim of at least one effect.
 
     Parameters
     ----------
@@ -209,15 +238,10 @@ def examine(
         See `Adequate`.
     """
     model = ResidualModel.of(linearized)
-    none = np.zeros((0, *linearized.residual.shape))
-    signatures = np.concatenate(
-        [none, *(scaled_signatures(linearized, scores.by_id[id]) for id in claim.together)]
-    )
+    signatures = np.concatenate([scaled_signatures(linearized, scores.by_id[id]) for id in claim.together])
     about_fit = linearized if claim.residual is None else replace(linearized, residual=claim.residual)
     accuracy = moment_accuracy(recorded.measured_moment_sd)
     adequate = adequacy(model, about_fit, null_residuals, signatures, adequacy_factor, accuracy)
-    if not claim.together:
-        return Gates(adequate)
     return Gates(
         adequate,
         plausibility(claim.sizes),

@@ -17,7 +17,6 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.special import logsumexp
 
 from wrapjax.diagnosis.error_sources import (
     InputErrors,
@@ -72,17 +71,6 @@ def nulls(
         # Exponential priors: larger errors are less plausible.
         log_prior = -force / EXPECTED_FORCE_ERROR - error / EXPECTED_REPEATABLE_ERROR
         yield Null(fixed + force**2 * by_force + error**2 * repeatable, log_prior)
-
-
-def structured_evidence(null_weights: Float[np.ndarray, " null"]) -> float:
-    """Compute the log Bayes factor of all nulls against the one with the smallest errors, the first; nats.
-
-    Parameters
-    ----------
-    null_weights
-        Log posterior probability of each of the `nulls`, up to a constant.
-    """
-    return float(logsumexp(null_weights) - null_weights[0])
 
 
 def fixed_covariance(linearized: LinearizedModel) -> Matrix:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from wrapjax.diagnosis.baseline import BaselineFit, fit_baseline
 from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
+from wrapjax.diagnosis.gates import adequacy_of_plain_model
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.law_evidence import law_evidence
 from wrapjax.diagnosis.linearization import linearize
@@ -128,16 +129,19 @@ def run_diagnosis(
     with watch.during("shrinkage", "measuring how far the error shrinks"):
         verification = verify(data, baseline, linearized, localization, refits)
     with watch.during("verdict", "comparing effects"):
-        decision = decide(data, scores, verification, constants)
+        plain = adequacy_of_plain_model(
+            linearized, null_residuals, data.measured_moment_sd, constants.adequacy_factor
+        )
+        decision = decide(data, scores, verification, constants, plain.relative)
     joint: dict[Ids, Refit] = {}
     if subsets := subsets_to_refit(data, scores, verification, decision):
         with watch.during("together", f"fitting {', '.join(scores.jointly_significant)} together"):
             joint = refit(data, baseline, scores, subsets)
             verification = verification.joined(verify(data, baseline, linearized, localization, joint))
-            decision = decide(data, scores, verification, constants)
+            decision = decide(data, scores, verification, constants, plain.relative)
     with watch.during("gates", "examining the claim"):
         decision = examine_claim(
-            data, linearized, scores, null_residuals, refits | joint, decision, constants
+            data, linearized, scores, null_residuals, refits | joint, decision, constants, plain
         )
     result = diagnosis_result(
         data=data,

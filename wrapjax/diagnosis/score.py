@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
-from wrapjax.diagnosis.null_covariance import Null, nulls, structured_evidence
+from wrapjax.diagnosis.null_covariance import Null, nulls
 from wrapjax.diagnosis.score_test import (
     PRIOR_FACTORS,
     Projection,
@@ -47,8 +47,6 @@ class Scores:
     ----------
     by_id
         Score of each effect, the strongest evidence first.
-    structured_evidence
-        Evidence for errors that no effect of the catalogue explains, nats.
     null_maxima
         Strongest evidence in each null replicate, nats.
     detection_threshold
@@ -63,7 +61,6 @@ class Scores:
     """
 
     by_id: dict[str, Score]
-    structured_evidence: float
     null_maxima: Float[np.ndarray, " replicate"]
     detection_threshold: float
     jointly_significant: tuple[str, ...]
@@ -119,7 +116,6 @@ def score(
     null = most_plausible_null(linearized, measured_moment_sd, test)
     return Scores(
         by_id=by_id,
-        structured_evidence=structured_evidence(test.null_weights),
         null_maxima=null_maxima,
         detection_threshold=threshold,
         jointly_significant=jointly_significant_effects(of_subject, candidates, by_id, threshold),
