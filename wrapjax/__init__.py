@@ -13,10 +13,9 @@ calibrates many subjects. ``show`` writes a page with the model in motion. ``obj
 calibration's cost as a pure function for `jax.grad`, and ``build_objective`` the object behind it.
 ``muscle_paths`` computes muscle lengths and moment arms of any OpenSim model, without recordings.
 
-All numbers are in SI units and radians; JAX must be in 64-bit mode::
+``write_virtual_subject`` simulates a person with known parameters.
 
-    import jax
-    jax.config.update("jax_enable_x64", True)
+All numbers are in SI units and radians; JAX must be in 64-bit mode, which ``set_up_jax`` sets.
 """
 
 import warnings
