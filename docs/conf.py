@@ -113,7 +113,13 @@ def _read_included(app, path, page, content):
 
 
 #: Public classes that users make themselves; the others are results.
-_MADE_BY_USERS = {"PhysiologicalThresholds", "BoundedLevenbergMarquardt", "OptimistixSolver", "InputError"}
+_MADE_BY_USERS = {
+    "PhysiologicalThresholds",
+    "BoundedLevenbergMarquardt",
+    "JaxoptSolver",
+    "OptimistixSolver",
+    "InputError",
+}
 
 
 def _hide_signatures_of_results(app, what, name, obj, options, signature, annotation):

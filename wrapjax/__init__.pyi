@@ -6,6 +6,7 @@ from .calibration.initialisation import Initialisation as Initialisation
 from .calibration.initialisation import initialise as initialise
 from .calibration.problem import build_objective as build_objective
 from .calibration.problem import objective as objective
+from .calibration.solvers.external_solvers import JaxoptSolver as JaxoptSolver
 from .calibration.solvers.external_solvers import OptimistixSolver as OptimistixSolver
 from .calibration.solvers.optimistix_interface import BoundedLevenbergMarquardt as BoundedLevenbergMarquardt
 from .calibration.uncertainty.uncertainty import Uncertainty as Uncertainty

@@ -229,8 +229,9 @@ def calibrate(
         Custom selection of parameters, with bounds and priors; for one leg alone.
     solver
         Solver with its tolerances: `AugmentedLagrangian`, with the defaults if not given, or one that it uses
-        for problems within bounds: `AbstractBoundedSolver`, or any least-squares solver or minimiser of
-        optimistix, whose variables are substituted to stay within bounds (`OptimistixSolver`).
+        for problems within bounds: `AbstractBoundedSolver`, any least-squares solver or minimiser of
+        optimistix, whose variables are substituted to stay within bounds (`OptimistixSolver`), or a class of
+        jaxopt (`JaxoptSolver`).
     starts
         Number of starting points: the values of the model, then random ones. Several minima are common.
     seed

@@ -278,8 +278,8 @@ def run(options: argparse.Namespace) -> int:
     from wrapjax.calibration.calibration import calibrate
     from wrapjax.calibration.problem import fit_for_methods
     from wrapjax.calibration.solvers.augmented_lagrangian import AugmentedLagrangian
+    from wrapjax.calibration.solvers.external_solvers import JaxoptSolver
     from wrapjax.calibration.solvers.interface import Status
-    from wrapjax.calibration.solvers.lbfgs import BoundedLBFGS
     from wrapjax.calibration.solvers.levenberg_marquardt import ProjectedLevenbergMarquardt
     from wrapjax.calibration.uncertainty.uncertainty import DRAWS, uncertainty
     from wrapjax.evaluation.left_out_tasks import leave_out_tasks
@@ -302,7 +302,7 @@ def run(options: argparse.Namespace) -> int:
     if options.leave_tasks_out and options.uncertainty:
         raise InputError(Problem("--leave-tasks-out", "cannot be combined with --uncertainty"))
     checkpoints = checkpoint_folder(options)
-    inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": BoundedLBFGS}[options.solver]()
+    inner = {"lm": ProjectedLevenbergMarquardt, "lbfgs": JaxoptSolver}[options.solver]()
     if options.max_iterations:
         inner = replace(inner, max_iterations=options.max_iterations)
     subject = load_subject(options.subject)
