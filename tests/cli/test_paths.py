@@ -65,6 +65,10 @@ def test_paths_are_a_function_of_wrap_parameters(odd_model):
     above, below = (paths(poses + sign * step * np.eye(poses.shape[1])[-1]) for sign in (1.0, -1.0))
     slope = (above.length - below.length) / (2.0 * step)
     np.testing.assert_allclose(found.moment_arm[:, -1], -slope, atol=1e-7)
+    dataset = paths.to_dataset(poses)
+    assert dataset.attrs["mode"] == "geodesic" and dataset["length"].attrs["units"] == "m"
+    arms = dataset["moment_arm"].sel(muscle="flexor", coordinate=paths.coordinates[-1])
+    np.testing.assert_array_equal(arms, found.moment_arm[:, -1, 0])
     # Slopes of moment arms are minus second derivatives of length, which do not depend on their order.
     bends = paths.moment_arm_slopes(poses)
     assert np.abs(bends).max() > 1e-4

@@ -141,6 +141,16 @@ def test_page_and_json_say_what_to_record(tmp_path):
     assert 'src="http' not in page and 'href="http' not in page
 
 
+def test_dataset_has_each_step_at_its_label():
+    advice = small_protocol()
+    dataset = advice.to_dataset()
+    assert all("units" in values.attrs for values in dataset.data_vars.values())
+    last = dataset.sel(step=advice.advised[1].trial.id)
+    assert float(last["information"]) == 0.3 and dataset.sizes["step"] == 3
+    assert float(last["apart"].sel(effect="joint_damping", other="emg_offset")) == 15.0
+    assert dataset["detectability"].sel(step="recorded").values.tolist() == [1.0, 2.5]
+
+
 def test_table_says_what_each_trial_tells_apart():
     table = protocol_table(small_protocol())
     assert "tells apart joint_damping / emg_offset" in table

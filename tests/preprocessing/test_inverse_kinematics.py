@@ -70,6 +70,10 @@ def test_poses_and_distances_equal_opensim(legs_model, noisy, tmp_path):
     rows = [found.coordinates.index(name) for name in expected.coordinates]
     np.testing.assert_allclose(found.values[rows, :6], expected.values, atol=np.radians(0.01))
     assert 0.003 < found.rms < 0.02
+    dataset = found.to_dataset()
+    knee = dataset["coordinate_value"].sel(coordinate="knee_angle_r")
+    assert knee["unit"].item() == "rad" and dataset["marker_distance"].attrs["units"] == "m"
+    np.testing.assert_array_equal(knee, found.values[found.coordinates.index("knee_angle_r")])
     cost = (found.weights @ found.distances[:, :6] ** 2).sum()
     theirs = (found.weights @ np.linalg.norm(expected.positions - noisy.positions[:, :6], axis=-1) ** 2).sum()
     assert cost <= theirs * (1.0 + 1e-9)

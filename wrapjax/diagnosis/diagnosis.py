@@ -71,7 +71,7 @@ class Diagnosis:
 
     def to_dataset(self) -> Dataset:
         """Return measured and predicted moments, and evidence by effect, as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_arrays import diagnosis_dataset
+        from wrapjax.report.labelled_diagnosis import diagnosis_dataset
 
         return diagnosis_dataset(self.result)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -28,6 +29,9 @@ from wrapjax.geometry.wrapping import (
 )
 from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, unknown_names
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: Ways to wrap: the shortest path, and OpenSim 4.6's path.
 MODES: dict[str, Wrapping] = {"geodesic": GEODESIC, "parity": PARITY}
@@ -176,6 +180,16 @@ class MusclePaths:
             values = _evaluated(self.posed(padded), jnp.asarray(parameters))
             parts.append(jax.tree.map(np.asarray, values))
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(poses)], *parts)
+
+    def to_dataset(
+        self,
+        poses: Float[np.ndarray, "pose coordinate"],
+        parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
+    ) -> Dataset:
+        """Return lengths and moment arms as an `xarray.Dataset`; arguments as for calling the object."""
+        from wrapjax.report.labelled_arrays import muscle_path_dataset
+
+        return muscle_path_dataset(self, np.asarray(poses, dtype=float), self(poses, parameters))
 
     def moment_arm_slopes(
         self,

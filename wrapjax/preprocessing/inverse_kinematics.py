@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,6 +28,9 @@ from wrapjax.preprocessing.c3d import read_c3d_markers
 from wrapjax.preprocessing.kinematics_settings import CoordinateGoal, KinematicsSettings
 from wrapjax.preprocessing.marker_checks import check_exchanged_sides, check_size, exchanged_sides
 from wrapjax.preprocessing.markers import Markers, match_markers, read_trc
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: Share of a coordinate that lies in directions which no marker determines, above which it is undetermined.
 UNDETERMINED_SHARE = 0.01
@@ -99,6 +102,12 @@ class InverseKinematics:
                 name for name, yes in zip(self.coordinates, self.determined, strict=True) if not yes
             ],
         }
+
+    def to_dataset(self) -> Dataset:
+        """Return coordinates and markers as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_arrays import inverse_kinematics_dataset
+
+        return inverse_kinematics_dataset(self)
 
     def save(self, folder: Path | str, *, force: bool = False) -> None:
         """Write ``angles.sto`` (rad, m), ``marker_errors.sto`` (m) and ``ik.json`` atomically.

@@ -1,7 +1,6 @@
 """xarray datasets of results, with labelled axes, units and meanings.
 
-One function for each kind of result: calibration, comparison, contact forces, evaluation, diagnosis, and
-initial fiber and tendon lengths. xarray is imported only when a dataset is made.
+One function for each kind of result. xarray is imported only when a dataset is made.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.contact_forces.contact_result import COMPARTMENTS, ContactResult
-from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.model.parameters import QUANTITIES
 from wrapjax.subject.subject import name_without_side
 from wrapjax.subject.trials import Trials
@@ -24,6 +22,8 @@ if TYPE_CHECKING:
 
     from wrapjax.calibration.initialisation import Initialisation
     from wrapjax.comparison.samples import ComparedLeg
+    from wrapjax.path_sources.muscle_paths import MusclePaths, PathValues
+    from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 
 #: Axes, unit, meaning and values of a variable of a dataset.
 Column = tuple[tuple[str, ...], str, str, Any]
@@ -346,57 +346,6 @@ def evaluation_dataset(
     return labelled(_moment_columns(trials.moments, modelled), labels, cycles, attributes)
 
 
-def diagnosis_dataset(result: DiagnosisResult) -> Dataset:
-    """Make a dataset of a diagnosis: measured and predicted moments, and the evidence for each effect.
-
-    Returns
-    -------
-    Dataset
-        The first axis of ``predicted_moment`` is ``model``: ``plain``, then the models that were refitted
-        with an effect (or several, joined by ``+``). Each cycle is predicted by a fit without that cycle.
-    """
-    models = ("plain", *("+".join(refit.ids) for refit in result.refits))
-    predicted = np.stack([result.plain, *(refit.predicted for refit in result.refits)])
-    effects = tuple(finding.id for finding in result.effects)
-    columns: dict[str, Column] = {
-        "measured_moment": (MOMENT, "N m", "joint moment by inverse dynamics", result.measured),
-        "predicted_moment": (
-            ("model", *MOMENT),
-            "N m",
-            "joint moment by fits to which the cycle was held out",
-            predicted,
-        ),
-        "probability": (
-            ("effect",),
-            "1",
-            "probability that the model lacks this effect",
-            [finding.probability for finding in result.effects],
-        ),
-        "evidence": (
-            ("effect",),
-            "nat",
-            "log Bayes factor against the plain model",
-            [finding.evidence for finding in result.effects],
-        ),
-        "detectability": (
-            ("effect",),
-            "1",
-            "signal-to-noise ratio of an effect of its prior size, in standard deviations",
-            [finding.detectability for finding in result.effects],
-        ),
-    }
-    labels = {
-        "model": models,
-        "trial": result.trials,
-        "coordinate": result.coordinates,
-        "effect": effects,
-        "frame": np.arange(result.time.shape[1]),
-    }
-    attributes = {"outcome": result.outcome, "reason": result.reason, "named": ", ".join(result.named)}
-    attributes["family"] = result.family
-    return labelled(columns, labels, cycle_columns(result.uses, result.speeds, result.time), attributes)
-
-
 def initialisation_dataset(initialisation: Initialisation) -> Dataset:
     """Make a dataset of initial lengths, normalised fiber lengths in walking, and passive moments.
 
@@ -450,3 +399,52 @@ def initialisation_dataset(initialisation: Initialisation) -> Dataset:
     origin = (("sample",), "", "passive trial that the sample is from", np.array(trials, dtype=str))
     attributes = {"subject": initialisation.subject.name, "status": initialisation.status.value}
     return labelled(columns, labels, {"passive_trial": origin}, attributes)
+
+
+def muscle_path_dataset(
+    paths: MusclePaths, poses: Float[np.ndarray, "pose coordinate"], values: PathValues
+) -> Dataset:
+    """Make a dataset of lengths and moment arms in poses (rad or m)."""
+    columns: dict[str, Column] = {
+        "coordinate_value": (("pose", "coordinate"), "rad or m", "pose", poses),
+        "length": (("pose", "muscle"), "m", "length of muscle and tendon", values.length),
+        "moment_arm": (
+            ("pose", "coordinate", "muscle"),
+            "m (m/rad)",
+            "moment arm, the negative derivative of the length",
+            values.moment_arm,
+        ),
+        "touching": (("pose", "muscle"), "", "whether the muscle touches a wrap", values.touching),
+    }
+    labels = {"pose": np.arange(len(poses)), "coordinate": paths.coordinates, "muscle": paths.muscles}
+    return labelled(columns, labels, {}, {"mode": paths.mode})
+
+
+def inverse_kinematics_dataset(result: InverseKinematics) -> Dataset:
+    """Make a dataset of a motion: coordinates (rad or m) and markers in ground (m)."""
+    place = ("marker", "frame", "axis")
+    columns: dict[str, Column] = {
+        "coordinate_value": (
+            ("coordinate", "frame"),
+            "rad or m",
+            "joint angle or displacement",
+            result.values,
+        ),
+        "model_marker": (place, "m", "position of the model's marker in ground", result.positions),
+        "measured_marker": (place, "m", "measured position in ground", result.measured),
+        "marker_distance": (("marker", "frame"), "m", "distance of both", result.distances),
+    }
+    labels = {
+        "coordinate": result.coordinates,
+        "marker": result.markers,
+        "frame": np.arange(result.time.size),
+        "axis": ("x", "y", "z"),
+    }
+    of_coordinate, meaning = ("coordinate",), "whether the markers determine the coordinate"
+    coordinates: dict[str, Column] = {
+        "time": (("frame",), "s", "time in the recording", result.time),
+        "unit": (of_coordinate, "", "unit of the coordinate", np.where(result.rotational, "rad", "m")),
+        "determined": (of_coordinate, "", meaning, result.determined),
+        "weight": (("marker",), "1", "weight of the marker", result.weights),
+    }
+    return labelled(columns, labels, coordinates, {})

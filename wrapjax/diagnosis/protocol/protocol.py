@@ -33,6 +33,7 @@ from wrapjax.subject.subject import Subject, load_subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 #: Number of trials that are advised.
@@ -50,6 +51,12 @@ class Protocol(ProtocolResult):
         from wrapjax.report.protocol_page import describe_protocol
 
         return describe_protocol(self)
+
+    def to_dataset(self) -> Dataset:
+        """Return detectability, distances of effects and information by trial as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_diagnosis import protocol_dataset
+
+        return protocol_dataset(self)
 
     def plot_detectability(self) -> Figure:
         """Draw the detectability of every effect before and after the advised trials."""
