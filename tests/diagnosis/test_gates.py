@@ -179,6 +179,16 @@ def test_effects_of_single_cycles_are_not_held_to_unseen_cycles(generator):
     model = ResidualModel.of(linearized)
     each = np.eye(CYCLES)[:, :, None, None] * WAVE[None]
     assert specificity(model, linearized, recorded(), each) is None
+    shifts = Candidate(
+        "event_jitter", (each.reshape(len(each), -1),), np.full(len(each), 3.0), np.full(len(each), False)
+    )
+    scores = score(
+        replace(linearized, candidates=(*linearized.candidates, shifts)),
+        MOMENT_SD,
+        np.zeros((0, each[0].size)),
+        0.0,
+    )
+    assert scores.of_single_cycles == ("event_jitter",)
     assert specificity(model, linearized, recorded(), each[:2] + each[2:4]) is not None
 
 

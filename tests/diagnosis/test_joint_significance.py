@@ -137,3 +137,7 @@ def test_each_effect_has_to_improve_held_out_cycles_beside_the_other():
     assert each_effect_improves(("a", "b"), gains)
     assert not each_effect_improves(("a", "b"), gains | {("b",): both})
     assert not each_effect_improves(("a", "b"), gains | {("a",): [4.0, 3.0, 1.0, 0.0, 0.0]})
+    # Unseen cycles do not test the first effect: the second has to improve on the model without both.
+    untested = gains | {("a",): ()}
+    assert each_effect_improves(("a", "b"), untested | {("b",): both})
+    assert not each_effect_improves(("a", "b"), untested | {("a", "b"): [-1.0, *both[1:-1], -2.0]})

@@ -19,13 +19,12 @@ from wrapjax.diagnosis.gates import (
     Claim,
     Gates,
     Recorded,
-    effect_signatures,
     examine,
 )
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames
 from wrapjax.diagnosis.linearization import LinearizedModel, parameter_prior
 from wrapjax.diagnosis.refit import Ids, Refit
-from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.score import Scores, effect_signatures
 
 #: Largest number of effects that a claim which parts of the recording contradict can list as a tie.
 MOST_IN_TIE = 3

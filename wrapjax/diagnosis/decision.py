@@ -408,12 +408,15 @@ def each_effect_improves(joint: Ids, gains: Mapping[Ids, Sequence[float]]) -> bo
     joint
         Identifiers of the effects.
     gains
-        Increase of the log likelihood of each block of cycles by each refit, nats.
+        Increase of the log likelihood of each block of cycles by each refit, nats; empty for effects that
+        unseen cycles do not test.
     """
     together = gains[tuple(joint)]
     for id in joint:
-        others = tuple(other for other in joint if other != id)
-        if not _improves([more - less for more, less in zip(together, gains[others], strict=True)]):
+        if not len(gains[(id,)]):
+            continue
+        others = gains[tuple(other for other in joint if other != id)] or [0.0] * len(together)
+        if not _improves([more - less for more, less in zip(together, others, strict=True)]):
             return False
     return True
 

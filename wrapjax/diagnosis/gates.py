@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
+from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.null_covariance import nulls
 from wrapjax.diagnosis.residual_fit import ResidualModel, ScaledSignatures, UnseenCycles, repeatable_rms
-from wrapjax.diagnosis.score import Scores
+from wrapjax.diagnosis.score import Scores, concerns_single_cycles, effect_signatures
 from wrapjax.diagnosis.score_test import Score, project, score_projected
 from wrapjax.diagnosis.sham_effects import scaled_like, sham_effects
 
@@ -412,7 +412,7 @@ def specificity(
     signatures
         Signatures of one prior standard deviation of the effect, N m.
     """
-    if (np.count_nonzero(signatures.any(axis=(2, 3)), axis=1) < 2).all():
+    if concerns_single_cycles(signatures):
         return None
     drawn = sham_effects(len(signatures), recorded.angles, recorded.velocities, linearized.muscle_errors.arms)
     shams = [model.whitened(scaled_like(one, signatures, model)) for one in drawn]
@@ -425,20 +425,8 @@ def specificity(
     )
 
 
-def effect_signatures(
-    linearized: LinearizedModel, score: Score
-) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
-    """Return the signatures of the most plausible variant and part of an effect, N m per unit."""
-    candidate = _candidate(linearized, score.id)
-    part = np.array(score.part)
-    return candidate.variants[score.variant][part].reshape(len(part), *linearized.residual.shape)
-
-
 def scaled_signatures(linearized: LinearizedModel, score: Score) -> ScaledSignatures:
     """Return the signatures of one prior standard deviation, N m; see `effect_signatures`."""
-    sd = _candidate(linearized, score.id).scaled_prior_sd(max(score.prior_factor, 1.0))[list(score.part)]
+    candidate = next(one for one in linearized.candidates if one.id == score.id)
+    sd = candidate.scaled_prior_sd(max(score.prior_factor, 1.0))[list(score.part)]
     return effect_signatures(linearized, score) * sd[:, None, None, None]
-
-
-def _candidate(linearized: LinearizedModel, id: str) -> Candidate:
-    return next(one for one in linearized.candidates if one.id == id)

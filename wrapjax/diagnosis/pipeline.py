@@ -127,7 +127,7 @@ def run_diagnosis(
     with watch.during("refits", f"fitting {names} with all calibrated parameters"):
         refits = refit(data, baseline, scores, singles)
     with watch.during("shrinkage", "measuring how far the error shrinks"):
-        verification = verify(data, baseline, linearized, localization, refits)
+        verification = verify(data, baseline, linearized, localization, refits, scores.of_single_cycles)
     with watch.during("verdict", "comparing effects"):
         plain = adequacy_of_plain_model(
             linearized, null_residuals, data.measured_moment_sd, constants.adequacy_factor
@@ -137,7 +137,8 @@ def run_diagnosis(
     if subsets := subsets_to_refit(data, scores, verification, decision):
         with watch.during("together", f"fitting {', '.join(scores.jointly_significant)} together"):
             joint = refit(data, baseline, scores, subsets)
-            verification = verification.joined(verify(data, baseline, linearized, localization, joint))
+            together = verify(data, baseline, linearized, localization, joint, scores.of_single_cycles)
+            verification = verification.joined(together)
             decision = decide(data, scores, verification, constants, plain.relative)
     with watch.during("gates", "examining the claim"):
         decision = examine_claim(

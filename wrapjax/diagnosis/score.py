@@ -58,6 +58,8 @@ class Scores:
         `score_test.distinguishability`.
     null
         Most plausible null hypothesis without any effect.
+    of_single_cycles
+        Effects each of whose parameters changes one cycle alone; see `concerns_single_cycles`.
     """
 
     by_id: dict[str, Score]
@@ -67,6 +69,7 @@ class Scores:
     compared: tuple[str, ...]
     distinguishability: Float[np.ndarray, "effect effect"]
     null: Null
+    of_single_cycles: tuple[str, ...] = ()
 
     @property
     def evidence(self) -> dict[str, float]:
@@ -122,7 +125,24 @@ def score(
         compared=compared,
         distinguishability=_distances(linearized, null, [by_id[id] for id in compared]),
         null=null,
+        of_single_cycles=tuple(
+            id for id, one in by_id.items() if concerns_single_cycles(effect_signatures(linearized, one))
+        ),
     )
+
+
+def effect_signatures(
+    linearized: LinearizedModel, score: Score
+) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Return the signatures of the most plausible variant and part of an effect, N m per unit."""
+    candidate = next(one for one in linearized.candidates if one.id == score.id)
+    part = np.array(score.part)
+    return candidate.variants[score.variant][part].reshape(len(part), *linearized.residual.shape)
+
+
+def concerns_single_cycles(signatures: Float[np.ndarray, "parameter cycle coordinate phase"]) -> bool:
+    """Return whether each parameter changes one cycle alone, so that unseen cycles tell nothing of it."""
+    return bool((np.count_nonzero(signatures.any(axis=(2, 3)), axis=1) < 2).all())
 
 
 def _distances(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import factorial
@@ -55,7 +55,8 @@ class VerifiedRefit:
     held_out_cycles, held_out_speed
         Shrinkage on held-out cycles, and at a held-out speed.
     gains
-        Increase of the log likelihood of each left-out block of cycles, nats.
+        Increase of the log likelihood of each left-out block of cycles, nats; empty where such cycles do not
+        test the effect.
     speed_conflict
         Squared difference of the effect sizes fitted to each speed, in squared standard deviations; a wrong
         mechanism usually needs different sizes. None with one speed.
@@ -94,6 +95,7 @@ def verify(
     linearized: LinearizedModel,
     localization: Localization,
     refits: Mapping[Ids, Refit],
+    of_single_cycles: Collection[str] = (),
 ) -> Verification:
     """Compare refits with the baseline fit on held-out cycles.
 
@@ -103,10 +105,14 @@ def verify(
         Results of the earlier steps.
     refits
         Refits by the identifiers of their effects.
+    of_single_cycles
+        Effects that unseen cycles do not test; see `Scores.of_single_cycles`.
     """
     return Verification(
         {
-            ids: _verify(data, baseline, linearized, localization.noise_floor, one)
+            ids: _verify(
+                data, baseline, linearized, localization.noise_floor, one, set(ids) <= set(of_single_cycles)
+            )
             for ids, one in refits.items()
         }
     )
@@ -118,6 +124,7 @@ def _verify(
     linearized: LinearizedModel,
     floor: NoiseFloor,
     refit: Refit,
+    of_single_cycles: bool,
 ) -> VerifiedRefit:
     plan, speeds, fit = data.plan, data.speeds, refit.cross_fit
     before, after = cycle_errors(baseline.residual), cycle_errors(data.measured - fit.predicted)
@@ -125,12 +132,17 @@ def _verify(
     # With few validation cycles, the calibration cycles that were left out one by one count as well.
     enough = len(plan.counts) and validation.sum() >= 2 * len(plan.counts)
     counted = validation if enough else ~plan.new_speed
+    untested = Estimate.unknown("each effect size concerns one cycle alone, which no other cycle tells of")
     return VerifiedRefit(
         ids=refit.ids,
         predicted=fit.predicted,
-        held_out_cycles=shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted]),
-        held_out_speed=_shrinkage_at_other_speed(data, baseline.fit, fit, floor),
-        gains=_gains(data, baseline, before - after),
+        held_out_cycles=untested
+        if of_single_cycles
+        else shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted]),
+        held_out_speed=untested
+        if of_single_cycles
+        else _shrinkage_at_other_speed(data, baseline.fit, fit, floor),
+        gains=() if of_single_cycles else _gains(data, baseline, before - after),
         speed_conflict=speed_conflict(fit, baseline.effect_size_weight),
         released=_released_parameters(data, baseline, linearized, fit),
     )
