@@ -13,17 +13,13 @@ import tempfile
 from pathlib import Path
 
 import jax
-
-from wrapjax.jax_setup import set_up_jax
-
-set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
-
 import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
 import wrapjax
-from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
+
+wrapjax.set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 # %% [markdown]
 # ## A subject
@@ -33,7 +29,7 @@ from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subjec
 
 # %%
 folder = Path(tempfile.mkdtemp()) / "virtual"
-write_virtual_subject(folder, seed=1)
+wrapjax.write_virtual_subject(folder, seed=1)
 subject = wrapjax.load_subject(folder)
 print(f"{len(subject.muscles.names)} muscles, {len(subject.trials.names)} gait cycles")
 

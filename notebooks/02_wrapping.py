@@ -13,84 +13,70 @@
 # %%
 # %matplotlib inline
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import jax
-
-from wrapjax.jax_setup import set_up_jax
-
-set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
-
 import numpy as np
+import opensim
 
 import wrapjax
-from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
-from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, nominal_parameters, wrap_at_samples
-from wrapjax.geometry.routed_path import route_path
-from wrapjax.geometry.wrapping import WRAP_PARAMETERS
-from wrapjax.osim.model import describe_model
-from wrapjax.report.moved_paths import MovedPath, describe_move
-from wrapjax.report.path_views import path_view_figure
-from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
+
+wrapjax.set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 # %% [markdown]
-# ## Model description
+# ## A model
 #
-# The model is read by OpenSim once, into a description of names and numbers. Path computations do not
-# use OpenSim.
+# In the virtual subject's model each muscle wraps round at most one cylinder. In many models the
+# gastrocnemii wrap round two, at the femoral condyles and at the proximal tibia, so we add a second
+# cylinder by OpenSim.
 
 # %%
 folder = Path(tempfile.mkdtemp()) / "virtual"
-write_virtual_subject(folder, seed=1)
+wrapjax.write_virtual_subject(folder, seed=1)
 subject = wrapjax.load_subject(folder)
-model = describe_model(subject.model_file)
 side = subject.side
-for muscle in model.muscles:
-    if muscle.wraps:
-        print(f"{muscle.name:12s} round {', '.join(entry.wrap for entry in muscle.wraps)}")
-
-# %% [markdown]
-# In this model each muscle wraps round at most one cylinder. In many models the gastrocnemii wrap round
-# two, at the femoral condyles and at the proximal tibia, so we add a second cylinder to the
-# description.
-
-# %%
 HIP, CALF = f"iliacus_{side}", f"gasmed_{side}"
-condyles = model.wrap(f"Gastroc_at_condyles_{side}")
-shank = replace(
-    condyles,
-    name=f"Gastroc_at_shank_{side}",
-    body=f"tibia_{side}",
-    translation=(-0.004, -0.050, condyles.translation[2]),
-    radius=0.030,
+
+model = opensim.Model(str(subject.model_file))
+shank = opensim.WrapCylinder()
+shank.setName(f"Gastroc_at_shank_{side}")
+condyles = opensim.WrapCylinder.safeDownCast(
+    model.getBodySet().get(f"femur_{side}").getWrapObjectSet().get(f"Gastroc_at_condyles_{side}")
 )
-path = model.muscle(CALF)
-longer = replace(path, wraps=(*path.wraps, replace(path.wraps[0], wrap=shank.name)))
-model = replace(
-    model,
-    wraps=(*model.wraps, shank),
-    muscles=tuple(longer if muscle is path else muscle for muscle in model.muscles),
-)
+shank.set_translation(opensim.Vec3(-0.004, -0.050, condyles.get_translation()[2]))
+shank.set_xyz_body_rotation(condyles.get_xyz_body_rotation())
+shank.set_radius(0.030)
+shank.set_length(condyles.get_length())
+shank.set_quadrant(condyles.get_quadrant())
+model.getBodySet().get(f"tibia_{side}").addWrapObject(shank)
+model.finalizeConnections()
+model.getMuscles().get(CALF).updGeometryPath().addPathWrap(shank)
+model_file = folder / "two_cylinders.osim"
+model.printToXML(str(model_file))
 
 # %% [markdown]
-# ## Paths as functions of wrap parameters
+# ## Paths as functions of poses and of wrap parameters
 #
-# Path points and cylinders are first placed in the poses given by the joint angles. The wrapped path is
-# then a function of the wrap parameters: translation, rotation and radius of each cylinder.
+# `muscle_paths` reads the model once; computations do not use OpenSim. The result is called with poses,
+# and with the wrap parameters if they are not nominal: translation, rotation and size of each surface.
 
 # %%
 trials = subject.trials
 coordinates = trials.moment_coordinates
-angles = trials.angles[:, [trials.coordinates.index(name) for name in coordinates]]
-cycle = angles[0].T
-posed = ExactPaths(model, (HIP, CALF), coordinates).posed(cycle)
-for wrapping in (GEODESIC, PARITY):
-    wrapped = wrap_at_samples(posed[HIP], nominal_parameters(1)[None], wrapping)
+cycle = trials.angles[0, [trials.coordinates.index(name) for name in coordinates]].T
+by_mode = {
+    mode: wrapjax.muscle_paths(model_file, mode=mode, muscles=[HIP, CALF], coordinates=coordinates)
+    for mode in ("geodesic", "parity")
+}
+for mode, paths in by_mode.items():
+    values = paths.to_dataset(cycle).sel(pose=0, muscle=HIP)
+    arm = values["moment_arm"].sel(coordinate=coordinates[0])
     print(
-        f"{HIP}, {wrapping.name:8s} at heel strike: {1e3 * wrapped.length[0, 0]:.6f} mm, moment arm about "
-        f"{coordinates[0]} {1e3 * wrapped.moment_arm[0, 0, 0]:.4f} mm"
+        f"{HIP}, {mode:8s} at heel strike: {1e3 * float(values['length']):.6f} mm, moment arm about "
+        f"{coordinates[0]} {1e3 * float(arm):.4f} mm"
     )
+paths = by_mode["geodesic"]
+print("surfaces:", ", ".join(paths.wraps))
 
 # %% [markdown]
 # ## Differences between geodesic and parity paths
@@ -101,50 +87,46 @@ for wrapping in (GEODESIC, PARITY):
 # with them.
 
 # %%
-compared = [compare_wrapping_modes(model, name, coordinates, cycle) for name in (HIP, CALF)]
-for one in compared:
-    print(
-        f"{one.muscle:10s} largest difference of moment arm from -dL/dq: parity "
-        f"{1e3 * one.opensim.disagreement:.2g} mm, geodesic {1e3 * one.shortest.disagreement:.1g} mm"
-    )
-    assert one.shortest.disagreement < 1e-7
-figure = wrapping_modes_figure(compared)
-figure.savefig(folder.parent / "wrapping_modes.png", dpi=120)
-figure
+STEP = 1e-4
+for mode, one in by_mode.items():
+    moved = [
+        (one(cycle - step).length - one(cycle + step).length) / (2.0 * STEP)
+        for step in STEP * np.eye(len(coordinates))
+    ]
+    differences = np.abs(one(cycle).moment_arm - np.stack(moved, axis=1)).max(axis=(0, 1))
+    for muscle, difference in zip(one.muscles, differences, strict=True):
+        print(f"{muscle:10s} largest difference of moment arm from -dL/dq: {mode} {1e3 * difference:.1g} mm")
+    assert mode == "parity" or (differences < 1e-7).all()
+paths.plot_modes([HIP, CALF], cycle)
 
 # %% [markdown]
 # ## Derivatives with respect to wrap parameters
 #
-# The gradient of the path length with respect to the wrap parameters at heel strike, compared with finite
-# differences.
+# The gradient of the path lengths with respect to the wrap parameters at heel strike, compared with
+# finite differences. Each muscle has its own surfaces, so the sum of both lengths has all derivatives.
 
 # %%
 STEP = 1e-6
+posed = paths.posed(cycle[:1])
 
 
-def check_gradient(name, wraps):
-    def length(parameters):
-        return posed[name].wrapped(parameters).length[0]
-
-    both = jax.jit(jax.value_and_grad(length))
-    nominal = nominal_parameters(wraps)
-    gradient = np.asarray(both(nominal)[1])
-    difference = np.zeros_like(nominal)
-    for place in np.ndindex(*nominal.shape):
-        step = np.zeros_like(nominal)
-        step[place] = STEP
-        difference[place] = (both(nominal + step)[0] - both(nominal - step)[0]) / (2.0 * STEP)
-    print(f"{name}: derivative of length by wrap parameters (m per unit), by jax.grad and by differences")
-    for wrap, parameter in np.ndindex(*nominal.shape):
-        print(
-            f"  cylinder {wrap + 1}, {WRAP_PARAMETERS[parameter]:16s} "
-            f"{gradient[wrap, parameter]: .8f} {difference[wrap, parameter]: .8f}"
-        )
-    assert np.abs(gradient - difference).max() < 1e-7
+@jax.jit
+def total_length(parameters):
+    return posed(parameters).length.sum()
 
 
-check_gradient(HIP, 1)
-check_gradient(CALF, 2)
+gradient = np.asarray(jax.grad(total_length)(paths.nominal))
+difference = np.zeros_like(paths.nominal)
+for place in np.ndindex(*paths.nominal.shape):
+    step = np.zeros_like(paths.nominal)
+    step[place] = STEP
+    ahead, behind = total_length(paths.nominal + step), total_length(paths.nominal - step)
+    difference[place] = (ahead - behind) / (2.0 * STEP)
+print("derivative of length by wrap parameters (m per unit), by jax.grad and by differences")
+for wrap, name in enumerate(paths.wraps):
+    for column, parameter in enumerate(paths.parameters[:6]):  # on which cylinders depend
+        print(f"  {name:24s} {parameter:16s} {gradient[wrap, column]: .8f} {difference[wrap, column]: .8f}")
+assert np.abs(gradient - difference).max() < 1e-7
 
 # %% [markdown]
 # ## Path before and after a change of the cylinder
@@ -152,27 +134,13 @@ check_gradient(CALF, 2)
 # The cylinder is moved forward by 10 mm and rotated by 10 degrees, and its radius is increased by 10 %.
 
 # %%
-moved = nominal_parameters(1)
-moved[0] += [0.010, 0.0, 0.0, np.deg2rad(10.0), 0.0, 0.1]
-both = np.stack([nominal_parameters(1), moved])
-arms = wrap_at_samples(posed[HIP], both).moment_arm[:, :, 0]
+moved = paths.nominal
+cylinder = paths.wraps.index(paths.engine.wraps_of(HIP)[0])
+moved[cylinder, :6] += [0.010, 0.0, 0.0, np.deg2rad(10.0), 0.0, 0.1]
+arms = [paths(cycle, own).moment_arm[:, 0, 0] for own in (paths.nominal, moved)]
 frame = int(np.abs(arms[1] - arms[0]).argmax())
-move = MovedPath(
-    muscle=HIP,
-    coordinate=coordinates[0],
-    trial=trials.names[0],
-    percent=round(100 * frame / (len(cycle) - 1)),
-    arm_before=float(arms[0][frame]),
-    arm_after=float(arms[1][frame]),
-    before=route_path(model, HIP, coordinates, cycle[frame]),
-    after=route_path(model, HIP, coordinates, cycle[frame], moved),
-)
-for pair in move.touched:
-    print(describe_move(*pair))
-print(f"moment arm about {move.coordinate}: {1e3 * move.arm_before:.1f} to {1e3 * move.arm_after:.1f} mm")
-figure = path_view_figure([move])
-figure.savefig(folder.parent / "moved_cylinder.png", dpi=120)
-figure
+print(f"moment arm about {coordinates[0]}: {1e3 * arms[0][frame]:.1f} to {1e3 * arms[1][frame]:.1f} mm")
+paths.plot_moved_wraps(HIP, cycle[frame], moved)
 
 # %% [markdown]
 # ## When to use which

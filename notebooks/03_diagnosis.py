@@ -15,18 +15,14 @@
 import tempfile
 from pathlib import Path
 
-from wrapjax.jax_setup import set_up_jax
-
-set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
-
 import numpy as np
 
 import wrapjax
-from wrapjax.cli.diagnose import diagnosis_table
-from wrapjax.datasets.virtual_person.virtual_subject import write_virtual_subject
+
+wrapjax.set_up_jax()  # 64-bit numbers; compiled programs are cached for the next run
 
 folder = Path(tempfile.mkdtemp())
-write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")
+wrapjax.write_virtual_subject(folder / "person", seed=3, hidden_effect="ankle_foot_orthosis")
 subject = wrapjax.load_subject(folder / "person")
 
 # %% [markdown]
@@ -44,7 +40,7 @@ others = sorted(set(wrapjax.effect_meanings()) - TESTED)
 paths = wrapjax.fit(subject, "engine")
 diagnosis = wrapjax.diagnose(subject, "NGA", paths, starts=2, null_replicates=10, without=others)
 found = diagnosis.result
-print(diagnosis_table(found))
+print(diagnosis)
 
 # %% [markdown]
 # ## Error budget

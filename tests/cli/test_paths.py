@@ -65,6 +65,12 @@ def test_paths_are_a_function_of_wrap_parameters(odd_model):
     above, below = (paths(poses + sign * step * np.eye(poses.shape[1])[-1]) for sign in (1.0, -1.0))
     slope = (above.length - below.length) / (2.0 * step)
     np.testing.assert_allclose(found.moment_arm[:, -1], -slope, atol=1e-7)
+    moved = paths.nominal
+    moved[0, paths.parameters.index("translation_x_m")] = 0.01
+    (words,) = paths.plot_moved_wraps("flexor", poses[0], moved).subfigs[0].texts
+    assert "condyles: moved 10.0 mm" in words.get_text()
+    titles = [panel.get_title(loc="left") for panel in paths.plot_modes(["flexor"], poses).axes]
+    assert "flexor: length" in titles and "moment arm, knee" in titles
     dataset = paths.to_dataset(poses)
     assert dataset.attrs["mode"] == "geodesic" and dataset["length"].attrs["units"] == "m"
     arms = dataset["moment_arm"].sel(muscle="flexor", coordinate=paths.coordinates[-1])

@@ -22,7 +22,6 @@ from tests.report.synthetic_diagnosis import (
     partial,
 )
 from wrapjax import InputError
-from wrapjax.cli.diagnose import diagnosis_table
 from wrapjax.diagnosis.decision import OUTCOMES
 from wrapjax.diagnosis.effects.effect import NotTestable
 from wrapjax.diagnosis.localization import BINS, ErrorBudget
@@ -41,7 +40,7 @@ from wrapjax.report.diagnosis_numbers import (
 )
 from wrapjax.report.diagnosis_page import render_diagnosis, write_diagnosis
 from wrapjax.report.diagnosis_shrinkage import MOST_RELEASED, accepted_shares, most_released
-from wrapjax.report.diagnosis_words import diagnosis_findings, untested_findings
+from wrapjax.report.diagnosis_words import diagnosis_findings, diagnosis_text, untested_findings
 
 #: Keys that gap.json always has.
 KEYS = {
@@ -409,7 +408,7 @@ def test_names_are_escaped(subject):
 
 @pytest.mark.parametrize("outcome", OUTCOMES)
 def test_terminal_output_names_the_same_effects(outcome):
-    text = diagnosis_table(OUTCOME_MAKERS[outcome]())
+    text = diagnosis_text(OUTCOME_MAKERS[outcome]())
     assert "cop offset" in text and "joint damping" in text
     assert "nan" not in re.findall(r"\w+", text.lower())
     assert ("ankle_foot_orthosis" in text) == (outcome not in INCONCLUSIVE)

@@ -78,7 +78,7 @@ def move(walking, moved, model):
 
 def test_moved_path_is_in_the_frame_of_largest_change(move, walking, model):
     assert (move.muscle, move.coordinate) == (MUSCLES[0], COORDINATES[0])
-    assert (move.trial, move.percent) == ("walk/02", 75)
+    assert move.place == "75 % of walk/02"
     assert move.arm_after - move.arm_before == pytest.approx(0.003)
     pose = walking.trials.angles[1, :1, FRAME]
     for route, parameters in ((move.before, NOMINAL), (move.after, NOMINAL + CHANGE)):

@@ -95,7 +95,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     set_up_jax()
     from wrapjax.cli.calibrate import calibration_table, iteration_log, iteration_printer
-    from wrapjax.cli.diagnose import diagnosis_table
     from wrapjax.cli.report import redraw
     from wrapjax.demonstration.demo import demo
 
@@ -127,6 +126,6 @@ def run(options: argparse.Namespace) -> int:
             f"diagnosis "
             "(same model equations, so not the accuracy on people):\n"
         )
-        print(diagnosis_table(demonstration.effect_diagnosis.diagnosis.result))
+        print(demonstration.effect_diagnosis.diagnosis)
         print(f"\nwritten to {options.out}; open {index} in a browser")
     return DONE if demonstration.converged else NOT_CONVERGED

@@ -1,9 +1,8 @@
-"""Command ``wrapjax diagnose``, with the tables of a diagnosis."""
+"""Command ``wrapjax diagnose``."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,80 +19,11 @@ from wrapjax.io.files import check_output_folder
 from wrapjax.jax_setup import set_up_jax
 
 if TYPE_CHECKING:
-    from wrapjax.diagnosis.result import DiagnosisResult
     from wrapjax.path_sources.exact import ExactGeometry
     from wrapjax.path_sources.polynomial_fit import Fit
     from wrapjax.subject.subject import Subject
 
 _WIDTH = 100
-_MOST_EFFECTS = 6
-
-
-def diagnosis_table(result: DiagnosisResult) -> str:
-    """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
-    from wrapjax.report.diagnosis_words import diagnosis_findings, gate_rows, untested_findings
-
-    lines = [textwrap.fill(sentence, _WIDTH) for sentence in diagnosis_findings(result)]
-    if rows := gate_rows(result):
-        lines += ["", *(f"{name:10s}{passed:8s}{figure}" for name, _, figure, passed in rows)]
-    if result.effects:
-        lines += ["", *_effect_lines(result)]
-    if result.budget is not None:
-        lines += ["", *_error_lines(result)]
-    if result.advice:
-        lines += ["", "Experiments that would distinguish them"]
-        lines += [
-            textwrap.fill(
-                f"{advice.experiment} ({advice.minutes} min): {', '.join(advice.splits)}",
-                _WIDTH,
-                initial_indent="  ",
-                subsequent_indent="    ",
-            )
-            for advice in result.advice
-        ]
-    if sentences := untested_findings(result):
-        lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in sentences)]
-    return "\n".join(lines)
-
-
-def _effect_lines(result: DiagnosisResult) -> list[str]:
-    from wrapjax.report.diagnosis_words import effect_sizes_in_words, shown_effects
-
-    shown = shown_effects(result)[:_MOST_EFFECTS]
-    width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
-    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  effect sizes"]
-    for effect in shown:
-        lines.append(
-            f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
-            f"  {effect_sizes_in_words(effect.effect_sizes, most=2)}".rstrip()
-        )
-    names = {effect.id for effect in shown}
-    rest = sum(effect.probability for effect in result.effects if effect.id not in names)
-    others = len(result.effects) - len(shown)
-    if others:
-        lines.append(f"{f'{others} others':{width}s}{rest:12.2f}")
-    for name, probability in (
-        ("no effect", result.none_probability),
-        ("not in the catalogue", result.unknown_probability),
-    ):
-        lines.append(f"{name:{width}s}{probability:12.2f}")
-    return lines
-
-
-def _error_lines(result: DiagnosisResult) -> list[str]:
-    """Tabulate mean absolute errors on held-out cycles, without columns that could not be estimated."""
-    from wrapjax.report.diagnosis_numbers import mean_absolute_errors
-
-    errors = mean_absolute_errors(result)
-    columns = [model for model, values in errors.items() if math.isfinite(values["mean"])]
-    width = max(len(name) for name in (*result.coordinates, "coordinate"))
-    lines = [
-        "Mean absolute error of the joint moments on held-out cycles, N m; floor: noise alone",
-        f"{'coordinate':{width}s}" + "".join(f"{model:>10s}" for model in columns),
-    ]
-    for name in (*result.coordinates, "mean"):
-        lines.append(f"{name:{width}s}" + "".join(f"{errors[model][name]:10.2f}" for model in columns))
-    return lines
 
 
 class ListEffects(argparse.Action):
@@ -168,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         log=lambda line: print_progress(line, quiet=options.quiet),
     )
     done.save(options.out, force=options.force, motion=True)
-    print_result(options, "gap.json", lambda: diagnosis_table(done.result))
+    print_result(options, "gap.json", lambda: str(done))
     return NOT_CONVERGED if done.result.outcome in ("insufficient_data", "not_converged") else DONE
 
 

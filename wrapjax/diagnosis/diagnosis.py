@@ -75,6 +75,12 @@ class Diagnosis:
 
         return diagnosis_dataset(self.result)
 
+    def __str__(self) -> str:
+        """Return what the command prints: outcome, most probable effects, errors and advice."""
+        from wrapjax.report.diagnosis_words import diagnosis_text
+
+        return diagnosis_text(self.result)
+
     def summary(self) -> dict[str, Any]:
         """Return the content of ``gap.json``."""
         from wrapjax.report.diagnosis_numbers import describe_diagnosis

@@ -24,6 +24,7 @@ from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.muscle_batches import MuscleBatch, muscle_batches
 from wrapjax.geometry.wrapping import (
     NOMINAL_PARAMETERS,
+    PARAMETERS,
     StraightPath,
     WrappedPath,
 )
@@ -31,6 +32,7 @@ from wrapjax.jax_setup import require_float64
 from wrapjax.osim.model import describe_model, unknown_names
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from xarray import Dataset
 
 #: Ways to wrap: the shortest path, and OpenSim 4.6's path.
@@ -134,8 +136,13 @@ class MusclePaths:
         return tuple(dict.fromkeys(names))
 
     @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters of each wrap, with their units; a surface depends on some of them."""
+        return PARAMETERS
+
+    @property
     def nominal(self) -> Float[np.ndarray, "wrap wrap_parameter"]:
-        """Wrap parameters (`PARAMETERS`) as the model has them."""
+        """Wrap parameters (`parameters`) as the model has them."""
         return np.tile(NOMINAL_PARAMETERS, (len(self.wraps), 1))
 
     def posed(self, poses: Float[np.ndarray, "pose coordinate"]) -> PosedMuscles:
@@ -163,7 +170,7 @@ class MusclePaths:
         poses
             Values of `coordinates`, rad or m.
         parameters
-            Wrap parameters (`PARAMETERS`) of `wraps`; by default nominal.
+            Wrap parameters (`parameters`) of `wraps`; by default nominal.
 
         Returns
         -------
@@ -190,6 +197,46 @@ class MusclePaths:
         from wrapjax.report.labelled_arrays import muscle_path_dataset
 
         return muscle_path_dataset(self, np.asarray(poses, dtype=float), self(poses, parameters))
+
+    def plot_modes(self, muscles: Sequence[str], poses: Float[np.ndarray, "pose coordinate"]) -> Figure:
+        """Draw lengths and moment arms over a movement by both modes, and their differences.
+
+        Parameters
+        ----------
+        muscles
+            Names of the muscles, a pair of rows each.
+        poses
+            Evenly spaced values of `coordinates` over a movement, rad or m.
+        """
+        from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
+
+        model = self.engine.model
+        return wrapping_modes_figure(
+            [compare_wrapping_modes(model, name, self.coordinates, np.asarray(poses)) for name in muscles]
+        )
+
+    def plot_moved_wraps(
+        self,
+        muscle: str,
+        pose: Float[np.ndarray, " coordinate"],
+        parameters: Float[np.ndarray, "wrap wrap_parameter"],
+    ) -> Figure:
+        """Draw a muscle's shortest path round the nominal and round moved wraps, in a pose.
+
+        Parameters
+        ----------
+        muscle
+            Name of the muscle.
+        pose, parameters
+            As for calling the object.
+        """
+        from wrapjax.report.moved_paths import path_round_moved_wraps
+        from wrapjax.report.path_views import path_view_figure
+
+        own = np.asarray(parameters)[[self.wraps.index(wrap) for wrap in self.engine.wraps_of(muscle)]]
+        return path_view_figure(
+            [path_round_moved_wraps(self.engine.model, muscle, self.coordinates, pose, own)]
+        )
 
     def moment_arm_slopes(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Sequence
 
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
@@ -23,6 +24,8 @@ from wrapjax.report.formatting import counted, readable
 LEAST_SHOWN = 0.005
 #: Outcomes without a conclusion on effects.
 INCONCLUSIVE = ("insufficient_data", "not_converged")
+# Width of the text, and number of effects that it lists.
+_WIDTH, _MOST_EFFECTS = 100, 6
 
 
 def diagnosis_findings(result: DiagnosisResult) -> list[str]:
@@ -303,3 +306,66 @@ def _sentence(phrase: str) -> str:
     """Capitalize a phrase and end it with a full stop."""
     sentence = phrase[:1].upper() + phrase[1:]
     return sentence if sentence.endswith((".", "!", "?")) else f"{sentence}."
+
+
+def diagnosis_text(result: DiagnosisResult) -> str:
+    """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
+    lines = [textwrap.fill(sentence, _WIDTH) for sentence in diagnosis_findings(result)]
+    if rows := gate_rows(result):
+        lines += ["", *(f"{name:10s}{passed:8s}{figure}" for name, _, figure, passed in rows)]
+    if result.effects:
+        lines += ["", *_effect_lines(result)]
+    if result.budget is not None:
+        lines += ["", *_error_lines(result)]
+    if result.advice:
+        lines += ["", "Experiments that would distinguish them"]
+        lines += [
+            textwrap.fill(
+                f"{advice.experiment} ({advice.minutes} min): {', '.join(advice.splits)}",
+                _WIDTH,
+                initial_indent="  ",
+                subsequent_indent="    ",
+            )
+            for advice in result.advice
+        ]
+    if sentences := untested_findings(result):
+        lines += ["", *(textwrap.fill(sentence, _WIDTH) for sentence in sentences)]
+    return "\n".join(lines)
+
+
+def _effect_lines(result: DiagnosisResult) -> list[str]:
+    shown = shown_effects(result)[:_MOST_EFFECTS]
+    width = max(len(name) for name in (*(effect.id for effect in shown), "not in the catalogue")) + 2
+    lines = [f"{'effect':{width}s}{'probability':>12s}{'evidence':>10s}  effect sizes"]
+    for effect in shown:
+        lines.append(
+            f"{effect.id:{width}s}{effect.probability:12.2f}{effect.evidence:10.1f}"
+            f"  {effect_sizes_in_words(effect.effect_sizes, most=2)}".rstrip()
+        )
+    names = {effect.id for effect in shown}
+    rest = sum(effect.probability for effect in result.effects if effect.id not in names)
+    others = len(result.effects) - len(shown)
+    if others:
+        lines.append(f"{f'{others} others':{width}s}{rest:12.2f}")
+    for name, probability in (
+        ("no effect", result.none_probability),
+        ("not in the catalogue", result.unknown_probability),
+    ):
+        lines.append(f"{name:{width}s}{probability:12.2f}")
+    return lines
+
+
+def _error_lines(result: DiagnosisResult) -> list[str]:
+    """Tabulate mean absolute errors on held-out cycles, without columns that could not be estimated."""
+    from wrapjax.report.diagnosis_numbers import mean_absolute_errors
+
+    errors = mean_absolute_errors(result)
+    columns = [model for model, values in errors.items() if math.isfinite(values["mean"])]
+    width = max(len(name) for name in (*result.coordinates, "coordinate"))
+    lines = [
+        "Mean absolute error of the joint moments on held-out cycles, N m; floor: noise alone",
+        f"{'coordinate':{width}s}" + "".join(f"{model:>10s}" for model in columns),
+    ]
+    for name in (*result.coordinates, "mean"):
+        lines.append(f"{name:{width}s}" + "".join(f"{errors[model][name]:10.2f}" for model in columns))
+    return lines

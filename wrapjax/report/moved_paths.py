@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.calibration.calibration_result import CalibrationResult
+from wrapjax.geometry.engine import ExactPaths, nominal_parameters, wrap_at_samples
 from wrapjax.geometry.routed_path import PlacedWrap, RoutedPath, route_path
 from wrapjax.geometry.wrap_methods import CYLINDER
 from wrapjax.subject.subject import Subject
@@ -30,8 +32,8 @@ class MovedPath:
     ----------
     muscle, coordinate
         Muscle and coordinate of the moment arm.
-    trial, percent
-        Cycle and phase of the frame, % of the gait cycle.
+    place
+        Cycle and phase of the frame: ``75 % of walk/02``.
     arm_before, arm_after
         Moment arm in that frame, m.
     before, after
@@ -40,8 +42,7 @@ class MovedPath:
 
     muscle: str
     coordinate: str
-    trial: str
-    percent: int
+    place: str
     arm_before: float
     arm_after: float
     before: RoutedPath
@@ -77,6 +78,39 @@ def moved_paths(
     size = np.where(moving, changes.mean(axis=(1, 3)).max(axis=1), 0.0)
     order = [row for row in np.argsort(-size, kind="stable").tolist() if size[row] > _LEAST]
     return [_moved(subject, result, model, muscle, changes[muscle]) for muscle in order[:most]]
+
+
+def path_round_moved_wraps(
+    model: ModelDescription,
+    muscle: str,
+    coordinates: Sequence[str],
+    pose: Float[np.ndarray, " coordinate"],
+    parameters: Float[np.ndarray, "wrap wrap_parameter"],
+) -> MovedPath:
+    """Compute a muscle's shortest path round nominal and moved wraps in one pose.
+
+    Parameters
+    ----------
+    model, muscle
+        Model and name of the muscle.
+    coordinates, pose
+        Names and values (rad or m) of coordinates. The moment arm is that which changes most.
+    parameters
+        Wrap parameters of the muscle's wraps in the order of its path.
+    """
+    posed = ExactPaths(model, (muscle,), coordinates).posed(np.asarray(pose, dtype=float)[None])[muscle]
+    both = np.stack([nominal_parameters(*parameters.shape), parameters])
+    arms = np.asarray(wrap_at_samples(posed, both).moment_arm)[:, 0]
+    largest = int(np.abs(arms[1] - arms[0]).argmax())
+    return MovedPath(
+        muscle=muscle,
+        coordinate=coordinates[largest],
+        place="this pose",
+        arm_before=float(arms[0, largest]),
+        arm_after=float(arms[1, largest]),
+        before=route_path(model, muscle, coordinates, pose),
+        after=route_path(model, muscle, coordinates, pose, parameters),
+    )
 
 
 def describe_move(before: PlacedWrap, after: PlacedWrap) -> str:
@@ -116,8 +150,7 @@ def _moved(
     return MovedPath(
         muscle=muscle_name,
         coordinate=result.coordinates[coordinate],
-        trial=result.trials[trial],
-        percent=round(100.0 * frame / (changes.shape[2] - 1)),
+        place=f"{round(100.0 * frame / (changes.shape[2] - 1))} % of {result.trials[trial]}",
         arm_before=arms[0],
         arm_after=arms[1],
         before=before,

@@ -101,7 +101,7 @@ def path_view_figure(moves: Sequence[MovedPath]) -> Figure:
     parts = figure.subfigures(rows, columns // 2, squeeze=False).ravel()
     for part, move in zip(parts, moves, strict=False):
         lines = [
-            f"{move.muscle}, {move.percent} % of {move.trial}: moment arm about {move.coordinate} "
+            f"{move.muscle}, {move.place}: moment arm about {move.coordinate} "
             f"{1e3 * move.arm_before:.1f} to {1e3 * move.arm_after:.1f} mm",
             *(describe_move(*pair) for pair in move.touched),
         ]
