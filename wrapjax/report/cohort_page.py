@@ -244,7 +244,7 @@ def _verdict_section(content: dict[str, Any]) -> str:
     if failed:
         more = [markup.paragraph(f"{counted(len(failed), 'subject')} failed:"), markup.bullets(failed)]
     kind = "verdict failed" if failed or population["converged"] < population["n"] else "verdict"
-    return markup.box("\n".join([*map(markup.paragraph, lines), *more]), kind)
+    return markup.box(*map(markup.paragraph, lines), *more, kind=kind)
 
 
 def _errors_section(content: dict[str, Any], done: list[dict[str, Any]]) -> str:

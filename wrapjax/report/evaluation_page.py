@@ -132,7 +132,7 @@ def _verdict_section(content: dict[str, Any]) -> str:
                 f"On {use} cycles predicted and measured joint moments differ by {decimals(errors['mean'])} "
                 f"N m on average{comparison}."
             )
-    return markup.box("\n".join(map(markup.paragraph, lines)), "verdict")
+    return markup.box(*map(markup.paragraph, lines), kind="verdict")
 
 
 def _errors_section(content: dict[str, Any], cycles: TrialCurves) -> str:

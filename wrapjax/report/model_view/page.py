@@ -83,24 +83,17 @@ def render_page(shown: Shown, bone_folders: Sequence[Path] = ()) -> str:
 
 def _rendered(shown: Shown, described: tuple[dict, str], notes: Sequence[str]) -> str:
     # Imported late, as all that only pages need.
-    from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
 
     content, block = described
-    environment = Environment(
-        loader=PackageLoader("wrapjax.report.model_view", ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     own = files("wrapjax.report.model_view")
 
     def text_of(name: str) -> Markup:
         """Text of a file of this package, which stands in the page as it is."""
         return Markup(own.joinpath(name).read_text(encoding="utf-8"))
 
-    return environment.get_template("page.html.jinja").render(
+    template = markup.environment("wrapjax.report.model_view", "").get_template("page.html.jinja")
+    return template.render(
         title=shown.title,
         under=shown.under,
         notes=notes,
