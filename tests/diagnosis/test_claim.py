@@ -6,9 +6,14 @@ import pytest
 
 from wrapjax.diagnosis.claim import apply_gates, claimed_effects, with_family
 from wrapjax.diagnosis.decision import Decision, Probabilities, credible_families
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.effects.family import FAMILIES
-from wrapjax.diagnosis.families import family_members, family_of, family_probabilities, same_family
+from wrapjax.diagnosis.effects.catalogue import (
+    CATALOGUE,
+    family_members,
+    family_of,
+    family_probabilities,
+    same_family,
+)
+from wrapjax.diagnosis.effects.effect import FAMILIES
 from wrapjax.diagnosis.gates import Adequate, Gates, Plausible, Specific, Stable
 
 GOOD = Gates(

@@ -11,8 +11,7 @@ from jax.tree_util import Partial
 
 from tests.diagnosis.subject import CURVES, EXCHANGED, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE, available_effects, catalogue
-from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable, Variant
-from wrapjax.diagnosis.effects.family import FAMILIES
+from wrapjax.diagnosis.effects.effect import FAMILIES, Effect, Effects, NotTestable, Variant
 from wrapjax.diagnosis.effects.measured_motion import neighboring_coordinates
 from wrapjax.diagnosis.prediction import finite_difference_signatures, predicted_moments, signatures
 from wrapjax.errors import InputError

@@ -28,8 +28,7 @@ from wrapjax.diagnosis.decision import (
     credible_set,
     decide_on_single_effect,
 )
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.families import family_of
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
 from wrapjax.diagnosis.gates import Adequate, Gates, stability
 from wrapjax.errors import InputError
 

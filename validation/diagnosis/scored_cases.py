@@ -20,8 +20,7 @@ from wrapjax.diagnosis.decision import (
     set_levels,
     tied_effects,
 )
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.families import family_of
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_of
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
     Adequate,

@@ -28,7 +28,7 @@ from validation.diagnosis.scored_cases import ScoredCase, score_case
 from validation.recorded.manipulations import Manipulation, manipulations_of, write_manipulation
 from wrapjax.cohorts.scheduling import run_jobs
 from wrapjax.diagnosis.decision import DecisionConstants
-from wrapjax.diagnosis.families import family_of
+from wrapjax.diagnosis.effects.catalogue import family_of
 from wrapjax.errors import InputError, Problem
 
 #: Folders of $WRAPJAX_DATA that are used by default.

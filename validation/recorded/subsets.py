@@ -23,7 +23,7 @@ from typing import Any
 from benchmarks.machine import pin_threads
 from validation.diagnosis.case_answers import Job, answer
 from wrapjax.cohorts.scheduling import run_jobs
-from wrapjax.diagnosis.families import family_of
+from wrapjax.diagnosis.effects.catalogue import family_of
 from wrapjax.errors import InputError
 from wrapjax.io.toml import toml_list
 

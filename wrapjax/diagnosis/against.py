@@ -16,10 +16,10 @@ from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.condition_contrast import (
     Contrast,
+    DifferenceResult,
     compute_contrast,
     contrast_rows,
 )
-from wrapjax.diagnosis.condition_difference import DifferenceResult
 from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.effects.effect import NotTestable
@@ -33,6 +33,7 @@ from wrapjax.subject.subject import Subject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 #: Fewest calibration cycles of each condition at a common speed.
@@ -48,6 +49,12 @@ class ConditionDifference(DifferenceResult):
         from wrapjax.report.difference_page import describe_difference
 
         return describe_difference(self)
+
+    def to_dataset(self) -> Dataset:
+        """Return the difference of the conditions, and evidence by effect, as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_diagnosis import difference_dataset
+
+        return difference_dataset(self)
 
     def plot_difference(self) -> Figure:
         """Draw the difference of the residuals (N m) and what the strongest effect explains of it."""

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from wrapjax.diagnosis.decision import MIN_PROBABILITY, Decision, DecisionConstants
-from wrapjax.diagnosis.families import family_of, family_probabilities, same_family
+from wrapjax.diagnosis.effects.catalogue import family_of, family_probabilities, same_family
 from wrapjax.diagnosis.gates import (
     MOST_DEVIATIONS,
     Adequate,

@@ -20,6 +20,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from wrapjax.diagnosis.effects.effect import Effect, NotTestable
 from wrapjax.diagnosis.error_sources import Matrix, periodic_kernel
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
 from wrapjax.diagnosis.null_covariance import (
@@ -33,6 +34,7 @@ from wrapjax.diagnosis.null_covariance import (
     muscle_covariance,
 )
 from wrapjax.diagnosis.score_test import Score, project, score_projected
+from wrapjax.subject.subject import Subject
 
 #: Share of reassignments whose strongest evidence exceeds the detection threshold.
 FALSE_ALARM_RATE = 0.05
@@ -351,3 +353,52 @@ def strongest(scores: Sequence[Score], threshold: float, within: float = 3.0) ->
         return ()
     least = max(threshold, scores[0].evidence - within)
     return tuple(number for number, one in enumerate(scores) if one.evidence > least)
+
+
+@dataclass(frozen=True)
+class DifferenceResult:
+    """What differs between two conditions of one person.
+
+    Parameters
+    ----------
+    subject
+        Subject with the trials of both conditions.
+    conditions
+        Names of the condition that is compared, and of the one that it is compared with.
+    cycles
+        Number of calibration cycles of each condition at the speeds that both have.
+    coordinates
+        Names of the coordinates.
+    speeds
+        Speeds that both conditions have, m/s; NaN where unknown.
+    measured_difference
+        Mean measured moment of the first condition less that of the second, N m.
+    contrast
+        Difference of the residuals, and the evidence for each effect of one condition alone.
+    effects
+        Effects by id.
+    not_testable
+        Effects that cannot be tested, with reasons.
+    """
+
+    subject: Subject
+    conditions: tuple[str, str]
+    cycles: tuple[int, int]
+    coordinates: tuple[str, ...]
+    speeds: Float[np.ndarray, " speed"]
+    measured_difference: Float[np.ndarray, "speed coordinate phase"]
+    contrast: Contrast
+    effects: dict[str, Effect]
+    not_testable: tuple[NotTestable, ...]
+
+    @property
+    def leading(self) -> tuple[tuple[Score, Direction], ...]:
+        """Effects above the threshold and within 3 nats of the strongest, the strongest first."""
+        chosen = strongest(self.contrast.scores, self.contrast.threshold)
+        return tuple((self.contrast.scores[place], self.contrast.directions[place]) for place in chosen)
+
+    @property
+    def outcome(self) -> str:
+        """``none`` if no effect of one condition is above the threshold, ``named`` for one, else ``tie``."""
+        names = {direction.id for _, direction in self.leading}
+        return ("none", "named", "tie")[min(len(names), 2)]

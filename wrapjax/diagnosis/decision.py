@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logsumexp
 
-from wrapjax.diagnosis.families import family_probabilities
+from wrapjax.diagnosis.effects.catalogue import family_probabilities
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.refit import Ids

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from wrapjax.diagnosis.advice import Advice, advise
 from wrapjax.diagnosis.baseline import BaselineFit, ConvergenceCheck, unchecked_convergence
 from wrapjax.diagnosis.decision import Decision, describe_effect
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_probabilities
 from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
-from wrapjax.diagnosis.families import family_probabilities
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.joint_fit import effect_size_covariance

@@ -20,6 +20,7 @@ from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 @dataclass(frozen=True)
@@ -133,15 +134,21 @@ class JointPersonalisation:
             ],
         }
 
+    def to_dataset(self) -> Dataset:
+        """Return freed values with their uncertainty, and marker distances, as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_geometry import joints_dataset
+
+        return joints_dataset(self)
+
     def plot_markers(self) -> Figure:
         """Draw the root mean square distance of every marker before and after, mm."""
-        from wrapjax.report.joints_figures import marker_figure
+        from wrapjax.report.joints_page import marker_figure
 
         return marker_figure(self.trials)
 
     def plot_changes(self) -> Figure:
         """Draw what changed in every joint, with 90 % intervals."""
-        from wrapjax.report.joints_figures import change_figure
+        from wrapjax.report.joints_page import change_figure
 
         return change_figure(self)
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from wrapjax.diagnosis.baseline import ConvergenceCheck
-from wrapjax.diagnosis.families import family_members
+from wrapjax.diagnosis.effects.catalogue import family_members
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.localization import BIN_PERCENT, ErrorBudget
 from wrapjax.diagnosis.noise_floor import Estimate

@@ -6,9 +6,8 @@ import math
 import textwrap
 from collections.abc import Iterable, Sequence
 
-from wrapjax.diagnosis.effects.catalogue import CATALOGUE
-from wrapjax.diagnosis.effects.family import FAMILIES
-from wrapjax.diagnosis.families import family_members
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE, family_members
+from wrapjax.diagnosis.effects.effect import FAMILIES
 from wrapjax.diagnosis.noise_floor import Estimate
 from wrapjax.diagnosis.result import DiagnosisResult, EffectFinding, EffectSize
 from wrapjax.diagnosis.verification import VerifiedRefit

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrapjax.diagnosis.condition_difference import DifferenceResult
+from wrapjax.diagnosis.condition_contrast import DifferenceResult
 from wrapjax.diagnosis.effects.effect import Effect
 from wrapjax.diagnosis.score_test import Score
 from wrapjax.io.files import new_folder, write_json, write_text

@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from wrapjax.diagnosis.effects.definition import EffectDefinition
+from wrapjax.diagnosis.effects.definition import EffectDefinition, JointPlace
 from wrapjax.diagnosis.effects.effect import EffectParameter
 from wrapjax.diagnosis.effects.experiments import STAR_ARC_MOVEMENTS
-from wrapjax.diagnosis.effects.joint_place import JointPlace
 from wrapjax.diagnosis.recorded_inputs.recorded_gait import MomentDerivatives, RecordedGait
 from wrapjax.diagnosis.recorded_inputs.recorded_paths import RecordedPaths, engine_motion
 from wrapjax.geometry.joint_changes import with_moved_joint, with_rotated_joint_axes

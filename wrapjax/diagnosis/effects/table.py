@@ -14,8 +14,7 @@ import numpy as np
 
 from wrapjax.diagnosis.effects.catalogue import DEFINITIONS
 from wrapjax.diagnosis.effects.definition import EffectDefinition, RepeatedParameter
-from wrapjax.diagnosis.effects.effect import EffectParameter
-from wrapjax.diagnosis.effects.family import FAMILIES
+from wrapjax.diagnosis.effects.effect import FAMILIES, EffectParameter
 
 #: Lines of a document between which the tables stand.
 START, END = "<!-- tables: start -->", "<!-- tables: end -->"
