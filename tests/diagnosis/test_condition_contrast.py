@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.noise import noise_of_width
+from wrapjax.diagnosis.against import ConditionDifference
 from wrapjax.diagnosis.condition_contrast import compute_contrast, contrast_rows, strongest
 from wrapjax.diagnosis.error_sources import MuscleErrors
 from wrapjax.diagnosis.linearization import Candidate, LinearizedModel
@@ -81,6 +82,21 @@ def test_an_effect_of_one_condition_is_found_there_with_its_size(first):
     assert found.scores[0].effect_sizes[0] == pytest.approx(3.0, abs=0.6)
     assert found.explained > 0.8
     np.testing.assert_allclose(found.predicted[0, 0], (3.0 if first else -3.0) * np.sin(PHASE), atol=0.6)
+    result = object.__new__(ConditionDifference)
+    fields = {
+        "conditions": ("brace", "none"),
+        "coordinates": ("hip", "knee")[:COORDINATES],
+        "speeds": np.arange(float(len(found.difference))),
+        "measured_difference": found.difference,
+        "contrast": found,
+    }
+    for name, value in fields.items():
+        object.__setattr__(result, name, value)
+    dataset = result.to_dataset()
+    strongest_one = dataset.isel(hypothesis=0)
+    assert strongest_one["condition"].item() == ("brace" if first else "none")
+    assert strongest_one["effect"].item() == dataset.attrs["outcome"].replace("named", "cop_offset")
+    np.testing.assert_array_equal(dataset["explained"], found.predicted)
 
 
 def test_the_strongest_effect_of_an_error_without_a_name_is_not_named_more_often_than_allowed():

@@ -65,6 +65,10 @@ def test_known_centres_and_axes_are_recovered(person, recovered):
             assert np.linalg.norm(offset) < 1e-5
     assert recovered.rms["before"] > 0.005
     assert recovered.rms["after"] < 1e-6 and recovered.rms["held_out_after"] < 1e-6
+    dataset = recovered.to_dataset()
+    assert dataset["value"].sel(parameter="hip_r parent_translation x")["unit"].item() == "m"
+    assert float(dataset["marker_distance"].sel(stage="after").max()) < 1e-5
+    assert float(dataset["marker_distance"].sel(stage="before").max()) > 0.005
 
 
 def test_slides_along_hinge_axes_are_named_as_undetermined(person, recovered):

@@ -32,6 +32,12 @@ def test_reported_errors_hold_in_other_poses(person, paths):
         # A wrong axis, sign or unit would be off by centimeters.
         assert length_error.max() <= 3.0 * stated.length_max_mm
         assert arm_error.max() <= 3.0 * stated.moment_arm_max_mm
+    dataset = paths.to_dataset()
+    assert dataset["length_max"].attrs["units"] == "m"
+    for name, one in paths.errors.items():
+        assert float(dataset["moment_arm_rmse"].sel(muscle=name)) == pytest.approx(
+            1e-3 * one.moment_arm_rmse_mm
+        )
 
 
 def test_round_trip(person, paths, tmp_path):

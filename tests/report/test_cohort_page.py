@@ -1,9 +1,12 @@
 """Tests of the page of a cohort with completed, failed and waiting subjects."""
 
 import re
+from pathlib import Path
 
 import pytest
 
+from wrapjax.cohorts.cohort import Cohort
+from wrapjax.errors import InputError
 from wrapjax.report.cohort_page import describe_cohort, render_cohort
 
 
@@ -31,6 +34,15 @@ def subjects():
         "d": {"state": "failed", "message": "d/model.osim: <does not> exist."},
         "e": {"state": "waiting"},
     }
+
+
+def test_dataset(subjects):
+    done = Cohort(Path(), {"subjects": subjects}).to_dataset()["mean_absolute_error"]
+    assert done.sel(subject="b", use="calibration", coordinate="knee_angle_r") == 2.0
+    assert done.sel(subject="b", coordinate="knee_angle_l").isnull().all()
+    assert "mean" not in done["coordinate"] and done.sel(use="validation").isnull().all()
+    with pytest.raises(InputError, match="no subject is done"):
+        Cohort(Path(), {"subjects": {"e": subjects["e"]}}).to_dataset()
 
 
 def test_counts(subjects):

@@ -40,6 +40,7 @@ def test_every_result_has_a_summary_and_a_figure(result):
     assert callable(result.summary)
     methods = [getattr(result, name) for name in dir(result) if name.startswith("plot_")]
     assert methods and all(one.__annotations__["return"] == "Figure" for one in methods)
+    assert result.to_dataset.__annotations__["return"] == "Dataset"
 
 
 def test_a_calibration_summarizes_what_it_writes_and_draws_itself(calibrated, tmp_path):

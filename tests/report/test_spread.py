@@ -8,6 +8,7 @@ import pytest
 
 from wrapjax.calibration.uncertainty.intervals import LegSpread, Spread
 from wrapjax.io.storage import read_storage
+from wrapjax.report.labelled_arrays import spread_dataset
 from wrapjax.report.run_page import render_report, write_run
 from wrapjax.report.spread import band_figure, interval_figure, kinds_of
 from wrapjax.report.style import to_svg
@@ -43,6 +44,12 @@ def spread(result) -> LegSpread:
 def run(subject, result, spread, tmp_path):
     write_run([(subject, result)], tmp_path / "run", spreads=[spread])
     return tmp_path / "run"
+
+
+def test_dataset(spread):
+    own = spread_dataset(spread.parameters, spread.way).sel(parameter="soleus_l.emg_scale")
+    assert (float(own["sd"]), float(own["low"]), bool(own["identified"])) == (0.25, 0.1, False)
+    assert own["unit"].item() == "1" and own.attrs["way"] == "bootstrap"
 
 
 def test_uncertainty_columns_are_appended(run, subject, result, tmp_path):

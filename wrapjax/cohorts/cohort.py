@@ -26,6 +26,7 @@ from wrapjax.subject.subject import Subject, load_subject, read_legs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 #: File of a subject's result in its folder.
@@ -64,6 +65,18 @@ class Cohort:
         """Return the content of ``cohort.json``."""
         return self.content
 
+    def to_dataset(self) -> Dataset:
+        """Return mean absolute errors by subject, use and coordinate as an `xarray.Dataset`.
+
+        Raises
+        ------
+        InputError
+            If no subject is done.
+        """
+        from wrapjax.report.labelled_arrays import cohort_dataset
+
+        return cohort_dataset(self._done)
+
     def plot_errors(self) -> Figure:
         """Draw the mean absolute error (N m) of every subject by coordinate, and the median over subjects.
 
@@ -74,10 +87,15 @@ class Cohort:
         """
         from wrapjax.report.cohort_page import population_figure
 
-        done = [one for one in self.content["subjects"].values() if one["state"] == "done"]
+        return population_figure(list(self._done.values()))
+
+    @property
+    def _done(self) -> dict[str, dict[str, Any]]:
+        subjects = self.content["subjects"].items()
+        done = {name: one for name, one in subjects if one["state"] == "done"}
         if not done:
             raise InputError(Problem(str(self.folder), "no subject is done"))
-        return population_figure(done)
+        return done
 
     @property
     def complete(self) -> bool:

@@ -194,7 +194,7 @@ class MusclePaths:
         parameters: Float[np.ndarray, "wrap wrap_parameter"] | None = None,
     ) -> Dataset:
         """Return lengths and moment arms as an `xarray.Dataset`; arguments as for calling the object."""
-        from wrapjax.report.labelled_arrays import muscle_path_dataset
+        from wrapjax.report.labelled_geometry import muscle_path_dataset
 
         return muscle_path_dataset(self, np.asarray(poses, dtype=float), self(poses, parameters))
 

@@ -33,6 +33,7 @@ from wrapjax.subject.trials import Trials
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
     from wrapjax.report.fit_wraps import SampledPath
 
@@ -253,6 +254,12 @@ class Fit:
             "wraps_of": None if self.wraps is None else self.wraps.wraps_of,
             "thresholds": None if self.wraps is None else vars(self.wraps.thresholds),
         }
+
+    def to_dataset(self) -> Dataset:
+        """Return the errors by muscle, in m, as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_geometry import fit_dataset
+
+        return fit_dataset(self)
 
     def plot_errors(self) -> Figure:
         """Draw the errors of lengths and moment arms (mm) by muscle."""

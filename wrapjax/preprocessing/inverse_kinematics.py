@@ -105,7 +105,7 @@ class InverseKinematics:
 
     def to_dataset(self) -> Dataset:
         """Return coordinates and markers as an `xarray.Dataset`."""
-        from wrapjax.report.labelled_arrays import inverse_kinematics_dataset
+        from wrapjax.report.labelled_geometry import inverse_kinematics_dataset
 
         return inverse_kinematics_dataset(self)
 

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from wrapjax.calibration.initialisation import Initialisation
+    from wrapjax.calibration.uncertainty.intervals import Spread
     from wrapjax.comparison.samples import ComparedLeg
-    from wrapjax.path_sources.muscle_paths import MusclePaths, PathValues
-    from wrapjax.preprocessing.inverse_kinematics import InverseKinematics
 
 #: Axes, unit, meaning and values of a variable of a dataset.
 Column = tuple[tuple[str, ...], str, str, Any]
@@ -401,50 +400,40 @@ def initialisation_dataset(initialisation: Initialisation) -> Dataset:
     return labelled(columns, labels, {"passive_trial": origin}, attributes)
 
 
-def muscle_path_dataset(
-    paths: MusclePaths, poses: Float[np.ndarray, "pose coordinate"], values: PathValues
-) -> Dataset:
-    """Make a dataset of lengths and moment arms in poses (rad or m)."""
+def spread_dataset(spread: Spread, way: str) -> Dataset:
+    """Make a dataset of calibrated parameters, their standard deviations and 90 % intervals."""
+    axis, own = ("parameter",), "as stated in unit"
     columns: dict[str, Column] = {
-        "coordinate_value": (("pose", "coordinate"), "rad or m", "pose", poses),
-        "length": (("pose", "muscle"), "m", "length of muscle and tendon", values.length),
-        "moment_arm": (
-            ("pose", "coordinate", "muscle"),
-            "m (m/rad)",
-            "moment arm, the negative derivative of the length",
-            values.moment_arm,
-        ),
-        "touching": (("pose", "muscle"), "", "whether the muscle touches a wrap", values.touching),
+        "value": (axis, own, "calibrated value", spread.value),
+        "sd": (axis, own, "standard deviation", spread.deviation),
+        "low": (axis, own, "lower end of the 90 % interval", spread.low),
+        "high": (axis, own, "upper end of the 90 % interval", spread.high),
+        "prior_sd": (axis, own, "standard deviation without the moments", spread.prior_deviation),
+        "identified": (axis, "", "whether moments reduce it by a fifth or more", spread.identified),
     }
-    labels = {"pose": np.arange(len(poses)), "coordinate": paths.coordinates, "muscle": paths.muscles}
-    return labelled(columns, labels, {}, {"mode": paths.mode})
+    unit: Column = (axis, "", "unit of the parameter", list(spread.units))
+    return labelled(columns, {"parameter": spread.labels}, {"unit": unit}, {"way": way})
 
 
-def inverse_kinematics_dataset(result: InverseKinematics) -> Dataset:
-    """Make a dataset of a motion: coordinates (rad or m) and markers in ground (m)."""
-    place = ("marker", "frame", "axis")
-    columns: dict[str, Column] = {
-        "coordinate_value": (
-            ("coordinate", "frame"),
-            "rad or m",
-            "joint angle or displacement",
-            result.values,
-        ),
-        "model_marker": (place, "m", "position of the model's marker in ground", result.positions),
-        "measured_marker": (place, "m", "measured position in ground", result.measured),
-        "marker_distance": (("marker", "frame"), "m", "distance of both", result.distances),
+def cohort_dataset(subjects: Mapping[str, Mapping[str, Any]]) -> Dataset:
+    """Make a dataset of mean absolute errors (N m) of finished subjects; NaN where there is none.
+
+    Parameters
+    ----------
+    subjects
+        Entries of ``cohort.json`` by subject.
+    """
+    uses = ("calibration", "validation")
+    errors = {
+        (name, use): {key: value for key, value in (entry["mae_Nm"].get(use) or {}).items() if key != "mean"}
+        for name, entry in subjects.items()
+        for use in uses
     }
-    labels = {
-        "coordinate": result.coordinates,
-        "marker": result.markers,
-        "frame": np.arange(result.time.size),
-        "axis": ("x", "y", "z"),
-    }
-    of_coordinate, meaning = ("coordinate",), "whether the markers determine the coordinate"
-    coordinates: dict[str, Column] = {
-        "time": (("frame",), "s", "time in the recording", result.time),
-        "unit": (of_coordinate, "", "unit of the coordinate", np.where(result.rotational, "rad", "m")),
-        "determined": (of_coordinate, "", meaning, result.determined),
-        "weight": (("marker",), "1", "weight of the marker", result.weights),
-    }
-    return labelled(columns, labels, coordinates, {})
+    coordinates = tuple(dict.fromkeys(key for values in errors.values() for key in values))
+    table = [
+        [[errors[name, use].get(key, np.nan) for key in coordinates] for use in uses] for name in subjects
+    ]
+    axes, meaning = ("subject", "use", "coordinate"), "mean absolute error of the joint moments"
+    labels = {"subject": tuple(subjects), "use": uses, "coordinate": coordinates}
+    shape = (len(subjects), len(uses), len(coordinates))
+    return labelled({"mean_absolute_error": (axes, "N m", meaning, np.reshape(table, shape))}, labels, {}, {})

@@ -11,6 +11,7 @@ from wrapjax.report.labelled_arrays import MOMENT, Column, cycle_columns, labell
 if TYPE_CHECKING:
     from xarray import Dataset
 
+    from wrapjax.diagnosis.condition_contrast import DifferenceResult
     from wrapjax.diagnosis.protocol.result import ProtocolResult
     from wrapjax.diagnosis.result import DiagnosisResult
 
@@ -95,3 +96,42 @@ def protocol_dataset(result: ProtocolResult) -> Dataset:
     }
     weight: Column = (("effect",), "1", "how undecided the effect is", result.weights)
     return labelled(columns, labels, {"weight": weight}, {"name": result.name, "basis": result.basis})
+
+
+def difference_dataset(result: DifferenceResult) -> Dataset:
+    """Make a dataset of the difference of two conditions, and the evidence for effects of one of them."""
+    curve, contrast = ("speed", "coordinate", "phase"), result.contrast
+    columns: dict[str, Column] = {
+        "measured_difference": (
+            curve,
+            "N m",
+            "mean measured moment of the first condition less that of the second",
+            result.measured_difference,
+        ),
+        "residual_difference": (
+            curve,
+            "N m",
+            "mean residual of the first condition less that of the second",
+            contrast.difference,
+        ),
+        "explained": (curve, "N m", "contribution of the strongest effect", contrast.predicted),
+        "evidence": (
+            ("hypothesis",),
+            "nat",
+            "log Bayes factor of the effect in one condition alone",
+            [one.evidence for one in contrast.scores],
+        ),
+    }
+    places = [result.conditions[0 if one.first else 1] for one in contrast.directions]
+    labels = {
+        "speed": result.speeds,
+        "coordinate": result.coordinates,
+        "phase": np.arange(contrast.difference.shape[-1]),
+        "hypothesis": np.arange(len(contrast.scores)),
+    }
+    axis = ("hypothesis",)
+    coordinates: dict[str, Column] = {
+        "effect": (axis, "", "effect", [one.id for one in contrast.directions]),
+        "condition": (axis, "", "condition that has the effect", places),
+    }
+    return labelled(columns, labels, coordinates, {"outcome": result.outcome})

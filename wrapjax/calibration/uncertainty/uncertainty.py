@@ -30,6 +30,7 @@ from wrapjax.path_sources.model_inputs import recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 
 def randomized_refits(
@@ -122,6 +123,12 @@ class Uncertainty:
         from wrapjax.report.spread import describe_uncertainty
 
         return describe_uncertainty(self.calibration.result, self.spread)
+
+    def to_dataset(self) -> Dataset:
+        """Return the uncertainty of the parameters of the leg (the first of two) as an `xarray.Dataset`."""
+        from wrapjax.report.labelled_arrays import spread_dataset
+
+        return spread_dataset(self.spread.parameters, self.way)
 
     def plot_moments(self) -> Figure:
         """Draw measured and modelled moments (N m) with the 90 % band of the draws."""
