@@ -156,7 +156,7 @@ def standardised(
 
 
 def drift_functions(
-    times: Sequence[Float[np.ndarray, " frame"]], markers: int
+    times: Sequence[Float[np.ndarray, " _"]], markers: int
 ) -> Float[np.ndarray, "all_frames function"]:
     """Principal functions of the drift, each of one trial, scaled to independent standard normal amplitudes.
 

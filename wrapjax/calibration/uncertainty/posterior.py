@@ -192,7 +192,7 @@ class Posterior:
 
 
 def posterior(
-    problem: AbstractCalibration, state: LagrangianState, speeds: Sequence[Float[np.ndarray, " trial"]]
+    problem: AbstractCalibration, state: LagrangianState, speeds: Sequence[Float[np.ndarray, " _"]]
 ) -> Posterior:
     """Compute the posterior of a calibration about its solution.
 

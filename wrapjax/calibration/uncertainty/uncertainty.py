@@ -274,7 +274,7 @@ def uncertainty(
 
 def _problem(
     calibration: Calibration,
-) -> tuple[AbstractCalibration, list[Float[np.ndarray, " trial"]]]:
+) -> tuple[AbstractCalibration, list[Float[np.ndarray, " _"]]]:
     """Return the objective of the calibration, and the walking speeds of each leg's cycles."""
     problems = [leg.result.solution.problem for leg in calibration.legs]
     objectives = [problem for problem in problems if isinstance(problem, Objective)]
