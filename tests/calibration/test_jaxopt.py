@@ -53,8 +53,7 @@ def test_it_returns_to_the_optimum(problem, reference):
 )
 def test_solvers_without_bounds_reach_the_same_cost(problem, reference, method):
     """Through the substitution, from the start that the reference has."""
-    solver = constrained_solver(method) if isinstance(method, type) else JaxoptSolver(method=method)
-    found = solver.solve(problem, problem.start(problem.initial))
+    found = constrained_solver(method).solve(problem, problem.start(problem.initial))
     assert found.status.converged, found.status.value
     np.testing.assert_allclose(found.cost, reference.cost, rtol=1e-6)
     assert (found.variables >= problem.lower).all() and (found.variables <= problem.upper).all()

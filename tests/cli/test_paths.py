@@ -51,6 +51,20 @@ def test_tables_equal_opensim_and_the_library(odd_model, poses_file, tmp_path):
     assert again.status == 2 and "force" in again.progress
 
 
+def test_wrong_names_and_shapes_get_one_sentence(odd_model):
+    paths = muscle_paths(odd_model, muscles=["flexor"])
+    poses = np.zeros((3, len(paths.coordinates)))
+    with pytest.raises(ValueError, match="no muscle 'flexer': did you mean 'flexor'"):
+        paths.plot_modes(["flexer"], poses)
+    with pytest.raises(ValueError, match="no muscle"):
+        paths.plot_moved_wraps("flexer", poses[0], paths.nominal)
+    with pytest.raises(ValueError, match="expected 1 x 9 wrap parameters, found 1 x 5"):
+        paths.plot_moved_wraps("flexor", poses[0], paths.nominal[:, :5])
+    for compute in (paths, paths.posed, paths.to_dataset, lambda own: paths.plot_modes(["flexor"], own)):
+        with pytest.raises(ValueError, match="expected poses with"):
+            compute(poses[:, :-1])
+
+
 def test_paths_are_a_function_of_wrap_parameters(odd_model):
     """Derivatives by the parameters of a cylinder, and moment arms as derivatives of length."""
     paths = muscle_paths(odd_model, muscles=["flexor"])
@@ -66,7 +80,7 @@ def test_paths_are_a_function_of_wrap_parameters(odd_model):
     slope = (above.length - below.length) / (2.0 * step)
     np.testing.assert_allclose(found.moment_arm[:, -1], -slope, atol=1e-7)
     moved = paths.nominal
-    moved[0, paths.parameters.index("translation_x_m")] = 0.01
+    moved[0, paths.wrap_parameters.index("translation_x_m")] = 0.01
     (words,) = paths.plot_moved_wraps("flexor", poses[0], moved).subfigs[0].texts
     assert "condyles: moved 10.0 mm" in words.get_text()
     titles = [panel.get_title(loc="left") for panel in paths.plot_modes(["flexor"], poses).axes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
@@ -191,6 +191,7 @@ def calibrate(
     | AbstractBoundedSolver
     | optx.AbstractLeastSquaresSolver
     | optx.AbstractMinimiser
+    | Callable[..., Any]
     | None = None,
     starts: int = STARTS,
     seed: int = 0,
@@ -231,7 +232,7 @@ def calibrate(
         Solver with its tolerances: `AugmentedLagrangian`, with the defaults if not given, or one that it uses
         for problems within bounds: `AbstractBoundedSolver`, any least-squares solver or minimiser of
         optimistix, whose variables are substituted to stay within bounds (`OptimistixSolver`), or a class of
-        jaxopt (`JaxoptSolver`).
+        jaxopt, or a partial of it (`JaxoptSolver`).
     starts
         Number of starting points: the values of the model, then random ones. Several minima are common.
     seed

@@ -69,7 +69,7 @@ class Scores:
     compared: tuple[str, ...]
     distinguishability: Float[np.ndarray, "effect effect"]
     null: Null
-    of_single_cycles: tuple[str, ...] = ()
+    of_single_cycles: tuple[str, ...]
 
     @property
     def evidence(self) -> dict[str, float]:
@@ -141,7 +141,7 @@ def effect_signatures(
 
 
 def concerns_single_cycles(signatures: Float[np.ndarray, "parameter cycle coordinate phase"]) -> bool:
-    """Return whether each parameter changes one cycle alone, so that unseen cycles tell nothing of it."""
+    """Return whether each parameter changes one cycle alone, so that unseen cycles do not test it."""
     return bool((np.count_nonzero(signatures.any(axis=(2, 3)), axis=1) < 2).all())
 
 

@@ -95,7 +95,7 @@ def verify(
     linearized: LinearizedModel,
     localization: Localization,
     refits: Mapping[Ids, Refit],
-    of_single_cycles: Collection[str] = (),
+    of_single_cycles: Collection[str],
 ) -> Verification:
     """Compare refits with the baseline fit on held-out cycles.
 
@@ -132,17 +132,20 @@ def _verify(
     # With few validation cycles, the calibration cycles that were left out one by one count as well.
     enough = len(plan.counts) and validation.sum() >= 2 * len(plan.counts)
     counted = validation if enough else ~plan.new_speed
-    untested = Estimate.unknown("each effect size concerns one cycle alone, which no other cycle tells of")
+    if of_single_cycles:
+        reason = "each effect size concerns one cycle alone, and other cycles do not test it"
+        held_out_cycles = held_out_speed = Estimate.unknown(reason)
+        gains: tuple[float, ...] = ()
+    else:
+        held_out_cycles = shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted])
+        held_out_speed = _shrinkage_at_other_speed(data, baseline.fit, fit, floor)
+        gains = _gains(data, baseline, before - after)
     return VerifiedRefit(
         ids=refit.ids,
         predicted=fit.predicted,
-        held_out_cycles=untested
-        if of_single_cycles
-        else shrinkage(before[counted], after[counted], floor.of(counted), speeds[counted]),
-        held_out_speed=untested
-        if of_single_cycles
-        else _shrinkage_at_other_speed(data, baseline.fit, fit, floor),
-        gains=() if of_single_cycles else _gains(data, baseline, before - after),
+        held_out_cycles=held_out_cycles,
+        held_out_speed=held_out_speed,
+        gains=gains,
         speed_conflict=speed_conflict(fit, baseline.effect_size_weight),
         released=_released_parameters(data, baseline, linearized, fit),
     )

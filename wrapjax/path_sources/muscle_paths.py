@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.errors import InputError, Problem
+from wrapjax.errors import InputError, Problem, nearest_name
 from wrapjax.geometry.engine import GEODESIC, PARITY, ExactPaths, Wrapping
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.muscle_batches import MuscleBatch, muscle_batches
@@ -136,13 +136,13 @@ class MusclePaths:
         return tuple(dict.fromkeys(names))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
+    def wrap_parameters(self) -> tuple[str, ...]:
         """Names of the parameters of each wrap, with their units; a surface depends on some of them."""
         return PARAMETERS
 
     @property
     def nominal(self) -> Float[np.ndarray, "wrap wrap_parameter"]:
-        """Wrap parameters (`parameters`) as the model has them."""
+        """Wrap parameters (`wrap_parameters`) as the model has them."""
         return np.tile(NOMINAL_PARAMETERS, (len(self.wraps), 1))
 
     def posed(self, poses: Float[np.ndarray, "pose coordinate"]) -> PosedMuscles:
@@ -153,7 +153,7 @@ class MusclePaths:
         poses
             Values of `coordinates`, rad or m.
         """
-        found = self.engine.posed(np.asarray(poses, dtype=float))
+        found = self.engine.posed(self._checked(poses))
         wraps_of = {name: self.engine.wraps_of(name) for name in self.muscles}
         batches = muscle_batches(found, wraps_of, self.wraps)
         return PosedMuscles(batches, len(self.muscles), len(self.wraps), MODES[self.mode])
@@ -170,7 +170,7 @@ class MusclePaths:
         poses
             Values of `coordinates`, rad or m.
         parameters
-            Wrap parameters (`parameters`) of `wraps`; by default nominal.
+            Wrap parameters (`wrap_parameters`) of `wraps`; by default nominal.
 
         Returns
         -------
@@ -196,23 +196,30 @@ class MusclePaths:
         """Return lengths and moment arms as an `xarray.Dataset`; arguments as for calling the object."""
         from wrapjax.report.labelled_geometry import muscle_path_dataset
 
-        return muscle_path_dataset(self, np.asarray(poses, dtype=float), self(poses, parameters))
+        poses = self._checked(poses)
+        return muscle_path_dataset(self, poses, self(poses, parameters))
 
     def plot_modes(self, muscles: Sequence[str], poses: Float[np.ndarray, "pose coordinate"]) -> Figure:
-        """Draw lengths and moment arms over a movement by both modes, and their differences.
+        """Draw lengths and moment arms over a gait cycle by both modes, and their differences.
 
         Parameters
         ----------
         muscles
             Names of the muscles, a pair of rows each.
         poses
-            Evenly spaced values of `coordinates` over a movement, rad or m.
+            Evenly spaced values of `coordinates` over a gait cycle, rad or m.
+
+        Raises
+        ------
+        ValueError
+            If there is no such muscle, or poses are not those of `coordinates`.
         """
         from wrapjax.report.wrapping_modes import compare_wrapping_modes, wrapping_modes_figure
 
-        model = self.engine.model
+        self._check_muscles(muscles)
+        poses, model = self._checked(poses), self.engine.model
         return wrapping_modes_figure(
-            [compare_wrapping_modes(model, name, self.coordinates, np.asarray(poses)) for name in muscles]
+            [compare_wrapping_modes(model, name, self.coordinates, poses) for name in muscles]
         )
 
     def plot_moved_wraps(
@@ -229,14 +236,41 @@ class MusclePaths:
             Name of the muscle.
         pose, parameters
             As for calling the object.
+
+        Raises
+        ------
+        ValueError
+            If there is no such muscle, or the pose or the parameters have another shape.
         """
         from wrapjax.report.moved_paths import path_round_moved_wraps
         from wrapjax.report.path_views import path_view_figure
 
+        self._check_muscles([muscle])
+        (pose,) = self._checked(np.asarray(pose)[None])
+        if np.shape(parameters) != self.nominal.shape:
+            raise ValueError(
+                f"expected {len(self.wraps)} x {len(PARAMETERS)} wrap parameters, "
+                f"found {' x '.join(map(str, np.shape(parameters)))}"
+            )
         own = np.asarray(parameters)[[self.wraps.index(wrap) for wrap in self.engine.wraps_of(muscle)]]
         return path_view_figure(
             [path_round_moved_wraps(self.engine.model, muscle, self.coordinates, pose, own)]
         )
+
+    def _check_muscles(self, names: Sequence[str]) -> None:
+        for name in names:
+            if name not in self.muscles:
+                raise ValueError(f"there is no muscle '{name}': {nearest_name(name, self.muscles)}")
+
+    def _checked(self, poses: Float[np.ndarray, "pose _"]) -> Float[np.ndarray, "pose coordinate"]:
+        """Return poses in double precision, if they have a column for each coordinate."""
+        poses = np.asarray(poses, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] != len(self.coordinates):
+            raise ValueError(
+                f"expected poses with {len(self.coordinates)} columns ({', '.join(self.coordinates)}), "
+                f"found shape {poses.shape}"
+            )
+        return poses
 
     def moment_arm_slopes(
         self,

@@ -1,4 +1,4 @@
-"""Findings of a diagnosis as sentences, which state what explains the error best and not what caused it."""
+"""Findings of a diagnosis in words: what explains the error best, and not what caused it."""
 
 from __future__ import annotations
 
@@ -308,7 +308,7 @@ def _sentence(phrase: str) -> str:
 
 
 def diagnosis_text(result: DiagnosisResult) -> str:
-    """Format a diagnosis: outcome, most probable effects, errors, advice and untestable effects."""
+    """Write what the command prints: outcome, most probable effects, errors, advice, untestable effects."""
     lines = [textwrap.fill(sentence, _WIDTH) for sentence in diagnosis_findings(result)]
     if rows := gate_rows(result):
         lines += ["", *(f"{name:10s}{passed:8s}{figure}" for name, _, figure, passed in rows)]

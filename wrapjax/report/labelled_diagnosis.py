@@ -83,7 +83,7 @@ def protocol_dataset(result: ProtocolResult) -> Dataset:
         "apart": (
             (*by_effect, "other"),
             "1",
-            "squared distance of an effect from none where another is allowed for, in variances",
+            "squared Mahalanobis distance of an effect from none, another one allowed for",
             [one.apart for one in steps],
         ),
         "information": (("step",), "nat", "information on what is undecided that the step adds", added),

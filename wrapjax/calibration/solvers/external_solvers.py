@@ -233,7 +233,7 @@ class JaxoptSolver(_ExternalSolver):
     @property
     def name(self) -> str:
         """Name of the class in jaxopt."""
-        method = self.method.func if isinstance(self.method, partial) else self.method
+        method = _class_of(self.method)
         return "LBFGSB" if method is None else getattr(method, "__name__", repr(method))
 
     def solver_of(self, problem: AbstractLeastSquares) -> tuple[Any, dict[str, Any]]:
@@ -298,7 +298,8 @@ def constrained_solver(
     ----------
     solver
         Solver with limits, which is returned as it is; solver with bounds; solver of optimistix without
-        either; class of jaxopt; None for `AugmentedLagrangian` with the defaults.
+        either; class of jaxopt, or a `functools.partial` of it; None for the defaults of
+        `AugmentedLagrangian`.
 
     Raises
     ------
@@ -309,7 +310,7 @@ def constrained_solver(
         return AugmentedLagrangian()
     if isinstance(solver, optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser):
         solver = OptimistixSolver(solver=solver)
-    elif isinstance(solver, type) and solver.__module__.startswith("jaxopt"):
+    elif callable(solver) and getattr(_class_of(solver), "__module__", "").startswith("jaxopt"):
         solver = JaxoptSolver(method=solver)
     if isinstance(solver, AbstractBoundedSolver):
         return AugmentedLagrangian(solver)
@@ -319,6 +320,11 @@ def constrained_solver(
             f"minimiser of optimistix, or a class of jaxopt, not {type(solver).__name__}"
         )
     return solver
+
+
+def _class_of(method: Any) -> Any:
+    """Return what a partial is made of, and anything else as it is."""
+    return method.func if isinstance(method, partial) else method
 
 
 def _inside(

@@ -1,4 +1,4 @@
-"""The catalogue of effects, and which of them a subject's recording can show."""
+"""The catalogue of effects and their families, and which effects a subject's recording can show."""
 
 from __future__ import annotations
 
