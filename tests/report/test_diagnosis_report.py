@@ -284,6 +284,15 @@ def test_order_of_sections(written, subject):
     ]
 
 
+def test_a_decrease_at_one_coordinate_alone_is_not_stated():
+    """The named effect lowers the error of the first coordinate, but not the mean over coordinates."""
+    result = named()
+    plain = np.array(result.measured)
+    plain[:, 0] += 1.01 * np.abs(result.refits[0].predicted - result.measured)[:, 0].max()
+    said = " ".join(diagnosis_findings(replace(result, plain=plain)))
+    assert "explained" in said and "decreases most" not in said
+
+
 def test_findings_of_each_outcome():
     said = {outcome: " ".join(diagnosis_findings(make())) for outcome, make in OUTCOME_MAKERS.items()}
     assert said["named"].startswith(

@@ -287,11 +287,11 @@ def _share_range(estimates: Sequence[Estimate]) -> str:
 
 
 def _error_findings(result: DiagnosisResult) -> list[str]:
-    """Write at which coordinate the mean absolute error decreases most."""
+    """Write at which coordinate the mean absolute error decreases most, if it does so on average."""
     errors = mean_absolute_errors(result)
     decreases = {name: errors["before"][name] - errors["after"][name] for name in result.coordinates}
     most = max(decreases, key=lambda name: decreases[name])
-    if not decreases[most] > 0.0 or not reported_refits(result):
+    if not errors["after"]["mean"] < errors["before"]["mean"] or not reported_refits(result):
         return []
     effect = "" if result.outcome == "named" else f" with {effect_names(reported_refits(result)[0].ids)}"
     return [
