@@ -17,7 +17,6 @@ from wrapjax.diagnosis.null_covariance import (
     muscle_covariance,
     repeatable_covariance,
 )
-from wrapjax.diagnosis.protocol.covariance import measured_rows, protocol_covariance
 from wrapjax.diagnosis.protocol.detectability import Detection
 from wrapjax.diagnosis.protocol.inputs import input_of_calibration
 from wrapjax.diagnosis.protocol.protocol import (
@@ -29,6 +28,7 @@ from wrapjax.diagnosis.protocol.protocol import (
 )
 from wrapjax.diagnosis.protocol.result import AdvisedTrial
 from wrapjax.diagnosis.protocol.trials import candidate_trials
+from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance, measured_rows
 from wrapjax.errors import InputError
 from wrapjax.subject.model_alone import subject_of_model
 
@@ -81,7 +81,7 @@ def test_covariance_of_recorded_cycles_is_that_of_the_score_test(data):
     coordinates = np.arange(data.measured.shape[1])
     linearized = data.linearized.restricted(recorded, coordinates)
     own = rows < linearized.residual.size
-    found = protocol_covariance(data, rows)[np.ix_(own, own)]
+    found = TaskCovariance.of(data, rows)(ErrorSizes())[np.ix_(own, own)]
     expected = (
         fixed_covariance(linearized)
         + EXPECTED_FORCE_ERROR**2 * muscle_covariance(linearized.muscle_errors)

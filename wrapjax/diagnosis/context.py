@@ -285,3 +285,21 @@ def _selected_change(
     change: MeasuredChange, keep: Int[Array, " trial"], effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
     return change(effect_sizes)[keep]
+
+
+def padded_derivatives(derivatives: PathState, after: int) -> PathState:
+    """Append cycles whose paths do not change; leaves lead with ``muscle parameter trial``."""
+    return jax.tree.map(
+        lambda leaf: jnp.concatenate(
+            [jnp.asarray(leaf), jnp.zeros((*leaf.shape[:2], after, *leaf.shape[3:]))], axis=2
+        ),
+        derivatives,
+    )
+
+
+def unchanged_after(
+    change: MeasuredChange, after: int, effect_sizes: Float[Array, " parameter"]
+) -> Float[Array, "trial coordinate frame"]:
+    """Append cycles whose measured moments an effect does not change, N m."""
+    changed = change(effect_sizes)
+    return jnp.concatenate([changed, jnp.zeros((after, *changed.shape[1:]))])

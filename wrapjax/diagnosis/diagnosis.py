@@ -14,6 +14,7 @@ from wrapjax.calibration.calibration import STARTS, Calibration, cached_calibrat
 from wrapjax.calibration.calibration_result import CalibrationResult
 from wrapjax.calibration.objective import Objective
 from wrapjax.calibration.path_penalties import PATH_PENALTIES
+from wrapjax.calibration.problem import fit_for_methods
 from wrapjax.calibration.solvers.interface import Status
 from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.baseline import starts_agree
@@ -22,6 +23,7 @@ from wrapjax.diagnosis.effects.catalogue import catalogue, refuse_unknown
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.localization import ErrorBudget
 from wrapjax.diagnosis.muscle_law import fit_muscle_law
+from wrapjax.diagnosis.other_tasks import OtherTasks, other_tasks
 from wrapjax.diagnosis.pipeline import CatalogueIndependent, run_diagnosis
 from wrapjax.diagnosis.result import DiagnosisResult
 from wrapjax.diagnosis.subject_context import build_context
@@ -57,12 +59,15 @@ class Diagnosis:
         Input of the diagnosis.
     independent
         Part of the computation that does not depend on the catalogue; None with too few cycles.
+    other_tasks
+        Recorded tasks other than gait; None if there are none.
     """
 
     calibration: Calibration
     result: DiagnosisResult
     data: DiagnosisInput = field(repr=False)
     independent: CatalogueIndependent | None = field(repr=False)
+    other_tasks: OtherTasks | None = field(default=None, repr=False)
 
     @property
     def subject(self) -> Subject:
@@ -148,9 +153,10 @@ class Diagnosis:
             constants=constants or DecisionConstants.shipped(),
             null_replicates=NULL_REPLICATES,
             known=self.independent,
+            other_tasks=self.other_tasks,
             log=log,
         )
-        return Diagnosis(self.calibration, result, data, independent)
+        return Diagnosis(self.calibration, result, data, independent, self.other_tasks)
 
     def save(self, folder: str | Path, *, force: bool = False, note: str = "", motion: bool = False) -> None:
         """Write ``gap.json``, ``moments/`` and ``report.html``, which has the note at its top.
@@ -190,7 +196,8 @@ def diagnose(
     Parameters
     ----------
     subject
-        Subject from `load_subject`. The other leg and trials of other tasks than gait are not used.
+        Subject from `load_subject`; the other leg is not used. The model is calibrated to gait. Passive,
+        isometric and isokinetic trials add evidence for effects (`wrapjax.diagnosis.other_tasks`).
     method, fit
         See `calibrate`; paths are held as the calibration leaves them.
     without
@@ -219,7 +226,10 @@ def diagnose(
     """
     refuse_unknown(without)
     began = time.perf_counter()
-    one_leg = replace(with_gait_alone(subject, "a diagnosis"), other_leg=None)
+    one_leg = replace(with_gait_alone(subject, "the calibration of a diagnosis"), other_leg=None)
+    if one_leg.notes != subject.notes and fit is None:
+        # The polynomials have to hold over the angles of all tasks.
+        fit = fit_for_methods((method,), subject)
     while True:
         calibration = cached_calibration(one_leg, method, fit, starts=starts, seed=seed, callback=callback)
         if calibration.status is Status.interrupted:
@@ -237,6 +247,7 @@ def diagnose(
         constants=constants,
         log=log,
         seconds={"calibration": calibrated},
+        all_tasks=subject,
     )
 
 
@@ -249,8 +260,21 @@ def diagnose_calibrated(
     constants: DecisionConstants | None = None,
     log: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
+    all_tasks: Subject | None = None,
 ) -> Diagnosis:
     """Diagnose the remaining error of a calibrated model of one leg; see `diagnose`.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of one leg to gait.
+    without, seed, null_replicates, constants, log
+        See `diagnose`.
+    seconds
+        Time that earlier steps took, s.
+    all_tasks
+        The same leg with its tasks other than gait, whose muscle paths the calibration's fit covers; None to
+        use gait alone.
 
     Raises
     ------
@@ -263,15 +287,17 @@ def diagnose_calibrated(
         raise InputError(Problem(where, message, hint='calibrate with tendon="rigid"'))
     began = time.perf_counter()
     data = diagnosis_input(calibration, without)
+    tasks = None if all_tasks is None else other_tasks(calibration, data, all_tasks)
     result, independent = run_diagnosis(
         data,
         constants=constants or DecisionConstants.shipped(),
         null_replicates=null_replicates,
         seed=seed,
+        other_tasks=tasks,
         log=log,
         seconds=dict(seconds or {}, context=time.perf_counter() - began),
     )
-    return Diagnosis(calibration, result, data, independent)
+    return Diagnosis(calibration, result, data, independent, tasks)
 
 
 def diagnosis_input(calibration: Calibration, without: Sequence[str] = ()) -> DiagnosisInput:

@@ -246,7 +246,11 @@ def examine(
         adequate,
         plausibility(claim.sizes),
         stability(
-            part_scores(linearized, recorded.measured_moment_sd), claim.any_of, scores.detection_threshold
+            with_other_tasks(
+                part_scores(linearized, recorded.measured_moment_sd), scores.added_by_other_tasks
+            ),
+            claim.any_of,
+            scores.detection_threshold,
         ),
         specificity(model, linearized, recorded, signatures),
     )
@@ -318,6 +322,16 @@ def part_scores(
     return {
         name: score_part(linearized.restricted(cycles, coordinates), measured_moment_sd[coordinates])
         for name, (cycles, coordinates) in recording_parts(linearized).items()
+    }
+
+
+def with_other_tasks(
+    parts: Mapping[str, Sequence[Score]], added: Mapping[str, float]
+) -> dict[str, tuple[Score, ...]]:
+    """Add the evidence of other tasks to that of each part of the gait; these tasks are not divided."""
+    return {
+        name: tuple(replace(one, evidence=one.evidence + added.get(one.id, 0.0)) for one in scores)
+        for name, scores in parts.items()
     }
 
 

@@ -24,6 +24,7 @@ from wrapjax.diagnosis.law_evidence import law_evidence
 from wrapjax.diagnosis.linearization import linearize
 from wrapjax.diagnosis.localization import localize
 from wrapjax.diagnosis.null_replicates import NullModel, null_replicate_residuals
+from wrapjax.diagnosis.other_tasks import OtherTasks, task_evidence
 from wrapjax.diagnosis.refit import Ids, Refit, effects_to_refit, refit
 from wrapjax.diagnosis.result import DiagnosisResult, diagnosis_result, result_without_diagnosis
 from wrapjax.diagnosis.score import score
@@ -57,6 +58,7 @@ def run_diagnosis(
     null_replicates: int,
     seed: int = 0,
     known: CatalogueIndependent | None = None,
+    other_tasks: OtherTasks | None = None,
     log: Callable[[str], None] = lambda line: None,
     seconds: dict[str, float] | None = None,
 ) -> tuple[DiagnosisResult, CatalogueIndependent | None]:
@@ -72,6 +74,8 @@ def run_diagnosis(
         Number of null replicates, and seed of their simulation.
     known
         Results of an earlier diagnosis of this subject with another catalogue; its null replicates are used.
+    other_tasks
+        Recorded tasks other than gait; None if there are none.
     log
         Function called with a line at each step.
     seconds
@@ -122,6 +126,10 @@ def run_diagnosis(
             linearized, data.measured_moment_sd, null_residuals, constants.least_detection_threshold
         )
         laws = law_evidence(data.law, baseline.variables, linearized, scores.null.covariance)
+    of_tasks = None
+    if other_tasks is not None:
+        with watch.during("other_tasks", "scoring effects on other tasks"):
+            of_tasks, scores = task_evidence(data, other_tasks, linearized, baseline.variables, scores)
     singles = effects_to_refit(scores)
     names = ", ".join(id for ids in singles for id in ids) or "no effect"
     with watch.during("refits", f"fitting {names} with all calibrated parameters"):
@@ -154,6 +162,7 @@ def run_diagnosis(
         verification=verification,
         decision=decision,
         law_evidence=laws,
+        other_tasks=of_tasks,
         seconds=watch.seconds,
     )
     return result, CatalogueIndependent(baseline, null_residuals)

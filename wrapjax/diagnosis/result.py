@@ -21,6 +21,7 @@ from wrapjax.diagnosis.joint_fit import effect_size_covariance
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, MuscleShare
 from wrapjax.diagnosis.noise_floor import Estimate
+from wrapjax.diagnosis.other_tasks import TaskEvidence
 from wrapjax.diagnosis.refit import Ids, Refit
 from wrapjax.diagnosis.score import Scores
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY, Score
@@ -122,6 +123,8 @@ class DiagnosisResult:
         Parameters of the muscle law of the person, by name; and evidence for published laws against it, nats.
     undriven_capacity
         Share of the moment capacity of muscles without EMG, by coordinate.
+    other_tasks
+        What tasks other than gait added to the evidence; None if there are none.
     """
 
     outcome: str
@@ -164,6 +167,7 @@ class DiagnosisResult:
     muscle_law: dict[str, float] = field(default_factory=dict)
     law_evidence: dict[str, float] = field(default_factory=dict)
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
+    other_tasks: TaskEvidence | None = None
 
 
 def result_without_diagnosis(
@@ -252,6 +256,7 @@ def diagnosis_result(
     decision: Decision,
     law_evidence: dict[str, float],
     seconds: dict[str, float],
+    other_tasks: TaskEvidence | None = None,
 ) -> DiagnosisResult:
     """Assemble the result of a diagnosis from the results of all steps.
 
@@ -267,6 +272,8 @@ def diagnosis_result(
         Evidence for published muscle laws, nats.
     seconds
         Time of each step, s.
+    other_tasks
+        What tasks other than gait added to the evidence.
     """
     probability = decision.probabilities
     assert probability is not None
@@ -311,6 +318,7 @@ def diagnosis_result(
         credible_families=decision.credible_families,
         best_partial=decision.best_partial,
         gates=decision.gates,
+        other_tasks=other_tasks,
     )
 
 

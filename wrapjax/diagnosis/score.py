@@ -9,7 +9,7 @@ an earlier effect that a later one has made unnecessary.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -60,6 +60,8 @@ class Scores:
         Most plausible null hypothesis without any effect.
     of_single_cycles
         Effects each of whose parameters changes one cycle alone; see `concerns_single_cycles`.
+    added_by_other_tasks
+        Part of the evidence that tasks other than gait added, by effect; see `wrapjax.diagnosis.other_tasks`.
     """
 
     by_id: dict[str, Score]
@@ -70,6 +72,7 @@ class Scores:
     distinguishability: Float[np.ndarray, "effect effect"]
     null: Null
     of_single_cycles: tuple[str, ...]
+    added_by_other_tasks: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def evidence(self) -> dict[str, float]:

@@ -113,7 +113,9 @@ _ATTACHMENT_SD = 0.005
 _INDEPENDENT = "inverse dynamics about these coordinates do not depend on it"
 
 
-def build_context(calibration: Calibration) -> tuple[Recording, Context]:
+def build_context(
+    calibration: Calibration, recorded_gait: tuple[RecordedGait | None, str] | None = None
+) -> tuple[Recording, Context]:
     """Build the context of a calibrated subject, over all its cycles, those for validation included.
 
     Paths are fixed at their calibrated values. What cannot be computed (wraps that the exact engine does not
@@ -123,6 +125,9 @@ def build_context(calibration: Calibration) -> tuple[Recording, Context]:
     ----------
     calibration
         Calibration of one leg.
+    recorded_gait
+        Recorded gait from which inverse dynamics are computed, or None and the reason why there is none; read
+        from the subject's files if not given.
 
     Returns
     -------
@@ -140,7 +145,7 @@ def build_context(calibration: Calibration) -> tuple[Recording, Context]:
     engine = _build_engine(subject)
     by_angle = paths_by_angle(fit, subject)
     undriven_muscles, no_undriven_muscles = build_undriven_muscles(subject, result.curves)
-    gait, no_measured_changes = read_recorded_gait(subject)
+    gait, no_measured_changes = recorded_gait or read_recorded_gait(subject)
     measured_changes = {} if gait is None else compute_measured_changes(gait)
     path_changes = (
         {}

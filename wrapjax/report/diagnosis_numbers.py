@@ -148,7 +148,8 @@ def describe_diagnosis(subject: Subject, result: DiagnosisResult) -> dict[str, A
             _no_effect("none", result.none_probability),
             _no_effect("unknown", result.unknown_probability),
         ],
-        "where": error_locations(result),
+        "where": [*error_locations(result), *task_locations(result)],
+        "other_tasks": _other_tasks(result),
         "explainable_share": _estimate(result.explainable_share),
         "shrinkage": _shrinkage(result),
         "mae_Nm": mean_absolute_errors(result),
@@ -241,6 +242,50 @@ def error_locations(result: DiagnosisResult) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def task_locations(result: DiagnosisResult) -> list[dict[str, Any]]:
+    """List the worst window of each recording of another task by joint angle and time, largest error first.
+
+    The parts of its error are unknown, as the movement was recorded once.
+    """
+    errors = () if result.other_tasks is None else result.other_tasks.errors
+    return [
+        {
+            "coordinate": one.coordinate,
+            "recording": one.recording,
+            "task": one.task,
+            "angle_deg": list(one.angle),
+            "time_s": list(one.time),
+            "speed_m_s": None,
+            "rms_Nm": one.worst_rms,
+            "explainable_rms_Nm": None,
+            "share_of_gap": None,
+        }
+        for one in sorted(errors, key=lambda one: -one.worst_rms)
+    ]
+
+
+def _other_tasks(result: DiagnosisResult) -> dict[str, Any] | None:
+    """Describe what tasks other than gait added to the evidence; null if there are none."""
+    found = result.other_tasks
+    if found is None:
+        return None
+    return {
+        "added_nats": found.added,
+        "noise_factor": found.noise_factor,
+        "errors": [
+            {
+                "recording": one.recording,
+                "task": one.task,
+                "coordinate": one.coordinate,
+                "windows": one.windows,
+                "rms_Nm": one.rms,
+            }
+            for one in found.errors
+        ],
+        "not_used": found.not_used,
+    }
 
 
 def moment_table(result: DiagnosisResult, recording: str) -> Storage:

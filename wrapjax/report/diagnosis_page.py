@@ -17,6 +17,7 @@ from wrapjax.report.diagnosis_effects import evidence_section, signature_section
 from wrapjax.report.diagnosis_location import location_section, muscles_section, parts_section
 from wrapjax.report.diagnosis_numbers import describe_diagnosis, moment_table
 from wrapjax.report.diagnosis_shrinkage import released_section, shrinkage_section
+from wrapjax.report.diagnosis_tasks import other_tasks_section
 from wrapjax.report.diagnosis_words import INCONCLUSIVE, diagnosis_findings, gate_rows, untested_findings
 from wrapjax.report.formatting import DASH, counted, decimals, leg_name, p_value, readable
 from wrapjax.report.model_view.page import write_beside_report
@@ -149,6 +150,7 @@ def render_diagnosis(subject: Subject, result: DiagnosisResult, note: str = "", 
             _verdict_section(subject, result),
             _gates_section(result),
             evidence_section(result),
+            other_tasks_section(result),
             shrinkage_section(result),
             released_section(result),
             ties_section(result),

@@ -21,6 +21,8 @@ from wrapjax.report.formatting import counted, readable
 
 #: Probability below which an effect is not shown as an explanation.
 LEAST_SHOWN = 0.005
+#: Evidence (nats) from which what other tasks add is told.
+LEAST_ADDED = 1.0
 #: Outcomes without a conclusion on effects.
 INCONCLUSIVE = ("insufficient_data", "not_converged")
 # Width of the text, and number of effects that it lists.
@@ -41,6 +43,7 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
     sentences = [first, *reason, *_meanings(result)]
     if not _refits_are_untestable(result):
         sentences += [*_shrinkage_findings(result), *_error_findings(result)]
+    sentences += _other_tasks_findings(result)
     if false_positives := positive_controls(result):
         names = effect_list(effect.id for effect in false_positives)
         sentences.append(
@@ -243,6 +246,21 @@ def effect_meaning(id: str) -> str:
 def _meanings(result: DiagnosisResult) -> list[str]:
     ids = dict.fromkeys([*result.named, *(id for tie in result.ties for id in tie)])
     return [effect_meaning(id) for id in ids]
+
+
+def _other_tasks_findings(result: DiagnosisResult) -> list[str]:
+    """Write which effect tasks other than gait speak for most, and which against."""
+    found = result.other_tasks
+    if found is None or not found.added:
+        return []
+    names = ", ".join(dict.fromkeys(one.recording for one in found.errors))
+    least, most = (choose(found.added, key=lambda id: found.added[id]) for choose in (min, max))
+    told = [
+        f"{abs(found.added[id]):.1f} nats {word} {readable(id)}"
+        for id, word in ((most, "for"), (least, "against"))
+        if (found.added[id] >= LEAST_ADDED if word == "for" else found.added[id] <= -LEAST_ADDED)
+    ]
+    return [f"Trials of other tasks ({names}) add {' and '.join(told) or 'no evidence to that of gait'}."]
 
 
 def _shrinkage_findings(result: DiagnosisResult) -> list[str]:

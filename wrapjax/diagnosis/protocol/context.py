@@ -12,7 +12,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import Context, MeasuredChange, PathChanges
+from wrapjax.diagnosis.context import Context, PathChanges, padded_derivatives, unchanged_after
 from wrapjax.diagnosis.protocol.paths import (
     CandidatePostures,
     by_angles_through_length,
@@ -303,11 +303,11 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
         wraps=_joined_changes([one.wraps for one in contexts]),
         attachments=_joined_changes([one.attachments for one in contexts]),
         path_changes={
-            id: {label: _padded(derivatives, after) for label, derivatives in variants.items()}
+            id: {label: padded_derivatives(derivatives, after) for label, derivatives in variants.items()}
             for id, variants in first.path_changes.items()
         },
         measured_changes={
-            id: {label: Partial(_unchanged_after, change, after) for label, change in variants.items()}
+            id: {label: Partial(unchanged_after, change, after) for label, change in variants.items()}
             for id, variants in first.measured_changes.items()
         },
         all_cycles=None,
@@ -325,20 +325,3 @@ def _joined_changes(parts: Sequence[PathChanges | None]) -> PathChanges | None:
 
 def _changed_together(parts, changes: Float[Array, "muscle mode"]) -> PathState:
     return joined_paths([paths(changes) for paths in parts])
-
-
-def _padded(derivatives: PathState, after: int) -> PathState:
-    """Append cycles whose paths do not change; leaves lead with ``muscle parameter trial``."""
-    return jax.tree.map(
-        lambda leaf: jnp.concatenate(
-            [jnp.asarray(leaf), jnp.zeros((*leaf.shape[:2], after, *leaf.shape[3:]))], axis=2
-        ),
-        derivatives,
-    )
-
-
-def _unchanged_after(
-    change: MeasuredChange, after: int, effect_sizes: Float[Array, " parameter"]
-) -> Float[Array, "trial coordinate frame"]:
-    changed = change(effect_sizes)
-    return jnp.concatenate([changed, jnp.zeros((after, *changed.shape[1:]))])

@@ -21,6 +21,7 @@ from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
 from wrapjax.diagnosis.priors import with_published_priors
 from wrapjax.diagnosis.protocol.context import Leg, at_other_speed, candidate_context, joined
 from wrapjax.diagnosis.protocol.trials import CandidateTrial, candidate_trials
+from wrapjax.diagnosis.task_covariance import LinearizedTasks
 from wrapjax.geometry.engine import ExactPaths
 from wrapjax.geometry.paths import AbstractPath
 from wrapjax.model.forward import Recording, joint_moments
@@ -44,39 +45,24 @@ _SPEEDS = {"gait_faster": (1.3, 1.2, "faster"), "gait_slower": (0.7, 0.8, "slowe
 
 
 @dataclass(frozen=True)
-class ProtocolInput:
+class ProtocolInput(LinearizedTasks):
     """Linearised model over recorded cycles and candidate trials.
 
     Parameters
     ----------
-    linearized
-        Linearised model; its noise is that of the recorded gait, or the expected one.
     trials
         Candidate trials.
     recorded
         Whether each cycle was recorded.
     trial
         Number of the candidate trial of each cycle; -1 of recorded ones.
-    groups
-        Number of the group of each cycle; cycles of one group repeat each other.
-    gait
-        Whether each cycle is one of gait.
-    measured
-        Coordinates of each cycle whose moments are measured.
-    moment_size
-        Size of the moments of each cycle and coordinate, N m, relative to which smooth errors are.
     negative_controls
         Identifiers of effects that cannot be present.
     """
 
-    linearized: LinearizedModel
     trials: tuple[CandidateTrial, ...]
     recorded: Bool[np.ndarray, " cycle"]
     trial: Int[np.ndarray, " cycle"]
-    groups: Int[np.ndarray, " cycle"]
-    gait: Bool[np.ndarray, " cycle"]
-    measured: Bool[np.ndarray, "cycle coordinate"]
-    moment_size: Float[np.ndarray, "cycle coordinate"]
     negative_controls: tuple[str, ...]
 
 

@@ -18,12 +18,12 @@ from wrapjax.calibration.solvers.multistart import IterationCallback
 from wrapjax.diagnosis.decision import TIE_DISTANCE
 from wrapjax.diagnosis.effects.catalogue import refuse_unknown
 from wrapjax.diagnosis.linearization import Candidate
-from wrapjax.diagnosis.protocol.covariance import measured_rows, protocol_covariance
 from wrapjax.diagnosis.protocol.detectability import Design, Detection, detection, information_gain
 from wrapjax.diagnosis.protocol.inputs import ProtocolInput, input_of_calibration, input_of_model
 from wrapjax.diagnosis.protocol.result import AdvisedTrial, ProtocolResult
 from wrapjax.diagnosis.protocol.trials import CandidateTrial
 from wrapjax.diagnosis.score_test import MIN_DETECTABILITY
+from wrapjax.diagnosis.task_covariance import ErrorSizes, TaskCovariance, measured_rows
 from wrapjax.errors import InputError, Problem
 from wrapjax.path_sources.exact import ExactGeometry
 from wrapjax.path_sources.polynomial_fit import Fit
@@ -303,5 +303,5 @@ def _split(
 def _design(data: ProtocolInput, candidates: Sequence[Candidate]) -> tuple[Design, Int[np.ndarray, " row"]]:
     """Build the design over the rows that are measured, and the trial of each; -1 of recorded rows."""
     rows = measured_rows(data)
-    design = Design.of_effects(candidates, protocol_covariance(data, rows), rows)
+    design = Design.of_effects(candidates, TaskCovariance.of(data, rows)(ErrorSizes()), rows)
     return design, np.repeat(data.trial, data.linearized.residual[0].size)[rows]

@@ -110,7 +110,8 @@ def shown_diagnosis(folder: Path, subject: Subject | None) -> Shown:
     file = folder / "gap.json"
     try:
         content = load_json(file)
-        where, trials, outcome = content["where"], content["trials"], _outcome(content)
+        where = [entry for entry in content["where"] if "phase_percent" in entry]
+        trials, outcome = content["trials"], _outcome(content)
         subject = subject_of(folder, "gap.json", subject)
         missing = [name for name in trials if name not in subject.trials.names]
         if missing:

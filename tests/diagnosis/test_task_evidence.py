@@ -1,0 +1,160 @@
+"""Defends: passive and isometric trials add evidence for effects that they show, and none for others."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from tests.subject.task_folders import write_mixed_subject
+from wrapjax.calibration.calibration import calibrate
+from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
+from wrapjax.diagnosis.effects.catalogue import CATALOGUE
+from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.linearization import linearize
+from wrapjax.diagnosis.other_tasks import MOST_WINDOWS, chosen_windows, other_tasks, task_evidence
+from wrapjax.diagnosis.prediction import predicted_moments
+from wrapjax.diagnosis.score import score
+from wrapjax.path_sources.path_fitting import fit
+from wrapjax.subject.gait_alone import with_gait_alone
+from wrapjax.subject.subject import load_subject
+
+KEPT = {"joint_damping", "emg_drift", "curve_family"}
+WITHOUT = sorted(set(CATALOGUE) - KEPT)
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory):
+    """Seven cycles of walking, six of them for calibration, a passive rotation of the knee, and a squat."""
+    subject = load_subject(write_mixed_subject(tmp_path_factory.mktemp("subjects") / "mixed"))
+    generator = np.random.default_rng(0)
+    gait = np.flatnonzero(subject.trials.is_gait)
+    others = np.flatnonzero(~subject.trials.is_gait)
+    trials = subject.trials.select(np.concatenate([np.resize(gait, 7), others]))
+    count = len(others)
+    phase = np.linspace(0.0, 2.0 * np.pi, trials.moments.shape[-1])
+    waves = np.stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
+    noise = np.zeros(trials.moments.shape)
+    noise[:7] = generator.normal(size=(*noise[:7].shape[:2], 3)) @ waves
+    later = np.concatenate([10.0 * np.arange(7), np.zeros(count)])[:, None]
+    trials = dataclasses.replace(
+        trials,
+        names=(*(f"walk/{number:02d}" for number in range(7)), *trials.names[7:]),
+        recordings=(*("walk",) * 7, *trials.recordings[7:]),
+        uses=(*("calibration",) * 6, "validation", *trials.uses[7:]),
+        speeds=np.concatenate([[0.8, 0.8, 0.8, 1.2, 1.2, 1.2, 0.8], np.full(count, np.nan)]),
+        time=trials.time + later,
+        emg_time=trials.emg_time + later,
+        moments=trials.moments + noise,
+    )
+    walk = dataclasses.replace(subject.recordings[0], name="walk")
+    recordings = (walk, *(entry for entry in subject.recordings if entry.task != "gait"))
+    rates = (subject.emg_rates[0], *subject.emg_rates[-len(recordings) + 1 :])
+    return dataclasses.replace(subject, trials=trials, recordings=recordings, emg_rates=rates)
+
+
+@pytest.fixture(scope="module")
+def calibration(mixed):
+    """Calibration to walking alone, with paths that hold over all tasks."""
+    gait = with_gait_alone(mixed, "this test")
+    return calibrate(dataclasses.replace(gait, other_leg=None), "NGA", fit(mixed), starts=2)
+
+
+@pytest.fixture(scope="module")
+def gait(calibration):
+    """Input, linearised model and scores of the gait alone."""
+    data = diagnosis_input(calibration, WITHOUT)
+    linearized = linearize(data, data.variables)
+    none = np.zeros((0, linearized.residual.size))
+    return data, linearized, score(linearized, data.measured_moment_sd, none, 2.0)
+
+
+def with_damping(others, data, sizes):
+    """Give the windows the moments of the model that was calibrated to gait, with this damping of joints."""
+    effect = CATALOGUE["joint_damping"].build(others.context)
+    parameters = data.law.held.parameters(jnp.asarray(data.variables))
+    predicted = predicted_moments(
+        data.law.held.curves, parameters, others.recording, Effects((effect,)), jnp.asarray(sizes)
+    )
+    device = ~others.context.is_gait[:, None, None] & np.isfinite(others.measured)
+    return dataclasses.replace(others, measured=np.where(device, predicted, others.measured))
+
+
+@pytest.fixture(scope="module")
+def evidence(gait, mixed, calibration):
+    """Function from the damping in the passive trial to what other tasks add, and the scores with it."""
+    data, linearized, scores = gait
+    others = other_tasks(calibration, data, mixed)
+
+    def of(sizes):
+        changed = with_damping(others, data, sizes)
+        return task_evidence(data, changed, linearized, data.variables, scores)
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def damped(gait, evidence):
+    """The passive trial has the damping that gait alone suggests."""
+    return evidence(gait[2].by_id["joint_damping"].effect_sizes)
+
+
+def test_a_passive_trial_confirms_or_refutes_what_gait_suggests(damped, evidence):
+    """Damping is shown where a joint is moved; a drift of EMG says nothing of muscles at rest."""
+    refuted, _ = evidence(np.zeros(2))
+    print(damped[0], refuted)
+    assert damped[0].added["joint_damping"] > 0.5
+    assert refuted.added["joint_damping"] < -3.0
+    assert max(abs(one.added["emg_drift"]) for one in (damped[0], refuted)) < 0.5
+
+
+def test_scores_are_those_of_gait_with_what_is_added(damped, gait):
+    found, scores = damped
+    before = gait[2].by_id
+    for id, one in scores.by_id.items():
+        assert one.evidence == pytest.approx(before[id].evidence + found.added[id])
+        assert one.detectability >= before[id].detectability
+    order = [one.evidence for one in scores.by_id.values()]
+    assert order == sorted(order, reverse=True) and scores.compared == tuple(scores.by_id)
+
+
+def test_errors_of_each_recording_are_reported(damped):
+    (error,) = damped[0].errors
+    assert (error.recording, error.task, error.coordinate) == ("knee", "passive", "knee_angle_l")
+    assert error.windows == 4 and 0.0 < error.rms <= error.worst_rms
+    assert 1.0 - 1e-6 <= error.time[0] < error.time[1] <= 4.7 + 1e-6 and error.angle[0] < error.angle[1]
+
+
+def test_movements_by_inverse_dynamics_are_not_used(damped, mixed):
+    assert damped[0].not_used == ("squat",)
+    assert not {mixed.trials.tasks[place] for place in chosen_windows(mixed.trials)} & {"gait", "movement"}
+
+
+def test_windows_are_spread_over_the_recordings(mixed):
+    """A long recording does not displace a short one."""
+    own = chosen_windows(mixed.trials)
+    places = np.concatenate([np.resize(own[1:3], 60), own[1:2]])
+    trials = dataclasses.replace(
+        mixed.trials.select(places), recordings=(*("long",) * 60, "short"), names=tuple(map(str, range(61)))
+    )
+    chosen = chosen_windows(trials)
+    assert len(chosen) == MOST_WINDOWS and chosen[-1] == 60
+    assert np.ptp(np.diff(chosen[:-1])) <= 1
+
+
+@pytest.mark.slow
+def test_a_whole_diagnosis_uses_them(mixed, calibration, tmp_path):
+    alone = diagnose_calibrated(calibration, without=WITHOUT, null_replicates=2).result
+    found = diagnose_calibrated(calibration, without=WITHOUT, null_replicates=2, all_tasks=mixed)
+    assert alone.other_tasks is None
+    evidence = {one.id: one.evidence for one in alone.effects}
+    added = found.result.other_tasks.added
+    for one in found.result.effects:
+        assert one.evidence - added[one.id] == pytest.approx(evidence[one.id], abs=1e-9)
+    found.save(tmp_path / "gap")
+    content = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    assert set(content["other_tasks"]["added_nats"]) == set(added)
+    (where,) = [entry for entry in content["where"] if "angle_deg" in entry]
+    assert where["coordinate"] == "knee_angle_l" and where["recording"] == "knee"
+    assert "Other tasks" in (tmp_path / "gap" / "report.html").read_text()

@@ -1,0 +1,411 @@
+"""Evidence of recorded tasks other than gait for each effect, given that of gait.
+
+A joint that is moved at rest, or held against a dynamometer, shows what walking does not: effects that are
+alike in walking differ there. The plain model and the effects are linearised over the gait cycles and over
+windows of these tasks together, about the fit to gait. The logarithm of the Bayes factor of an effect over
+all rows, less the same over the rows of gait, is what the other tasks add; it is averaged over the unknown
+sizes of errors, that of the noise of these tasks among them.
+
+Inverse dynamics are no part of these tasks: what errors of force plates, markers or body masses change in
+gait changes nothing in them. Movements whose moments come from inverse dynamics are therefore not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jax.tree_util import Partial
+from jaxtyping import Float, Int
+
+from wrapjax.calibration.calibration import Calibration
+from wrapjax.diagnosis.context import Context, padded_derivatives, unchanged_after
+from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
+from wrapjax.diagnosis.error_sources import Matrix
+from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
+from wrapjax.diagnosis.linearization import Candidate, LinearizedModel, linearized_model
+from wrapjax.diagnosis.null_covariance import (
+    EXPECTED_FORCE_ERROR,
+    EXPECTED_REPEATABLE_ERROR,
+    FORCE_ERRORS,
+    REPEATABLE_ERRORS,
+)
+from wrapjax.diagnosis.score import COMPARED, Scores
+from wrapjax.diagnosis.score_test import Projection, Score, distinguishability, score_projected
+from wrapjax.diagnosis.subject_context import build_context
+from wrapjax.diagnosis.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
+from wrapjax.model.forward import Recording, joint_moments
+from wrapjax.subject.subject import Subject
+from wrapjax.subject.trials import Trials
+
+#: Tasks whose moments a device measured, or that could be: no errors of inverse dynamics are in them.
+DEVICE_TASKS = ("passive", "isometric", "isokinetic")
+#: Largest number of windows of 1 s that are used, spread evenly over the recordings and over each of them.
+MOST_WINDOWS = 24
+#: Factors on the noise of these tasks; equal prior probabilities.
+NOISE_FACTORS = (1.0, 2.0, 4.0)
+# Nulls less plausible than the most plausible one by this many nats do not change the result and are omitted.
+_NEGLIGIBLE = 6.0
+
+
+@dataclass(frozen=True)
+class OtherTasks:
+    """Gait cycles and windows of other tasks, in that order, as inputs of the forward model.
+
+    Parameters
+    ----------
+    recording, context
+        Inputs of the forward model, and context of the effects.
+    measured
+        Measured moments, N m; NaN where none was measured or a frame does not count.
+    tasks, recordings
+        Task and recording of each cycle and window.
+    time
+        Time of each frame, s.
+    not_used
+        Names of recordings of other tasks that are not used.
+    """
+
+    recording: Recording
+    context: Context
+    measured: Float[np.ndarray, "cycle coordinate frame"]
+    tasks: tuple[str, ...]
+    recordings: tuple[str, ...]
+    time: Float[np.ndarray, "cycle frame"]
+    not_used: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TaskError:
+    """Error of the model that was fitted to gait, in one recording of another task.
+
+    Parameters
+    ----------
+    recording, task, coordinate
+        Names of the recording, its task, and the coordinate whose moment was measured.
+    windows
+        Number of windows of 1 s that were used.
+    rms
+        Root mean square of measured less predicted moments, N m.
+    worst_rms, angle, time
+        That of the worst window, with its range of the coordinate (degrees) and of time (s).
+    """
+
+    recording: str
+    task: str
+    coordinate: str
+    windows: int
+    rms: float
+    worst_rms: float
+    angle: tuple[float, float]
+    time: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class TaskEvidence:
+    """What tasks other than gait add.
+
+    Parameters
+    ----------
+    added
+        Evidence (nats) that they add to that of gait, by effect.
+    detectability
+        Detectability of each effect by gait and these tasks.
+    errors
+        Error in each recording and measured coordinate.
+    noise_factor
+        Most plausible factor on the noise of these tasks; see `NOISE_FACTORS`.
+    not_used
+        See `OtherTasks`.
+    """
+
+    added: Mapping[str, float]
+    detectability: Mapping[str, float]
+    errors: tuple[TaskError, ...]
+    noise_factor: float
+    not_used: tuple[str, ...]
+
+
+def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject) -> OtherTasks | None:
+    """Collect the gait cycles for calibration and the windows of other tasks; None if there are none.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of one leg to its gait.
+    data
+        Input of the diagnosis of the gait.
+    subject
+        The same leg with all its tasks.
+    """
+    trials = subject.trials
+    tasks, uses = np.array(trials.tasks), np.array(trials.uses)
+    windows = chosen_windows(trials)
+    if not len(windows):
+        return None
+    gait = np.flatnonzero(trials.is_gait & (uses == "calibration"))
+    used = {trials.recordings[place] for place in windows}
+    others = dict.fromkeys(np.array(trials.recordings)[~trials.is_gait].tolist())
+    chosen = trials.select(np.concatenate([gait, windows]))
+    leg = replace(subject, trials=chosen, other_leg=None)
+    recording, context = build_context(
+        replace(calibration, subject=leg), (None, data.calibration_context.no_measured_changes)
+    )
+    own, count = data.calibration_context, len(windows)
+    context = replace(
+        context,
+        tasks=tuple(tasks[np.concatenate([gait, windows])].tolist()),
+        path_changes={
+            id: {label: padded_derivatives(entry, count) for label, entry in variants.items()}
+            for id, variants in own.path_changes.items()
+        },
+        measured_changes={
+            id: {label: Partial(unchanged_after, change, count) for label, change in variants.items()}
+            for id, variants in own.measured_changes.items()
+        },
+    )
+    return OtherTasks(
+        recording,
+        context,
+        chosen.moments,
+        chosen.tasks,
+        chosen.recordings,
+        chosen.time,
+        tuple(name for name in others if name not in used),
+    )
+
+
+def chosen_windows(trials: Trials) -> Int[np.ndarray, " window"]:
+    """Choose the windows of other tasks that are used, at most `MOST_WINDOWS`.
+
+    Those for calibration in which a device measured a moment, the same number of each recording, as far as it
+    has them, at equal distances.
+    """
+    counts = (
+        np.isin(trials.tasks, DEVICE_TASKS)
+        & (np.array(trials.uses) == "calibration")
+        & (trials.counted.sum(axis=1) >= trials.time.shape[1] // 4)
+    )
+    names = np.array(trials.recordings)
+    of_recordings = [np.flatnonzero(counts & (names == name)) for name in dict.fromkeys(names[counts])]
+    numbers = [0] * len(of_recordings)
+    for _ in range(min(MOST_WINDOWS, int(counts.sum()))):
+        open_places = [place for place, own in enumerate(of_recordings) if numbers[place] < len(own)]
+        numbers[min(open_places, key=lambda place: numbers[place])] += 1
+    return np.array(
+        sorted(
+            int(own[place])
+            for own, number in zip(of_recordings, numbers, strict=True)
+            for place in np.linspace(0, len(own) - 1, number).round().astype(int)
+        ),
+        dtype=int,
+    )
+
+
+def task_evidence(
+    data: DiagnosisInput,
+    others: OtherTasks,
+    linearized: LinearizedModel,
+    variables: Float[np.ndarray, " variable"],
+    scores: Scores,
+) -> tuple[TaskEvidence, Scores]:
+    """Compute what other tasks add to the evidence of each effect, and the scores of gait with it.
+
+    Parameters
+    ----------
+    data, others
+        Input of the diagnosis, and the other tasks.
+    linearized, variables
+        Linearised model of the gait cycles, and the calibrated variables about which it was linearised.
+    scores
+        Scores on the gait cycles.
+    """
+    problem, at = data.law.free, jnp.asarray(data.law.with_free_law(variables))
+    predicted = np.asarray(joint_moments(problem.curves, problem.parameters(at), others.recording))
+    known = np.isfinite(others.measured)
+    measured = np.where(known, others.measured, predicted)
+    gait = others.context.is_gait
+    speeds = speed_numbers(np.where(gait, others.context.speeds, np.nan))
+    groups = np.where(gait, speeds, speeds.max() + 1 + np.arange(len(gait)))
+    groups = np.unique(groups, return_inverse=True)[1]
+    effects = available_effects(catalogue(others.context, data.withheld))
+    together = linearized_model(problem, at, others.recording, measured, others.context, effects, groups)
+    together = replace(together, known_noise=linearized.noise)
+    size = _moment_size(others, data.measured_moment_sd)
+    tasks = LinearizedTasks(together, groups, gait, known.any(axis=-1), size)
+    frames = phase_frames(measured.shape[-1])
+    rows = np.flatnonzero(known[..., frames])
+    of_gait = int(np.sum(rows < gait.sum() * together.residual[0].size))
+    candidates = [
+        replace(one, variants=tuple(variant[:, rows] for variant in one.variants))
+        for one in together.candidates
+        if one.id in scores.by_id
+    ]
+    candidates += [
+        replace(
+            one,
+            variants=tuple(np.pad(variant, ((0, 0), (0, len(rows) - of_gait))) for variant in one.variants),
+        )
+        for one in linearized.candidates
+        if one.id not in {other.id for other in together.candidates}
+    ]
+    projections, covariance, noise_factor = _projections(
+        together.residual.reshape(-1)[rows], of_gait, candidates, TaskCovariance.of(tasks, rows)
+    )
+    (by_gait,), (by_all,) = (score_projected(part, candidates) for part in zip(*projections, strict=True))
+    gait_alone = {one.id: one for one in by_gait.scores}
+    of_all = {one.id: one for one in by_all.scores}
+    found = TaskEvidence(
+        {id: one.evidence - gait_alone[id].evidence for id, one in of_all.items()},
+        {id: one.detectability for id, one in of_all.items()},
+        tuple(_errors(others, known, measured - predicted)),
+        noise_factor,
+        others.not_used,
+    )
+    by_id = {one.id: one for one in candidates}
+    return found, _with_evidence(scores, found, of_all, by_id, covariance)
+
+
+def _projections(
+    residual: Float[np.ndarray, " row"],
+    of_gait: int,
+    candidates: Sequence[Candidate],
+    covariance: TaskCovariance,
+) -> tuple[list[tuple[Projection, Projection]], Matrix, float]:
+    """Project the residual and the signatures by the plausible nulls.
+
+    Returns
+    -------
+    projections, covariance, noise_factor
+        Projections of the rows of gait (the first ones) and of all rows, by each null; covariance of the most
+        plausible null, and its factor on the noise of other tasks.
+    """
+    signatures = np.concatenate([variant for one in candidates for variant in one.variants])
+    stacked = np.concatenate([residual[None], signatures]).T
+    found: list[tuple[float, float, tuple[Projection, Projection], ErrorSizes]] = []
+    for sizes, log_prior in _plausible_sizes(residual, of_gait, covariance):
+        factor = scipy.linalg.cholesky(covariance(sizes), lower=True, check_finite=False)
+        # The first rows of a lower factor whiten the first rows alone, so that one factor serves both.
+        white = scipy.linalg.solve_triangular(factor, stacked, lower=True, check_finite=False)
+        logs = np.log(np.diag(factor))
+        pair = (
+            _projection(white[:of_gait], logs[:of_gait], log_prior),
+            _projection(white, logs, log_prior),
+        )
+        found.append((float(pair[0].weight[0]), float(pair[1].weight[0]), pair, sizes))
+    best = max(found, key=lambda one: one[1])
+    return [one[2] for one in found], covariance(best[3]), best[3].other_noise
+
+
+def _projection(
+    white: Float[np.ndarray, "row column"], logs: Float[np.ndarray, " row"], log_prior: float
+) -> Projection:
+    residual, signatures = white[:, :1], white[:, 1:]
+    weight = log_prior - 0.5 * np.sum(residual**2, axis=0) - np.sum(logs)
+    return Projection(weight, residual.T @ signatures, signatures.T @ signatures)
+
+
+def _plausible_sizes(
+    residual: Float[np.ndarray, " row"], of_gait: int, covariance: TaskCovariance
+) -> Iterator[tuple[ErrorSizes, float]]:
+    """List sizes of errors that gait does not rule out, with the logarithm of their prior probability."""
+    log_priors = {
+        (force, error): -force / EXPECTED_FORCE_ERROR - error / EXPECTED_REPEATABLE_ERROR
+        for force, error in product(FORCE_ERRORS, REPEATABLE_ERRORS)
+    }
+    weights = {}
+    for (force, error), log_prior in log_priors.items():
+        own = covariance(ErrorSizes(force, error))[:of_gait, :of_gait]
+        factor = scipy.linalg.cholesky(own, lower=True, check_finite=False)
+        white = scipy.linalg.solve_triangular(factor, residual[:of_gait], lower=True, check_finite=False)
+        weights[force, error] = log_prior - 0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+    least = max(weights.values()) - _NEGLIGIBLE
+    for (force, error), weight in weights.items():
+        for noise in NOISE_FACTORS if weight >= least else ():
+            yield ErrorSizes(force, error, noise), log_priors[force, error]
+
+
+def _with_evidence(
+    scores: Scores,
+    found: TaskEvidence,
+    of_all: Mapping[str, Score],
+    candidates: Mapping[str, Candidate],
+    covariance: Matrix,
+) -> Scores:
+    """Add what other tasks say to the scores of gait."""
+    by_id = {
+        id: replace(
+            one,
+            evidence=one.evidence + found.added[id],
+            detectability=max(one.detectability, found.detectability[id]),
+        )
+        for id, one in scores.by_id.items()
+    }
+    by_id = dict(sorted(by_id.items(), key=lambda item: -item[1].evidence))
+    compared = tuple(by_id)[:COMPARED]
+    variants = [candidates[id].variants[of_all[id].variant] for id in compared]
+    distances = distinguishability(
+        [of_all[id].effect_sizes @ variant for id, variant in zip(compared, variants, strict=True)],
+        [variant[list(of_all[id].part)] for id, variant in zip(compared, variants, strict=True)],
+        covariance,
+    )
+    return replace(
+        scores,
+        by_id=by_id,
+        compared=compared,
+        distinguishability=distances,
+        jointly_significant=tuple(id for id in by_id if id in scores.jointly_significant),
+        added_by_other_tasks=dict(found.added),
+    )
+
+
+def _moment_size(
+    others: OtherTasks, gait_sd: Float[np.ndarray, " coordinate"]
+) -> Float[np.ndarray, "cycle coordinate"]:
+    """Compute the size of the moments: of gait their standard deviation, of a recording its mean square."""
+    size = np.tile(np.asarray(gait_sd, dtype=float), (len(others.tasks), 1))
+    names = np.array(others.recordings)
+    gait = others.context.is_gait
+    squares = np.where(np.isfinite(others.measured), others.measured, 0.0) ** 2
+    counts = np.isfinite(others.measured).sum(axis=-1)
+    for name in dict.fromkeys(names[~gait].tolist()):
+        own = (names == name) & ~gait
+        total = np.maximum(counts[own].sum(axis=0), 1)
+        size[own] = np.sqrt(squares[own].sum(axis=(0, 2)) / total)
+    return size
+
+
+def _errors(
+    others: OtherTasks,
+    known: np.ndarray,
+    residual: Float[np.ndarray, "cycle coordinate frame"],
+) -> Iterator[TaskError]:
+    """Summarise the error of each recording of another task, by measured coordinate."""
+    names, gait = np.array(others.recordings), others.context.is_gait
+    for name in dict.fromkeys(names[~gait].tolist()):
+        own = np.flatnonzero((names == name) & ~gait)
+        for place, coordinate in enumerate(others.context.coordinates):
+            counted = known[own, place]
+            if not counted.any():
+                continue
+            squares = np.where(counted, residual[own, place] ** 2, 0.0)
+            frames = counted.sum(axis=1)
+            by_window = np.sqrt(squares.sum(axis=1) / np.maximum(frames, 1))
+            worst = int(np.argmax(by_window))
+            inside = counted[worst]
+            angle = np.degrees(others.context.angles[own[worst], place][inside])
+            time = others.time[own[worst]][inside]
+            yield TaskError(
+                name,
+                others.tasks[own[0]],
+                coordinate,
+                int(np.sum(frames > 0)),
+                float(np.sqrt(squares.sum() / frames.sum())),
+                float(by_window[worst]),
+                (float(angle.min()), float(angle.max())),
+                (float(time.min()), float(time.max())),
+            )
