@@ -7,17 +7,20 @@ import json
 import os
 import shutil
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .anatomy import CHANNEL_NAMES
 from .case_files import write_case
 from .detect import Detector
 from .effect import Effect
 from .effects import CATALOGUE, EFFECTS, OUTSIDE
+from .other_tasks import add_tasks
 from .person import Person, draw_person
-from .session import Session
+from .session import Session, Take
 
 CASES_PER_PERSON = 5
 SHARES = {"none": 0.3, "single": 0.5, "outside": 0.1, "pair": 0.1}
@@ -132,11 +135,21 @@ def draw_effect(
     raise RuntimeError(f"no effect reaches the stratum of {wanted}")
 
 
-def make_case(out: Path, entry: dict, seed: int) -> str:
-    """Make one case unless it is there already, and return its identifier."""
-    case, truth_file = out / "cases" / entry["id"], out / "truth" / f"{entry['id']}.json"
-    if truth_file.exists():
-        return entry["id"]
+@dataclass
+class Drawn:
+    """What one entry of the plan is drawn to be: session, causes with their d*, and true states."""
+
+    person: Person
+    session: Session
+    seed: int
+    effects: list[Effect]
+    values: list[float]
+    takes: list[Take]
+    d_star: float
+
+
+def draw_case(entry: dict, seed: int) -> Drawn:
+    """Draw the person, the session and the causes of one entry of the plan."""
     number = int(entry["id"][4:])
     person = draw_person(
         int(np.random.default_rng([seed, 7, entry["person"]]).integers(2**31)), f"P{entry['person'] + 1:02d}"
@@ -156,6 +169,46 @@ def make_case(out: Path, entry: dict, seed: int) -> str:
             effects.append(effect)
             values.append(value)
         d_star, _, takes = detector.evaluate(effects)
+    return Drawn(person, session, session_seed, effects, values, takes, d_star)
+
+
+def add_other_tasks(out: Path, entry: dict, seed: int, target: Path) -> str:
+    """Write one case with trials of a dynamometer beside walking, unless it is there already."""
+    name = entry["id"]
+    if not (target / "cases" / name).exists():
+        drawn = draw_case(entry, seed)
+        (target / "cases").mkdir(parents=True, exist_ok=True)
+        truth = json.loads((out / "truth" / f"{name}.json").read_text(encoding="utf-8"))
+        scale = np.array([truth["emg_scale"][channel] for channel in CHANNEL_NAMES])
+        case = (out / "cases" / name, target / "cases" / name)
+        add_tasks(*case, drawn.session, drawn.effects, drawn.seed, scale)
+        (target / "truth").mkdir(exist_ok=True)
+        shutil.copy(out / "truth" / f"{name}.json", target / "truth" / f"{name}.json")
+    return name
+
+
+def with_other_tasks(out: Path, target: Path, workers: int) -> None:
+    """Write a bank whose people also did passive rotations and isometric ramps; their walking is the same."""
+    manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
+    seed, entries = manifest["seed"], plan(manifest["cases"], manifest["seed"])
+    count = len(entries)
+    with ProcessPoolExecutor(workers) as pool:
+        names = pool.map(add_other_tasks, [out] * count, entries, [seed] * count, [target] * count)
+        for name in names:
+            print(name, flush=True)
+    digests = {entry["id"]: digest(target, entry["id"]) for entry in entries}
+    kept = {"seed": seed, "cases": count, "sha256": digests}
+    (target / "manifest.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
+
+
+def make_case(out: Path, entry: dict, seed: int) -> str:
+    """Make one case unless it is there already, and return its identifier."""
+    case, truth_file = out / "cases" / entry["id"], out / "truth" / f"{entry['id']}.json"
+    if truth_file.exists():
+        return entry["id"]
+    drawn = draw_case(entry, seed)
+    person, session, effects, takes = drawn.person, drawn.session, drawn.effects, drawn.takes
+    values, session_seed, d_star = drawn.values, drawn.seed, drawn.d_star
     work = case.with_name(case.name + ".part")
     shutil.rmtree(work, ignore_errors=True)
     shutil.rmtree(case, ignore_errors=True)
