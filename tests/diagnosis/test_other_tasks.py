@@ -9,6 +9,7 @@ import pytest
 from tests.diagnosis.subject import CURVES, FRAMES, small_recording_and_context
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.effects.periodic import with_padding
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.protocol.context import joined
 from wrapjax.diagnosis.protocol.paths import sped_up
@@ -73,6 +74,21 @@ def test_muscles_without_emg_rest_in_passive_trials_and_are_unknown_in_others():
     np.testing.assert_array_equal(mixed[:, 2], 0.0)
     of_gait, of_ramp = (np.abs(mixed[:, cycle]).max(axis=(1, 2)) > 0.0 for cycle in (0, 3))
     assert not (of_gait & of_ramp).any() and of_gait.any() and of_ramp.any()
+
+
+def test_signals_cover_the_emg_before_and_after_each_cycle():
+    """More EMG precedes a window than follows it; gait repeats itself there, other movements are held."""
+    frames, before, after = CONTEXT.angles.shape[-1], 7, 3
+    knots = frames + before + after
+    envelopes = jnp.zeros((*CONTEXT.envelopes.shape[:3], knots - 1))
+    context = dataclasses.replace(MIXED, envelopes=envelopes, padding=before)
+    values = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4, frames)))
+    padded = np.asarray(with_padding(values, context))
+    assert padded.shape[-1] == knots
+    np.testing.assert_array_equal(padded[..., before : before + frames - 1], values[..., :-1])
+    np.testing.assert_array_equal(padded[:, :2, before - 1], values[:, :2, -2])
+    np.testing.assert_array_equal(padded[:, 2:, :before], np.repeat(values[:, 2:, :1], before, axis=-1))
+    np.testing.assert_array_equal(padded[:, 2:, -after:], np.repeat(values[:, 2:, -1:], after, axis=-1))
 
 
 @pytest.fixture(scope="module")

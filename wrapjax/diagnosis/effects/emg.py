@@ -310,7 +310,7 @@ def _posture_dependent_gain(context: Context) -> tuple[Variant, ...]:
     variants = []
     for offset in _POSTURES:
         mean = posture(context.reference, offset).mean(axis=(1, 2))[:, None, None]
-        change = with_padding(jnp.asarray(posture(context, offset) - mean), context.padding)
+        change = with_padding(jnp.asarray(posture(context, offset) - mean), context)
         variants.append(Variant(Partial(_change_gain, channel_of, change), f"turned by {offset:g} deg"))
     return tuple(variants)
 

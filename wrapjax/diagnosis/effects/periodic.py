@@ -10,11 +10,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from wrapjax.diagnosis.context import Context
 
-def with_padding(values: Float[Array, "*any frame"], padding: int) -> Float[Array, "*any padded_frame"]:
-    """Extend a signal periodically by frames before its start and after its end."""
+
+def with_padding(
+    values: Float[Array, "muscle trial frame"], context: Context
+) -> Float[Array, "muscle trial padded_frame"]:
+    """Extend a signal by the frames of EMG before and after each cycle: periodically in gait, else held."""
     frames = values.shape[-1]
-    return values[..., np.arange(-padding, frames + padding) % (frames - 1)]
+    # One knot of the envelopes more than intervals between them.
+    padded = context.envelopes.shape[-1] + 1
+    places = np.arange(-context.padding, padded - context.padding)
+    periodic, held = values[..., places % (frames - 1)], values[..., np.clip(places, 0, frames - 1)]
+    return jnp.where(context.is_gait[:, None], periodic, held)
 
 
 def delayed(

@@ -214,7 +214,7 @@ def _spasticity_recorded(context: Context) -> tuple[Variant, ...]:
     variants = []
     for threshold in _THRESHOLDS:
         reflex = _reflex(context, jnp.asarray(context.paths.velocity), fastest, threshold)
-        padded = with_padding(reflex, context.padding)
+        padded = with_padding(reflex, context)
         label = f"above {threshold:g} of the fastest stretch"
         variants.append(Variant(Partial(_add_reflex_excitation, jnp.asarray(belongs), padded), label))
     return tuple(variants)
