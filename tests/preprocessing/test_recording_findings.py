@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.subject.synthetic import CHANNELS, COORDINATES, PERIOD, angles, write_subject
+from tests.subject.task_folders import ISOMETRIC, add_trial
 from wrapjax.cli.command_line import main
 from wrapjax.io.storage import Storage, read_storage, write_storage
 from wrapjax.path_sources.moment_capacity import unrecorded_capacity
@@ -142,6 +143,17 @@ def test_a_baseline_of_one_recording_is_named(folder):
     found = recording_findings(load_subject(folder))
     assert [(one.kind, one.recording, one.subjects) for one in found] == [("baseline", "again", ("SemiTen",))]
     assert "16 of 16 cycles" in found[0].sentence
+
+
+def test_a_held_contraction_is_no_baseline(folder):
+    """A ramp of effort rests at its ends, not in every second."""
+
+    def ramp(time):
+        effort = np.clip(2.0 - np.abs(time - 4.1) / 0.9, 0.0, 1.0)
+        return np.stack([0.02 + 0.8 * effort, 0.02 + 0.0 * effort])
+
+    add_trial(folder, "ramp", ISOMETRIC.replace("[2.6, 5.3]", "[2.3, 5.9]"), emg=ramp)
+    assert [one for one in recording_findings(load_subject(folder)) if one.kind == "baseline"] == []
 
 
 @pytest.mark.parametrize(("late", "found"), [("recfem", ()), ("semiten", (("RecFem", "SemiTen"),))])

@@ -19,7 +19,7 @@ from wrapjax.subject.emg_envelopes import compute_envelopes, resample_evenly, sa
 from wrapjax.subject.gait_activity import exchanged_channels
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trial_settings import TrialSettings
-from wrapjax.subject.trials import GAIT, Trials
+from wrapjax.subject.trials import GAIT, PASSIVE, Trials
 
 #: Robust standard deviations, and share of the channel's peak, by which a floor must exceed the median floor.
 FLOOR_DEVIATIONS, FLOOR_SHARE = 5.0, 0.04
@@ -141,6 +141,9 @@ def _baselines(trials: Trials) -> Iterator[Finding]:
     if len(trials) < 2:
         return
     names = np.array(trials.recordings)
+    for name in dict.fromkeys(names[[task not in (GAIT, PASSIVE) for task in trials.tasks]].tolist()):
+        # A window of a held contraction has no quiet level of its own; its recording has one.
+        floors[names == name] = floors[names == name].min(axis=0)
     several = np.array([np.sum(names == name) > 1 for name in names])
     for row, channel in enumerate(trials.channels):
         own = floors[:, row]
