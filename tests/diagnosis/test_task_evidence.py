@@ -147,9 +147,9 @@ def test_windows_are_spread_over_the_recordings(mixed):
 def test_a_whole_diagnosis_uses_them(mixed, calibration, tmp_path):
     alone = diagnose_calibrated(calibration, without=WITHOUT, null_replicates=2).result
     found = diagnose_calibrated(calibration, without=WITHOUT, null_replicates=2, all_tasks=mixed)
-    assert alone.other_tasks is None
+    assert alone.task_evidence is None
     evidence = {one.id: one.evidence for one in alone.effects}
-    added = found.result.other_tasks.added
+    added = found.result.task_evidence.added
     for one in found.result.effects:
         assert one.evidence - added[one.id] == pytest.approx(evidence[one.id], abs=1e-9)
     found.save(tmp_path / "gap")

@@ -287,7 +287,26 @@ def _selected_change(
     return change(effect_sizes)[keep]
 
 
-def padded_derivatives(derivatives: PathState, after: int) -> PathState:
+def with_changes_of_first(context: Context, first: Context) -> Context:
+    """Give cycles the changes that only the context of the first of them knows; the others have none.
+
+    These are changes of the paths and of the measured moments by errors in the inputs of inverse dynamics.
+    """
+    after = len(context.trials) - len(first.trials)
+    return replace(
+        context,
+        path_changes={
+            id: {label: _padded(derivatives, after) for label, derivatives in variants.items()}
+            for id, variants in first.path_changes.items()
+        },
+        measured_changes={
+            id: {label: Partial(_unchanged_after, change, after) for label, change in variants.items()}
+            for id, variants in first.measured_changes.items()
+        },
+    )
+
+
+def _padded(derivatives: PathState, after: int) -> PathState:
     """Append cycles whose paths do not change; leaves lead with ``muscle parameter trial``."""
     return jax.tree.map(
         lambda leaf: jnp.concatenate(
@@ -297,9 +316,8 @@ def padded_derivatives(derivatives: PathState, after: int) -> PathState:
     )
 
 
-def unchanged_after(
+def _unchanged_after(
     change: MeasuredChange, after: int, effect_sizes: Float[Array, " parameter"]
 ) -> Float[Array, "trial coordinate frame"]:
-    """Append cycles whose measured moments an effect does not change, N m."""
     changed = change(effect_sizes)
     return jnp.concatenate([changed, jnp.zeros((after, *changed.shape[1:]))])

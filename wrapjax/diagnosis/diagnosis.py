@@ -227,7 +227,7 @@ def diagnose(
     refuse_unknown(without)
     began = time.perf_counter()
     one_leg = replace(with_gait_alone(subject, "the calibration of a diagnosis"), other_leg=None)
-    if one_leg.notes != subject.notes and fit is None:
+    if fit is None and not subject.trials.is_gait.all():
         # The polynomials have to hold over the angles of all tasks.
         fit = fit_for_methods((method,), subject)
     while True:

@@ -4,7 +4,8 @@ A joint that is moved at rest, or held against a dynamometer, shows what walking
 alike in walking differ there. The plain model and the effects are linearised over the gait cycles and over
 windows of these tasks together, about the fit to gait. The logarithm of the Bayes factor of an effect over
 all rows, less the same over the rows of gait, is what the other tasks add; it is averaged over the unknown
-sizes of errors, that of the noise of these tasks among them.
+sizes of errors. What walking leaves open shows at other angles and efforts in everybody: usual errors of the
+muscle paths, and errors of the model that follow the joint angle, are part of every null of these tasks.
 
 Inverse dynamics are no part of these tasks: what errors of force plates, markers or body masses change in
 gait changes nothing in them. Movements whose moments come from inverse dynamics are therefore not used.
@@ -19,11 +20,10 @@ from itertools import product
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jax.tree_util import Partial
 from jaxtyping import Float, Int
 
 from wrapjax.calibration.calibration import Calibration
-from wrapjax.diagnosis.context import Context, padded_derivatives, unchanged_after
+from wrapjax.diagnosis.context import Context, with_changes_of_first
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
 from wrapjax.diagnosis.error_sources import Matrix
 from wrapjax.diagnosis.input import DiagnosisInput, phase_frames, speed_numbers
@@ -37,7 +37,7 @@ from wrapjax.diagnosis.null_covariance import (
 from wrapjax.diagnosis.score import COMPARED, Scores
 from wrapjax.diagnosis.score_test import Projection, Score, distinguishability, score_projected
 from wrapjax.diagnosis.subject_context import build_context
-from wrapjax.diagnosis.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
+from wrapjax.diagnosis.task_covariance import ERRORS_BY_ANGLE, ErrorSizes, LinearizedTasks, TaskCovariance
 from wrapjax.model.forward import Recording, joint_moments
 from wrapjax.subject.subject import Subject
 from wrapjax.subject.trials import Trials
@@ -46,8 +46,6 @@ from wrapjax.subject.trials import Trials
 DEVICE_TASKS = ("passive", "isometric", "isokinetic")
 #: Largest number of windows of 1 s that are used, spread evenly over the recordings and over each of them.
 MOST_WINDOWS = 24
-#: Factors on the noise of these tasks; equal prior probabilities.
-NOISE_FACTORS = (1.0, 2.0, 4.0)
 # Nulls less plausible than the most plausible one by this many nats do not change the result and are omitted.
 _NEGLIGIBLE = 6.0
 
@@ -117,8 +115,8 @@ class TaskEvidence:
         Detectability of each effect by gait and these tasks.
     errors
         Error in each recording and measured coordinate.
-    noise_factor
-        Most plausible factor on the noise of these tasks; see `NOISE_FACTORS`.
+    error_by_angle
+        Most plausible size of errors by joint angle, relative to the moments; see `ErrorSizes`.
     not_used
         See `OtherTasks`.
     """
@@ -126,7 +124,7 @@ class TaskEvidence:
     added: Mapping[str, float]
     detectability: Mapping[str, float]
     errors: tuple[TaskError, ...]
-    noise_factor: float
+    error_by_angle: float
     not_used: tuple[str, ...]
 
 
@@ -143,11 +141,10 @@ def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject
         The same leg with all its tasks.
     """
     trials = subject.trials
-    tasks, uses = np.array(trials.tasks), np.array(trials.uses)
     windows = chosen_windows(trials)
     if not len(windows):
         return None
-    gait = np.flatnonzero(trials.is_gait & (uses == "calibration"))
+    gait = np.flatnonzero(trials.is_gait & (np.array(trials.uses) == "calibration"))
     used = {trials.recordings[place] for place in windows}
     others = dict.fromkeys(np.array(trials.recordings)[~trials.is_gait].tolist())
     chosen = trials.select(np.concatenate([gait, windows]))
@@ -155,19 +152,7 @@ def other_tasks(calibration: Calibration, data: DiagnosisInput, subject: Subject
     recording, context = build_context(
         replace(calibration, subject=leg), (None, data.calibration_context.no_measured_changes)
     )
-    own, count = data.calibration_context, len(windows)
-    context = replace(
-        context,
-        tasks=tuple(tasks[np.concatenate([gait, windows])].tolist()),
-        path_changes={
-            id: {label: padded_derivatives(entry, count) for label, entry in variants.items()}
-            for id, variants in own.path_changes.items()
-        },
-        measured_changes={
-            id: {label: Partial(unchanged_after, change, count) for label, change in variants.items()}
-            for id, variants in own.measured_changes.items()
-        },
-    )
+    context = with_changes_of_first(replace(context, tasks=chosen.tasks), data.calibration_context)
     return OtherTasks(
         recording,
         context,
@@ -236,8 +221,10 @@ def task_evidence(
     together = linearized_model(problem, at, others.recording, measured, others.context, effects, groups)
     together = replace(together, known_noise=linearized.noise)
     size = _moment_size(others, data.measured_moment_sd)
-    tasks = LinearizedTasks(together, groups, gait, known.any(axis=-1), size)
     frames = phase_frames(measured.shape[-1])
+    trial = np.unique(others.recordings, return_inverse=True)[1]
+    angles = np.asarray(others.context.angles)[..., frames]
+    tasks = LinearizedTasks(together, groups, gait, known.any(axis=-1), size, trial, angles)
     rows = np.flatnonzero(known[..., frames])
     of_gait = int(np.sum(rows < gait.sum() * together.residual[0].size))
     candidates = [
@@ -253,7 +240,7 @@ def task_evidence(
         for one in linearized.candidates
         if one.id not in {other.id for other in together.candidates}
     ]
-    projections, covariance, noise_factor = _projections(
+    projections, covariance, error_by_angle = _projections(
         together.residual.reshape(-1)[rows], of_gait, candidates, TaskCovariance.of(tasks, rows)
     )
     (by_gait,), (by_all,) = (score_projected(part, candidates) for part in zip(*projections, strict=True))
@@ -263,7 +250,7 @@ def task_evidence(
         {id: one.evidence - gait_alone[id].evidence for id, one in of_all.items()},
         {id: one.detectability for id, one in of_all.items()},
         tuple(_errors(others, known, measured - predicted)),
-        noise_factor,
+        error_by_angle,
         others.not_used,
     )
     by_id = {one.id: one for one in candidates}
@@ -280,9 +267,9 @@ def _projections(
 
     Returns
     -------
-    projections, covariance, noise_factor
+    projections, covariance, error_by_angle
         Projections of the rows of gait (the first ones) and of all rows, by each null; covariance of the most
-        plausible null, and its factor on the noise of other tasks.
+        plausible null, and its size of errors by joint angle.
     """
     signatures = np.concatenate([variant for one in candidates for variant in one.variants])
     stacked = np.concatenate([residual[None], signatures]).T
@@ -298,7 +285,7 @@ def _projections(
         )
         found.append((float(pair[0].weight[0]), float(pair[1].weight[0]), pair, sizes))
     best = max(found, key=lambda one: one[1])
-    return [one[2] for one in found], covariance(best[3]), best[3].other_noise
+    return [one[2] for one in found], covariance(best[3]), best[3].by_angle
 
 
 def _projection(
@@ -325,8 +312,8 @@ def _plausible_sizes(
         weights[force, error] = log_prior - 0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
     least = max(weights.values()) - _NEGLIGIBLE
     for (force, error), weight in weights.items():
-        for noise in NOISE_FACTORS if weight >= least else ():
-            yield ErrorSizes(force, error, noise), log_priors[force, error]
+        for by_angle in ERRORS_BY_ANGLE if weight >= least else ():
+            yield ErrorSizes(force, error, by_angle), log_priors[force, error]
 
 
 def _with_evidence(

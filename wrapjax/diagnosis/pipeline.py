@@ -162,7 +162,7 @@ def run_diagnosis(
         verification=verification,
         decision=decision,
         law_evidence=laws,
-        other_tasks=of_tasks,
+        task_evidence=of_tasks,
         seconds=watch.seconds,
     )
     return result, CatalogueIndependent(baseline, null_residuals)

@@ -123,7 +123,7 @@ class DiagnosisResult:
         Parameters of the muscle law of the person, by name; and evidence for published laws against it, nats.
     undriven_capacity
         Share of the moment capacity of muscles without EMG, by coordinate.
-    other_tasks
+    task_evidence
         What tasks other than gait added to the evidence; None if there are none.
     """
 
@@ -167,7 +167,7 @@ class DiagnosisResult:
     muscle_law: dict[str, float] = field(default_factory=dict)
     law_evidence: dict[str, float] = field(default_factory=dict)
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
-    other_tasks: TaskEvidence | None = None
+    task_evidence: TaskEvidence | None = None
 
 
 def result_without_diagnosis(
@@ -256,7 +256,7 @@ def diagnosis_result(
     decision: Decision,
     law_evidence: dict[str, float],
     seconds: dict[str, float],
-    other_tasks: TaskEvidence | None = None,
+    task_evidence: TaskEvidence | None = None,
 ) -> DiagnosisResult:
     """Assemble the result of a diagnosis from the results of all steps.
 
@@ -272,7 +272,7 @@ def diagnosis_result(
         Evidence for published muscle laws, nats.
     seconds
         Time of each step, s.
-    other_tasks
+    task_evidence
         What tasks other than gait added to the evidence.
     """
     probability = decision.probabilities
@@ -318,7 +318,7 @@ def diagnosis_result(
         credible_families=decision.credible_families,
         best_partial=decision.best_partial,
         gates=decision.gates,
-        other_tasks=other_tasks,
+        task_evidence=task_evidence,
     )
 
 

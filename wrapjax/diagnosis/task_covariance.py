@@ -24,6 +24,13 @@ from wrapjax.diagnosis.null_covariance import (
 DYNAMOMETER_NOISE = 1.0
 #: Factor on the cycle noise of gait for a movement that is recorded once or twice.
 NOISE_INFLATION = 1.5
+#: Standard deviation, relative to the moments, of an error of the model in a trial of another task that is
+#: the same at the same joint angle, its correlation width (rad), and the sizes that are tried. The calibrated
+#: parameters are those of walking, and these trials leave its angles and efforts.
+EXPECTED_ERROR_BY_ANGLE, ANGLE_WIDTH, ERRORS_BY_ANGLE = 0.1, 0.35, (0.05, 0.1, 0.2, 0.4)
+#: Effects of which everybody has something that shows at angles that walking does not reach, and the share of
+#: their prior standard deviation that is usual: 1.5 mm of the 5 mm of a muscle's ends.
+USUAL_PATH_ERRORS, USUAL_SHARE = ("wrap_surface", "muscle_attachment"), 0.3
 #: Activation from which a muscle's force has its whole error in tasks other than gait, and the share of it
 #: that a muscle at rest has: what rests can only be wrong by its passive force, whose law has a prior.
 FULL_ERROR_ACTIVATION, ERROR_AT_REST = 0.1, 0.1
@@ -45,6 +52,10 @@ class LinearizedTasks:
         Coordinates of each cycle whose moments are measured.
     moment_size
         Size of the moments of each cycle and coordinate, N m, relative to which smooth errors are.
+    trial
+        Number of the trial of each cycle that is none of gait.
+    angles
+        Joint angles, rad.
     """
 
     linearized: LinearizedModel
@@ -52,6 +63,8 @@ class LinearizedTasks:
     gait: Bool[np.ndarray, " cycle"]
     measured: Bool[np.ndarray, "cycle coordinate"]
     moment_size: Float[np.ndarray, "cycle coordinate"]
+    trial: Int[np.ndarray, " cycle"]
+    angles: Float[np.ndarray, "cycle coordinate phase"]
 
 
 @dataclass(frozen=True)
@@ -64,13 +77,13 @@ class ErrorSizes:
         Standard deviation of errors of muscle force, in maximum isometric forces.
     repeatable
         Standard deviation of smooth errors that repeat with the movement, relative to the moments.
-    other_noise
-        Factor on the noise of tasks other than gait.
+    by_angle
+        Standard deviation of the error by joint angle of tasks other than gait, relative to the moments.
     """
 
     force: float = EXPECTED_FORCE_ERROR
     repeatable: float = EXPECTED_REPEATABLE_ERROR
-    other_noise: float = 1.0
+    by_angle: float = EXPECTED_ERROR_BY_ANGLE
 
 
 @dataclass(frozen=True)
@@ -83,45 +96,43 @@ class TaskCovariance:
     Parameters
     ----------
     fixed
-        Noise of gait, errors of inputs, calibrated parameters and nuisances.
-    other_noise
-        Noise of tasks other than gait.
-    force, repeatable
-        Errors of muscle force, and smooth errors that repeat, of size one (`ErrorSizes`).
+        Noise, errors of inputs, calibrated parameters, nuisances and usual errors of paths.
+    force, repeatable, by_angle
+        Errors of muscle force, smooth errors that repeat, and errors by joint angle, of size one
+        (`ErrorSizes`).
     """
 
     fixed: Matrix
-    other_noise: Matrix
     force: Matrix
     repeatable: Matrix
+    by_angle: Matrix
 
     @classmethod
     def of(cls, data: LinearizedTasks, rows: Int[np.ndarray, " kept"]) -> TaskCovariance:
         """Compute the terms for these rows, numbered in the order ``cycle coordinate phase``."""
         linearized = data.linearized
         cycle, coordinate, phase = np.unravel_index(rows, linearized.residual.shape)
-        of_gait, of_others = _noise(data)
-        inputs = np.zeros_like(of_gait)
+        blocks = _noise(data)
         for share, errors in zip(linearized.noise.input_shares, linearized.input_errors, strict=True):
-            inputs += share**2 * input_blocks(errors)
-        fixed = _within_cycles(of_gait + inputs, rows, cycle)
-        for signatures in (linearized.calibrated, linearized.nuisances):
+            blocks += share**2 * input_blocks(errors)
+        fixed = _within_cycles(blocks, rows, cycle)
+        for signatures in (linearized.calibrated, linearized.nuisances, _usual_path_errors(data)):
             own = signatures.reshape(len(signatures), -1)[:, rows]
             fixed += own.T @ own
         return cls(
             fixed,
-            _within_cycles(of_others, rows, cycle),
             _force_errors(data, cycle, coordinate, phase),
             _smooth_errors(data, cycle, coordinate, phase),
+            _errors_by_angle(data, cycle, coordinate, phase),
         )
 
     def __call__(self, sizes: ErrorSizes) -> Matrix:
         """Compute the covariance for these sizes of errors."""
         return np.asarray(
             self.fixed
-            + sizes.other_noise**2 * self.other_noise
             + sizes.force**2 * self.force
             + sizes.repeatable**2 * self.repeatable
+            + sizes.by_angle**2 * self.by_angle
         )
 
 
@@ -146,10 +157,8 @@ def _within_cycles(
     return total
 
 
-def _noise(
-    data: LinearizedTasks,
-) -> tuple[Float[np.ndarray, "cycle own own"], Float[np.ndarray, "cycle own own"]]:
-    """Compute the covariance of the noise within each cycle: of gait, and of the other tasks.
+def _noise(data: LinearizedTasks) -> Float[np.ndarray, "cycle own own"]:
+    """Compute the covariance of the noise within each cycle.
 
     The noise of another task is that of gait, inflated, where all coordinates were measured, as by inverse
     dynamics; else that of a dynamometer.
@@ -163,8 +172,25 @@ def _noise(
     of_device += (0.1 * DYNAMOMETER_NOISE) ** 2 * np.eye(len(of_device))
     complete = np.reshape(data.measured.all(axis=1), (-1, 1, 1))
     of_others = np.where(complete, NOISE_INFLATION**2 * of_gait, of_device)
-    gait = data.gait[:, None, None]
-    return np.where(gait, of_gait, 0.0), np.where(gait, 0.0, of_others)
+    return np.where(data.gait[:, None, None], of_gait, of_others)
+
+
+def _usual_path_errors(data: LinearizedTasks) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute the signatures of usual errors of muscle paths in tasks other than gait, N m.
+
+    In gait errors of moment arms stand for them.
+    """
+    linearized = data.linearized
+    others = ~data.gait[:, None, None]
+    signatures = [np.zeros((0, *linearized.residual.shape))]
+    for one in linearized.candidates:
+        if one.id in USUAL_PATH_ERRORS:
+            sd = USUAL_SHARE * one.prior_sd / np.sqrt(len(one.variants))
+            signatures += [
+                sd[:, None, None, None] * variant.reshape(-1, *linearized.residual.shape) * others
+                for variant in one.variants
+            ]
+    return np.concatenate(signatures)
 
 
 def _force_errors(
@@ -201,3 +227,17 @@ def _smooth_errors(
     size = data.moment_size[cycle, coordinate]
     total = same[np.ix_(cycle, cycle)] * kernel[np.ix_(phase, phase)] * np.outer(size, size)
     return total * (coordinate[:, None] == coordinate[None])
+
+
+def _errors_by_angle(
+    data: LinearizedTasks,
+    cycle: Int[np.ndarray, " kept"],
+    coordinate: Int[np.ndarray, " kept"],
+    phase: Int[np.ndarray, " kept"],
+) -> Matrix:
+    """Compute the covariance of errors of other tasks that are alike at similar angles of the same trial."""
+    own = np.where(data.gait, -1 - np.arange(len(data.gait)), data.trial)[cycle]
+    angle, size = data.angles[cycle, coordinate, phase], data.moment_size[cycle, coordinate]
+    alike = (own[:, None] == own[None]) & (coordinate[:, None] == coordinate[None]) & ~data.gait[cycle]
+    distance = (angle[:, None] - angle[None]) / ANGLE_WIDTH
+    return np.where(alike, np.exp(-0.5 * distance**2), 0.0) * np.outer(size, size)

@@ -249,7 +249,7 @@ def task_locations(result: DiagnosisResult) -> list[dict[str, Any]]:
 
     The parts of its error are unknown, as the movement was recorded once.
     """
-    errors = () if result.other_tasks is None else result.other_tasks.errors
+    errors = () if result.task_evidence is None else result.task_evidence.errors
     return [
         {
             "coordinate": one.coordinate,
@@ -268,12 +268,12 @@ def task_locations(result: DiagnosisResult) -> list[dict[str, Any]]:
 
 def _other_tasks(result: DiagnosisResult) -> dict[str, Any] | None:
     """Describe what tasks other than gait added to the evidence; null if there are none."""
-    found = result.other_tasks
+    found = result.task_evidence
     if found is None:
         return None
     return {
         "added_nats": found.added,
-        "noise_factor": found.noise_factor,
+        "error_by_angle": found.error_by_angle,
         "errors": [
             {
                 "recording": one.recording,

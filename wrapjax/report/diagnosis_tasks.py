@@ -26,7 +26,7 @@ _MOST_DRAWN, _LEAST_DRAWN = 12, 0.1
 
 def other_tasks_section(result: DiagnosisResult) -> str:
     """Write the report section on tasks other than gait; empty if none was used."""
-    found = result.other_tasks
+    found = result.task_evidence
     if found is None:
         return ""
     left_out = (
@@ -55,9 +55,9 @@ def other_tasks_section(result: DiagnosisResult) -> str:
     return markup.section(
         "Other tasks",
         markup.paragraph(
-            "The model is calibrated to gait. Errors of muscle force, moment arms and parameters that gait "
-            "allows are allowed here, too, so that these trials speak for an effect only where the plain "
-            "model cannot follow both. They do not change the gates, which concern gait."
+            "The model is calibrated to gait. Usual errors of parameters, muscle paths and muscle force are "
+            "allowed here, and errors that follow the joint angle, so that these trials speak for an effect "
+            "only where the plain model cannot follow both. The gates concern gait."
         ),
         *picture,
         markup.table(

@@ -250,7 +250,7 @@ def _meanings(result: DiagnosisResult) -> list[str]:
 
 def _other_tasks_findings(result: DiagnosisResult) -> list[str]:
     """Write which effect tasks other than gait speak for most, and which against."""
-    found = result.other_tasks
+    found = result.task_evidence
     if found is None or not found.added:
         return []
     names = ", ".join(dict.fromkeys(one.recording for one in found.errors))

@@ -12,7 +12,7 @@ import numpy as np
 from jax.tree_util import Partial
 from jaxtyping import Array, Float, Int
 
-from wrapjax.diagnosis.context import Context, PathChanges, padded_derivatives, unchanged_after
+from wrapjax.diagnosis.context import Context, PathChanges, with_changes_of_first
 from wrapjax.diagnosis.protocol.paths import (
     CandidatePostures,
     by_angles_through_length,
@@ -266,8 +266,6 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
     """
     recordings, contexts = zip(*parts, strict=True)
     first: Context = contexts[0]
-    sizes = [len(one.trials) for one in contexts]
-    after = sum(sizes[1:])
     emg = EmgSpline(
         jnp.concatenate([one.emg.coefficients for one in recordings], axis=1),
         jnp.concatenate([one.emg.step for one in recordings], axis=1),
@@ -302,16 +300,9 @@ def joined(parts: Sequence[tuple[Recording, Context]]) -> tuple[Recording, Conte
         paths_by_angle=None if any(one is None for one in by_angle) else joined_derivatives(by_angle),
         wraps=_joined_changes([one.wraps for one in contexts]),
         attachments=_joined_changes([one.attachments for one in contexts]),
-        path_changes={
-            id: {label: padded_derivatives(derivatives, after) for label, derivatives in variants.items()}
-            for id, variants in first.path_changes.items()
-        },
-        measured_changes={
-            id: {label: Partial(unchanged_after, change, after) for label, change in variants.items()}
-            for id, variants in first.measured_changes.items()
-        },
         all_cycles=None,
     )
+    context = with_changes_of_first(context, first)
     return Recording(emg, fixed_path(paths), recordings[0].padding), context
 
 

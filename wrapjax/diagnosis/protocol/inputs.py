@@ -16,7 +16,7 @@ from wrapjax.diagnosis.context import Context
 from wrapjax.diagnosis.cycle_noise import CycleNoise, cycle_noise
 from wrapjax.diagnosis.diagnosis import diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import available_effects, catalogue
-from wrapjax.diagnosis.input import speed_numbers
+from wrapjax.diagnosis.input import phase_frames, speed_numbers
 from wrapjax.diagnosis.linearization import LinearizedModel, linearized_model
 from wrapjax.diagnosis.priors import with_published_priors
 from wrapjax.diagnosis.protocol.context import Leg, at_other_speed, candidate_context, joined
@@ -53,16 +53,13 @@ class ProtocolInput(LinearizedTasks):
     trials
         Candidate trials.
     recorded
-        Whether each cycle was recorded.
-    trial
-        Number of the candidate trial of each cycle; -1 of recorded ones.
+        Whether each cycle was recorded; the trial of those is -1.
     negative_controls
         Identifiers of effects that cannot be present.
     """
 
     trials: tuple[CandidateTrial, ...]
     recorded: Bool[np.ndarray, " cycle"]
-    trial: Int[np.ndarray, " cycle"]
     negative_controls: tuple[str, ...]
 
 
@@ -242,6 +239,7 @@ def _linearized(
             ]
         ),
         moment_size=size,
+        angles=np.asarray(context.angles)[..., phase_frames(moments.shape[-1])],
         negative_controls=tuple(effect.id for effect in effects if effect.negative_control),
     )
 
