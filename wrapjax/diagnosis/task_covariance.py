@@ -117,7 +117,7 @@ class TaskCovariance:
             blocks += share**2 * input_blocks(errors)
         fixed = _within_cycles(blocks, rows, cycle)
         for signatures in (linearized.calibrated, linearized.nuisances, _usual_path_errors(data)):
-            own = signatures.reshape(len(signatures), -1)[:, rows]
+            own = signatures.reshape(len(signatures), linearized.residual.size)[:, rows]
             fixed += own.T @ own
         return cls(
             fixed,
