@@ -12,10 +12,13 @@ from wrapjax.calibration.calibration import calibrate
 from wrapjax.diagnosis.diagnosis import diagnose_calibrated, diagnosis_input
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
 from wrapjax.diagnosis.effects.effect import Effects
+from wrapjax.diagnosis.input import phase_frames
 from wrapjax.diagnosis.linearization import linearize
+from wrapjax.diagnosis.null_covariance import nulls
 from wrapjax.diagnosis.other_tasks import MOST_WINDOWS, chosen_windows, other_tasks, task_evidence
 from wrapjax.diagnosis.prediction import predicted_moments
 from wrapjax.diagnosis.score import score
+from wrapjax.diagnosis.task_covariance import ErrorSizes, LinearizedTasks, TaskCovariance
 from wrapjax.path_sources.path_fitting import fit
 from wrapjax.subject.gait_alone import with_gait_alone
 from wrapjax.subject.subject import load_subject
@@ -103,7 +106,6 @@ def damped(gait, evidence):
 def test_a_passive_trial_confirms_or_refutes_what_gait_suggests(damped, evidence):
     """Damping is shown where a joint is moved; a drift of EMG says nothing of muscles at rest."""
     refuted, _ = evidence(np.zeros(2))
-    print(damped[0], refuted)
     assert damped[0].added["joint_damping"] > 0.5
     assert refuted.added["joint_damping"] < -3.0
     assert max(abs(one.added["emg_drift"]) for one in (damped[0], refuted)) < 0.5
@@ -117,6 +119,42 @@ def test_scores_are_those_of_gait_with_what_is_added(damped, gait):
         assert one.detectability >= before[id].detectability
     order = [one.evidence for one in scores.by_id.values()]
     assert order == sorted(order, reverse=True) and scores.compared == tuple(scores.by_id)
+
+
+def tasks_of(gait, is_gait):
+    """Regard cycles of gait that are not marked as two halves of one trial of another task."""
+    data, linearized, _ = gait
+    cycles, coordinates, _ = linearized.residual.shape
+    angles = np.asarray(data.calibration_context.angles)[..., phase_frames(data.measured.shape[-1])]
+    size = np.tile(data.measured_moment_sd, (cycles, 1))
+    everything = np.ones((cycles, coordinates), dtype=bool)
+    trial = np.where(is_gait, 0, 1)
+    return LinearizedTasks(linearized, linearized.speeds, is_gait, everything, size, trial, angles)
+
+
+def test_rows_of_gait_have_the_null_of_the_score_test(gait):
+    data, linearized, _ = gait
+    tasks = tasks_of(gait, np.ones(6, dtype=bool))
+    found = TaskCovariance.of(tasks, np.arange(linearized.residual.size))(ErrorSizes(0.02, 0.03))
+    expected = list(nulls(linearized, data.measured_moment_sd))
+    nearest = min(np.abs(found - null.covariance).max() for null in expected)
+    assert nearest < 1e-9 * np.abs(found).max()
+
+
+def test_errors_by_angle_are_alike_where_angles_of_one_trial_are(gait):
+    _, linearized, _ = gait
+    tasks = tasks_of(gait, np.array([True] * 4 + [False] * 2))
+    covariance = TaskCovariance.of(tasks, np.arange(linearized.residual.size))
+    cycles, coordinates, phases = linearized.residual.shape
+    by_angle = covariance.by_angle.reshape(cycles, coordinates, phases, cycles, coordinates, phases)
+    np.testing.assert_array_equal(by_angle[:4], 0.0)
+    np.testing.assert_array_equal(by_angle[4:, 0, :, :, 1], 0.0)
+    size = np.square(tasks.moment_size[4, 0])
+    apart = np.abs(tasks.angles[4, 0, :, None] - tasks.angles[5, 0, None])
+    alike = by_angle[4, 0, :, 5, 0] / size
+    assert (alike[apart < 0.05] > 0.98).all() and (alike[apart > 0.7] < 0.14).all()
+    np.testing.assert_allclose(covariance.by_angle, covariance.by_angle.T)
+    assert np.linalg.eigvalsh(covariance.by_angle).min() > -1e-9 * size
 
 
 def test_errors_of_each_recording_are_reported(damped):

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,15 +188,23 @@ def add_other_tasks(out: Path, entry: dict, seed: int, target: Path) -> str:
     return name
 
 
+def _run(workers: int, work: Callable[..., str], *arguments: list) -> None:
+    """Do the work for each set of arguments, in processes of their own where there are several workers."""
+    if workers == 1:
+        for name in map(work, *arguments):
+            print(name, flush=True)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        for name in pool.map(work, *arguments):
+            print(name, flush=True)
+
+
 def with_other_tasks(out: Path, target: Path, workers: int) -> None:
     """Write a bank whose people also did passive rotations and isometric ramps; their walking is the same."""
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
     seed, entries = manifest["seed"], plan(manifest["cases"], manifest["seed"])
     count = len(entries)
-    with ProcessPoolExecutor(workers) as pool:
-        names = pool.map(add_other_tasks, [out] * count, entries, [seed] * count, [target] * count)
-        for name in names:
-            print(name, flush=True)
+    _run(workers, add_other_tasks, [out] * count, entries, [seed] * count, [target] * count)
     digests = {entry["id"]: digest(target, entry["id"]) for entry in entries}
     kept = {"seed": seed, "cases": count, "sha256": digests}
     (target / "manifest.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
@@ -257,13 +266,7 @@ def make(out: Path, cases: int, seed: int, workers: int) -> None:
     if record.exists() and record.read_text(encoding="utf-8") != text:
         raise SystemExit(f"{out} holds another bank: {record.read_text(encoding='utf-8').strip()}")
     record.write_text(text, encoding="utf-8")
-    if workers > 1:
-        with ProcessPoolExecutor(workers) as pool:
-            for name in pool.map(make_case, [out] * cases, entries, [seed] * cases):
-                print(name, flush=True)
-    else:
-        for entry in entries:
-            print(make_case(out, entry, seed), flush=True)
+    _run(workers, make_case, [out] * cases, entries, [seed] * cases)
     manifest = {"seed": seed, "cases": cases, "sha256": {e["id"]: digest(out, e["id"]) for e in entries}}
     (out / "manifest.json").write_text(json.dumps(manifest, indent=1), encoding="utf-8")
 

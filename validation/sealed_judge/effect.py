@@ -29,6 +29,8 @@ class View:
         True constants.
     speeds : tuple of float
         All speeds of the session.
+    walking : View, optional
+        A recording of walking, in which ranges of angles and lengths are, unless this one is of walking.
     """
 
     person: Person
@@ -37,6 +39,12 @@ class View:
     arms: np.ndarray
     muscles: Constants
     speeds: tuple[float, ...]
+    walking: View | None = None
+
+    @property
+    def habit(self) -> View:
+        """The recording of walking whose ranges of angles and lengths count."""
+        return self.walking or self
 
     @property
     def flexion(self) -> np.ndarray:

@@ -156,14 +156,15 @@ class PostureGain(Effect):
         self.extra = {"channels": self.channels}
 
     def emg(self, envelope: np.ndarray, view: View) -> np.ndarray:
-        length, _, _ = fiber(view.lmt, view.muscles)
+        length, usual = (fiber(one.lmt, one.muscles)[0] for one in (view, view.habit))
         out = envelope.copy()
         for name in self.channels:
-            x = length[:, view.index(anatomy.CHANNELS[name][0])]
-            z = (x - x.min()) / np.ptp(x)
-            # Gaussian of width 1 in z, its centre beyond the long end.
-            g = 0.5 * (z - 1.3) ** 2
-            out[:, anatomy.CHANNEL_NAMES.index(name)] *= np.exp(-self.size * (g - g.mean()) / np.ptp(g))
+            row = view.index(anatomy.CHANNELS[name][0])
+            low, width = usual[:, row].min(), np.ptp(usual[:, row])
+            # Gaussian of width 1 in the range of walking, its centre beyond the long end.
+            g, of_walking = (0.5 * ((x[:, row] - low) / width - 1.3) ** 2 for x in (length, usual))
+            change = (g - of_walking.mean()) / np.ptp(of_walking)
+            out[:, anatomy.CHANNEL_NAMES.index(name)] *= np.exp(-self.size * change)
         return out
 
 

@@ -25,10 +25,10 @@ class PassiveMoment(Effect):
                       "onset_in_range": self.onset, "neighbour_shift": self.couple}  # fmt: skip
 
     def moment(self, force: np.ndarray, view: View) -> np.ndarray:
-        q = view.flexion
+        q, habit = view.flexion, view.habit.flexion
 
         def unit(k: int) -> np.ndarray:
-            low, high = np.percentile(q[:, k], [1, 99])
+            low, high = np.percentile(habit[:, k], [1, 99])
             return (q[:, k] - low) / (high - low)
 
         z = unit(self.joint) if self.end > 0 else 1 - unit(self.joint)
@@ -69,11 +69,11 @@ class BiarticularSpring(Effect):
         self.extra = {"side": "front" if self.front else "back", "arms_m": [float(a) for a in self.arms]}
 
     def moment(self, force: np.ndarray, view: View) -> np.ndarray:
-        q = view.flexion
+        q, habit = view.flexion, view.habit.flexion
         # In front: longer with hip extension and knee flexion; behind: the reverse.
         pull = np.array([1.0, -1.0]) * self.arms * (1 if self.front else -1)
-        x = -(pull[0] * q[:, 0] + pull[1] * q[:, 3])
-        low, high = np.percentile(x, 35), np.percentile(x, 99.5)
+        x, usual = (-(pull[0] * one[:, 0] + pull[1] * one[:, 3]) for one in (q, habit))
+        low, high = np.percentile(usual, 35), np.percentile(usual, 99.5)
         tension = self.size * view.person.mass * (np.maximum(x - low, 0) / (high - low)) ** 2
         out = np.zeros_like(q)
         out[:, 0], out[:, 3] = tension * pull[0], tension * pull[1]

@@ -179,8 +179,8 @@ class Contracture(Effect):
     def force(self, force: np.ndarray, a: np.ndarray, c: Constants, view: View) -> np.ndarray:
         out = force.copy()
         for i in self.rows:
-            x = view.lmt[:, i]
-            z = (x - np.percentile(x, 1)) / (np.percentile(x, 99) - np.percentile(x, 1))
+            x, usual = view.lmt[:, i], view.habit.lmt[:, i]
+            z = (x - np.percentile(usual, 1)) / (np.percentile(usual, 99) - np.percentile(usual, 1))
             ramp = np.logaddexp(0.0, 12 * (z - self.onset)) / 12 / (1 - self.onset)
             out[:, i] += self.size * c.fmax[i] * ramp**1.5
         return out

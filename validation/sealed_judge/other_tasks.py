@@ -78,14 +78,22 @@ def _recording(session: Session, plan: Plan) -> gait.Recording:
     )  # fmt: skip
 
 
+def _view(session: Session, rec: gait.Recording, effects: Sequence[Effect]) -> View:
+    """Return what an effect may look at, with the ranges of the first recording of walking."""
+    leg = session.person.leg.copy()
+    for e in effects:
+        leg = e.true_leg(leg)
+    first = session.takes[0].view
+    common = session.person.muscles, session.person.speeds
+    walking = View(session.person, first.rec, *geometry(leg, first.rec.q), *common)
+    return View(session.person, rec, *geometry(leg, rec.q), *common, walking)
+
+
 def _resisted(session: Session, plan: Plan, effects: Sequence[Effect]) -> Plan:
     """Return a rotation that ends where the joint resists, about the middle of the planned range."""
     rec = _recording(session, plan)
     joint = anatomy.COORDS.index(plan.joint)
-    leg = session.person.leg.copy()
-    for e in effects:
-        leg = e.true_leg(leg)
-    view = View(session.person, rec, *geometry(leg, rec.q), session.person.muscles, session.person.speeds)
+    view = _view(session, rec, effects)
     idle = np.zeros((len(rec.time), len(anatomy.CHANNEL_NAMES)))
     free = np.abs(forward(idle, view, effects)[:, joint]) < RESISTANCE
     half = slice(0, len(rec.time) // 2 + 1)
@@ -117,21 +125,17 @@ def take(session: Session, plan: Plan, effects: Sequence[Effect], largest: np.nd
         Motion, drive and true joint moments.
     """
     person = session.person
-    leg = person.leg.copy()
     acting = [e for e in effects if e.id not in OF_WALKING]
     if not plan.sign:
         plan = _resisted(session, plan, acting)
-    for e in acting:
-        leg = e.true_leg(leg)
     rec = _recording(session, plan)
-    lmt, arms = geometry(leg, rec.q)
-    view = View(person, rec, lmt, arms, person.muscles, person.speeds)
+    view = _view(session, rec, acting)
     drive = np.zeros((len(rec.time), len(anatomy.CHANNEL_NAMES)))
     if plan.sign:
-        gain, _ = unit_forces(lmt, person.muscles)
+        gain, _ = unit_forces(view.lmt, person.muscles)
         joint = anatomy.COORDS.index(plan.joint)
         along = plan.sign * (person.leg.knee_sign if plan.joint == "knee_angle" else 1)
-        moment = along * (gain * arms[:, :, joint]).mean(axis=0)
+        moment = along * (gain * view.arms[:, :, joint]).mean(axis=0)
         of_channel = moment @ anatomy.channel_matrix()
         ramp = 1 - np.abs(2 * rec.time / rec.time[-1] - 1)
         drive += REST
