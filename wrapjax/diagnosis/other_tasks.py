@@ -4,8 +4,8 @@ A joint that is moved at rest, or held against a dynamometer, shows what walking
 alike in walking differ there. The plain model and the effects are linearised over the gait cycles and over
 windows of these tasks together, about the fit to gait. The logarithm of the Bayes factor of an effect over
 all rows, less the same over the rows of gait, is what the other tasks add; it is averaged over the unknown
-sizes of errors. What walking leaves open shows at other angles and efforts in everybody: usual errors of the
-muscle paths, and errors of the model that follow the joint angle, are part of every null of these tasks.
+sizes of errors. What walking leaves open shows at other angles and efforts in everybody: a usual amount of
+each effect, and errors of the model that follow the joint angle, are part of every null of these tasks.
 
 Inverse dynamics are no part of these tasks: what errors of force plates, markers or body masses change in
 gait changes nothing in them. Movements whose moments come from inverse dynamics are therefore not used.

@@ -28,9 +28,9 @@ NOISE_INFLATION = 1.5
 #: the same at the same joint angle, its correlation width (rad), and the sizes that are tried. The calibrated
 #: parameters are those of walking, and these trials leave its angles and efforts.
 EXPECTED_ERROR_BY_ANGLE, ANGLE_WIDTH, ERRORS_BY_ANGLE = 0.1, 0.35, (0.05, 0.1, 0.2, 0.4)
-#: Effects of which everybody has something that shows at angles that walking does not reach, and the share of
-#: their prior standard deviation that is usual: 1.5 mm of the 5 mm of a muscle's ends.
-USUAL_PATH_ERRORS, USUAL_SHARE = ("wrap_surface", "muscle_attachment"), 0.3
+#: Share of its prior standard deviation that everybody has of each effect and that walking leaves open: it
+#: shows at angles and efforts of other tasks, such as usual passive moments, crosstalk or errors of paths.
+USUAL_SHARE = 0.3
 #: Activation from which a muscle's force has its whole error in tasks other than gait, and the share of it
 #: that a muscle at rest has: what rests can only be wrong by its passive force, whose law has a prior.
 FULL_ERROR_ACTIVATION, ERROR_AT_REST = 0.1, 0.1
@@ -96,7 +96,7 @@ class TaskCovariance:
     Parameters
     ----------
     fixed
-        Noise, errors of inputs, calibrated parameters, nuisances and usual errors of paths.
+        Noise, errors of inputs, calibrated parameters, nuisances and usual amounts of effects.
     force, repeatable, by_angle
         Errors of muscle force, smooth errors that repeat, and errors by joint angle, of size one
         (`ErrorSizes`).
@@ -116,7 +116,7 @@ class TaskCovariance:
         for share, errors in zip(linearized.noise.input_shares, linearized.input_errors, strict=True):
             blocks += share**2 * input_blocks(errors)
         fixed = _within_cycles(blocks, rows, cycle)
-        for signatures in (linearized.calibrated, linearized.nuisances, _usual_path_errors(data)):
+        for signatures in (linearized.calibrated, linearized.nuisances, _usual_amounts(data)):
             own = signatures.reshape(len(signatures), linearized.residual.size)[:, rows]
             fixed += own.T @ own
         return cls(
@@ -175,21 +175,20 @@ def _noise(data: LinearizedTasks) -> Float[np.ndarray, "cycle own own"]:
     return np.where(data.gait[:, None, None], of_gait, of_others)
 
 
-def _usual_path_errors(data: LinearizedTasks) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
-    """Compute the signatures of usual errors of muscle paths in tasks other than gait, N m.
+def _usual_amounts(data: LinearizedTasks) -> Float[np.ndarray, "parameter cycle coordinate phase"]:
+    """Compute the signatures of usual amounts of each effect in tasks other than gait, N m.
 
-    In gait errors of moment arms stand for them.
+    In gait the null hypothesis has errors of its own in their place.
     """
     linearized = data.linearized
     others = ~data.gait[:, None, None]
     signatures = [np.zeros((0, *linearized.residual.shape))]
     for one in linearized.candidates:
-        if one.id in USUAL_PATH_ERRORS:
-            sd = USUAL_SHARE * one.prior_sd / np.sqrt(len(one.variants))
-            signatures += [
-                sd[:, None, None, None] * variant.reshape(-1, *linearized.residual.shape) * others
-                for variant in one.variants
-            ]
+        sd = USUAL_SHARE * one.prior_sd / np.sqrt(len(one.variants))
+        signatures += [
+            sd[:, None, None, None] * variant.reshape(-1, *linearized.residual.shape) * others
+            for variant in one.variants
+        ]
     return np.concatenate(signatures)
 
 
