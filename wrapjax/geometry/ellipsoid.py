@@ -158,31 +158,32 @@ def _shortest(
     shift = (before - after) * safe_inverse(jnp.maximum(bend, 0.0))
     angle = angles[best] + (jnp.pi / _PLANES) * jnp.clip(shift, -1.0, 1.0)
 
-    def along(angle: Float[Array, ""], search: Search) -> Curve:
-        plane = plane_through(*ends, angle)
+    # The planes of the shortest path and of the one on the opposite side, in one batch.
+    planes = jax.vmap(lambda angle: plane_through(*ends, angle))(jnp.stack([angle, angle + jnp.pi]))
+    shortest, opposite = jax.vmap(lambda plane: planar_length(plane, *ends, fixed_sizes))(planes)
+
+    def along(plane: Plane, search: Search) -> Curve:
         frame = jnp.stack([plane.backward, plane.aside, plane.normal], axis=1)
         contacts = plane.points(jnp.stack([plane.first, plane.last]))
         choices = ((plane.aside, plane.first), (plane.aside, plane.last))
-        initial = [
-            _horizon_angle(point, plane.aside, contact) for point, contact in zip(ends, contacts, strict=True)
-        ]
+        initial = jax.vmap(lambda point, contact: _horizon_angle(point, plane.aside, contact))(
+            jnp.stack(ends), contacts
+        )
         given = Ends(start * sizes, end * sizes, (sizes, frame), *choices)
-        return find_curve(_FAMILY, given, jnp.stack(initial), search)
+        return find_curve(_FAMILY, given, initial, search)
 
     restricted = ellipsoid.side != 0
-    middle = plane_through(*ends, angle)
+    middle = jax.tree.map(lambda leaf: leaf[0], planes)
     apex = middle.points(0.5 * (middle.first + middle.last))
     excluded = restricted & ~ellipsoid.on_side(vector(apex))
     # The path on the opposite side cannot be shorter if its plane's path is longer by much.
-    opposite = planar_length(plane_through(*ends, angle + jnp.pi), *ends, fixed_sizes)
-    shortest = planar_length(middle, *ends, fixed_sizes)
     detour = shortest - _norm((ends[1] - ends[0]) * fixed_sizes)
     close = opposite - shortest < _CLOSE * detour
     search = Search(
         shortest=jnp.stack([jnp.asarray(True), ~excluded]),
         needed=jnp.stack([jnp.asarray(True), close | excluded]),
     )
-    both = jax.vmap(along)(jnp.stack([angle, angle + jnp.pi]), search)
+    both = jax.vmap(along)(planes, search)
     on_side = ellipsoid.on_side(vector(both.middle)) | ~restricted
     # The path on the active side or, if that is none or both, the shorter one.
     length = jnp.where(search.needed & (on_side | ~jnp.any(on_side & search.needed)), both.total, jnp.inf)

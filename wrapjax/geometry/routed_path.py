@@ -11,20 +11,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from wrapjax.geometry.engine import ExactPaths, kinds_of, points_and_bodies, surfaces_of
+from wrapjax.geometry.engine import (
+    ExactPaths,
+    kinds_of,
+    nominal_parameters,
+    points_and_bodies,
+    surfaces_of,
+)
 from wrapjax.geometry.kinematics import CoordinateValues, body_motion, path_points
 from wrapjax.geometry.model_description import ModelDescription
 from wrapjax.geometry.path_on_cylinders import PointsAndBodies
 from wrapjax.geometry.several_wraps import Route, shortest_route
 from wrapjax.geometry.surface_arc import geodesic_arc
 from wrapjax.geometry.wrap_methods import CYLINDER, Kinds
-from wrapjax.geometry.wrapping import NOMINAL, Surface
+from wrapjax.geometry.wrapping import NOMINAL_PARAMETERS, Surface
 
 # Largest step on an arc (rad), for which the line is shorter than the arc by a few parts per million.
 _STEP = np.deg2rad(0.5)
 # Paths are padded to this number of points, so that all with as many surfaces share a compiled program.
 _POINTS = 8
-# Poses of one batch: all batches of several poses share a compiled program.
+# Poses of one batch: all batches share a compiled program, so that it is compiled once.
 _BATCH = 101
 
 Points = Float[np.ndarray, "vertex 3"]
@@ -150,12 +156,12 @@ def route_paths(
     carriers = [(wrap.body, motion[wrap.body]) for wrap in objects]
     entries = [entry for entry in path.wraps if entry.wrap in wraps]
     if parameters is None:
-        parameters = np.tile(NOMINAL, (len(wraps), 1))
+        parameters = nominal_parameters(len(wraps))
     kinds = kinds_of(objects, entries)
     routes = _routes(
         _padded(points_and_bodies(path, points, carriers, entries)),
         surfaces_of(objects),
-        jnp.asarray(parameters),
+        parameters,
         kinds,
     )
     routed = []
@@ -168,18 +174,29 @@ def route_paths(
 
 
 def _routes(
-    path: PointsAndBodies, surfaces: Surface, parameters: Float[Array, "wrap wrap_parameter"], kinds: Kinds
+    path: PointsAndBodies,
+    surfaces: Surface,
+    parameters: Float[np.ndarray, "wrap wrap_parameter"],
+    kinds: Kinds,
 ) -> Route:
     """Compute the course in every pose, in batches; arrays of NumPy whose first axis is ``pose``."""
     poses = path.position.shape[0]
-    size = min(poses, _BATCH)
+    # Other sizes of batches and other numbers of parameters would need other programs.
+    parameters = jnp.asarray(_all_parameters(parameters))
     parts = []
-    for first in range(0, poses, size):
-        # The last batch is filled with its last pose, since another size would need another program.
-        rows = np.minimum(np.arange(first, first + size), poses - 1)
+    for first in range(0, poses, _BATCH):
+        rows = np.minimum(np.arange(first, first + _BATCH), poses - 1)
         batch = jax.tree.map(lambda leaf: leaf[rows], path)  # noqa: B023
         parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, parameters, kinds)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:poses], *parts)
+
+
+def _all_parameters(
+    parameters: Float[np.ndarray, "wrap wrap_parameter"],
+) -> Float[np.ndarray, "wrap all_parameters"]:
+    """Append nominal values of the wrap parameters that are missing at the end."""
+    missing = NOMINAL_PARAMETERS[parameters.shape[1] :]
+    return np.concatenate([parameters, np.tile(missing, (len(parameters), 1))], axis=1)
 
 
 @eqx.filter_jit

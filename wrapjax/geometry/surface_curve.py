@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 #: Number of the polynomial's coefficients, and of nodes of the quadrature.
 COEFFICIENTS, NODES = 6, 16
@@ -170,8 +170,7 @@ def find_curve(family: Family, ends: Ends, initial: Float[Array, " 2"], search: 
         Kind of path.
     """
     start = jnp.concatenate([jax.lax.stop_gradient(initial), jnp.zeros(COEFFICIENTS)])
-    found = _stationary(family, ends, start, search)
-    _, gradient, hessian = jax.lax.stop_gradient(_expansion(family, ends, found))
+    found, gradient, hessian = _stationary(family, ends, start, search)
     move, pivots = _eliminated(hessian, gradient[:, None])
     stationary = jnp.abs(jnp.sum(gradient * move[:, 0])) < _STATIONARY
     found = jnp.where(stationary, found, start)
@@ -295,17 +294,16 @@ def _expansion(
         place = family.tangent(ends.surface, point, choice, variable)
         return jnp.append(place, _distance(family.chart(ends.surface, *place), point))
 
-    def twice(function: Callable[[Array], Array], at: Array) -> tuple[Array, Array, Array]:
+    def of_end(variable: Array, point: Array, choice: Any) -> tuple[Array, Array, Array]:
         def once(one: Array) -> tuple[Array, Array]:
-            return jax.jvp(function, (one,), (jnp.ones(()),))
+            return jax.jvp(lambda at: at_end(at, point, choice), (one,), (jnp.ones(()),))
 
-        (value, slope), (_, bend) = jax.jvp(once, (at,), (jnp.ones(()),))
+        (value, slope), (_, bend) = jax.jvp(once, (variable,), (jnp.ones(()),))
         return value, slope, bend
 
-    def of_end(number: int, point: Array, choice: Any) -> tuple[Array, Array, Array]:
-        return twice(lambda at: at_end(at, point, choice), variables[number])
-
-    ends_of = [of_end(0, ends.start, ends.at_start), of_end(1, ends.end, ends.at_end)]
+    points = jnp.stack([ends.start, ends.end])
+    choices = jax.tree.map(lambda *both: jnp.stack(both), ends.at_start, ends.at_end)
+    ends_of = list(zip(*jax.vmap(of_end)(variables[:2], points, choices), strict=True))
     shape = jnp.concatenate([ends_of[0][0][:2], ends_of[1][0][:2], variables[2:]])
 
     speed, slopes, bends = _speeds(family, ends.surface, jnp.asarray(_SHAPES) @ shape)
@@ -346,17 +344,49 @@ def _eliminated(
     return rows[:, VARIABLES:] * scale[:, None], jnp.stack(pivots)
 
 
+class _Iterate(NamedTuple):
+    """State of the damped Newton method."""
+
+    #: Variables, and the length with its derivatives there.
+    at: Float[Array, " variable"]
+    value: Float[Array, ""]
+    gradient: Float[Array, " variable"]
+    hessian: Float[Array, "variable variable"]
+    #: Variables at which the length is to be computed next, and whether it may decrease from here to there.
+    trial: Float[Array, " variable"]
+    downhill: Bool[Array, ""]
+    damping: Float[Array, ""]
+    #: Whether the next trial is the last one, and whether it has been made.
+    last: Bool[Array, ""]
+    done: Bool[Array, ""]
+    count: Int[Array, ""]
+
+
 @eqx.filter_custom_jvp
 def _stationary(
     family: Family, ends: Ends, initial: Float[Array, " variable"], search: Search
-) -> Float[Array, " variable"]:
-    """Variables of a path of stationary length, with the derivatives of a root of the length's gradient."""
+) -> tuple[Float[Array, " variable"], Float[Array, " variable"], Float[Array, "variable variable"]]:
+    """Variables of a path of stationary length, with the derivatives of a root of the length's gradient.
 
-    def unfinished(state: tuple[Array, ...]) -> Array:
-        return ~state[5] & (state[6] < _MAX_STEPS)
+    The length's gradient and second derivatives there are returned as constants. The program has the
+    expansion of the length once: it is most of what has to be compiled.
+    """
 
-    def step(state: tuple[Array, ...]) -> tuple[Array, ...]:
-        at, value, gradient, hessian, damping, _, count = state
+    def unfinished(state: _Iterate) -> Bool[Array, ""]:
+        return ~state.done & (state.count <= _MAX_STEPS)
+
+    def step(state: _Iterate) -> _Iterate:
+        found = _expansion(family, ends, state.trial)
+        first = state.count == 0
+        better = first | (state.downhill & ((found[0] <= state.value + _ROUND_OFF) | ~search.shortest))
+        at, value, gradient, hessian = jax.tree.map(
+            lambda new, old: jnp.where(better, new, old),
+            (state.trial, *found),
+            (state.at, state.value, state.gradient, state.hessian),
+        )
+        eased = jnp.where(state.damping <= _LEAST_DAMPING, 0.0, 0.1 * state.damping)
+        raised = jnp.maximum(8.0 * state.damping, _FIRST_DAMPING)
+        damping = jnp.where(better, eased, raised)
         damped = hessian + damping * jnp.diag(jnp.abs(jnp.diagonal(hessian)))
         moves, pivots = _eliminated(damped, -gradient[:, None])
         move = moves[:, 0]
@@ -364,32 +394,71 @@ def _stationary(
         downhill = (jnp.all(pivots > 0.0) | ~search.shortest) & jnp.all(jnp.isfinite(move))
         move = jnp.where(jnp.isfinite(move), move, 0.0)
         limit = _LONGEST_STEP / jnp.maximum(jnp.max(jnp.abs(move[:2])), _LONGEST_STEP)
-        trial = at + limit * move
-        found = _expansion(family, ends, trial)
-        better = downhill & ((found[0] <= value + _ROUND_OFF) | ~search.shortest)
-        done = downhill & (jnp.abs(promised) < _TOLERANCE)
-        eased = jnp.where(damping <= _LEAST_DAMPING, 0.0, 0.1 * damping)
-        raised = jnp.maximum(8.0 * damping, _FIRST_DAMPING)
-        at, value, gradient, hessian = jax.tree.map(
-            lambda new, old: jnp.where(better, new, old), (trial, *found), (at, value, gradient, hessian)
+        return _Iterate(
+            at=at,
+            value=value,
+            gradient=gradient,
+            hessian=hessian,
+            trial=at + limit * move,
+            downhill=downhill,
+            damping=damping,
+            last=downhill & (jnp.abs(promised) < _TOLERANCE),
+            done=state.last | ~search.needed,
+            count=state.count + 1,
         )
-        return at, value, gradient, hessian, jnp.where(better, eased, raised), done, count + 1
 
-    expansion = _expansion(family, ends, initial)
-    start: tuple[Array, ...] = (initial, *expansion, jnp.asarray(0.0), ~search.needed, jnp.asarray(0))
-    return jax.lax.while_loop(unfinished, step, start)[0]
+    no = jnp.asarray(False)
+    zeros = jnp.zeros(VARIABLES)
+    start = _Iterate(
+        at=initial,
+        value=jnp.asarray(jnp.inf),
+        gradient=zeros,
+        hessian=jnp.zeros((VARIABLES, VARIABLES)),
+        trial=initial,
+        downhill=no,
+        damping=jnp.asarray(0.0),
+        last=no,
+        done=no,
+        count=jnp.asarray(0),
+    )
+    end = jax.lax.while_loop(unfinished, step, start)
+    return end.at, end.gradient, end.hessian
 
 
 @_stationary.def_jvp
 def _stationary_jvp(primals, tangents):
     family, ends, _, _ = primals
-    found = _stationary(*primals)
-    ends_tangent = tangents[1]
+    found, residual, constant = _stationary(*primals)
 
     def gradient(ends: Ends) -> Float[Array, " variable"]:
         return _gradient(family, ends, found)
 
-    _, moved = eqx.filter_jvp(gradient, (ends,), (ends_tangent,))
+    _, moved = eqx.filter_jvp(gradient, (ends,), (tangents[1],))
     # Reverse mode transposes the rule, which must be visibly linear in the tangents.
-    inverse, _ = _eliminated(_expansion(family, ends, found)[2], jnp.eye(VARIABLES))
-    return found, -inverse @ moved
+    inverse, _ = _eliminated(_known_hessian(family, ends, found, constant), jnp.eye(VARIABLES))
+    return (found, residual, constant), (-inverse @ moved, jnp.zeros_like(residual), jnp.zeros_like(constant))
+
+
+@eqx.filter_custom_jvp
+def _known_hessian(
+    family: Family,
+    ends: Ends,
+    variables: Float[Array, " variable"],
+    known: Float[Array, "variable variable"],
+) -> Float[Array, "variable variable"]:
+    """Second derivatives of length that are known, with derivatives of their own.
+
+    These are computed for second derivatives of a path alone.
+    """
+    return known
+
+
+@_known_hessian.def_jvp
+def _known_hessian_jvp(primals, tangents):
+    family, ends, variables, known = primals
+
+    def hessian(ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, "variable variable"]:
+        return _expansion(family, ends, variables)[2]
+
+    _, moved = eqx.filter_jvp(hessian, (ends, variables), (tangents[1], tangents[2]))
+    return _known_hessian(*primals), moved
