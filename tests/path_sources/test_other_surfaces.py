@@ -1,6 +1,4 @@
 """PGA with surfaces other than cylinders: freedom, calibration and the personalised model in OpenSim.
-
-The calibration is of a sphere: programs of paths round an ellipsoid take minutes to compile.
 """
 
 import jax
@@ -24,9 +22,17 @@ from wrapjax.subject.subject import load_subject
 
 SPHERE = """<WrapSphere name="kneecap"><active>true</active><xyz_body_rotation>0 0 0</xyz_body_rotation>
  <translation>0.02 -0.4 0.005</translation><quadrant>x</quadrant><radius>0.038</radius></WrapSphere>"""
+ELLIPSOID = """<WrapEllipsoid name="kneecap"><active>true</active><xyz_body_rotation>0 0 0</xyz_body_rotation>
+ <translation>0.02 -0.4 0.005</translation><quadrant>x</quadrant><dimensions>0.036 0.045 0.04</dimensions>
+ </WrapEllipsoid>"""
+TORUS = """<WrapTorus name="kneecap"><active>true</active><xyz_body_rotation>1.57 0 0</xyz_body_rotation>
+ <translation>0.02 -0.36 0.005</translation><quadrant>all</quadrant><inner_radius>0.03</inner_radius>
+ <outer_radius>0.05</outer_radius></WrapTorus>"""
 #: Muscle, surface and the largest difference of its length from OpenSim's (m).
 CASES = {
     "sphere": ("recfem_l", "kneecap", SPHERE, 1e-9),
+    "ellipsoid": ("recfem_l", "kneecap", ELLIPSOID, 5e-6),
+    "torus": ("recfem_l", "kneecap", TORUS, 1e-6),
 }
 
 
@@ -77,7 +83,10 @@ def test_variables_are_those_of_each_surface(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_personalised_model_has_the_paths_of_the_calibration(case, tmp_path):
-    """OpenSim's lengths in the written model are those of the engine with the calibrated surface."""
+    """OpenSim's lengths in the written model are those of the engine with the calibrated surface.
+
+    OpenSim replaces a torus by a cylinder, so that its paths are centimeters from the shortest ones.
+    """
     muscle, wrap, surface, tolerance = CASES[case]
     subject = load_subject(write_with_surface(tmp_path / "person", muscle, wrap, surface))
     run = tmp_path / "PGA"
@@ -101,5 +110,6 @@ def test_personalised_model_has_the_paths_of_the_calibration(case, tmp_path):
     )
     assert parity.touching.mean() > 0.3
     np.testing.assert_allclose(written, parity.length, atol=tolerance)
-    assert np.sqrt(np.mean((written - shortest.length) ** 2)) < 0.5e-3
+    if case != "torus":
+        assert np.sqrt(np.mean((written - shortest.length) ** 2)) < 0.5e-3
     assert np.abs(nominal - written).max() > 1e-4
