@@ -1,5 +1,4 @@
-"""PGA with surfaces other than cylinders: freedom, calibration and the personalised model in OpenSim.
-"""
+"""PGA with surfaces other than cylinders: freedom, calibration and the personalised model in OpenSim."""
 
 import jax
 import numpy as np

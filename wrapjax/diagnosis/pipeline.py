@@ -20,6 +20,7 @@ from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.decision import DecisionConstants, decide, subsets_to_refit
 from wrapjax.diagnosis.gates import adequacy_of_plain_model
 from wrapjax.diagnosis.input import DiagnosisInput
+from wrapjax.diagnosis.joint_places import joint_place_errors
 from wrapjax.diagnosis.law_evidence import law_evidence
 from wrapjax.diagnosis.linearization import linearize
 from wrapjax.diagnosis.localization import localize
@@ -110,6 +111,7 @@ def run_diagnosis(
     with watch.during("signatures", "computing the signature of every effect"):
         linearized = linearize(data, baseline.variables)
         localization = localize(data, baseline, linearized)
+        places = joint_place_errors(data, linearized, baseline.variables)
     null_residuals = None if known is None else known.null_residuals
     if null_residuals is None:
         with watch.during("twins", f"simulating {null_replicates} null replicates"):
@@ -163,6 +165,7 @@ def run_diagnosis(
         decision=decision,
         law_evidence=laws,
         task_evidence=of_tasks,
+        joint_places=places,
         seconds=watch.seconds,
     )
     return result, CatalogueIndependent(baseline, null_residuals)

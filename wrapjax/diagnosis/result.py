@@ -18,6 +18,7 @@ from wrapjax.diagnosis.effects.effect import Effect, Effects, NotTestable
 from wrapjax.diagnosis.gates import Gates
 from wrapjax.diagnosis.input import DiagnosisInput
 from wrapjax.diagnosis.joint_fit import effect_size_covariance
+from wrapjax.diagnosis.joint_places import JointPlaceError
 from wrapjax.diagnosis.linearization import LinearizedModel
 from wrapjax.diagnosis.localization import BINS, ErrorBudget, Localization, MuscleShare
 from wrapjax.diagnosis.noise_floor import Estimate
@@ -125,6 +126,9 @@ class DiagnosisResult:
         Share of the moment capacity of muscles without EMG, by coordinate.
     task_evidence
         What tasks other than gait added to the evidence; None if there are none.
+    joint_places
+        What one standard deviation of the place of each joint does; empty without a diagnosis, or where the
+        recording does not show it.
     """
 
     outcome: str
@@ -168,6 +172,7 @@ class DiagnosisResult:
     law_evidence: dict[str, float] = field(default_factory=dict)
     undriven_capacity: Mapping[str, CapacityShare] = field(default_factory=dict)
     task_evidence: TaskEvidence | None = None
+    joint_places: tuple[JointPlaceError, ...] = ()
 
 
 def result_without_diagnosis(
@@ -257,6 +262,7 @@ def diagnosis_result(
     law_evidence: dict[str, float],
     seconds: dict[str, float],
     task_evidence: TaskEvidence | None = None,
+    joint_places: tuple[JointPlaceError, ...] = (),
 ) -> DiagnosisResult:
     """Assemble the result of a diagnosis from the results of all steps.
 
@@ -274,6 +280,8 @@ def diagnosis_result(
         Time of each step, s.
     task_evidence
         What tasks other than gait added to the evidence.
+    joint_places
+        What uncertain places of joints do.
     """
     probability = decision.probabilities
     assert probability is not None
@@ -319,6 +327,7 @@ def diagnosis_result(
         best_partial=decision.best_partial,
         gates=decision.gates,
         task_evidence=task_evidence,
+        joint_places=joint_places,
     )
 
 

@@ -455,7 +455,7 @@ def _known_hessian(
 
 @_known_hessian.def_jvp
 def _known_hessian_jvp(primals, tangents):
-    family, ends, variables, known = primals
+    family, ends, variables, _ = primals
 
     def hessian(ends: Ends, variables: Float[Array, " variable"]) -> Float[Array, "variable variable"]:
         return _expansion(family, ends, variables)[2]

@@ -110,6 +110,10 @@ class JointPlace:
     axis: int
 
 
+#: Beginning of the source of the priors of a joint's place that markers determine.
+FROM_MARKERS = "joint personalised from markers"
+
+
 def narrowed(
     parameter: EffectParameter, place: JointPlace, spread: Mapping[str, JointSpread]
 ) -> EffectParameter:
@@ -139,7 +143,7 @@ def narrowed(
         prior_sd=sd,
         usual_sd=min(parameter.usual_sd, sd),
         limit=min(parameter.limit, _LIMIT_OF_PERSONALISED * sd),
-        source=f"joint personalised from markers; of a scaled model: {parameter.source}",
+        source=f"{FROM_MARKERS}; of a scaled model: {parameter.source}",
     )
 
 
