@@ -71,7 +71,7 @@ def test_without_ground_forces_no_joint_is_reported(data):
 
 
 def test_a_joint_changes_moments_by_its_spread(places, data):
-    """The hip has the usual 7 mm of a scaled model, the knee the 1 mm that markers leave; there is no foot."""
+    """The hip has the usual 7 mm of a scaled model, the knee the 1 mm that markers leave."""
     assert len(places) == 2
     hip, knee = (next(one for one in places if one.joint == name) for name in ("hip", "knee"))
     first, second = data.context.coordinates[:2]
