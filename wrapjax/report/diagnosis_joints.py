@@ -20,6 +20,8 @@ from wrapjax.report.style import (
 
 # Words for what is uncertain, unit, and factor from SI.
 _QUANTITIES = {"translation": ("center", "mm", 1e3), "orientation": ("axes", "degrees", 180.0 / np.pi)}
+# Most coordinates that are listed for a joint, and the least change (N m) of one.
+_MOST_LISTED, _LEAST_LISTED = 3, 0.05
 
 
 def joint_places_section(places: tuple[JointPlaceError, ...]) -> str:
@@ -50,7 +52,7 @@ def joint_places_section(places: tuple[JointPlaceError, ...]) -> str:
                 "parameter that moves farthest (prior standard deviations)",
             ),
             [_row(one) for one in places],
-            caption="Root mean square over gait cycles; the three coordinates that change most.",
+            caption="Root mean square over gait cycles; the coordinates that change most, up to three.",
         ),
     )
 
@@ -82,12 +84,13 @@ def _name(place: JointPlaceError) -> str:
 
 def _row(place: JointPlaceError) -> tuple[str, ...]:
     _, unit, factor = _QUANTITIES[place.quantity]
-    strongest = sorted(place.moment_sd, key=lambda name: -place.moment_sd[name])[:3]
+    strongest = sorted(place.moment_sd, key=lambda name: -place.moment_sd[name])[:_MOST_LISTED]
+    listed = [name for name in strongest if place.moment_sd[name] >= _LEAST_LISTED]
     return (
         _name(place),
         f"{', '.join(f'{factor * sd:.1f}' for sd in place.sd)} {unit}",
         "markers" if place.from_markers else "scaled models",
-        ", ".join(f"{readable(name)} {place.moment_sd[name]:.1f}" for name in strongest),
-        ", ".join(f"{readable(name)} {place.left_sd[name]:.1f}" for name in strongest),
+        ", ".join(f"{readable(name)} {place.moment_sd[name]:.1f}" for name in listed),
+        ", ".join(f"{readable(name)} {place.left_sd[name]:.1f}" for name in listed),
         f"{place.parameter_shift:.2f}",
     )
