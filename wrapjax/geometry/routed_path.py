@@ -182,12 +182,12 @@ def _routes(
     """Compute the course in every pose, in batches; arrays of NumPy whose first axis is ``pose``."""
     poses = path.position.shape[0]
     # Other sizes of batches and other numbers of parameters would need other programs.
-    parameters = jnp.asarray(_all_parameters(parameters))
+    complete = jnp.asarray(_all_parameters(parameters))
     parts = []
     for first in range(0, poses, _BATCH):
         rows = np.minimum(np.arange(first, first + _BATCH), poses - 1)
         batch = jax.tree.map(lambda leaf: leaf[rows], path)  # noqa: B023
-        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, parameters, kinds)))
+        parts.append(jax.tree.map(np.asarray, _route_batch(batch, surfaces, complete, kinds)))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:poses], *parts)
 
 

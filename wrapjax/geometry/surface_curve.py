@@ -359,7 +359,7 @@ class _Iterate(NamedTuple):
     #: Whether the next trial is the last one, and whether it has been made.
     last: Bool[Array, ""]
     done: Bool[Array, ""]
-    count: Int[Array, ""]
+    steps: Int[Array, ""]
 
 
 @eqx.filter_custom_jvp
@@ -373,11 +373,11 @@ def _stationary(
     """
 
     def unfinished(state: _Iterate) -> Bool[Array, ""]:
-        return ~state.done & (state.count <= _MAX_STEPS)
+        return ~state.done & (state.steps <= _MAX_STEPS)
 
     def step(state: _Iterate) -> _Iterate:
         found = _expansion(family, ends, state.trial)
-        first = state.count == 0
+        first = state.steps == 0
         better = first | (state.downhill & ((found[0] <= state.value + _ROUND_OFF) | ~search.shortest))
         at, value, gradient, hessian = jax.tree.map(
             lambda new, old: jnp.where(better, new, old),
@@ -404,7 +404,7 @@ def _stationary(
             damping=damping,
             last=downhill & (jnp.abs(promised) < _TOLERANCE),
             done=state.last | ~search.needed,
-            count=state.count + 1,
+            steps=state.steps + 1,
         )
 
     no = jnp.asarray(False)
@@ -419,7 +419,7 @@ def _stationary(
         damping=jnp.asarray(0.0),
         last=no,
         done=no,
-        count=jnp.asarray(0),
+        steps=jnp.asarray(0),
     )
     end = jax.lax.while_loop(unfinished, step, start)
     return end.at, end.gradient, end.hessian
