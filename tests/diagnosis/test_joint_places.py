@@ -48,7 +48,7 @@ def change(derivatives, effect_sizes):
 
 
 @pytest.fixture(scope="module")
-def places(data):
+def moved(data):
     """Places of joints whose centers change one moment each by 100 or 200 N m for each meter forward."""
     derivatives = {
         "hip_center_offset": np.zeros((3, *data.measured.shape)),
@@ -62,12 +62,19 @@ def places(data):
         joint_spread={"knee_angle_l": JointSpread((0.001, 0.002, 0.002), (None, None, None))},
     )
     moved = dataclasses.replace(data, context=context)
-    return joint_place_errors(moved, linearize(moved, moved.variables), moved.variables)
+    return moved, linearize(moved, moved.variables)
 
 
-def test_without_ground_forces_no_joint_is_reported(data):
+@pytest.fixture(scope="module")
+def places(moved):
+    data, linearized = moved
+    return joint_place_errors(data, linearized, data.variables)
+
+
+def test_without_ground_forces_no_joint_is_reported(data, moved):
     """Inverse dynamics cannot be computed anew, so nothing is known of joints."""
-    assert joint_place_errors(data, linearize(data, data.variables), data.variables) == ()
+    _, linearized = moved
+    assert joint_place_errors(data, linearized, data.variables) == ()
 
 
 def test_a_joint_changes_moments_by_its_spread(places, data):
@@ -86,6 +93,19 @@ def test_a_calibration_takes_up_part_of_the_change(places):
         left, before = (sum(value**2 for value in sd.values()) for sd in (one.left_sd, one.moment_sd))
         assert 0.0 < left < before
         assert 0.0 < one.parameter_shift < 1.0
+
+
+def test_a_calibration_follows_as_its_objective_does(places, moved):
+    """A Gauss-Newton step of the objective, whose measured moments have changed as by the hip center."""
+    data, linearized = moved
+    problem, at = data.law.free, jnp.asarray(data.law.with_free_law(data.variables))
+    changed = dataclasses.replace(problem, measured=problem.measured.at[:, 0].add(0.7))
+    before, after = (one.linearized_at(at) for one in (problem, changed))
+    step = np.linalg.solve(before.gauss_newton, before.gradient - after.gradient)
+    expected = np.max(np.abs(step) / linearized.parameter_sd)
+    hip = next(one for one in places if one.joint == "hip")
+    # The linearised model has fewer frames, mean envelopes, and a wide prior in place of bounds.
+    assert hip.parameter_shift == pytest.approx(expected, rel=0.1)
 
 
 def test_the_section_shows_what_changes_most(places):
