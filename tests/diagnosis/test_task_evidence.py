@@ -141,6 +141,23 @@ def test_rows_of_gait_have_the_null_of_the_score_test(gait):
     assert nearest < 1e-9 * np.abs(found).max()
 
 
+def test_a_usual_amount_of_each_effect_is_allowed_in_other_tasks_alone(gait):
+    _, linearized, _ = gait
+    tasks, rows = tasks_of(gait, np.array([True] * 4 + [False] * 2)), np.arange(linearized.residual.size)
+    none = dataclasses.replace(tasks, linearized=dataclasses.replace(linearized, candidates=()))
+    with_effects, without = (TaskCovariance.of(one, rows).fixed for one in (tasks, none))
+    added, windows = with_effects - without, 4 * linearized.residual[0].size
+    tolerance = 1e-9 * np.abs(with_effects).max()
+    assert np.abs(added[:windows]).max() < tolerance
+    variances = [
+        np.square(0.3 * one.prior_sd[:, None] * variant[:, windows:]).sum(axis=0) / len(one.variants)
+        for one in linearized.candidates
+        for variant in one.variants
+    ]
+    np.testing.assert_allclose(np.diag(added)[windows:], np.sum(variances, axis=0), atol=tolerance)
+    assert np.sum(variances) > 1e3 * tolerance
+
+
 def test_errors_by_angle_are_alike_where_angles_of_one_trial_are(gait):
     _, linearized, _ = gait
     tasks = tasks_of(gait, np.array([True] * 4 + [False] * 2))
