@@ -7,11 +7,13 @@ the recorded running and one of each joint alone. OpenSim computes the markers o
 
 Skin moves each marker on its body by 4.5 mm (root mean square), in proportion to the angles of the joints at
 the body (continuous and in phase, the same per angle in all trials; of the size of Reinbolt et al. 2005,
-J Biomech 38), and by a slow sinusoid of about half that size. ``--curvature`` and ``--cameras-mm`` make it
-harder: movement in proportion to squared angles too, which the estimation does not know of, and noise. Errors
-are those of the joint's centre against the body's markers: the estimated body is laid on the true one by the
-markers that it carries, in the parent and in the child body where these carry three or more; of a hinge, the
-distance from the true axis, and the angle between the axes.
+J Biomech 38), and by a slow sinusoid of about half that size. ``--curvature`` adds movement in proportion to
+squared angles, which the estimation allows for, too. ``--saturating`` lets skin follow large angles less than
+small ones, which the estimation does not know of. ``--cameras-mm`` adds noise.
+
+Errors are those of the joint's centre against the body's markers: the estimated body is laid on the true one
+by the markers that it carries, in the parent and in the child body where these carry three or more; of a
+hinge, the distance from the true axis, and the angle between the axes.
 """
 
 from __future__ import annotations
@@ -125,10 +127,12 @@ def moved_skin(
     skin: float,
     rng: np.random.Generator,
     curvature: float = 0.0,
+    saturating: bool = False,
 ) -> dict[str, Float[np.ndarray, "frame marker 3"]]:
     """Movements of markers on their bodies, m, by trial: the same per angle in all trials.
 
-    With a curvature they also move in proportion to the squared angles, with other random amplitudes.
+    With a curvature they also move in proportion to the squared angles, with other random amplitudes. Skin
+    that saturates moves with the hyperbolic tangent of the standardised angle.
     """
     joined = np.concatenate(list(motion_of.values()))
     mean, spread = joined.mean(axis=0), joined.std(axis=0)
@@ -139,7 +143,8 @@ def moved_skin(
         phase = rng.uniform(0.0, 2.0 * np.pi, (1, len(gains), 3))
         time = np.arange(len(motion))[:, None, None] / RATE
         slow = np.sin(2.0 * np.pi * 0.7 * time + phase) * rng.normal(size=(1, len(gains), 3))
-        moved[name] = np.einsum("mkc,fc->fmk", gains, angles) + SLOW * slow
+        followed = np.tanh(angles) if saturating else angles
+        moved[name] = np.einsum("mkc,fc->fmk", gains, followed) + SLOW * slow
         moved[name] += np.einsum("mkc,fc->fmk", bent, angles**2 - 1.0)
     size = np.sqrt(np.mean(np.sum(np.concatenate(list(moved.values())) ** 2, axis=-1)))
     return {name: skin / size * values for name, values in moved.items()}
@@ -228,7 +233,13 @@ def _laid_on(
 
 
 def recover(
-    folder: Path, data: Path, seed: int, skin: float, curvature: float = 0.0, cameras: float = 0.0
+    folder: Path,
+    data: Path,
+    seed: int,
+    skin: float,
+    curvature: float = 0.0,
+    cameras: float = 0.0,
+    saturating: bool = False,
 ) -> tuple[dict[str, tuple[float, float]], JointPersonalisation, Float[np.ndarray, " parameter"]]:
     """Make a person, personalise the starting model, and return errors, result and the true values.
 
@@ -244,6 +255,8 @@ def recover(
         Size of the movement in proportion to squared angles, against that with angles.
     cameras
         Standard deviation of the white noise of a marker's coordinate, m.
+    saturating
+        Whether skin follows large angles less than small ones.
     """
     rng = np.random.default_rng(seed)
     model, true_model = data / "model.osim", folder / f"true{seed}.osim"
@@ -256,7 +269,7 @@ def recover(
     names = tuple(marker.name for marker in description.markers if marker.body in BODIES)
     gains = skin_gains(description, names, coordinates, rng)
     made = motions(data, coordinates)
-    moved = moved_skin(made, gains, skin, rng, curvature)
+    moved = moved_skin(made, gains, skin, rng, curvature, saturating)
     trials = []
     for name, motion in made.items():
         file = folder / f"{name}{seed}.trc"
@@ -286,6 +299,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--curvature", type=float, default=0.0, help="movement with squared angles, share")
     parser.add_argument("--cameras-mm", type=float, default=0.0, help="white noise of a coordinate, mm")
+    parser.add_argument("--saturating", action="store_true", help="skin follows large angles less")
     options = parser.parse_args()
     set_up_jax()
     data = Path(os.environ["WRAPJAX_DATA"]) / "healthy_running"
@@ -297,7 +311,13 @@ def main() -> int:
         distances, angles, covered, rms = [], [], [], []
         for seed in range(options.first, options.first + options.people):
             found, done, truth = recover(
-                Path(folder), data, seed, SKIN, options.curvature, 1e-3 * options.cameras_mm
+                Path(folder),
+                data,
+                seed,
+                SKIN,
+                options.curvature,
+                1e-3 * options.cameras_mm,
+                options.saturating,
             )
             distances += [value[0] for value in found.values()]
             angles += [value[1] for value in found.values() if np.isfinite(value[1])]
@@ -314,7 +334,8 @@ def main() -> int:
                 flush=True,
             )
     centre, axis = 1e3 * np.array(distances), np.degrees(angles)
-    harder = f", curvature {options.curvature:g}, cameras {options.cameras_mm:g} mm"
+    harder = ", saturating" if options.saturating else ""
+    harder += f", curvature {options.curvature:g}, cameras {options.cameras_mm:g} mm"
     print(f"{options.people} people, skin {1e3 * SKIN:.1f} mm{harder}:")
     for number, joint in enumerate(JOINTS):
         of_joint = np.median(1e3 * np.array(distances[number :: len(JOINTS)]))

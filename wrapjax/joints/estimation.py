@@ -43,8 +43,8 @@ class Frames(NamedTuple):
         Measured markers; their weights are shares of a frame's sum.
     precision
         Weight of a frame's mean squared distance in the cost, 1/m^2; zero for frames that only fill a block.
-    angles
-        Standardised joint angles, with which skin moves.
+    features
+        Functions of the joint angles, with which skin moves.
     drift
         Functions of time by which skin drifts.
     starts
@@ -53,7 +53,7 @@ class Frames(NamedTuple):
 
     goals: MarkerGoals
     precision: Float[Array | np.ndarray, "block frame"]
-    angles: Float[Array | np.ndarray, "block frame feature"]
+    features: Float[Array | np.ndarray, "block frame feature"]
     drift: Float[Array | np.ndarray, "block frame function"]
     starts: Float[Array | np.ndarray, "block frame coordinate"]
 
@@ -178,7 +178,7 @@ class JointProblem(AbstractLeastSquares):
         """Skeleton of a frame: changed by the parameters, and markers moved with the skin."""
         changed = self.change.apply(self.model, self.parameters(variables))
         amplitudes = variables[self.sd.shape[0] :]
-        locations = self.skin.moved(amplitudes, frame.angles, frame.drift, changed.locations)
+        locations = self.skin.moved(amplitudes, frame.features, frame.drift, changed.locations)
         return MarkerModel(changed.structure, changed.carriers, changed.skeleton, locations)
 
     def _fit(self, variables: Float[Array | np.ndarray, " variable"], frame: Frames) -> PoseFit:
@@ -209,10 +209,10 @@ class JointProblem(AbstractLeastSquares):
         drifting = np.array(self.skin.drifting, dtype=int)
         turned = rotation[drifting]
         by_place = jnp.einsum("cmk,mka->cma", free.reshape(len(free), -1, 3)[:, drifting], turned)
-        followed, place_followed = (
-            jsp.linalg.solve_triangular(factor, sides, lower=True)
-            for sides in (free @ head, by_place.reshape(len(free), 3 * drifting.size))
-        )
+        # One solve: two that run at once may wait for each other in XLA's pool of threads.
+        sides = jnp.concatenate([free @ head, by_place.reshape(len(free), 3 * drifting.size)], axis=1)
+        solved = jsp.linalg.solve_triangular(factor, sides, lower=True)
+        followed, place_followed = jnp.split(solved, [head.shape[-1]], axis=1)
         rows = head.reshape(len(rotation), 3, head.shape[-1])[drifting]
         crossed = jnp.einsum("mka,mkv->mav", turned, rows)
         crossed = crossed.reshape(3 * drifting.size, head.shape[-1])
@@ -247,7 +247,7 @@ class JointProblem(AbstractLeastSquares):
         by_parameter = jax.jacfwd(positions)(variables[:count])
         markers = np.array(self.skin.markers, dtype=int)
         columns = rotation[markers, :, np.array(self.skin.axes, dtype=int)]
-        lengths = self.skin.sd * frame.angles[np.array(self.skin.features, dtype=int)]
+        lengths = self.skin.sd * frame.features[np.array(self.skin.features, dtype=int)]
         own = (markers == np.arange(len(rotation))[:, None]) * 1.0
         by_movement = own[:, None, :] * (columns * lengths[:, None]).T[None]
         return jnp.concatenate([by_parameter, by_movement], axis=-1).reshape(-1, count + markers.size)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from wrapjax.geometry.skeleton import body_poses, stations
 from wrapjax.joints.estimation import JointProblem, fit_poses
 from wrapjax.joints.problem import INITIAL_NOISE
-from wrapjax.joints.skin import standardised
+from wrapjax.joints.skin import angle_features
 
 #: Lowest standard deviation that is estimated, m: cameras are hardly better.
 MIN_NOISE = 0.0002
@@ -49,20 +49,20 @@ def _residuals(
     problem: JointProblem, variables: Float[np.ndarray, " variable"], count: int
 ) -> Float[np.ndarray, "frame marker 3"]:
     """Differences of the model's markers from those measured, m; NaN where a marker was not visible."""
-    poses, goals, weights, angles, drift = (
+    poses, goals, weights, features, drift = (
         np.concatenate(np.asarray(array))[:count]
         for array in (
             fit_poses(problem, variables).poses,
             problem.frames.goals.measured,
             problem.frames.goals.weights,
-            problem.frames.angles,
+            problem.frames.features,
             problem.frames.drift,
         )
     )
     model = problem.change.apply(problem.model, problem.parameters(variables))
     amplitudes = variables[len(problem.sd) :]
-    moved = jax.vmap(lambda angle, time: problem.skin.moved(amplitudes, angle, time, model.locations))
-    locations = np.asarray(moved(angles, drift))
+    moved = jax.vmap(lambda feature, time: problem.skin.moved(amplitudes, feature, time, model.locations))
+    locations = np.asarray(moved(features, drift))
     skeleton = jax.tree.map(np.asarray, model.skeleton)
     positions = stations(body_poses(model.structure, skeleton, poses), np.array(model.carriers), locations)
     return np.where(weights[..., None] > 0.0, positions - goals, np.nan)
@@ -93,7 +93,7 @@ def next_round(
     noise: float,
     independent: float,
 ) -> JointProblem:
-    """Weight frames by noise and independence, and take poses and angles of the last round.
+    """Weight frames by noise and independence, and take poses of the last round.
 
     Angles about the starting model's axes explain the movement of skin less well than about better axes.
     """
@@ -102,7 +102,7 @@ def next_round(
     factor = INITIAL_NOISE**2 / noise**2 * min(1.0, independent / used.sum())
     poses = np.asarray(fit_poses(last, variables).poses)
     frames = first.frames._replace(
-        precision=precision * factor, starts=poses, angles=standardised(poses, poses[used])
+        precision=precision * factor, starts=poses, features=angle_features(poses, poses[used])
     )
     return JointProblem(
         first.model, first.change, first.skin, frames, first.pose_bounds, first.sd, first.limits

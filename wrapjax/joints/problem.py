@@ -23,7 +23,7 @@ from wrapjax.joints.freed_parameters import (
     with_widths,
 )
 from wrapjax.joints.settings import HELD_OUT_SHARE, JointSettings, MarkerTrial
-from wrapjax.joints.skin import drift_functions, skin_movement, standardised
+from wrapjax.joints.skin import angle_features, drift_functions, skin_movement
 from wrapjax.osim.model import describe_model
 from wrapjax.preprocessing.inverse_kinematics import (
     InverseKinematics,
@@ -243,7 +243,7 @@ def build_problem(
     frames = Frames(
         goals=MarkerGoals(*(in_blocks(array) for array in joined)),
         precision=np.where(filled, blocked, 0.0),
-        angles=in_blocks(standardised(poses, poses)),
+        features=in_blocks(angle_features(poses, poses)),
         drift=in_blocks(drift[:, : skin.functions]),
         starts=in_blocks(poses),
     )

@@ -1,11 +1,12 @@
 """Movement of skin over bone: of markers on their bodies, with joint angles and slowly in time.
 
 Skin moves continuously, most of it in phase with the joints near it (Leardini et al. 2005,
-doi:10.1016/j.gaitpost.2004.05.002). The place of a marker on its body is therefore the sum of its mean place,
-of movements in proportion to the angles of the joints at that body, with the same amplitudes in all trials,
-and of a drift: a Gaussian process in time for each trial with a squared exponential kernel, written in its
-principal functions (Karhunen-Loeve expansion), so that its amplitudes are independent. All amplitudes are
-variables with Gaussian priors; for the posterior of the joints they are integrated out.
+doi:10.1016/j.gaitpost.2004.05.002), though not in proportion to their angles. The place of a marker on its
+body is therefore the sum of its mean place, of movements with the angles of the joints at that body and with
+their squares, with the same amplitudes in all trials, and of a drift: a Gaussian process in time for each
+trial with a squared exponential kernel, written in its principal functions (Karhunen-Loeve expansion), so
+that its amplitudes are independent. All amplitudes are variables with Gaussian priors; for the posterior of
+the joints they are integrated out.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
 
 #: Coordinates that spread less are taken to rest, rad or m.
 MIN_SPREAD = np.radians(1.0)
+#: Size of the movement with squared angles against that with angles. At small angles it is what tells a
+#: shifted joint center from skin that moves in proportion to the angle.
+SQUARED_SHARE = 0.3
 #: Size of the drift against that of the movement with joint angles.
 DRIFT_SHARE = 0.3
 #: Correlation time of the drift, s: skin moves at about the frequencies of the motion.
@@ -39,9 +43,9 @@ class SkinMovement(eqx.Module):
     Parameters
     ----------
     markers, axes, features
-        Marker, axis of its body and joint angle of each movement with a joint angle.
+        Marker, axis of its body and feature (`angle_features`) of each movement with a joint angle.
     sd
-        Prior standard deviation of each movement, m per standard deviation of the angle.
+        Prior standard deviation of each movement, m per unit of the feature.
     drifting
         Markers that drift.
     functions
@@ -66,7 +70,7 @@ class SkinMovement(eqx.Module):
     def moved(
         self,
         amplitudes: Float[Array | np.ndarray, " amplitude"],
-        angles: Float[Array | np.ndarray, " feature"],
+        features: Float[Array | np.ndarray, " feature"],
         drift: Float[Array | np.ndarray, " function"],
         locations: Float[Array | np.ndarray, "marker 3"],
     ) -> Float[Array, "marker 3"]:
@@ -76,8 +80,8 @@ class SkinMovement(eqx.Module):
         ----------
         amplitudes
             Amplitudes in prior standard deviations.
-        angles
-            Standardised joint angles.
+        features
+            Functions of the joint angles (`angle_features`).
         drift
             Values of the drift's functions.
         locations
@@ -85,7 +89,7 @@ class SkinMovement(eqx.Module):
         """
         places, split = jnp.asarray(locations), len(self.markers)
         if split:
-            lengths = amplitudes[:split] * self.sd * angles[np.array(self.features)]
+            lengths = amplitudes[:split] * self.sd * features[np.array(self.features)]
             places = places.at[np.array(self.markers), np.array(self.axes)].add(lengths)
         if self.functions and self.drifting:
             by_function = amplitudes[split:].reshape(self.functions, len(self.drifting), 3)
@@ -130,8 +134,9 @@ def skin_movement(
                 )
     carriers = [model.structure.bodies[carrier] for carrier in model.carriers]
     rows = [
-        (marker, axis, column, size / np.sqrt(3.0 * len(angles[body])))
+        (marker, axis, column + first, share * size / np.sqrt(3.0 * len(angles[body])))
         for marker, body in enumerate(carriers)
+        for first, share in ((0, 1.0), (len(spread), SQUARED_SHARE))
         for column in angles.get(body, ())
         for axis in range(3)
     ]
@@ -147,12 +152,28 @@ def skin_movement(
     )
 
 
-def standardised(
+def angle_features(
     poses: Float[np.ndarray, "... coordinate"], among: Float[np.ndarray, "frame coordinate"]
-) -> Float[np.ndarray, "... coordinate"]:
-    """Subtract the mean of coordinates and divide by their spread among some frames, if they move at all."""
+) -> Float[np.ndarray, "... feature"]:
+    """Functions of the joint angles with which skin moves.
+
+    Parameters
+    ----------
+    poses
+        Poses, rad and m.
+    among
+        Frames that give the mean and the spread of each coordinate.
+
+    Returns
+    -------
+    Array
+        Each coordinate less its mean and divided by its spread, then the squares of these less one, which are
+        zero in the mean. Coordinates that rest have zeros among the squares.
+    """
     spread = among.std(axis=0)
-    return (poses - among.mean(axis=0)) / np.where(spread > MIN_SPREAD, spread, 1.0)
+    moves = spread > MIN_SPREAD
+    angles = (poses - among.mean(axis=0)) / np.where(moves, spread, 1.0)
+    return np.concatenate([angles, np.where(moves, angles**2 - 1.0, 0.0)], axis=-1)
 
 
 def drift_functions(
