@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import jaxprs_in_params
 
 from tests.joints.person import make_person
 from wrapjax.joints.personalisation import personalize_joints
 from wrapjax.joints.problem import prepare_problem
 from wrapjax.joints.settings import JointSettings, MarkerTrial
-from wrapjax.joints.skin import drift_functions
+from wrapjax.joints.skin import angle_features, drift_functions
 from wrapjax.preprocessing.markers import write_trc
 
 
@@ -75,6 +76,45 @@ def test_the_matrix_is_that_of_all_unknowns_with_poses_eliminated(problem):
 def _weighted(problem, values, pose, frame):
     root = jnp.sqrt(frame.goals.weights * frame.precision)[:, None]
     return (root * problem._skeleton(values, frame).positions(pose)).reshape(-1)
+
+
+def test_a_frame_has_one_triangular_solve(problem):
+    """Two that run at once may wait for each other forever in XLA's pool of threads, as they did."""
+    frame = jax.tree.map(lambda array: jnp.asarray(array)[0, 0], problem.frames)
+    at = jnp.zeros(problem.lower.size)
+    of_terms, of_fit = (
+        _count("triangular_solve", jax.make_jaxpr(function)(at, frame).jaxpr)
+        for function in (problem._frame_terms, problem._fit)
+    )
+    assert of_terms - of_fit == 1
+
+
+def _count(name, program):
+    """Count an operation in a program and all programs that it calls."""
+    return sum(
+        (equation.primitive.name == name)
+        + sum(_count(name, inner) for inner in jaxprs_in_params(equation.params))
+        for equation in program.eqns
+    )
+
+
+def test_features_are_angles_and_their_squares():
+    generator = np.random.default_rng(3)
+    poses = np.stack([generator.normal(0.3, 0.2, 50), np.full(50, 0.7)], axis=1)
+    features = angle_features(poses, poses)
+    assert features.shape == (50, 4)
+    np.testing.assert_allclose(features.mean(axis=0), 0.0, atol=1e-12)
+    np.testing.assert_allclose(features[:, 0].std(), 1.0)
+    np.testing.assert_allclose(features[:, 2], features[:, 0] ** 2 - 1.0)
+    # The second coordinate rests.
+    assert not features[:, 3].any()
+
+
+def test_skin_moves_with_squared_angles_less_than_with_angles(problem):
+    skin, count = problem.skin, len(problem.model.structure.coordinates)
+    squared = np.array(skin.features) >= count
+    assert squared.sum() == (~squared).sum() > 0
+    np.testing.assert_allclose(np.sum(skin.sd[squared] ** 2), 0.09 * np.sum(skin.sd[~squared] ** 2))
 
 
 def test_functions_of_the_drift_have_its_covariance():

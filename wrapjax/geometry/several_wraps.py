@@ -301,8 +301,46 @@ def _with_derivatives_jvp(primals, tangents):
         (path_tangent, surfaces_tangent),
     )
     by_contacts = jax.jacfwd(refit)(flat, path, surfaces)
-    tangent = jnp.linalg.solve(jnp.eye(flat.size) - by_contacts, moved)
+    tangent = solve_without_lapack(jnp.eye(flat.size) - by_contacts, moved)
     return contacts, tangent.reshape(contacts.shape)
+
+
+def solve_without_lapack(
+    matrix: Float[Array, "row row"], right_side: Float[Array, " row"]
+) -> Float[Array, " row"]:
+    """Solve a small system of linear equations by Gauss-Jordan elimination with partial pivoting.
+
+    Batched LAPACK routines of jaxlib 0.10 occupy a thread of XLA's pool while they wait for others of the
+    same pool. Second derivatives of a path solve two systems at once, which on two cores may wait for each
+    other forever.
+    """
+    rows = jnp.arange(right_side.size)
+
+    def solved(matrix: Array, right_side: Array) -> Array:
+        def eliminate(column: Array, systems: tuple[Array, Array]) -> tuple[Array, Array]:
+            left = systems[0]
+            below = jnp.where(rows < column, -1.0, jnp.abs(left[:, column]))
+            here, pivot = rows == column, rows == jnp.argmax(below)
+
+            def exchanged(values: Array) -> Array:
+                difference = jnp.where(pivot, 1.0, 0.0) @ values - values[column]
+                return values + jnp.outer(jnp.where(here, 1.0, 0.0) - pivot, difference)
+
+            left, right = (exchanged(values) for values in systems)
+            factors = jnp.where(
+                here, 1.0 - 1.0 / left[column, column], left[:, column] / left[column, column]
+            )
+            return left - jnp.outer(factors, left[column]), right - jnp.outer(factors, right[column])
+
+        systems = (matrix, right_side[:, None])
+        return jax.lax.fori_loop(0, right_side.size, eliminate, systems)[1][:, 0]
+
+    return jax.lax.custom_linear_solve(
+        lambda values: matrix @ values,
+        right_side,
+        solve=lambda _, values: solved(matrix, values),
+        transpose_solve=lambda _, values: solved(matrix.T, values),
+    )
 
 
 def _refit_all(

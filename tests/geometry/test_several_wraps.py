@@ -1,0 +1,60 @@
+"""Defends: contacts with several wraps have derivatives that solve their equations, and programs that end."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wrapjax.geometry.engine import ExactPaths
+from wrapjax.geometry.several_wraps import solve_without_lapack
+from wrapjax.geometry.wrapped_paths import wrapped_paths
+from wrapjax.osim.model import describe_model
+
+# Batched LAPACK routines that run at once may wait for each other forever.
+LAPACK = ("triangular_solve", "lu", "cholesky", "eigh", "qr", "svd")
+
+
+@settings(deadline=None, max_examples=50)
+@given(size=st.sampled_from([1, 2, 6, 12]), seed=st.integers(0, 2**31 - 1))
+def test_a_small_system_is_solved(size, seed):
+    generator = np.random.default_rng(seed)
+    matrix, expected = generator.normal(size=(size, size)), generator.normal(size=size)
+    found = solve_without_lapack(jnp.asarray(matrix), jnp.asarray(matrix @ expected))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * size)
+
+
+def test_a_small_system_may_begin_with_a_zero():
+    """As in a permutation, where elimination without pivoting divides by zero."""
+    found = solve_without_lapack(jnp.eye(4)[jnp.array([1, 0, 3, 2])], jnp.arange(4.0))
+    np.testing.assert_array_equal(found, [1.0, 0.0, 3.0, 2.0])
+
+
+def test_a_small_system_has_the_derivatives_of_its_solution():
+    generator = np.random.default_rng(1)
+    matrix, side = jnp.asarray(generator.normal(size=(6, 6))), jnp.asarray(generator.normal(size=6))
+
+    def curvature(solve):
+        return jax.hessian(lambda step: jnp.sum(solve(matrix + step * jnp.eye(6), side * (1.0 + step)) ** 2))
+
+    found, expected = (curvature(solve)(0.1) for solve in (solve_without_lapack, jnp.linalg.solve))
+    assert float(found) == pytest.approx(float(expected), rel=1e-9)
+
+
+def test_paths_need_no_lapack(s1_left):
+    """Second derivatives of a path round two cylinders solve two systems at once."""
+    coordinates = ("hip_flexion_l", "knee_angle_l", "ankle_angle_l")
+    free = ("GasMed_at_shank_l", "Gastroc_at_condyles_l")
+    engine = ExactPaths(describe_model(s1_left / "model.osim"), ("gasmed_l",), coordinates)
+    angles = np.full((1, 3, 2), 0.2)
+    paths, _ = wrapped_paths(engine, angles, np.zeros_like(angles), coordinates, free)
+
+    def second(change):
+        return jax.jvp(
+            lambda at: jax.jvp(lambda x: paths.at(x).length, (at,), (at,))[1], (change,), (change,)
+        )
+
+    program = str(jax.make_jaxpr(second)(jnp.full((1, 12), 1e-3)))
+    assert "custom_linear_solve" in program
+    assert not [name for name in LAPACK if f" {name}[" in program]
