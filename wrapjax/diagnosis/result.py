@@ -299,7 +299,8 @@ def diagnosis_result(
         and one.evidence <= scores.detection_threshold
         and id not in decision.accepted
     )
-    shown = _shown_refits(decision, verification, tuple(refits))
+    hidden = {entry.id for entry in undetectable}
+    shown = _shown_refits(decision, verification, [ids for ids in refits if not hidden.intersection(ids)])
     result = result_without_diagnosis(
         data, decision.outcome, decision.reason, seconds, baseline, localization
     )
