@@ -165,6 +165,7 @@ def test_the_description_of_an_effect_follows_its_detectability():
     assert "not testable" in describe_effect(4.0, 1.0, 5.0, named=False)
     assert "not named" in describe_effect(20.0, 1.0, 5.0, named=False), "larger than expected, so it shows"
     assert "not named" in describe_effect(20.0, 8.0, 5.0, named=False)
+    assert "not named" in describe_effect(4.0, 1.0, 5.0, named=False, refused=True), "a claim was tested"
     assert "missed" in describe_effect(1.0, 3.0, 5.0, named=False)
     assert describe_effect(1.0, 8.0, 5.0, named=False) == "not seen; one of expected size would be"
 

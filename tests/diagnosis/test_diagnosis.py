@@ -9,7 +9,7 @@ import pytest
 from wrapjax import InputError
 from wrapjax.datasets.virtual_person.hidden_effects import HIDDEN_EFFECTS
 from wrapjax.demonstration.demo import EXCLUDED_EFFECTS, demonstrate_diagnosis
-from wrapjax.diagnosis import decision, diagnosis, pipeline, result, score
+from wrapjax.diagnosis import decision, diagnosis, pipeline, score
 from wrapjax.diagnosis.claim import examine_claim
 from wrapjax.diagnosis.diagnosis import diagnose, diagnose_calibrated
 from wrapjax.diagnosis.effects.catalogue import CATALOGUE
@@ -111,14 +111,19 @@ def test_withholding_an_effect_afterwards_or_at_once_gives_the_same_result(found
         found.without("joint_dampin")
 
 
-def test_nothing_is_both_fitted_and_not_testable(found, monkeypatch, tmp_path):
-    """With a limit that no effect reaches, effects that are not seen are not testable."""
-    monkeypatch.setattr(result, "MIN_DETECTABILITY", np.inf)
+@pytest.mark.parametrize("refused", [(), ("emg_drift",)])
+def test_nothing_is_both_fitted_and_not_testable(found, monkeypatch, tmp_path, refused):
+    """With a limit that no effect reaches; but the fit of a claim that was refused is shown."""
+    monkeypatch.setattr("wrapjax.diagnosis.result.MIN_DETECTABILITY", np.inf)
+    changes = {"outcome": "unknown", "named": (), "tie": (), "best_partial": refused}
+    monkeypatch.setattr(
+        pipeline, "examine_claim", lambda *arguments: dataclasses.replace(arguments[5], **changes)
+    )
     monkeypatch.setattr(pipeline, "effects_to_refit", lambda _: [(id,) for id in sorted(SCORED)])
     again = found.without(*WITHOUT)
     hidden = SCORED.intersection(entry.id for entry in again.result.not_testable)
-    assert hidden
-    assert not hidden.intersection(id for one in again.result.refits for id in one.ids)
+    assert ("emg_drift" in hidden) == (not refused)
+    assert {id for one in again.result.refits for id in one.ids} == SCORED - hidden
     again.save(tmp_path / "gap")
 
 

@@ -31,6 +31,12 @@ def test_a_small_system_may_begin_with_a_zero():
     np.testing.assert_array_equal(found, [1.0, 0.0, 3.0, 2.0])
 
 
+def test_rows_of_a_small_system_may_differ_in_size():
+    """A large pivot must not be subtracted from itself."""
+    found = solve_without_lapack(jnp.array([[1e12, 1e12], [0.0, 1e-6]]), jnp.array([3e12, 1e-6]))
+    np.testing.assert_allclose(found, [2.0, 1.0], rtol=1e-14)
+
+
 def test_a_small_system_has_the_derivatives_of_its_solution():
     generator = np.random.default_rng(1)
     matrix, side = jnp.asarray(generator.normal(size=(6, 6))), jnp.asarray(generator.normal(size=6))

@@ -453,12 +453,12 @@ def test_a_failed_write_leaves_no_folder_and_keeps_an_existing_one(
     )
 
 
-def test_nothing_is_said_of_the_refit_of_an_effect_that_is_not_testable():
-    hidden = NotTestable(ORTHOSIS, "one of expected size would show by 0.9 standard deviations only")
-    result = replace(partial(), not_testable=(hidden,))
+def test_nothing_is_said_of_refits_where_there_are_none():
+    """As where all fitted effects are not testable."""
     assert any("removes" in sentence for sentence in diagnosis_findings(partial()))
     assert not any(
-        "removes" in sentence or "decreases" in sentence for sentence in diagnosis_findings(result)
+        "removes" in sentence or "decreases" in sentence
+        for sentence in diagnosis_findings(replace(partial(), refits=()))
     )
 
 

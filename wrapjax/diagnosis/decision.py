@@ -427,11 +427,13 @@ def _improves(gains: Sequence[float]) -> bool:
     return not len(gains) or (sum(gains) > 0.0 and losses <= math.ceil(len(gains) / 5))
 
 
-def describe_effect(evidence: float, detectability: float, detection_threshold: float, named: bool) -> str:
-    """Describe the decision on one effect in words."""
+def describe_effect(
+    evidence: float, detectability: float, detection_threshold: float, *, named: bool, refused: bool = False
+) -> str:
+    """Describe in words the decision on an effect, which may be named or part of a refused claim."""
     if named:
         return "explains the error best"
-    if evidence > detection_threshold:
+    if refused or evidence > detection_threshold:
         return "would explain error, but is not named"
     if detectability < MIN_DETECTABILITY:
         return "not testable with these data"

@@ -297,7 +297,7 @@ def diagnosis_result(
         # A larger effect than expected can show where one of expected size could not.
         if one.detectability < MIN_DETECTABILITY
         and one.evidence <= scores.detection_threshold
-        and id not in decision.accepted
+        and id not in (*decision.accepted, *decision.best_partial)
     )
     hidden = {entry.id for entry in undetectable}
     shown = _shown_refits(decision, verification, [ids for ids in refits if not hidden.intersection(ids)])
@@ -379,7 +379,11 @@ def _finding(
         evidence=score.evidence,
         detectability=score.detectability,
         decision=describe_effect(
-            score.evidence, score.detectability, scores.detection_threshold, score.id in decision.accepted
+            score.evidence,
+            score.detectability,
+            scores.detection_threshold,
+            named=score.id in decision.accepted,
+            refused=score.id in decision.best_partial,
         ),
         effect_sizes=_reported_sizes(effect, effect_sizes, sd),
         negative_control=effect.negative_control,

@@ -313,6 +313,11 @@ def solve_without_lapack(
     Batched LAPACK routines of jaxlib 0.10 occupy a thread of XLA's pool while they wait for others of the
     same pool. Second derivatives of a path solve two systems at once, which on two cores may wait for each
     other forever.
+
+    Parameters
+    ----------
+    matrix, right_side
+        Coefficients and right side; a singular matrix gives no finite solution.
     """
     rows = jnp.arange(right_side.size)
 
@@ -327,10 +332,13 @@ def solve_without_lapack(
                 return values + jnp.outer(jnp.where(here, 1.0, 0.0) - pivot, difference)
 
             left, right = (exchanged(values) for values in systems)
-            factors = jnp.where(
-                here, 1.0 - 1.0 / left[column, column], left[:, column] / left[column, column]
-            )
-            return left - jnp.outer(factors, left[column]), right - jnp.outer(factors, right[column])
+            factors, diagonal = jnp.where(here, 0.0, left[:, column]), left[column, column]
+
+            def eliminated(values: Array) -> Array:
+                row = values[column] / diagonal
+                return jnp.where(here[:, None], row[None], values - jnp.outer(factors, row))
+
+            return eliminated(left), eliminated(right)
 
         systems = (matrix, right_side[:, None])
         return jax.lax.fori_loop(0, right_side.size, eliminate, systems)[1][:, 0]

@@ -24,8 +24,8 @@ from wrapjax.joints.freed_parameters import FRAME_KINDS, FreedParameter
 
 #: Coordinates that spread less are taken to rest, rad or m.
 MIN_SPREAD = np.radians(1.0)
-#: Size of the movement with squared angles against that with angles. At small angles it is what tells a
-#: shifted joint center from skin that moves in proportion to the angle.
+#: Size of the movement with squared angles against that with angles: an assumption without a published
+#: figure, as large as the drift. Skin in proportion to the angle and a shifted center differ in that order.
 SQUARED_SHARE = 0.3
 #: Size of the drift against that of the movement with joint angles.
 DRIFT_SHARE = 0.3

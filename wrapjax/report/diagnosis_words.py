@@ -41,9 +41,11 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
         return [_outcome_finding(result), *reason]
     first = f"{_explainable_finding(result.explainable_share)} {_outcome_finding(result)}"
     sentences = [first, *reason, *_meanings(result)]
-    if not _refits_are_untestable(result):
-        sentences += [*_shrinkage_findings(result), *_error_findings(result)]
-    sentences += _other_tasks_findings(result)
+    sentences += [
+        *_shrinkage_findings(result),
+        *_error_findings(result),
+        *_other_tasks_findings(result),
+    ]
     if false_positives := positive_controls(result):
         names = effect_list(effect.id for effect in false_positives)
         sentences.append(
@@ -51,12 +53,6 @@ def diagnosis_findings(result: DiagnosisResult) -> list[str]:
             "recording (negative control), exceeds the detection threshold."
         )
     return sentences
-
-
-def _refits_are_untestable(result: DiagnosisResult) -> bool:
-    """Return whether the reported refits are of effects about which this recording says nothing."""
-    not_testable = {effect.id for effect in result.not_testable}
-    return any(not_testable.intersection(refit.ids) for refit in reported_refits(result))
 
 
 def untested_findings(result: DiagnosisResult) -> list[str]:
